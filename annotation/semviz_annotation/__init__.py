@@ -1,0 +1,1 @@
+"""Labels, stereo, triangulation and map building; no screen."""

@@ -1,0 +1,1 @@
+"""Localization in sparse semantic maps: values, sources, solvers, evaluation."""

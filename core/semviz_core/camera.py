@@ -1,0 +1,106 @@
+"""Pinhole cameras and stereo rigs. Axes as in OpenCV: x right, y down, z forward."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from semviz_core.arrays import BoolArray, FloatArray, float_array
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+
+MIN_DEPTH_M = 0.1
+"""Nearer points are treated as behind the camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera. Pixel (0, 0) is the CENTRE of the top-left pixel (OpenCV, KITTI)."""
+
+    width: int
+    height: int
+    K: FloatArray
+    """(3, 3) intrinsics, px."""
+    distortion: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(k,) OpenCV's k1, k2, p1, p2, k3, ...; empty where images are rectified."""
+
+    def __post_init__(self) -> None:
+        K = float_array(self.K, (3, 3), "K")
+        if self.width <= 0 or self.height <= 0:
+            raise SemvizError(f"image size {self.width}x{self.height} is not positive")
+        if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+            raise SemvizError("K is not an intrinsic matrix: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+        object.__setattr__(self, "K", K)
+        object.__setattr__(self, "distortion", float_array(self.distortion, (None,), "distortion"))
+
+    def project(self, points_camera: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3) in camera coordinates; NaN for points behind."""
+        points = np.atleast_2d(points_camera)
+        pixels = np.full((len(points), 2), np.nan)
+        ahead = points[:, 2] > MIN_DEPTH_M
+        if self.distortion.size and ahead.any():
+            import cv2
+
+            projected, _ = cv2.projectPoints(
+                points[ahead], np.zeros(3), np.zeros(3), self.K, self.distortion
+            )
+            pixels[ahead] = projected.reshape(-1, 2)
+        else:
+            homogeneous = points[ahead] @ self.K.T
+            pixels[ahead] = homogeneous[:, :2] / homogeneous[:, 2:]
+        return pixels
+
+    def normalize(self, pixels_px: FloatArray) -> FloatArray:
+        """Undistorted image-plane coordinates (n, 2) at depth 1 of pixels (n, 2)."""
+        pixels = np.atleast_2d(pixels_px)
+        if self.distortion.size and len(pixels):
+            import cv2
+
+            undistorted = cv2.undistortPoints(
+                np.ascontiguousarray(pixels)[:, None, :], self.K, self.distortion
+            )
+            return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
+        homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
+        rays: FloatArray = np.linalg.solve(self.K, homogeneous.T).T
+        return rays[:, :2]
+
+    def bearing(self, pixels_px: FloatArray) -> FloatArray:
+        """Unit rays (n, 3) in camera coordinates: the paper's f = unit(K^-1 [u, v, 1])."""
+        plane = self.normalize(pixels_px)
+        rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+        unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return unit
+
+    def contains(self, pixels_px: FloatArray) -> BoolArray:
+        """(n,) whether pixels (n, 2) lie in the image; NaN does not."""
+        u, v = np.atleast_2d(pixels_px).T
+        inside: BoolArray = (
+            (u >= -0.5) & (v >= -0.5) & (u <= self.width - 0.5) & (v <= self.height - 0.5)
+        )
+        return inside
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The cameras of a vehicle. Poses of frames are those of the left camera.
+
+    ``right`` and ``T_right_left`` are both None for a single camera.
+    """
+
+    left: Camera
+    right: Camera | None = None
+    T_right_left: Pose | None = None
+
+    def __post_init__(self) -> None:
+        if (self.right is None) != (self.T_right_left is None):
+            raise SemvizError("a right camera needs its pose T_right_left, and the other way round")
+        if self.T_right_left is not None and self.T_right_left.translation[0] >= 0:
+            raise SemvizError(
+                f"left and right are swapped: baseline is {self.baseline_m:.2f} m; swap the cameras"
+            )
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance along x from the left to the right camera; 0 for a single camera."""
+        if self.T_right_left is None:
+            return 0.0
+        return float(self.T_right_left.inverse().translation[0])

@@ -1,0 +1,1 @@
+"""Elements seen and mapped to correspondence probabilities."""

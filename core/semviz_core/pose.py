@@ -1,0 +1,137 @@
+"""Rigid transforms, named T_target_source: they take source coordinates to target ones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from semviz_core.arrays import FloatArray, float_array
+from semviz_core.errors import SemvizError
+
+
+@dataclass(frozen=True, eq=False)  # eq=False: arrays have no single truth value
+class Pose:
+    """An element of SE(3): ``x_target = rotation @ x_source + translation``.
+
+    Tangent vectors are (6,): translation (m) first, then rotation (rad). Updates and
+    covariances are LEFT perturbations: ``exp(tangent) @ T``, so for ``T_camera_map`` they are
+    expressed in the camera frame.
+    """
+
+    rotation: FloatArray
+    """(3, 3) orthonormal, determinant +1."""
+    translation: FloatArray
+    """(3,) m."""
+
+    def __post_init__(self) -> None:
+        rotation = float_array(self.rotation, (3, 3), "rotation")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise SemvizError("rotation is not a rotation matrix (R R^T = I, det R = +1)")
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", float_array(self.translation, (3,), "translation"))
+
+    @classmethod
+    def identity(cls) -> "Pose":
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> "Pose":
+        """From (3, 4) or (4, 4). Rounded rotations (text files) are made orthonormal again."""
+        array = np.asarray(matrix, dtype=np.float64)
+        if array.shape not in ((3, 4), (4, 4)):
+            raise SemvizError(f"a pose matrix is 3x4 or 4x4, not {array.shape}")
+        return cls(nearest_rotation(array[:3, :3]), array[:3, 3])
+
+    @classmethod
+    def from_rotvec(cls, rotvec_rad: ArrayLike, translation_m: ArrayLike) -> "Pose":
+        """From an axis-angle vector (3,) in radians and a translation (3,) in metres."""
+        return cls(so3_exp(np.asarray(rotvec_rad, dtype=np.float64)), np.asarray(translation_m))
+
+    @classmethod
+    def exp(cls, tangent: ArrayLike) -> "Pose":
+        """SE(3) exponential of a (6,) tangent (Barfoot 2017, eq. 7.86)."""
+        xi = float_array(tangent, (6,), "tangent")
+        return cls(so3_exp(xi[3:]), so3_left_jacobian(xi[3:]) @ xi[:3])
+
+    def log(self) -> FloatArray:
+        """(6,) tangent with ``Pose.exp(T.log())`` equal to T; rotation angle in [0, pi]."""
+        rotvec = so3_log(self.rotation)
+        return np.concatenate(
+            [np.linalg.solve(so3_left_jacobian(rotvec), self.translation), rotvec]
+        )
+
+    def __matmul__(self, other: "Pose") -> "Pose":
+        """``T_a_b @ T_b_c`` is ``T_a_c``."""
+        return Pose(nearest_rotation(self.rotation @ other.rotation), self.apply(other.translation))
+
+    def inverse(self) -> "Pose":
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points_m: FloatArray) -> FloatArray:
+        """Points (..., 3) of the source frame, in the target frame."""
+        return points_m @ self.rotation.T + self.translation
+
+    def as_matrix(self) -> FloatArray:
+        """(4, 4) homogeneous matrix."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.translation
+        return matrix
+
+    def as_quaternion(self) -> FloatArray:
+        """(4,) rotation as x, y, z, w with w >= 0."""
+        from scipy.spatial.transform import Rotation
+
+        quaternion: FloatArray = Rotation.from_matrix(self.rotation).as_quat(canonical=True)
+        return quaternion
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """(3, 3) matrix with ``skew(a) @ b`` equal to ``cross(a, b)``."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def so3_exp(rotvec_rad: FloatArray) -> FloatArray:
+    """(3, 3) rotation of an axis-angle vector (Rodrigues)."""
+    angle = float(np.linalg.norm(rotvec_rad))
+    K = skew(rotvec_rad)
+    if angle < 1e-6:  # Taylor series; the closed form divides by the angle
+        return nearest_rotation(np.eye(3) + K + 0.5 * K @ K)
+    a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
+    return np.asarray(np.eye(3) + a * K + b * K @ K)
+
+
+def so3_log(rotation: FloatArray) -> FloatArray:
+    """(3,) axis-angle vector in radians, angle in [0, pi]."""
+    from scipy.spatial.transform import Rotation
+
+    rotvec: FloatArray = Rotation.from_matrix(rotation).as_rotvec()
+    return rotvec
+
+
+def so3_left_jacobian(rotvec_rad: FloatArray) -> FloatArray:
+    """(3, 3) left Jacobian of SO(3) (Barfoot 2017, eq. 7.77b)."""
+    angle = float(np.linalg.norm(rotvec_rad))
+    K = skew(rotvec_rad)
+    if angle < 1e-5:
+        return np.eye(3) + 0.5 * K + K @ K / 6.0
+    a = (1.0 - np.cos(angle)) / angle**2
+    b = (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + a * K + b * K @ K)
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """The rotation nearest to a (3, 3) matrix (Frobenius norm, by SVD).
+
+    Raises SemvizError where ``matrix`` is further than 1e-2 from any rotation.
+    """
+    if not np.isfinite(matrix).all():
+        raise SemvizError("rotation holds NaN or infinite numbers")
+    U, _, Vt = np.linalg.svd(matrix)
+    rotation: FloatArray = U @ Vt
+    if np.abs(rotation - matrix).max() > 1e-2:
+        raise SemvizError("matrix is not a rotation: it is scaled or sheared")
+    if np.linalg.det(rotation) < 0:
+        raise SemvizError("matrix is a reflection, not a rotation: left-handed axes?")
+    return rotation

@@ -1,0 +1,1 @@
+"""Correspondences to poses, with honest uncertainty."""

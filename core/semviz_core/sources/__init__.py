@@ -1,0 +1,1 @@
+"""Images and priors in: real sequences and simulated ones."""

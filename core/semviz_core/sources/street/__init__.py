@@ -1,0 +1,1 @@
+"""A simulated street: its layout, its pictures, its detections."""

@@ -1,0 +1,1 @@
+"""The application: command line, workspace, recordings and the two web tools."""

@@ -1,0 +1,1 @@
+"""semviz annotate: label poles and signs in stereo images."""

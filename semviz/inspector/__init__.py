@@ -1,0 +1,1 @@
+"""semviz serve: see why a frame failed."""
