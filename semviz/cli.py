@@ -1,0 +1,61 @@
+"""The ``semviz`` command: parse, call, and turn people's mistakes into one line."""
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
+
+from semviz.commands.annotate import Annotate
+from semviz.commands.evaluate import Evaluate
+from semviz.commands.labels import LabelsExport, LabelsImport
+from semviz.commands.localize import Localize
+from semviz.commands.maps import MapBuild, MapCheck
+from semviz.commands.new import New
+from semviz.commands.open_run import OpenRun
+from semviz.commands.serve import Serve
+from semviz_core.errors import SemvizError
+
+MapCommands = Annotated[
+    Annotated[MapBuild, subcommand("build")] | Annotated[MapCheck, subcommand("check")],
+    subcommand("map", description="Build a map from labels, and check it against them."),
+]
+LabelCommands = Annotated[
+    Annotated[LabelsExport, subcommand("export")] | Annotated[LabelsImport, subcommand("import")],
+    subcommand("labels", description="Take the log of all label operations out, or in."),
+]
+Command = (
+    Annotated[Serve, subcommand("serve")]
+    | Annotated[New, subcommand("new")]
+    | Annotated[Annotate, subcommand("annotate")]
+    | MapCommands
+    | Annotated[Localize, subcommand("localize")]
+    | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[OpenRun, subcommand("open")]
+    | LabelCommands
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    command = tyro.cli(
+        Command,  # type: ignore[arg-type]  # a union of commands, which tyro takes
+        args=arguments,
+        prog="semviz",
+        description="See and mend localization in sparse semantic maps of poles and traffic signs.",
+        config=(OmitArgPrefixes, OmitSubcommandPrefixes),
+    )
+    try:
+        status = command.run()
+    except SemvizError as error:
+        print(f"semviz: {error}", file=sys.stderr)
+        status = 2
+    except KeyboardInterrupt:
+        print("semviz: interrupted", file=sys.stderr)
+        status = 130
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

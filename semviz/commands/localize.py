@@ -1,0 +1,71 @@
+"""semviz localize"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from semviz.commands.parsing import (
+    OptionalFloat,
+    OptionalPath,
+    OptionalText,
+    parse_frames,
+    parse_interval,
+)
+
+
+@dataclass(frozen=True)
+class Localize:
+    """Localize the frames of a workspace in its map and record the run."""
+
+    workspace: Positional[Path]
+    """The workspace."""
+    out: OptionalPath = None
+    """The run to write; runs/METHOD.rrd in the workspace if not given."""
+    map: str = "main"
+    """Name of the map."""
+    method: str = "search"
+    """search (prior-guided upright search) or direct (classes alone fix the matches)."""
+    frames: OptionalText = None
+    """FIRST:END[:STEP]; all frames if not given."""
+    observations: Annotated[
+        Literal["labels", "simulated"] | None,
+        arg(metavar="labels|simulated", help_behavior_hint=""),
+    ] = None
+    """What is seen: the workspace's labels, or the street's simulated detector; labels where
+    there are some."""
+    noise: Literal["paper", "low"] = "low"
+    """Noise of the simulated detector: the paper's table, or 1 px and 0.3 deg."""
+    prior_distance: str = "5:10"
+    """How far the simulated GPS fix is off, in metres."""
+    heading_sigma_deg: OptionalFloat = None
+    """Standard deviation of a simulated compass; the heading is unknown if not given."""
+    crop_radius: float = 50.0
+    """Radius of the submap round the GPS fix, in metres."""
+    seed: int = 0
+    """Seed of the simulated priors and detections."""
+    images: bool = True
+    """Embed the images in the run (about 130 kB a frame)."""
+
+    def run(self) -> int:
+        from semviz.drive import Drive, DriveOptions, record
+        from semviz.workspace import Workspace
+
+        workspace = Workspace.open(self.workspace)
+        options = DriveOptions(
+            method=self.method,
+            observations=self.observations or workspace.default_observations,
+            noise=self.noise,
+            prior_distance_m=parse_interval(self.prior_distance, "--prior-distance"),
+            heading_sigma_deg=self.heading_sigma_deg,
+            crop_radius_m=self.crop_radius,
+            seed=self.seed,
+            images=self.images,
+        )
+        drive = Drive(workspace, self.map, options, parse_frames(self.frames))
+        path = self.out or workspace.run_path(self.method)
+        counts = record(drive, path)
+        print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
+        print(f"next: semviz evaluate {path}; semviz serve {path}")
+        return 0

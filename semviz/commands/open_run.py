@@ -1,0 +1,23 @@
+"""semviz open"""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from semviz_core.errors import SemvizError
+
+
+@dataclass(frozen=True)
+class OpenRun:
+    """Open a run in rerun's own viewer."""
+
+    run_file: Positional[Path]
+    """The .rrd file."""
+
+    def run(self) -> int:
+        if not self.run_file.is_file():
+            raise SemvizError(f"{self.run_file}: no such run; make one with 'semviz localize'")
+        return subprocess.call([sys.executable, "-m", "rerun", str(self.run_file)])
