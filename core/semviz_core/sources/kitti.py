@@ -1,0 +1,234 @@
+"""Sequences in the folder layout of the KITTI odometry benchmark.
+
+    ROOT/sequences/02/calib.txt      P0: ... P3: 3x4 projections of the rectified cameras
+    ROOT/sequences/02/times.txt      seconds, one line a frame
+    ROOT/sequences/02/image_2/000000.png
+    ROOT/poses/02.txt                3x4 poses of camera 0, one line a frame; may be missing
+
+KITTI's world is camera 0 of frame 0 (x right, y down, z forward); here it is turned to z up.
+"""
+
+from functools import cached_property
+from pathlib import Path
+from struct import unpack
+
+import numpy as np
+
+from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.camera import Camera, Rig
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Frame
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import MapFrame
+from semviz_core.sources.source import Side
+
+_T_MAP_WORLD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+_PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+
+
+class KittiSequence:
+    """A ``Source`` that reads one KITTI odometry sequence.
+
+    ``cameras`` are the left one and, for stereo, the right one: (2, 3) colour, (0, 1) grey. Only
+    frames with a left image are offered, and of those the numbers in ``frames``. A frame's pose
+    is that of its left camera, in the map frame ``kitti-SEQUENCE``.
+
+    Raises SemvizError where the folder, its calibration, times or poses are missing or wrong.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        sequence: str = "02",
+        cameras: tuple[int, ...] = (2, 3),
+        frames: range | None = None,
+    ) -> None:
+        if len(cameras) not in (1, 2) or len(set(cameras)) != len(cameras):
+            raise SemvizError(f"cameras {cameras}: give one camera, or two different ones")
+        self._folder = _sequence_folder(root, sequence)
+        self._poses_path = root / "poses" / f"{sequence}.txt"
+        self._cameras = cameras
+        self.map_frame = MapFrame(f"kitti-{sequence}")
+        projections = _read_calibration(self._folder / "calib.txt", cameras)
+        self._indices = self._find_frames(frames)
+        self.rig = self._make_rig(projections)
+        self._T_cam0_left = _extrinsics(projections[0]).inverse()
+        self.frames = self._make_frames()
+
+    @cached_property
+    def _index_set(self) -> frozenset[int]:
+        return frozenset(self._indices)
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        """(height, width, 3) sRGB of frame ``index``; grey cameras give grey in all channels.
+
+        Raises SemvizError where the file is missing, unreadable, cut off or of another size.
+        """
+        import cv2
+
+        path = self._image_path(index, side)
+        data = _read_png(path)
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise SemvizError(f"{path}: not a readable PNG image; copy it again")
+        height, width = image.shape[:2]
+        expected = self.rig.left
+        if (width, height) != (expected.width, expected.height):
+            raise SemvizError(
+                f"{path}: image is {width}x{height}, but the first one of the sequence is "
+                f"{expected.width}x{expected.height}; all must be of one size"
+            )
+        rgb: ByteImage = np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
+        return rgb
+
+    def _image_path(self, index: int, side: Side) -> Path:
+        if index not in self._index_set:
+            first, last = self._indices[0], self._indices[-1]
+            raise SemvizError(f"{self._folder}: no frame {index} among frames {first} to {last}")
+        if side == "right" and len(self._cameras) == 1:
+            raise SemvizError(f"{self._folder}: opened with one camera, there is no right image")
+        camera = self._cameras[0 if side == "left" else 1]
+        return self._folder / f"image_{camera}" / f"{index:06d}.png"
+
+    def _find_frames(self, wanted: range | None) -> tuple[int, ...]:
+        for camera in self._cameras:
+            images = self._folder / f"image_{camera}"
+            if not images.is_dir():
+                raise SemvizError(f"{images}: no such folder; copy camera {camera}'s images there")
+            if next(images.glob("[0-9]*.png"), None) is None:
+                raise SemvizError(f"{images}: a folder without images; expected 000000.png, ...")
+        left = self._folder / f"image_{self._cameras[0]}"
+        stems = (path.stem for path in left.glob("[0-9]*.png"))
+        indices = sorted(int(stem) for stem in stems if stem.isdecimal() and len(stem) == 6)
+        if not indices:
+            raise SemvizError(f"{left}: a folder without images; expected 000000.png, ...")
+        chosen = tuple(index for index in indices if wanted is None or index in wanted)
+        if not chosen:
+            raise SemvizError(
+                f"{left}: no images in the frames asked for; "
+                f"there are {indices[0]} to {indices[-1]}"
+            )
+        return chosen
+
+    def _make_rig(self, projections: list[FloatArray]) -> Rig:
+        width, height = _png_size(self._image_path(self._indices[0], "left"))
+        try:
+            cameras = [Camera(width, height, P[:, :3]) for P in projections]
+            if len(cameras) == 1:
+                return Rig(cameras[0])
+            T_left_cam0, T_right_cam0 = (_extrinsics(P) for P in projections)
+            return Rig(cameras[0], cameras[1], T_right_cam0 @ T_left_cam0.inverse())
+        except SemvizError as error:
+            names = ", ".join(str(camera) for camera in self._cameras)
+            raise SemvizError(f"{self._folder / 'calib.txt'}, cameras {names}: {error}") from None
+
+    def _make_frames(self) -> tuple[Frame, ...]:
+        times_s = self._of_each_frame(self._folder / "times.txt", 1)
+        poses = self._of_each_frame(self._poses_path, 12) if self._poses_path.exists() else None
+        frames = []
+        for row, index in enumerate(self._indices):
+            T_map_left = None if poses is None else self._pose_of_left(index, poses[row])
+            frames.append(Frame(index, float(times_s[row, 0]), T_map_left))
+        return tuple(frames)
+
+    def _of_each_frame(self, path: Path, width: int) -> FloatArray:
+        """(len(self._indices), width) the lines of ``path`` that belong to our frames."""
+        table = _read_numbers(path, width)
+        last = self._indices[-1]
+        if len(table) <= last:
+            raise SemvizError(
+                f"{path}: {len(table)} lines, but frame {last} needs line {last + 1}; "
+                "complete the file or choose fewer frames"
+            )
+        chosen: FloatArray = table[list(self._indices)]
+        return chosen
+
+    def _pose_of_left(self, index: int, numbers: FloatArray) -> Pose:
+        try:
+            T_world_cam0 = Pose.from_matrix(numbers.reshape(3, 4))
+        except SemvizError as error:
+            raise SemvizError(f"{self._poses_path}, line {index + 1}: {error}") from None
+        return _T_MAP_WORLD @ T_world_cam0 @ self._T_cam0_left
+
+
+def _sequence_folder(root: Path, sequence: str) -> Path:
+    if not root.is_dir():
+        raise SemvizError(f"{root}: no such folder; give the one that holds 'sequences'")
+    folder = root / "sequences" / sequence
+    if not folder.is_dir():
+        there = sorted(path.name for path in (root / "sequences").glob("*") if path.is_dir())
+        raise SemvizError(
+            f"{folder}: no such sequence; "
+            + (f"there are {', '.join(there)}" if there else f"{root} holds no sequences")
+        )
+    return folder
+
+
+def _read_calibration(path: Path, cameras: tuple[int, ...]) -> list[FloatArray]:
+    """The (3, 4) projection of each of ``cameras``."""
+    lines = dict(line.split(":", 1) for line in _read_text(path).splitlines() if ":" in line)
+    missing = [camera for camera in cameras if f"P{camera}" not in lines]
+    if missing:
+        known = ", ".join(sorted(key for key in lines if key.startswith("P"))) or "nothing"
+        raise SemvizError(f"{path}: no camera {missing[0]} (P{missing[0]}); it holds {known}")
+    return [
+        _numbers(lines[f"P{camera}"], 12, f"{path}, P{camera}").reshape(3, 4) for camera in cameras
+    ]
+
+
+def _extrinsics(P: FloatArray) -> Pose:
+    """T_camera_cam0 of a rectified camera: P = K [I | t], all of P's last column counts."""
+    return Pose(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
+
+
+def _read_numbers(path: Path, width: int) -> FloatArray:
+    """(lines, width) numbers of a text file."""
+    lines = _read_text(path).rstrip().splitlines()
+    rows = [_numbers(line, width, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+    return np.array(rows).reshape(-1, width)
+
+
+def _numbers(text: str, width: int, where: str) -> FloatArray:
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise SemvizError(f"{where}: {error}; expected {width} numbers") from None
+    if len(numbers) != width:
+        raise SemvizError(f"{where}: {len(numbers)} numbers, expected {width}")
+    if not np.isfinite(numbers).all():
+        raise SemvizError(f"{where}: holds NaN or infinite numbers; repair that line")
+    return numbers
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SemvizError(f"{path}: no such file; a KITTI sequence needs it") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SemvizError(f"{path}: not a readable text file ({error}); copy it again") from None
+
+
+def _read_png(path: Path) -> bytes:
+    """A PNG file that is there and whole."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise SemvizError(f"{path}: no such image; copy it there or choose other frames") from None
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+    if not data.startswith(_PNG_START):
+        raise SemvizError(f"{path}: not a PNG image; copy it again")
+    if not data.endswith(_PNG_END):
+        raise SemvizError(f"{path}: the PNG image is cut off; copy it again")
+    return data
+
+
+def _png_size(path: Path) -> tuple[int, int]:
+    """Width and height from the header (PNG specification, 11.2.2 IHDR), nothing decoded."""
+    with path.open("rb") as file:
+        header = file.read(24)
+    if len(header) < 24 or not header.startswith(_PNG_START):
+        raise SemvizError(f"{path}: not a PNG image; copy it again")
+    width, height = unpack(">II", header[16:24])
+    return width, height

@@ -1,0 +1,220 @@
+"""The workspace: one folder, copyable, with everything that belongs to a piece of work.
+
+semviz.toml          where the images come from
+labels.db            labels and their history
+maps/NAME.parquet
+runs/NAME.rrd
+"""
+
+import os
+import tomllib
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tomli_w
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.errors import SemvizError
+from semviz_core.files import replacing
+from semviz_core.sources.source import Source
+
+VERSION = 1
+SETTINGS = "semviz.toml"
+
+
+def parse_frames(text: str) -> range:
+    """``0:20`` or ``0:20:2`` as the range of frame numbers START to STOP (exclusive)."""
+    words = text.split(":")
+    if len(words) not in (2, 3) or not all(word.isascii() and word.isdecimal() for word in words):
+        raise SemvizError(f"frames '{text}': expected START:STOP or START:STOP:STEP, as in 0:20")
+    start, stop, step = (*map(int, words), 1)[:3]
+    if step == 0 or stop <= start:
+        raise SemvizError(f"frames '{text}': no frame lies in it; STOP is exclusive, as in 0:20")
+    return range(start, stop, step)
+
+
+def _check_frames(text: str) -> str:
+    try:
+        parse_frames(text)
+    except SemvizError as error:
+        raise ValueError(str(error)) from None  # what pydantic gathers
+    return text
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class KittiSettings(_Model):
+    """A KITTI odometry sequence."""
+
+    kind: Literal["kitti"] = "kitti"
+    root: str
+    """Folder that holds ``sequences``, relative to the workspace where it is not absolute."""
+    sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
+    frames: Annotated[str, AfterValidator(_check_frames)] | None = None
+
+
+class StreetSettings(_Model):
+    """A simulated street."""
+
+    kind: Literal["street"] = "street"
+    seed: int = Field(ge=0)
+    frames: int = Field(gt=0)
+
+
+class Settings(_Model):
+    """What ``semviz.toml`` holds."""
+
+    version: Literal[1] = VERSION
+    name: str
+    source: Annotated[KittiSettings | StreetSettings, Field(discriminator="kind")]
+
+
+class Workspace:
+    """A folder that ``open`` found or ``create_*`` made; both raise SemvizError.
+
+    Opening reads ``semviz.toml`` only; ``source`` looks for the images when first asked.
+    """
+
+    def __init__(self, path: Path, settings: Settings) -> None:
+        self.path = path
+        self.settings = settings
+
+    @classmethod
+    def open(cls, path: Path) -> "Workspace":
+        """The workspace in folder ``path``."""
+        if not path.is_dir():
+            raise SemvizError(
+                f"{path}: no such workspace; make one with "
+                f"'semviz new {path} --kitti ROOT' or 'semviz new {path} --simulate SEED'"
+            )
+        return cls(path, _read_settings(path))
+
+    @classmethod
+    def create_kitti(
+        cls,
+        path: Path,
+        root: Path,
+        sequence: str = "02",
+        cameras: tuple[int, ...] = (2, 3),
+        frames: str | None = None,
+    ) -> "Workspace":
+        """A workspace over a KITTI sequence; ``frames`` such as ``0:20``, None for all."""
+        from semviz_core.sources.kitti import KittiSequence
+
+        wanted = None if frames is None else parse_frames(frames)
+        KittiSequence(root, sequence, cameras, wanted)  # wrong input leaves no folder behind
+        source = KittiSettings(
+            root=os.path.relpath(root.resolve(), path.resolve()),
+            sequence=sequence,
+            cameras=cameras,
+            frames=frames,
+        )
+        return cls._create(path, source)
+
+    @classmethod
+    def create_street(cls, path: Path, seed: int, frames: int = 120) -> "Workspace":
+        """A workspace over the simulated street of ``seed``."""
+        if seed < 0 or frames <= 0:
+            raise SemvizError(f"seed {seed}, frames {frames}: seed from 0, at least one frame")
+        return cls._create(path, StreetSettings(seed=seed, frames=frames))
+
+    @classmethod
+    def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
+        if path.is_file() or (path.is_dir() and any(path.iterdir())):
+            raise SemvizError(f"{path}: exists and is not empty; choose another name")
+        settings = Settings(name=path.resolve().name, source=source)
+        text = tomli_w.dumps(settings.model_dump(exclude_none=True))
+        with replacing(path / SETTINGS) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        (path / "maps").mkdir(exist_ok=True)
+        (path / "runs").mkdir(exist_ok=True)
+        return cls(path, settings)
+
+    @property
+    def name(self) -> str:
+        return self.settings.name
+
+    @property
+    def classes(self) -> ClassSet:
+        return DEFAULT_CLASSES
+
+    @cached_property
+    def source(self) -> Source:
+        """The images and poses; SemvizError where they are not found."""
+        settings = self.settings.source
+        if isinstance(settings, StreetSettings):
+            return self._open_street(settings)
+        return self._open_kitti(settings)
+
+    @property
+    def labels_path(self) -> Path:
+        return self.path / "labels.db"
+
+    def map_path(self, name: str) -> Path:
+        """Where the map called ``name`` is or would be."""
+        return self.path / "maps" / f"{_checked_name(name)}.parquet"
+
+    def run_path(self, name: str) -> Path:
+        """Where the run called ``name`` is or would be."""
+        return self.path / "runs" / f"{_checked_name(name)}.rrd"
+
+    def maps(self) -> tuple[str, ...]:
+        """Names of the maps, oldest first."""
+        return _names(self.path / "maps", ".parquet")
+
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs, oldest first."""
+        return _names(self.path / "runs", ".rrd")
+
+    def _open_kitti(self, settings: KittiSettings) -> Source:
+        from semviz_core.sources.kitti import KittiSequence
+
+        root = Path(os.path.normpath(self.path.absolute() / settings.root))
+        if not root.is_dir():
+            raise SemvizError(
+                f"{root}: the images of workspace '{self.name}' are not there; "
+                f"edit 'root' in {self.path / SETTINGS}"
+            )
+        frames = None if settings.frames is None else parse_frames(settings.frames)
+        return KittiSequence(root, settings.sequence, settings.cameras, frames)
+
+    def _open_street(self, settings: StreetSettings) -> Source:
+        raise SemvizError(f"{self.path}: the simulated street {settings.seed} is not there yet")
+
+
+def _read_settings(path: Path) -> Settings:
+    file = path / SETTINGS
+    if not file.is_file():
+        raise SemvizError(f"{path}: not a workspace, it has no {SETTINGS}; 'semviz new' makes one")
+    try:
+        raw = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SemvizError(f"{file}: not readable as TOML ({error}); repair it") from None
+    version = raw.get("version")
+    if isinstance(version, int) and version > VERSION:
+        raise SemvizError(
+            f"{file}: workspace version {version}, this semviz reads up to {VERSION}; update semviz"
+        )
+    try:
+        return Settings.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "file"
+        raise SemvizError(f"{file}: {where}: {first['msg']}; repair it") from None
+
+
+def _checked_name(name: str) -> str:
+    if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|\0'):
+        raise SemvizError(f"'{name}' cannot be a file name; use letters, digits, '-' and '_'")
+    return name
+
+
+def _names(folder: Path, suffix: str) -> tuple[str, ...]:
+    files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
+    ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
+    return tuple(file.stem for file in ordered)

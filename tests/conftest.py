@@ -1,0 +1,76 @@
+"""What several tests share: real data and a real browser.
+
+Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 (CI) it fails.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, ConsoleMessage, Page
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+CHROMIUM_ARGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",  # WebGL without a graphics card
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+def skip_or_fail(reason: str) -> NoReturn:
+    if os.environ.get("SEMVIZ_REQUIRE_ALL") == "1":
+        pytest.fail(reason, pytrace=False)
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def kitti_root() -> Path:
+    """A folder with KITTI odometry data: sequences/02 (frames 0-19) and poses/."""
+    default = REPOSITORY.parent / "shared" / "data" / "kitti"
+    root = Path(os.environ.get("SEMVIZ_KITTI", default))
+    if not (root / "sequences" / "02" / "image_2").is_dir():
+        skip_or_fail(f"no KITTI sequence 02 in {root}; set SEMVIZ_KITTI to the folder that has it")
+    return root
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator["Browser"]:
+    """A headless Chromium: the system's, or Playwright's own."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    system = next(filter(None, map(shutil.which, names)), None)
+    with sync_api.sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=system, args=CHROMIUM_ARGS)
+        except sync_api.Error as error:
+            skip_or_fail(f"no Chromium starts ({error.message.splitlines()[0]}); install chromium")
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(chromium: "Browser") -> Iterator["Page"]:
+    """A fresh page, 1600x950. Errors in its console, or thrown in it, fail the test."""
+    context = chromium.new_context(viewport={"width": 1600, "height": 950})
+    page = context.new_page()
+    errors: list[str] = []
+
+    def note(message: "ConsoleMessage") -> None:
+        if message.type == "error":
+            errors.append(f"{message.text} ({message.location.get('url', '')})")
+
+    page.on("console", note)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    yield page
+    context.close()
+    assert not errors, "errors in the page:\n" + "\n".join(errors)
