@@ -1,0 +1,89 @@
+"""Every command in the README and in docs/ works as it is written."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+SETUP = ("git clone", "pip install")
+"""Lines that make the environment; .ci/run and test_packaging do the same."""
+SERVERS = ("serve", "annotate")
+
+
+def commands_of(page: Path) -> list[str]:
+    blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return [line.strip() for block in blocks for line in block.splitlines() if line.strip()]
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    cache = tmp_path_factory.mktemp("cache")
+    scripts = Path(sys.executable).parent
+    path = f"{scripts}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "XDG_CACHE_HOME": str(cache), "PATH": path, "COLUMNS": "100"}
+
+
+def run(command: str, folder: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+
+
+def start_and_ask(command: str, folder: Path, environment: dict[str, str]) -> None:
+    """Start a server as documented, but on a free port and without a browser; ask for its page."""
+    process = subprocess.Popen(
+        [*shlex.split(command), "--no-open", "--port", "0"],
+        cwd=folder, env=environment, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            if address := re.search(r"http://\S+", line):
+                with urllib.request.urlopen(address.group(), timeout=30) as answer:
+                    assert answer.status == 200
+                    assert b"semviz" in answer.read()
+                return
+        pytest.fail(f"{command}: ended without an address")
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+
+
+@pytest.mark.realdata
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_of_page(
+    page: Path, tmp_path: Path, environment: dict[str, str], kitti_root: Path
+) -> None:
+    (tmp_path / "docs").symlink_to(REPOSITORY / "docs")
+    for line in commands_of(page):
+        for command in line.replace("/data/kitti", str(kitti_root)).split("&&"):
+            command = command.split(" #")[0].strip()
+            if command.startswith(SETUP):
+                continue
+            words = shlex.split(command)
+            if words[:1] == ["semviz"] and words[1] in SERVERS:
+                start_and_ask(command, tmp_path, environment)
+            elif words[:2] == ["semviz", "open"]:
+                run(f"{sys.executable} -m rerun rrd verify {words[2]}", tmp_path, environment)
+            elif words[0] == "semviz":
+                run(command, tmp_path, environment)
+
+
+def test_every_documented_line_is_known() -> None:
+    """A command this test would silently skip must not creep into the docs."""
+    first_words = {
+        command.strip().split(" #")[0].split()[0]
+        for page in PAGES
+        for line in commands_of(page)
+        for command in line.split("&&")
+    }
+    assert first_words <= {"semviz", "git", "cd", "python", ".", "pip", "pytest"}
