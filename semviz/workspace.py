@@ -8,43 +8,42 @@ runs/NAME.rrd
 
 import os
 import tomllib
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
+from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
 
-VERSION = 1
+VERSION: Final = 1
 SETTINGS = "semviz.toml"
-
-
-def parse_frames(text: str) -> range:
-    """``0:20`` or ``0:20:2`` as the range of frame numbers START to STOP (exclusive)."""
-    words = text.split(":")
-    if len(words) not in (2, 3) or not all(word.isascii() and word.isdecimal() for word in words):
-        raise SemvizError(f"frames '{text}': expected START:STOP or START:STOP:STEP, as in 0:20")
-    start, stop, step = (*map(int, words), 1)[:3]
-    if step == 0 or stop <= start:
-        raise SemvizError(f"frames '{text}': no frame lies in it; STOP is exclusive, as in 0:20")
-    return range(start, stop, step)
-
-
-def _check_frames(text: str) -> str:
-    try:
-        parse_frames(text)
-    except SemvizError as error:
-        raise ValueError(str(error)) from None  # what pydantic gathers
-    return text
+STREET_FRAMES = 60
 
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FrameRange(_Model):
+    """Frame numbers from ``first`` to ``end``, which is excluded."""
+
+    first: int = Field(ge=0)
+    end: int = Field(gt=0)
+    step: int = Field(default=1, gt=0)
+
+    @classmethod
+    def of(cls, frames: range) -> "FrameRange":
+        return cls(first=frames.start, end=frames.stop, step=frames.step)
+
+    def as_range(self) -> range:
+        return range(self.first, self.end, self.step)
 
 
 class KittiSettings(_Model):
@@ -55,7 +54,7 @@ class KittiSettings(_Model):
     """Folder that holds ``sequences``, relative to the workspace where it is not absolute."""
     sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
-    frames: Annotated[str, AfterValidator(_check_frames)] | None = None
+    frames: FrameRange | None = None
 
 
 class StreetSettings(_Model):
@@ -63,7 +62,7 @@ class StreetSettings(_Model):
 
     kind: Literal["street"] = "street"
     seed: int = Field(ge=0)
-    frames: int = Field(gt=0)
+    frames: FrameRange
 
 
 class Settings(_Model):
@@ -101,27 +100,27 @@ class Workspace:
         root: Path,
         sequence: str = "02",
         cameras: tuple[int, ...] = (2, 3),
-        frames: str | None = None,
+        frames: range | None = None,
     ) -> "Workspace":
-        """A workspace over a KITTI sequence; ``frames`` such as ``0:20``, None for all."""
+        """A new workspace over a KITTI sequence; ``frames`` None takes all."""
         from semviz_core.sources.kitti import KittiSequence
 
-        wanted = None if frames is None else parse_frames(frames)
-        KittiSequence(root, sequence, cameras, wanted)  # wrong input leaves no folder behind
+        KittiSequence(root, sequence, cameras, frames)  # wrong input leaves no folder behind
         source = KittiSettings(
             root=os.path.relpath(root.resolve(), path.resolve()),
             sequence=sequence,
             cameras=cameras,
-            frames=frames,
+            frames=None if frames is None else FrameRange.of(frames),
         )
         return cls._create(path, source)
 
     @classmethod
-    def create_street(cls, path: Path, seed: int, frames: int = 120) -> "Workspace":
-        """A workspace over the simulated street of ``seed``."""
-        if seed < 0 or frames <= 0:
-            raise SemvizError(f"seed {seed}, frames {frames}: seed from 0, at least one frame")
-        return cls._create(path, StreetSettings(seed=seed, frames=frames))
+    def create_street(cls, path: Path, seed: int, frames: range | None = None) -> "Workspace":
+        """A new workspace over the simulated street of ``seed``; 60 frames where None."""
+        if seed < 0:
+            raise SemvizError(f"seed {seed}: the seed of a street is 0 or more")
+        wanted = FrameRange.of(frames if frames is not None else range(STREET_FRAMES))
+        return cls._create(path, StreetSettings(seed=seed, frames=wanted))
 
     @classmethod
     def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
@@ -171,6 +170,19 @@ class Workspace:
         """Names of the runs, oldest first."""
         return _names(self.path / "runs", ".rrd")
 
+    def read_map(self, name: str) -> SemanticMap:
+        """The map called ``name``; SemvizError where it is missing or broken."""
+        from semviz_core.map_file import load_map
+
+        path = self.map_path(name)
+        if not path.is_file():
+            there = ", ".join(self.maps())
+            raise SemvizError(
+                f"{path}: no such map; "
+                + (f"there are {there}" if there else f"'semviz map build {self.path}' makes one")
+            )
+        return load_map(path)
+
     def _open_kitti(self, settings: KittiSettings) -> Source:
         from semviz_core.sources.kitti import KittiSequence
 
@@ -180,11 +192,28 @@ class Workspace:
                 f"{root}: the images of workspace '{self.name}' are not there; "
                 f"edit 'root' in {self.path / SETTINGS}"
             )
-        frames = None if settings.frames is None else parse_frames(settings.frames)
+        frames = None if settings.frames is None else settings.frames.as_range()
         return KittiSequence(root, settings.sequence, settings.cameras, frames)
 
     def _open_street(self, settings: StreetSettings) -> Source:
         raise SemvizError(f"{self.path}: the simulated street {settings.seed} is not there yet")
+
+
+def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """The runs that ``paths`` name: .rrd files, and all runs of workspaces, oldest first.
+
+    Raises SemvizError where a path is neither, or no run is found at all.
+    """
+    runs: list[Path] = []
+    for path in paths:
+        if path.is_file():
+            runs.append(path)
+        else:
+            workspace = Workspace.open(path)
+            if not workspace.runs():
+                raise SemvizError(f"{path}: no runs yet; 'semviz localize {path}' records one")
+            runs += [workspace.run_path(name) for name in workspace.runs()]
+    return tuple(runs)
 
 
 def _read_settings(path: Path) -> Settings:

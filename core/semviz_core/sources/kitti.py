@@ -178,7 +178,8 @@ def _read_calibration(path: Path, cameras: tuple[int, ...]) -> list[FloatArray]:
 
 def _extrinsics(P: FloatArray) -> Pose:
     """T_camera_cam0 of a rectified camera: P = K [I | t], all of P's last column counts."""
-    return Pose(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
+    translation: FloatArray = np.linalg.solve(P[:, :3], P[:, 3])
+    return Pose(np.eye(3), translation)
 
 
 def _read_numbers(path: Path, width: int) -> FloatArray:
