@@ -1,0 +1,145 @@
+"""The one public port of a web tool: its page, JSON and websocket, and the way to its 3D scenes."""
+
+import asyncio
+import contextlib
+import errno
+import os
+import secrets
+import signal
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+from aiohttp import web
+
+from semviz.web.guard import Guard, add_headers, is_loopback
+from semviz.web.scenes import Proxy, Scenes
+from semviz_core.errors import SemvizError
+
+STATIC = Path(__file__).parent / "static"
+"""Style sheet and ES modules that both tools' pages share, served under ``/static/``."""
+
+
+class Tool(Protocol):
+    """A web tool, as the door sees it."""
+
+    @property
+    def title(self) -> str:
+        """What the terminal calls it."""
+        ...
+
+    @property
+    def scenes(self) -> Scenes:
+        """Its 3D scenes; the door proxies ``/view/SESSION/`` to them and closes them at the end."""
+        ...
+
+    def routes(self) -> list[web.AbstractRouteDef]:
+        """Its page, JSON and websocket; ``/static/`` and ``/view/`` are the door's."""
+        ...
+
+
+class Door:
+    """Serves one tool on one port.
+
+    ``port`` 0 takes a free one. Any ``host`` but loopback demands a token, which is made up where
+    none is given. Raises SemvizError for a busy port or an impossible host.
+    """
+
+    def __init__(
+        self, tool: Tool, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+    ) -> None:
+        if token == "":
+            raise SemvizError("the token is empty; leave --token out to have one made up")
+        self._tool = tool
+        self._host = host
+        self._port = port
+        self._token = token or (None if is_loopback(host) else secrets.token_urlsafe(16))
+
+    def run(self, open_browser: bool = True) -> None:
+        """Serves until Ctrl-C (or SIGTERM); prints the address, and opens it where it can."""
+        with self.running() as url, _until_told() as told:
+            print(f"{self._tool.title}: {url}", flush=True)
+            print("Ctrl-C stops it.", flush=True)
+            if open_browser:
+                _open_browser(url)
+            told.wait()
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[str]:
+        """Serves in a thread of its own while the block runs; gives the address, token included."""
+        with _bound(self._host, self._port) as listener:
+            port = int(listener.getsockname()[1])
+            loop = asyncio.new_event_loop()
+            thread = threading.Thread(target=loop.run_forever, name="semviz-door", daemon=True)
+            thread.start()
+            runner = web.AppRunner(self._app(port), access_log=None, shutdown_timeout=1.0)
+            try:
+                asyncio.run_coroutine_threadsafe(_serve(runner, listener), loop).result()
+                yield self._url(port)
+            finally:
+                asyncio.run_coroutine_threadsafe(runner.cleanup(), loop).result(timeout=10)
+                loop.call_soon_threadsafe(loop.stop)
+                thread.join(timeout=5)
+                self._tool.scenes.close_all()
+
+    def _app(self, port: int) -> web.Application:
+        guard = Guard(is_loopback(self._host), self._token, cookie=f"semviz-{port}")
+        app = web.Application(middlewares=[guard.middleware()], client_max_size=16 * 2**20)
+        app.add_routes(self._tool.routes())
+        app.add_routes(Proxy(self._tool.scenes).routes())
+        app.router.add_static("/static/", STATIC)
+        app.on_response_prepare.append(add_headers)
+        return app
+
+    def _url(self, port: int) -> str:
+        name = socket.gethostname() if self._host in ("0.0.0.0", "::", "") else self._host
+        shown = f"[{name}]" if ":" in name else name
+        token = f"?token={self._token}" if self._token else ""
+        return f"http://{shown}:{port}/{token}"
+
+
+async def _serve(runner: web.AppRunner, listener: socket.socket) -> None:
+    await runner.setup()
+    await web.SockSite(runner, listener).start()
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    """A listening socket; SemvizError says what to do where there is none to have."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OverflowError:
+        raise SemvizError(f"port {port} does not exist; choose one from 1 to 65535") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            advice = "choose another with --port or stop the other one"
+            raise SemvizError(f"port {port} is in use; {advice}") from None
+        if error.errno == errno.EACCES:
+            raise SemvizError(f"port {port} is reserved; choose one above 1023") from None
+        raise SemvizError(f"cannot serve on {host}:{port}: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _until_told() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set; the handlers before are put back afterwards."""
+    told = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: told.set()) for number in numbers]
+    try:
+        yield told
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _open_browser(url: str) -> None:
+    """Opens the default browser; nothing where there is no screen to show it on."""
+    screenless = sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    if not screenless:
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
