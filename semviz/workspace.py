@@ -40,6 +40,8 @@ class FrameRange(_Model):
 
     @classmethod
     def of(cls, frames: range) -> "FrameRange":
+        if not frames or frames.start < 0 or frames.step < 0:
+            raise SemvizError(f"frames {frames}: expected numbers from 0, going up")
         return cls(first=frames.start, end=frames.stop, step=frames.step)
 
     def as_range(self) -> range:
@@ -186,7 +188,7 @@ class Workspace:
     def _open_kitti(self, settings: KittiSettings) -> Source:
         from semviz_core.sources.kitti import KittiSequence
 
-        root = Path(os.path.normpath(self.path.absolute() / settings.root))
+        root = (self.path.resolve() / settings.root).resolve()
         if not root.is_dir():
             raise SemvizError(
                 f"{root}: the images of workspace '{self.name}' are not there; "

@@ -9,10 +9,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+import hypothesis
 import pytest
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
+
+# No deadline: machines are shared. Derandomized: a test fails or passes, whoever runs it.
+hypothesis.settings.register_profile("semviz", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("semviz")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CHROMIUM_ARGS = [

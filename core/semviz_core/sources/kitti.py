@@ -178,8 +178,7 @@ def _read_calibration(path: Path, cameras: tuple[int, ...]) -> list[FloatArray]:
 
 def _extrinsics(P: FloatArray) -> Pose:
     """T_camera_cam0 of a rectified camera: P = K [I | t], all of P's last column counts."""
-    translation: FloatArray = np.linalg.solve(P[:, :3], P[:, 3])
-    return Pose(np.eye(3), translation)
+    return Pose(np.eye(3), np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64))
 
 
 def _read_numbers(path: Path, width: int) -> FloatArray:

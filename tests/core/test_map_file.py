@@ -1,0 +1,157 @@
+"""Maps on disk: every bit comes back, and no broken file is taken for a map."""
+
+import json
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from semviz_core.classes import DEFAULT_CLASSES, POLE, ClassSet, ElementClass
+from semviz_core.elements import Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.map_file import FORMAT, VERSION, load_map, save_map
+from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+WORDS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+BEACON = ElementClass(9, "beacon", "point", "B", "diamond", "#112233", "#445566")
+
+
+@st.composite
+def maps(draw: st.DrawFn) -> SemanticMap:
+    n = draw(st.integers(0, 6))
+    end = draw(hnp.arrays(np.float64, (n, 3), elements=FINITE))
+    is_line = draw(hnp.arrays(np.bool_, n))
+    end[~is_line] = np.nan
+    ids = draw(st.lists(st.integers(0, 2**63 - 1), min_size=n, max_size=n, unique=True))
+    elements = Elements3D(
+        id=np.array(ids, dtype=np.int64),
+        anchor_m=draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
+        end_m=end,
+        class_id=draw(hnp.arrays(np.int64, n, elements=st.sampled_from([0, 1, 2, 3, 9]))),
+        covariance_m2=draw(hnp.arrays(np.float64, (n, 6, 6), elements=FINITE)),
+        anchor_known=draw(hnp.arrays(np.bool_, n)),
+        end_known=draw(hnp.arrays(np.bool_, n)) & is_line,
+    )
+    texts = st.lists(WORDS, min_size=1, max_size=3).map(tuple)
+    provenance = st.builds(Provenance, texts, texts)
+    return SemanticMap(
+        elements=elements,
+        frame=MapFrame(draw(WORDS), draw(st.none() | st.tuples(FINITE, FINITE, FINITE))),
+        classes=ClassSet((*DEFAULT_CLASSES, BEACON)),
+        trajectory_m=draw(hnp.arrays(np.float64, (draw(st.integers(0, 4)), 3), elements=FINITE)),
+        provenance=draw(st.just(()) | st.tuples(*[provenance] * n)),
+        made_by=draw(WORDS),
+        operation=draw(st.integers(0, 2**53)),
+    )
+
+
+def small_map() -> SemanticMap:
+    elements = Elements3D.from_ends([4], [[1.0, 2.0, 5.0]], [[1.0, 2.0, 0.0]], [POLE])
+    return SemanticMap(elements, MapFrame("test"), made_by="by hand")
+
+
+@given(maps())
+def test_a_map_comes_back_bit_for_bit(semantic_map: SemanticMap) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "town.parquet"
+        save_map(semantic_map, path)
+        back = load_map(path)
+    for one in fields(Elements3D):
+        before, after = getattr(semantic_map.elements, one.name), getattr(back.elements, one.name)
+        assert before.dtype == after.dtype
+        assert before.tobytes() == after.tobytes()
+    assert semantic_map.trajectory_m.tobytes() == back.trajectory_m.tobytes()
+    for name in ("frame", "classes", "provenance", "made_by", "operation", "digest"):
+        assert getattr(back, name) == getattr(semantic_map, name)
+
+
+def test_saving_over_a_map_replaces_it_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "maps" / "town.parquet"
+    for _ in range(2):
+        save_map(small_map(), path)
+    assert [file.name for file in path.parent.iterdir()] == ["town.parquet"]
+
+
+def test_a_failed_save_leaves_the_old_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    before = path.read_bytes()
+
+    def half_written(_table: object, where: Path, **_options: object) -> None:
+        where.write_bytes(b"PAR1half")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(pq, "write_table", half_written)
+    with pytest.raises(OSError, match="no space"):
+        save_map(small_map(), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_map_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SemvizError, match=r"town\.parquet: no such map"):
+        load_map(tmp_path / "town.parquet")
+
+
+def test_a_map_cut_at_any_byte_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 7):
+        path.write_bytes(whole[:length])
+        with pytest.raises(SemvizError, match="rebuild"):
+            load_map(path)
+
+
+def test_foreign_files_are_refused(tmp_path: Path) -> None:
+    text = tmp_path / "text.parquet"
+    text.write_text("id,class\n1,pole\n")
+    with pytest.raises(SemvizError, match="not a readable Parquet file"):
+        load_map(text)
+    foreign = tmp_path / "foreign.parquet"
+    pq.write_table(pa.table({"id": [1, 2]}), foreign)
+    with pytest.raises(SemvizError, match="not a map of semviz"):
+        load_map(foreign)
+
+
+def rewritten(path: Path, **changes: object) -> None:
+    """The map at ``path`` with other metadata."""
+    table = pq.read_table(path)
+    metadata = json.loads(table.schema.metadata[FORMAT.encode()]) | changes
+    pq.write_table(table.replace_schema_metadata({FORMAT: json.dumps(metadata)}), path)
+
+
+def test_a_newer_version_asks_for_an_update(tmp_path: Path) -> None:
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    rewritten(path, version=VERSION + 1)
+    with pytest.raises(SemvizError, match=f"version {VERSION + 1}.*update"):
+        load_map(path)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"frame": {}}, {"frame": None}, {"classes": [{"id": 0}]}, {"trajectory_m": "AAAA"}]
+)
+def test_broken_metadata_is_refused(tmp_path: Path, changes: dict[str, object]) -> None:
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    rewritten(path, **changes)
+    with pytest.raises(SemvizError, match="broken map"):
+        load_map(path)
+
+
+@pytest.mark.parametrize("column", ["id", "anchor_m", "covariance_m2", "label_ids"])
+def test_a_missing_column_is_refused(tmp_path: Path, column: str) -> None:
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    pq.write_table(pq.read_table(path).drop_columns([column]), path)
+    with pytest.raises(SemvizError, match=f"broken map.*{column}"):
+        load_map(path)
