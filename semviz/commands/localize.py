@@ -49,7 +49,7 @@ class Localize:
     """Embed the images in the run (about 130 kB a frame)."""
 
     def run(self) -> int:
-        from semviz.drive import Drive, DriveOptions, record
+        from semviz.drive import DriveOptions, drive_workspace, record
         from semviz.workspace import Workspace
 
         workspace = Workspace.open(self.workspace)
@@ -63,9 +63,9 @@ class Localize:
             seed=self.seed,
             images=self.images,
         )
-        drive = Drive(workspace, self.map, options, parse_frames(self.frames))
+        drive = drive_workspace(workspace, self.map, options, parse_frames(self.frames))
         path = self.out or workspace.run_path(self.method)
-        counts = record(drive, path)
+        counts = record(drive, path, workspace=str(self.workspace), map_name=self.map)
         print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
         print(f"next: semviz evaluate {path}; semviz serve {path}")
         return 0

@@ -1,0 +1,170 @@
+"""Localize a sequence, frame by frame: observe, know beforehand, crop, localize, record."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from semviz.progress import track
+from semviz.recording.run import FrameRecord, RunInfo
+from semviz.recording.writer import RunWriter
+from semviz.workspace import Workspace
+from semviz_core.arrays import IntArray
+from semviz_core.elements import Elements2D
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Frame, Prior
+from semviz_core.localize import Localizer
+from semviz_core.semantic_map import SemanticMap
+from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.sources.source import Source
+
+Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
+"""What is seen in a frame's left image, and the true map element (m,) of each, or -1."""
+Know = Callable[[Frame], Prior]
+"""What is known of a frame's pose beforehand."""
+JPEG_QUALITY = 90
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """Settings of a drive; they are stored in its run."""
+
+    method: str = "search"
+    observations: Literal["labels", "simulated"] = "labels"
+    noise: Literal["paper", "low"] = "low"
+    prior_distance_m: tuple[float, float] = (5.0, 10.0)
+    heading_sigma_deg: float | None = None
+    crop_radius_m: float = 50.0
+    seed: int = 0
+    images: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One pass over a sequence; iterate for the records."""
+
+    source: Source
+    semantic_map: SemanticMap
+    frames: tuple[Frame, ...]
+    observe: Observe
+    know: Know
+    options: DriveOptions
+
+    def __post_init__(self) -> None:
+        have, want = self.semantic_map.frame.name, self.source.map_frame.name
+        if have != want:
+            raise SemvizError(
+                f"the map is in frame '{have}', the sequence in '{want}': "
+                "build a map from this sequence, or choose another with --map"
+            )
+        if not self.frames:
+            raise SemvizError("no frames to localize: --frames leaves none")
+        if not len(self.semantic_map):
+            raise SemvizError("the map is empty: label some poles and signs, then 'map build'")
+
+    def __iter__(self) -> Iterator[FrameRecord]:
+        localizer = Localizer(self.options.method)
+        for frame in self.frames:
+            observed, element_id = self.observe(frame)
+            prior = self.know(frame)
+            submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
+            result = localizer.localize(observed, submap, self.source.rig.left, prior)
+            image = self._picture(frame) if self.options.images else None
+            yield FrameRecord(frame, result, element_id, image)
+
+    def _picture(self, frame: Frame) -> bytes:
+        import cv2
+
+        image = self.source.image(frame.index, "left")
+        _, encoded = cv2.imencode(
+            ".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        )
+        return encoded.tobytes()
+
+
+def drive_workspace(
+    workspace: Workspace, map_name: str, options: DriveOptions, frames: range | None = None
+) -> Drive:
+    """The drive through a workspace's frames (those in ``frames``), in its map ``map_name``."""
+    source = workspace.source
+    semantic_map = workspace.read_map(map_name)
+    chosen = tuple(one for one in source.frames if frames is None or one.index in frames)
+    if options.observations == "labels":
+        observe = observe_labels(workspace, semantic_map)
+    else:
+        observe = observe_simulated(workspace, options)
+    return Drive(source, semantic_map, chosen, observe, simulated_prior(options), options)
+
+
+def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
+    """What people labelled in the left image."""
+    from semviz_annotation.observe import observe
+
+    labels = workspace.read_labels()
+    return lambda frame: observe(labels, frame.index, "left", semantic_map)
+
+
+def observe_simulated(workspace: Workspace, options: DriveOptions) -> Observe:
+    """What a detector as good as the paper's (or better) would see of a simulated street."""
+    from semviz_core.sources.street.detector import SimulatedDetector
+    from semviz_core.sources.street.street import Street
+
+    if not isinstance(workspace.source, Street):
+        raise SemvizError(
+            f"{workspace.path}: only a simulated street has simulated observations; "
+            "label this workspace and take --observations labels"
+        )
+    detector = SimulatedDetector(workspace.source, options.noise, options.seed)
+
+    def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
+        detection = detector.detect(frame.index)
+        return detection.observed, detection.element_id
+
+    return observe
+
+
+def simulated_prior(options: DriveOptions) -> Know:
+    """A GPS fix that is off by a known distance, gravity, and perhaps a compass."""
+    heading_deg = options.heading_sigma_deg
+    prior_options = PriorOptions(
+        distance_m=options.prior_distance_m,
+        heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
+    )
+
+    def know(frame: Frame) -> Prior:
+        if frame.T_map_camera is None:
+            raise SemvizError(f"frame {frame.index} has no pose to simulate a GPS fix from")
+        return simulate_prior(frame.T_map_camera, prior_options, (options.seed, frame.index))
+
+    return know
+
+
+def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counter[str]:
+    """Write the run to ``path`` with a progress bar; how many frames got which status."""
+    options = drive.options
+    observations = options.observations
+    if observations == "simulated":
+        observations = f"simulated detector, noise {options.noise}"
+    info = RunInfo(
+        name=path.stem,
+        workspace=workspace,
+        method=options.method,
+        seed=options.seed,
+        version=version("semviz"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        rig=drive.source.rig,
+        map_name=map_name,
+        observations=observations,
+        options=asdict(options),
+    )
+    counts: Counter[str] = Counter()
+    with RunWriter(path, info, drive.semantic_map) as writer:
+        for one in track(drive, "localizing", len(drive.frames)):
+            writer.write(one)
+            counts[one.localization.status] += 1
+    return counts
