@@ -1,0 +1,91 @@
+"""Where a scene is looked at from: behind the vehicle, above it, or through its camera."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz.web.scene import FIELD_OF_VIEW_DEG
+from semviz_core.arrays import FloatArray
+from semviz_core.camera import Camera
+from semviz_core.pose import Pose
+
+if TYPE_CHECKING:
+    import viser
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """An eye (3,), what it looks at (3,), both in the map frame, and its field of view."""
+
+    eye_m: FloatArray
+    target_m: FloatArray
+    tangents: tuple[float, float] | None = None
+    """Half the width and half the height that must be seen at depth 1; None for the usual view."""
+
+    def fov_rad(self, aspect: float) -> float:
+        """Vertical field of view in a pane that is ``aspect`` times as wide as high."""
+        if self.tangents is None:
+            return float(np.deg2rad(FIELD_OF_VIEW_DEG))
+        width, height = self.tangents
+        return float(2.0 * np.arctan(max(height, width / aspect)))
+
+
+def behind(T_map_camera: Pose) -> Viewpoint:
+    """Over the shoulder: the vehicle and the road ahead."""
+    center, ahead = T_map_camera.translation, _ahead(T_map_camera)
+    return Viewpoint(center - 12.0 * ahead + 7.0 * UP, center + 8.0 * ahead)
+
+
+def above(T_map_camera: Pose, height_m: float = 65.0) -> Viewpoint:
+    """From above, driving direction up."""
+    center, ahead = T_map_camera.translation, _ahead(T_map_camera)
+    target = center + 12.0 * ahead
+    return Viewpoint(target + height_m * UP - 0.02 * height_m * ahead, target)
+
+
+def through(T_map_camera: Pose, camera: Camera) -> Viewpoint:
+    """From the camera's centre along its optical axis, so that the whole image fits."""
+    center = T_map_camera.translation
+    axis = T_map_camera.rotation[:, 2]
+    tangents = (camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1])
+    return Viewpoint(center - 0.01 * axis, center + 5.0 * axis, tangents)
+
+
+def show(server: "viser.ViserServer", view: Viewpoint) -> None:
+    """Turns every camera of the scene to ``view``, and those that connect later."""
+    initial = server.initial_camera
+    initial.position, initial.look_at = _triple(view.eye_m), _triple(view.target_m)
+    for client in server.get_clients().values():
+        with client.atomic():
+            client.camera.position = view.eye_m
+            client.camera.look_at = view.target_m
+            client.camera.fov = view.fov_rad(client.camera.aspect)
+
+
+def move_along(server: "viser.ViserServer", before: Pose, after: Pose) -> None:
+    """Carries every camera along with the vehicle: the view relative to it stays."""
+    turn = _heading(after) - _heading(before)
+    rotation = Pose.from_rotvec(turn * UP, np.zeros(3))
+    for client in server.get_clients().values():
+        eye, target = np.array(client.camera.position), np.array(client.camera.look_at)
+        with client.atomic():
+            client.camera.position = after.translation + rotation.apply(eye - before.translation)
+            client.camera.look_at = after.translation + rotation.apply(target - before.translation)
+
+
+def _ahead(T_map_camera: Pose) -> FloatArray:
+    heading = _heading(T_map_camera)
+    return np.array([np.cos(heading), np.sin(heading), 0.0])
+
+
+def _heading(T_map_camera: Pose) -> float:
+    x, y, _ = T_map_camera.rotation[:, 2]
+    return float(np.arctan2(y, x))
+
+
+def _triple(point: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (float(one) for one in point)
+    return x, y, z
