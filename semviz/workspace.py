@@ -9,9 +9,10 @@ runs/NAME.rrd
 import os
 import tomllib
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -21,10 +22,15 @@ from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
+from semviz_core.sources.street.things import SectionKind
+
+if TYPE_CHECKING:
+    from semviz_annotation.labels import Labels
+    from semviz_annotation.store import LabelStore
+    from semviz_core.sources.street.layout import Section
 
 VERSION: Final = 1
 SETTINGS = "semviz.toml"
-STREET_FRAMES = 60
 
 
 class _Model(BaseModel):
@@ -59,12 +65,20 @@ class KittiSettings(_Model):
     frames: FrameRange | None = None
 
 
+class SectionSettings(_Model):
+    """A stretch of a simulated street; see ``semviz_core.sources.street.layout.Section``."""
+
+    kind: SectionKind
+    length_m: float = Field(gt=0)
+
+
 class StreetSettings(_Model):
-    """A simulated street."""
+    """A simulated street: its seed, how many frames, past what."""
 
     kind: Literal["street"] = "street"
     seed: int = Field(ge=0)
-    frames: FrameRange
+    frames: int = Field(default=60, gt=0)
+    sections: tuple[SectionSettings, ...] = ()
 
 
 class Settings(_Model):
@@ -117,12 +131,24 @@ class Workspace:
         return cls._create(path, source)
 
     @classmethod
-    def create_street(cls, path: Path, seed: int, frames: range | None = None) -> "Workspace":
-        """A new workspace over the simulated street of ``seed``; 60 frames where None."""
+    def create_street(
+        cls,
+        path: Path,
+        seed: int,
+        frames: range | None = None,
+        sections: Iterable["Section"] = (),
+    ) -> "Workspace":
+        """A new workspace over the simulated street of ``seed``, which has 60 frames if None.
+
+        ``sections`` are what the street leads past, an ordinary street if there are none.
+        """
         if seed < 0:
             raise SemvizError(f"seed {seed}: the seed of a street is 0 or more")
-        wanted = FrameRange.of(frames if frames is not None else range(STREET_FRAMES))
-        return cls._create(path, StreetSettings(seed=seed, frames=wanted))
+        if frames is not None and (not frames or frames[0] != 0 or frames.step != 1):
+            raise SemvizError("a simulated street has the frames from 0 on: write 0:END")
+        stretches = tuple(SectionSettings(kind=s.kind, length_m=s.length_m) for s in sections)
+        count = {} if frames is None else {"frames": len(frames)}
+        return cls._create(path, StreetSettings(seed=seed, sections=stretches, **count))
 
     @classmethod
     def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
@@ -185,6 +211,28 @@ class Workspace:
             )
         return load_map(path)
 
+    def open_labels(self) -> "LabelStore":
+        """The label file, made where there is none; close it (or use ``with``)."""
+        from semviz_annotation.store import LabelStore
+    from semviz_core.sources.street.layout import Section
+
+        return LabelStore.open(self.labels_path, self.classes, self.source.rig)
+
+    def read_labels(self) -> "Labels":
+        """The labels as they are now; none where nobody has labelled yet."""
+        from semviz_annotation.labels import Labels
+
+        if not self.labels_path.exists():
+            return Labels()
+        with self.open_labels() as store:
+            return store.labels
+
+    @property
+    def default_observations(self) -> Literal["labels", "simulated"]:
+        """What a run sees if nobody chooses: labels, or a street's detector where there are none."""
+        is_street = isinstance(self.settings.source, StreetSettings)
+        return "simulated" if is_street and not self.read_labels().observations else "labels"
+
     def _open_kitti(self, settings: KittiSettings) -> Source:
         from semviz_core.sources.kitti import KittiSequence
 
@@ -198,7 +246,12 @@ class Workspace:
         return KittiSequence(root, settings.sequence, settings.cameras, frames)
 
     def _open_street(self, settings: StreetSettings) -> Source:
-        raise SemvizError(f"{self.path}: the simulated street {settings.seed} is not there yet")
+        from semviz_core.sources.street.layout import Section, StreetOptions
+        from semviz_core.sources.street.street import Street
+
+        sections = tuple(Section(one.kind, one.length_m) for one in settings.sections)
+        options = StreetOptions(frames=settings.frames)
+        return Street(settings.seed, replace(options, sections=sections) if sections else options)
 
 
 def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:

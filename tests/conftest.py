@@ -49,6 +49,15 @@ def kitti_root() -> Path:
 
 
 @pytest.fixture(scope="session")
+def kitti_pole_map(kitti_root: Path) -> Path:
+    """Poles of sequence 02 that others surveyed by lidar, beside the KITTI folder."""
+    path = kitti_root.parent / "pole_maps" / "kitti_02.npz"
+    if not path.is_file():
+        skip_or_fail(f"no pole map {path}")
+    return path
+
+
+@pytest.fixture(scope="session")
 def chromium() -> Iterator["Browser"]:
     """A headless Chromium: the system's, or Playwright's own."""
     sync_api = pytest.importorskip("playwright.sync_api")
