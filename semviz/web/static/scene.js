@@ -1,0 +1,15 @@
+/* The 3D pane: viser in an iframe, without its own panels, with the page's keys. */
+
+const HIDE = "[data-floating-window], .mantine-Notifications-root { display: none !important; }";
+
+/** Shows `session`'s scene in `frame` (an iframe) and hands `keys` its key presses. */
+export function showScene(frame, session, keys) {
+  frame.addEventListener("load", () => {
+    const inside = frame.contentDocument;
+    const style = inside.createElement("style");
+    style.textContent = HIDE;
+    inside.head.append(style);
+    keys.listen(frame.contentWindow, true);
+  }, { once: true });
+  frame.src = `/view/${encodeURIComponent(session)}/`;
+}
