@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 VERSION: Final = 1
 SETTINGS = "semviz.toml"
+STREET_FRAMES = 60
 
 
 class _Model(BaseModel):
@@ -77,7 +78,7 @@ class StreetSettings(_Model):
 
     kind: Literal["street"] = "street"
     seed: int = Field(ge=0)
-    frames: int = Field(default=60, gt=0)
+    frames: int = Field(default=STREET_FRAMES, gt=0)
     sections: tuple[SectionSettings, ...] = ()
 
 
@@ -147,8 +148,8 @@ class Workspace:
         if frames is not None and (not frames or frames[0] != 0 or frames.step != 1):
             raise SemvizError("a simulated street has the frames from 0 on: write 0:END")
         stretches = tuple(SectionSettings(kind=s.kind, length_m=s.length_m) for s in sections)
-        count = {} if frames is None else {"frames": len(frames)}
-        return cls._create(path, StreetSettings(seed=seed, sections=stretches, **count))
+        count = STREET_FRAMES if frames is None else len(frames)
+        return cls._create(path, StreetSettings(seed=seed, frames=count, sections=stretches))
 
     @classmethod
     def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
@@ -214,7 +215,6 @@ class Workspace:
     def open_labels(self) -> "LabelStore":
         """The label file, made where there is none; close it (or use ``with``)."""
         from semviz_annotation.store import LabelStore
-    from semviz_core.sources.street.layout import Section
 
         return LabelStore.open(self.labels_path, self.classes, self.source.rig)
 
@@ -229,7 +229,7 @@ class Workspace:
 
     @property
     def default_observations(self) -> Literal["labels", "simulated"]:
-        """What a run sees if nobody chooses: labels, or a street's detector where there are none."""
+        """What a run sees unless told: labels, or a street's detector where there are none."""
         is_street = isinstance(self.settings.source, StreetSettings)
         return "simulated" if is_street and not self.read_labels().observations else "labels"
 

@@ -1,0 +1,219 @@
+"""The workspace: made, opened, copied; and what is said where it is not one."""
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from semviz.workspace import SETTINGS, Workspace, find_runs
+from semviz_core.classes import DEFAULT_CLASSES
+from semviz_core.elements import Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.map_file import save_map
+from semviz_core.semantic_map import MapFrame, SemanticMap
+
+KITTI = """version = 1
+name = "town"
+
+[source]
+kind = "kitti"
+root = "../kitti"
+sequence = "05"
+"""
+
+
+@pytest.fixture
+def kitti(tmp_path: Path) -> Path:
+    """Two frames of sequence 05, stereo, no poses."""
+    folder = tmp_path / "kitti" / "sequences" / "05"
+    for camera in (2, 3):
+        (folder / f"image_{camera}").mkdir(parents=True)
+        for index in range(2):
+            image = np.zeros((20, 30, 3), np.uint8)
+            assert cv2.imwrite(str(folder / f"image_{camera}" / f"{index:06d}.png"), image)
+    projection = "50 0 14.5 {} 0 50 9.5 0 0 0 1 0"
+    (folder / "calib.txt").write_text(f"P2: {projection.format(0)}\nP3: {projection.format(-25)}\n")
+    (folder / "times.txt").write_text("0.0\n0.1\n")
+    return tmp_path / "kitti"
+
+
+@pytest.fixture
+def town(tmp_path: Path, kitti: Path) -> Workspace:
+    return Workspace.create_kitti(tmp_path / "town", kitti, "05")
+
+
+def test_what_was_created_is_opened(tmp_path: Path, kitti: Path) -> None:
+    made = Workspace.create_kitti(tmp_path / "town", kitti, "05", (2,), range(1, 9, 2))
+    opened = Workspace.open(tmp_path / "town")
+    assert opened.settings == made.settings
+    assert opened.name == "town"
+    assert opened.classes is DEFAULT_CLASSES
+    assert [frame.index for frame in opened.source.frames] == [1]
+    assert opened.source.rig.right is None
+    assert opened.source is opened.source
+
+
+def test_a_street_is_opened_as_it_was_made(tmp_path: Path) -> None:
+    from semviz_core.sources.street.layout import Section
+
+    sections = (Section("normal", 50.0), Section("row", 80.0))
+    made = Workspace.create_street(tmp_path / "street", 7, range(12), sections)
+    opened = Workspace.open(tmp_path / "street")
+    assert opened.settings == made.settings
+    assert len(opened.source.frames) == 12
+    assert opened.source.map_frame == made.source.map_frame
+    assert opened.default_observations == "simulated"
+
+
+def test_no_absolute_path_is_kept(town: Workspace, tmp_path: Path) -> None:
+    text = (town.path / SETTINGS).read_text()
+    assert 'root = "../kitti"' in text
+    assert str(tmp_path) not in text
+
+
+def test_a_copy_beside_it_and_a_move_with_its_images_work(town: Workspace, tmp_path: Path) -> None:
+    shutil.copytree(town.path, tmp_path / "copy")
+    assert len(Workspace.open(tmp_path / "copy").source.frames) == 2
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("town", "kitti"):
+        (tmp_path / name).rename(elsewhere / name)
+    assert len(Workspace.open(elsewhere / "town").source.frames) == 2
+
+
+def test_a_link_to_a_workspace_finds_the_same_images(town: Workspace, tmp_path: Path) -> None:
+    deep = tmp_path / "a" / "b"
+    deep.mkdir(parents=True)
+    (deep / "link").symlink_to(town.path)
+    assert len(Workspace.open(deep / "link").source.frames) == 2
+
+
+def test_a_relative_path_is_fine(
+    town: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(town.path)
+    assert len(Workspace.open(Path()).source.frames) == 2
+    made = Workspace.create_kitti(Path("inner"), Path("../kitti"), "05")
+    assert made.settings.name == "inner"
+    monkeypatch.chdir(tmp_path)
+    assert len(Workspace.open(Path("town/inner")).source.frames) == 2
+
+
+def test_images_gone_says_what_to_edit(town: Workspace, kitti: Path) -> None:
+    kitti.rename(kitti.with_name("moved"))
+    opened = Workspace.open(town.path)  # labels and maps stay within reach
+    assert opened.maps() == ()
+    with pytest.raises(SemvizError, match=r"images of workspace 'town'.*edit 'root' in .*toml"):
+        _ = opened.source
+
+
+def test_wrong_input_leaves_no_folder(tmp_path: Path, kitti: Path) -> None:
+    with pytest.raises(SemvizError, match="no such sequence; there are 05"):
+        Workspace.create_kitti(tmp_path / "town", kitti, "77")
+    with pytest.raises(SemvizError, match="from 0 on"):
+        Workspace.create_street(tmp_path / "town", 1, range(5, 9))
+    with pytest.raises(SemvizError, match="seed -1"):
+        Workspace.create_street(tmp_path / "town", -1)
+    assert not (tmp_path / "town").exists()
+
+
+def test_nothing_is_overwritten(town: Workspace, tmp_path: Path) -> None:
+    before = (town.path / SETTINGS).read_bytes()
+    with pytest.raises(SemvizError, match="not empty; choose another name"):
+        Workspace.create_street(town.path, 3)
+    assert (town.path / SETTINGS).read_bytes() == before
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(SemvizError, match="not empty; choose another name"):
+        Workspace.create_street(tmp_path / "file", 3)
+    (tmp_path / "empty").mkdir()
+    assert Workspace.create_street(tmp_path / "empty", 3).name == "empty"
+
+
+def test_a_missing_workspace_says_how_to_make_one(tmp_path: Path) -> None:
+    with pytest.raises(SemvizError, match=r"town: no such workspace; .*semviz new .*--kitti"):
+        Workspace.open(tmp_path / "town")
+    with pytest.raises(SemvizError, match=r"not a workspace, it has no semviz\.toml"):
+        Workspace.open(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("version = 1", "version = 2", "version 2, this semviz reads up to 1; update"),
+        ("version = 1", 'version = "1"', "version: "),
+        ("version = 1", "", "version: Field required"),
+        ("version = 1", "version =", "not readable as TOML"),
+        ("version = 1", "version = 1\ncolour = 2", "colour: Extra inputs"),
+        ('"kitti"', '"camera"', "source: .*'camera'"),
+        ("root =", "folder =", "source.kitti.root: Field required"),
+        ("root =", "cameras = [1, 2, 3]\nroot =", "source.kitti.cameras: "),
+        ('"05"', '"../05"', "source.kitti.sequence: "),
+        ("root =", "frames = { first = 0, end = nan }\nroot =", "frames.end: "),
+        ("root =", "frames = { first = 0, end = 2, step = 0 }\nroot =", "frames.step: "),
+    ],
+)
+def test_broken_settings_are_named_in_one_line(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    (tmp_path / SETTINGS).write_text(KITTI)
+    Workspace.open(tmp_path)  # right before it is spoiled
+    assert old in KITTI
+    (tmp_path / SETTINGS).write_text(KITTI.replace(old, new, 1))
+    with pytest.raises(SemvizError, match=message) as caught:
+        Workspace.open(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_that_are_no_text_are_named(tmp_path: Path) -> None:
+    (tmp_path / SETTINGS).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SemvizError, match="not readable as TOML"):
+        Workspace.open(tmp_path)
+
+
+def test_maps_are_listed_and_read(town: Workspace) -> None:
+    assert town.maps() == ()
+    with pytest.raises(SemvizError, match=r"'semviz map build .*' makes one"):
+        town.read_map("main")
+    nothing = SemanticMap(Elements3D.from_ends([], [], [], []), MapFrame("kitti-05"))
+    for name in ("main", "even"):
+        save_map(nothing, town.map_path(name))
+    assert set(town.maps()) == {"main", "even"}
+    assert town.read_map("even").digest == nothing.digest
+    with pytest.raises(SemvizError, match="no such map; there are"):
+        town.read_map("odd")
+
+
+@pytest.mark.parametrize("name", ["", "../main", "a/b", ".hidden", "a\\b", "nul\0"])
+def test_names_cannot_lead_out_of_the_workspace(town: Workspace, name: str) -> None:
+    with pytest.raises(SemvizError, match="cannot be a file name"):
+        town.map_path(name)
+    with pytest.raises(SemvizError, match="cannot be a file name"):
+        town.run_path(name)
+
+
+def test_runs_are_found_in_workspaces_and_as_files(town: Workspace, tmp_path: Path) -> None:
+    with pytest.raises(SemvizError, match="no runs yet; 'semviz localize"):
+        find_runs([town.path])
+    paths = [town.run_path(name) for name in ("b", "a")]
+    for path in paths:
+        path.write_bytes(b"")
+    (town.path / "runs" / ".half.rrd").write_bytes(b"")
+    single = tmp_path / "single.rrd"
+    single.write_bytes(b"")
+    assert set(town.runs()) == {"a", "b"}
+    found = find_runs([single, town.path])
+    assert found[0] == single
+    assert set(found[1:]) == set(paths)
+    with pytest.raises(SemvizError, match="no such workspace"):
+        find_runs([tmp_path / "none.rrd"])
+
+
+def test_a_workspace_without_labels_has_none_and_makes_no_file(town: Workspace) -> None:
+    assert not town.read_labels().observations
+    assert not town.labels_path.exists()
+    assert town.default_observations == "labels"
+    with town.open_labels():
+        assert town.labels_path.exists()
+    assert not town.read_labels().observations
