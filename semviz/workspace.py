@@ -85,7 +85,7 @@ class StreetSettings(_Model):
 class Settings(_Model):
     """What ``semviz.toml`` holds."""
 
-    version: Literal[1] = VERSION
+    version: Literal[1]
     name: str
     source: Annotated[KittiSettings | StreetSettings, Field(discriminator="kind")]
 
@@ -155,7 +155,7 @@ class Workspace:
     def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
-        settings = Settings(name=path.resolve().name, source=source)
+        settings = Settings(version=VERSION, name=path.resolve().name, source=source)
         text = tomli_w.dumps(settings.model_dump(exclude_none=True))
         with replacing(path / SETTINGS) as temporary:
             temporary.write_text(text, encoding="utf-8")
