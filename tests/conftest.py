@@ -60,7 +60,10 @@ def kitti_pole_map(kitti_root: Path) -> Path:
 @pytest.fixture(scope="session")
 def chromium() -> Iterator["Browser"]:
     """A headless Chromium: the system's, or Playwright's own."""
-    sync_api = pytest.importorskip("playwright.sync_api")
+    try:
+        from playwright import sync_api
+    except ImportError:
+        skip_or_fail("Playwright is not installed; pip install '.[test]' brings it")
     names = ("chromium", "chromium-browser", "google-chrome")
     system = next(filter(None, map(shutil.which, names)), None)
     with sync_api.sync_playwright() as playwright:
@@ -73,18 +76,23 @@ def chromium() -> Iterator["Browser"]:
 
 
 @pytest.fixture
-def page(chromium: "Browser") -> Iterator["Page"]:
+def page_errors() -> list[str]:
+    """What the page complained of; a test that provokes errors clears those it expects."""
+    return []
+
+
+@pytest.fixture
+def page(chromium: "Browser", page_errors: list[str]) -> Iterator["Page"]:
     """A fresh page, 1600x950. Errors in its console, or thrown in it, fail the test."""
     context = chromium.new_context(viewport={"width": 1600, "height": 950})
     page = context.new_page()
-    errors: list[str] = []
 
     def note(message: "ConsoleMessage") -> None:
         if message.type == "error":
-            errors.append(f"{message.text} ({message.location.get('url', '')})")
+            page_errors.append(f"{message.text} ({message.location.get('url', '')})")
 
     page.on("console", note)
-    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("pageerror", lambda error: page_errors.append(str(error)))
     yield page
     context.close()
-    assert not errors, "errors in the page:\n" + "\n".join(errors)
+    assert not page_errors, "errors in the page:\n" + "\n".join(page_errors)
