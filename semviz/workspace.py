@@ -219,12 +219,13 @@ class Workspace:
         return LabelStore.open(self.labels_path, self.classes, self.source.rig)
 
     def read_labels(self) -> "Labels":
-        """The labels as they are now; none where nobody has labelled yet."""
+        """The labels as they are now, also without images; none where nobody has labelled yet."""
         from semviz_annotation.labels import Labels
+        from semviz_annotation.store import LabelStore
 
         if not self.labels_path.exists():
             return Labels()
-        with self.open_labels() as store:
+        with LabelStore.open(self.labels_path, self.classes) as store:
             return store.labels
 
     @property

@@ -102,9 +102,11 @@ def test_a_relative_path_is_fine(
 
 
 def test_images_gone_says_what_to_edit(town: Workspace, kitti: Path) -> None:
+    town.open_labels().close()
     kitti.rename(kitti.with_name("moved"))
     opened = Workspace.open(town.path)  # labels and maps stay within reach
     assert opened.maps() == ()
+    assert opened.read_labels() == town.read_labels()
     with pytest.raises(SemvizError, match=r"images of workspace 'town'.*edit 'root' in .*toml"):
         _ = opened.source
 
