@@ -1,0 +1,76 @@
+"""Simulates what a vehicle knows of its pose before it looks, from the true pose."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Prior
+from semviz_core.pose import Pose, so3_exp
+
+_LEAST_SIGMA_M = 0.01  # of a GPS said to be perfect
+
+
+@dataclass(frozen=True)
+class PriorOptions:
+    """How good GPS, compass and inertial unit are; a sigma of None means that one is missing."""
+
+    distance_m: tuple[float, float] = (5.0, 10.0)
+    """Horizontal distance of the fix from the truth: between these, in any direction."""
+    heading_sigma_rad: float | None = None
+    imu_sigma_rad: float | None = float(np.deg2rad(0.5))
+    """Of the vertical, about each of two axes."""
+    vertical_sigma_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        near, far = self.distance_m
+        if not 0.0 <= near <= far < np.inf:
+            raise SemvizError(f"prior: distance {near} to {far} m is not a range of distances")
+
+    @property
+    def horizontal_sigma_m(self) -> float:
+        """Standard deviation of the fix along each of two axes."""
+        near, far = self.distance_m
+        return max(float(np.sqrt((near**2 + near * far + far**2) / 6.0)), _LEAST_SIGMA_M)
+
+
+def simulate_prior(T_map_camera: Pose, options: PriorOptions, seed: int | Sequence[int]) -> Prior:
+    """A prior for the camera at this true pose; the same for the same seed.
+
+    Every error is drawn whether or not it is used, so that leaving one sensor out changes
+    nothing about the others.
+    """
+    rng = np.random.default_rng(seed)
+    distance, bearing = rng.uniform(*options.distance_m), rng.uniform(-np.pi, np.pi)
+    height, turn, tilt = rng.standard_normal(), rng.standard_normal(), rng.standard_normal(2)
+    offset = [
+        distance * np.cos(bearing),
+        distance * np.sin(bearing),
+        height * options.vertical_sigma_m,
+    ]
+    prior = Prior(
+        position_m=T_map_camera.translation + offset,
+        horizontal_sigma_m=options.horizontal_sigma_m,
+        vertical_sigma_m=options.vertical_sigma_m,
+    )
+    if options.imu_sigma_rad is not None:
+        wobble = so3_exp(T_map_camera.rotation.T @ np.append(tilt * options.imu_sigma_rad, 0.0))
+        up = wobble @ T_map_camera.rotation[2]
+        prior = replace(prior, up_camera=up, up_sigma_rad=options.imu_sigma_rad)
+    if options.heading_sigma_rad is not None:
+        sigma = options.heading_sigma_rad
+        heading = _wrapped(_heading(T_map_camera) + turn * sigma)
+        prior = replace(prior, heading_rad=heading, heading_sigma_rad=sigma)
+    return prior
+
+
+def _heading(T_map_camera: Pose) -> float:
+    """Of the optical axis about the map's z, from x towards y."""
+    x, y, _ = T_map_camera.rotation[:, 2]
+    return float(np.arctan2(y, x))
+
+
+def _wrapped(angle_rad: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

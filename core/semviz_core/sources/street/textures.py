@@ -1,0 +1,220 @@
+"""Textures made of noise and simple shapes: ground, sky, leaves and walls."""
+
+import cv2
+import numpy as np
+
+from semviz_core.sources.street.brushes import Texture, lit, mixed
+from semviz_core.sources.street.things import Color, FloatPicture
+
+SKY_ELEVATION_RAD = (-0.06, 0.75)
+"""What the panorama shows, from its bottom to its top."""
+
+_WALLS: tuple[Color, ...] = (
+    (226, 214, 190),
+    (214, 196, 160),
+    (196, 186, 176),
+    (232, 226, 214),
+    (206, 168, 136),
+    (178, 108, 84),
+    (190, 198, 196),
+)
+_ROOFS: tuple[Color, ...] = ((146, 76, 56), (122, 70, 58), (92, 88, 90), (108, 84, 72))
+_LEAVES: tuple[Color, ...] = ((86, 120, 52), (104, 134, 60), (70, 104, 56), (122, 132, 58))
+
+
+def noise(
+    rng: np.random.Generator, shape: tuple[int, int], falloff: float, stretch: float = 1.0
+) -> FloatPicture:
+    """Tileable noise of mean 0 and standard deviation 1; the spectrum falls as 1/f^falloff."""
+    fy = np.fft.fftfreq(shape[0])[:, None] * shape[0] * stretch
+    fx = np.fft.rfftfreq(shape[1])[None, :] * shape[1]
+    frequency = np.hypot(fx, fy)
+    frequency[0, 0] = np.inf
+    spectrum = np.fft.rfft2(rng.standard_normal(shape)) / frequency**falloff
+    field = np.fft.irfft2(spectrum, shape)
+    return np.asarray(field / field.std(), dtype=np.float32)
+
+
+def sky(rng: np.random.Generator, haze: Color) -> FloatPicture:
+    """Panorama (height, width, 3) of sky, clouds and far woods; all headings by elevation.
+
+    Row 0 is its top; columns go with the heading from 0 to 2 pi.
+    """
+    height, width = 420, 4096
+    low, high = SKY_ELEVATION_RAD
+    elevation = np.linspace(high, low, height, dtype=np.float32)[:, None]
+    rise = np.clip(elevation / high, 0.0, 1.0)[..., None] ** 0.6
+    zenith = np.array(mixed((84, 138, 205), (110, 160, 212), rng.random()), np.float32)
+    colors = np.array(haze, np.float32) * (1 - rise) + zenith * rise
+    colors = np.broadcast_to(colors, (height, width, 3)).copy()
+    puffs = noise(rng, (height, width), 1.75, 2.4) + 0.1 * noise(rng, (height, width), 1.0)
+    cover = rng.uniform(0.15, 0.75)
+    clouds = np.clip((puffs - cover) / 1.3, 0.0, 1.0)[..., None]
+    shade = cv2.GaussianBlur(np.roll(clouds[..., 0], 9, axis=0), (0, 0), 6)[..., None]
+    white = np.array((252, 252, 252), np.float32) - shade * np.array((34, 30, 24), np.float32)
+    opacity = 0.92 * clouds * (3.0 - 2.0 * clouds) * np.clip(elevation / 0.1, 0.15, 1.0)[..., None]
+    colors += np.clip(opacity, 0, 1) * (white - colors)
+    _far_woods(rng, colors, elevation, haze)
+    return colors
+
+
+def _far_woods(
+    rng: np.random.Generator, colors: FloatPicture, elevation: FloatPicture, haze: Color
+) -> None:
+    """Hills and tree lines at the horizon, the nearer the darker."""
+    width = colors.shape[1]
+    step = float(elevation[0, 0] - elevation[1, 0])
+    for share, height, rough, falloff in ((0.62, 0.034, 0.012, 1.6), (0.42, 0.016, 0.007, 1.05)):
+        crest = height + rough * noise(rng, (1, width), falloff)
+        cover = np.clip((crest - elevation) / step + 0.5, 0.0, 1.0)[..., None]
+        leaves = 1.0 + 0.08 * noise(rng, (elevation.shape[0], width), 0.7)[..., None]
+        color = np.array(mixed((76, 98, 62), haze, share), np.float32)
+        colors += cover * (color * leaves - colors)
+
+
+def crown(rng: np.random.Generator, sun_left: bool) -> Texture:
+    """A tree's crown: leaves in clumps, lit from above and from the sun's side."""
+    size = 224
+    base = np.array(_LEAVES[rng.integers(len(_LEAVES))], np.float32)
+    colors = np.tile(base * np.float32(0.42), (size, size, 1))
+    opacity = np.zeros((size, size), np.float32)
+    clumps = 46
+    angle, radius = rng.uniform(0, 2 * np.pi, clumps), np.sqrt(rng.uniform(0, 1, clumps))
+    order = np.argsort(-np.sin(angle) * radius * -1)[::-1]
+    for i in order:
+        x = size / 2 + 0.36 * size * radius[i] * np.cos(angle[i])
+        y = size / 2 + 0.36 * size * radius[i] * np.sin(angle[i])
+        reach = rng.uniform(0.07, 0.125) * size
+        _clump(rng, colors, opacity, (x, y, reach), base, sun_left)
+    soft = np.asarray(cv2.GaussianBlur(opacity, (0, 0), 0.7), dtype=np.float32)
+    return Texture.of(colors, soft)
+
+
+def _clump(
+    rng: np.random.Generator,
+    colors: FloatPicture,
+    opacity: FloatPicture,
+    place: tuple[float, float, float],
+    base: FloatPicture,
+    sun_left: bool,
+) -> None:
+    """Dabs of colour within a disc; the shadow side first, lighter ones on the sun's side."""
+    x, y, reach = place
+    count = 110
+    angle, radius = rng.uniform(0, 2 * np.pi, count), np.sqrt(rng.uniform(0, 1, count))
+    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
+    toward = (-0.55 if sun_left else 0.55) * dx - 0.85 * dy
+    height = (0.5 - y / colors.shape[0]) * 0.35
+    light = 0.72 + 0.42 * toward + height + rng.normal(0.0, 0.09, count)
+    for i in np.argsort(toward):
+        center = (int(16 * (x + reach * dx[i])), int(16 * (y + reach * dy[i])))
+        color = [float(one) for one in base * np.float32(np.clip(light[i], 0.25, 1.35))]
+        dab = int(16 * rng.uniform(1.4, 3.2))
+        cv2.circle(colors, center, dab, color, cv2.FILLED, cv2.LINE_8, 4)
+        cv2.circle(opacity, center, dab, 1.0, cv2.FILLED, cv2.LINE_8, 4)
+
+
+def leaves(rng: np.random.Generator) -> Texture:
+    """The face of a hedge, 3 m by 1 m."""
+    shape = (112, 336)
+    base = np.array(lit(_LEAVES[rng.integers(len(_LEAVES))], 0.82), np.float32)
+    pattern = 0.16 * noise(rng, shape, 0.25) + 0.1 * noise(rng, shape, 0.9)
+    fade = np.linspace(1.12, 0.62, shape[0], dtype=np.float32)[:, None]
+    colors = base * np.clip(fade + pattern, 0.25, 1.5)[..., None]
+    opacity = np.ones(shape, np.float32)
+    ragged = 5 + 2.5 * noise(rng, (1, shape[1]), 0.4)
+    opacity[np.arange(shape[0])[:, None] < ragged] = 0.0
+    soft = np.asarray(cv2.GaussianBlur(opacity, (0, 0), 0.8), dtype=np.float32)
+    return Texture.of(colors, soft)
+
+
+def stones(rng: np.random.Generator) -> Texture:
+    """The face of a low wall, 3 m by 1 m."""
+    shape = (96, 288)
+    base = np.array(_WALLS[rng.integers(len(_WALLS))], np.float32) * np.float32(0.8)
+    colors = base * (1.0 + 0.05 * noise(rng, shape, 0.5))[..., None]
+    for row, y in enumerate(range(0, shape[0], 16)):
+        colors[y : y + 2] *= 0.72
+        for x in range(18 * (row % 2), shape[1], 36):
+            colors[y : y + 16, x : x + 36] *= rng.uniform(0.88, 1.08)
+            colors[y : y + 16, x : x + 2] *= 0.75
+    colors[:10] = base * 1.12
+    return Texture.of(colors.astype(np.float32))
+
+
+def tiles(rng: np.random.Generator, width_m: float) -> Texture:
+    """A roof slope seen from the front."""
+    shape = (96, int(24 * width_m))
+    base = np.array(_ROOFS[rng.integers(len(_ROOFS))], np.float32)
+    rows = np.linspace(0.0, 14.0, shape[0])[:, None] % 1.0
+    pattern = 1.0 + 0.07 * noise(rng, shape, 0.4) + 0.06 * noise(rng, shape, 1.2)
+    colors = base * (pattern * np.where(rows < 0.15, 0.8, 1.0))[..., None]
+    return Texture.of(colors.astype(np.float32))
+
+
+def wall(
+    rng: np.random.Generator, width_m: float, height_m: float, base: Color, door: bool
+) -> Texture:
+    """A house's wall with windows in each storey."""
+    scale = 30.0
+    shape = (int(height_m * scale), int(width_m * scale))
+    grain = 1.0 + 0.022 * noise(rng, shape, 0.3) + 0.03 * noise(rng, shape, 1.3)
+    colors = (np.array(base, np.float32) * grain[..., None]).astype(np.float32)
+    colors[-int(0.5 * scale) :] *= 0.72  # plinth
+    colors[: int(0.25 * scale)] *= np.linspace(0.6, 1.0, int(0.25 * scale))[:, None, None]
+    columns = max(1, round(width_m / 2.9))
+    floors = max(1, round((height_m - 0.5) / 2.85))
+    entrance = int(rng.integers(columns)) if door else -1
+    shutters = lit(_ROOFS[rng.integers(len(_ROOFS))], 0.9) if rng.random() < 0.5 else None
+    for floor in range(floors):
+        for column in range(columns):
+            x = (column + 0.5) * width_m / columns
+            y = height_m - 0.5 - 2.85 * floor
+            if floor == 0 and column == entrance:
+                _door(colors, x * scale, y * scale, scale, rng)
+            else:
+                _window(colors, x * scale, (y - 1.55) * scale, scale, shutters, rng)
+    return Texture.of(colors)
+
+
+def wall_color(rng: np.random.Generator) -> Color:
+    """Of one house."""
+    return _WALLS[rng.integers(len(_WALLS))]
+
+
+def _window(
+    colors: FloatPicture,
+    x: float,
+    y: float,
+    scale: float,
+    shutters: Color | None,
+    rng: np.random.Generator,
+) -> None:
+    """A window with frame, sash bars, sill and the sky in its panes."""
+    w, h = 0.58 * scale, 0.68 * scale
+    if shutters is not None:
+        _box(colors, x - 1.75 * w, y - h, x + 1.75 * w, y + h, shutters)
+    _box(colors, x - 1.15 * w, y - 1.12 * h, x + 1.15 * w, y + 1.1 * h, (236, 234, 228))
+    glass = mixed((50, 60, 70), (120, 140, 156), float(rng.random()) * 0.6)
+    _box(colors, x - w, y - h, x + w, y, mixed(glass, (160, 182, 200), 0.3))
+    _box(colors, x - w, y, x + w, y + h, glass)
+    _box(colors, x - 0.06 * w, y - h, x + 0.06 * w, y + h, (228, 226, 220))
+    _box(colors, x - w, y - 0.36 * h, x + w, y - 0.28 * h, (228, 226, 220))
+    _box(colors, x - 1.3 * w, y + 1.1 * h, x + 1.3 * w, y + 1.24 * h, (150, 146, 138))
+
+
+def _door(colors: FloatPicture, x: float, y: float, scale: float, rng: np.random.Generator) -> None:
+    choices: tuple[Color, ...] = ((96, 62, 42), (54, 74, 66), (60, 66, 86))
+    color = choices[rng.integers(3)]
+    foot = y + 0.1 * scale
+    _box(colors, x - 0.62 * scale, y - 2.2 * scale, x + 0.62 * scale, foot, (224, 220, 212))
+    _box(colors, x - 0.5 * scale, y - 2.08 * scale, x + 0.5 * scale, foot, color)
+    _box(colors, x - 0.3 * scale, y - 1.9 * scale, x + 0.3 * scale, y - 1.2 * scale, (96, 108, 116))
+
+
+def _box(
+    colors: FloatPicture, left: float, top: float, right: float, bottom: float, color: Color
+) -> None:
+    cv2.rectangle(
+        colors, (round(left), round(top)), (round(right), round(bottom)), color, cv2.FILLED
+    )
