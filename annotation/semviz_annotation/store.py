@@ -62,6 +62,14 @@ class Operation:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
 
+class BrokenOperationError(SemvizError):
+    """An operation of a foreign log does not follow from those before it."""
+
+    def __init__(self, number: int, why: object) -> None:
+        super().__init__(f"operation {number}: {why}")
+        self.number = number
+
+
 class _History:
     """What each author can undo and redo: numbers of edits, latest last."""
 
@@ -76,11 +84,9 @@ class _History:
         done = self._done.setdefault(author, [])
         undone = self._undone.setdefault(author, [])
         if undoes is not None:
-            done.remove(undoes)
-            undone.append(undoes)
+            _move_last(undoes, done, undone)
         elif redoes is not None:
-            undone.remove(redoes)
-            done.append(redoes)
+            _move_last(redoes, undone, done)
         else:
             done.append(number)
             undone.clear()
@@ -90,6 +96,12 @@ class _History:
 
     def redoable(self, author: str) -> int | None:
         return next(reversed(self._undone.get(author, ())), None)
+
+
+def _move_last(number: int, source: list[int], target: list[int]) -> None:
+    if not source or source[-1] != number:
+        raise SemvizError(f"operation {number} is not the author's last to undo or redo")
+    target.append(source.pop())
 
 
 class LabelStore:
@@ -224,7 +236,7 @@ class LabelStore:
     def extend(self, operations: Iterable[Operation]) -> None:
         """Append operations of another log as they are, all or none.
 
-        Raises SemvizError naming the first operation that does not follow from those before it.
+        Raises BrokenOperationError for the first that does not follow from those before it.
         """
         with self._lock:
             try:
@@ -305,8 +317,8 @@ class LabelStore:
                     self.rules.check(change.after, draft.class_of(change.after))
             self._write(operation, draft.next_number)
             self._history.add(operation)
-        except (SemvizError, ValueError, sqlite3.IntegrityError) as error:
-            raise SemvizError(f"operation {operation.number}: {error}") from None
+        except (SemvizError, sqlite3.IntegrityError) as error:
+            raise BrokenOperationError(operation.number, error) from None
 
     def _reload(self) -> None:
         """Read the state from the file, as of one moment."""

@@ -289,13 +289,19 @@ def _line_jacobian(
         along = (end_px - anchor_px) / length
         across = np.array([along[1], -along[0]])
         of_anchor, of_end = view.jacobian(anchor_m), view.jacobian(end_m)
-        for share in (_ends_px(one) - anchor_px) @ along / length:
-            rows.append(np.r_[(1.0 - share) * across @ of_anchor, share * across @ of_end])
+        shares = (_ends_px(one) - anchor_px) @ along / length
+        rows += [
+            _pair((1.0 - share) * across @ of_anchor, share * across @ of_end) for share in shares
+        ]
         if one.anchor_known or not any_anchor:  # an end that nobody saw is where it was clicked
-            rows.append(np.r_[along @ of_anchor, np.zeros(3)])
+            rows.append(_pair(along @ of_anchor, np.zeros(3)))
         if one.end_known or not any_end:
-            rows.append(np.r_[np.zeros(3), along @ of_end])
+            rows.append(_pair(np.zeros(3), along @ of_end))
     return np.array(rows)
+
+
+def _pair(of_anchor: FloatArray, of_end: FloatArray) -> FloatArray:
+    return np.concatenate([of_anchor, of_end])
 
 
 def _across_rms_px(

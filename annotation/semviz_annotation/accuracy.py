@@ -1,0 +1,190 @@
+"""How far a map's projections are from the labels, per class: the paper's table of its map.
+
+Signs: RMSE is over the distances; lateral and longitudinal are the image's axes u and v. Poles: the
+angle of the projected against the labelled line, and the distance of the projected line from the
+labelled ends. All are projection minus label; SDE is the standard deviation round the mean error
+(ME) over the n errors (divisor n), so that for signs RMSE^2 is the sum of all four squared.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.observe import map_ids
+from semviz_annotation.triangulate import View, across_px, rig_view
+from semviz_core.arrays import FloatArray
+from semviz_core.errors import SemvizError
+from semviz_core.semantic_map import SemanticMap
+from semviz_core.sources.source import Source
+
+
+@dataclass(frozen=True)
+class ClassAccuracy:
+    """Errors of one class; None where a figure means nothing for it, or there is no observation."""
+
+    rmse_px: float | None
+    """Signs only, as in the paper."""
+    lateral_me_px: float | None
+    """Poles: across the labelled line, to the right where it runs downwards."""
+    lateral_sde_px: float | None
+    lateral_rmse_px: float | None
+    longitudinal_me_px: float | None
+    longitudinal_sde_px: float | None
+    angular_me_deg: float | None
+    """Poles only: from the labelled to the projected direction, from u towards v."""
+    angular_sde_deg: float | None
+    observations: int
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """A map against labels."""
+
+    classes: dict[str, ClassAccuracy]
+    """By name, for every class of the map."""
+    elements: int
+    """In the map."""
+    unmapped: int
+    """Observations whose element is not in the map, left out."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    def as_text(self) -> str:
+        """The table, a column for each class."""
+        rows = {
+            "RMSE (px)": "rmse_px",
+            "lateral ME (px)": "lateral_me_px",
+            "lateral SDE (px)": "lateral_sde_px",
+            "lateral RMSE (px)": "lateral_rmse_px",
+            "longitudinal ME (px)": "longitudinal_me_px",
+            "longitudinal SDE (px)": "longitudinal_sde_px",
+            "angular ME (deg)": "angular_me_deg",
+            "angular SDE (deg)": "angular_sde_deg",
+            "observations": "observations",
+        }
+        lines = [" " * 22 + "".join(f"{name:>18}" for name in self.classes)]
+        for title, name in rows.items():
+            values = [getattr(one, name) for one in self.classes.values()]
+            lines.append(f"{title:<22}" + "".join(f"{_cell(value):>18}" for value in values))
+        lines.append(f"{self.elements} map elements; {self.unmapped} observations not in the map")
+        return "\n".join(lines)
+
+
+def mapping_accuracy(
+    semantic_map: SemanticMap,
+    labels: Labels,
+    source: Source,
+    frames: Collection[int] | None = None,
+) -> Accuracy:
+    """Project the map into ``frames`` (None: all labelled) with the true poses, and compare.
+
+    Raises SemvizError where the map is of another frame, knows no labels, or a labelled frame has
+    no pose.
+    """
+    if semantic_map.frame.name != source.map_frame.name:
+        raise SemvizError(
+            f"the map is of '{semantic_map.frame.name}', the images of '{source.map_frame.name}'; "
+            "choose the map of this sequence"
+        )
+    if not semantic_map.provenance:
+        raise SemvizError("the map was not made from labels, so there is nothing to compare with")
+    elements = semantic_map.elements
+    row_of = {int(element_id): row for row, element_id in enumerate(elements.id)}
+    places = {
+        label_id: row_of[element_id] for label_id, element_id in map_ids(semantic_map).items()
+    }
+    errors: dict[int, list[_Errors]] = {one.id: [] for one in semantic_map.classes}
+    unmapped = 0
+    for view, observation in _observations(labels, source, frames):
+        row = places.get(observation.element_id)
+        if row is None:
+            unmapped += 1
+            continue
+        projected_px = view.project(np.stack([elements.anchor_m[row], elements.end_m[row]]))
+        if np.isfinite(projected_px[0]).all():  # else it is behind the camera
+            errors[int(elements.class_id[row])].append(_errors(projected_px, observation))
+    return Accuracy(
+        classes={one.name: _summary(errors[one.id]) for one in semantic_map.classes},
+        elements=len(elements),
+        unmapped=unmapped,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Of one observation."""
+
+    lateral_px: FloatArray
+    """(1,) of a sign, (2,) of a pole: one for each labelled end."""
+    longitudinal_px: FloatArray
+    """(1,) of a sign, (0,) of a pole."""
+    angular_deg: FloatArray
+    """(0,) of a sign, (1,) of a pole."""
+
+
+def _errors(projected_px: FloatArray, one: Observation) -> _Errors:
+    """From the projected anchor and end (2, 2)."""
+    if one.end_px is None:
+        du, dv = projected_px[0] - one.anchor_px
+        return _Errors(np.array([du]), np.array([dv]), np.zeros(0))
+    ends = np.array([one.anchor_px, one.end_px])
+    labelled, projected = ends[1] - ends[0], projected_px[1] - projected_px[0]
+    sine = labelled[0] * projected[1] - labelled[1] * projected[0]
+    angle = np.rad2deg(np.arctan2(sine, labelled @ projected))
+    return _Errors(across_px(projected_px, ends), np.zeros(0), np.array([angle]))
+
+
+def _observations(
+    labels: Labels, source: Source, frames: Collection[int] | None
+) -> Iterator[tuple[View, Observation]]:
+    """What is labelled in ``frames``, each with its camera in the map."""
+    poses = {frame.index: frame.T_map_camera for frame in source.frames}
+    for index in labels.frames:
+        if frames is not None and index not in frames:
+            continue
+        pose = poses.get(index)
+        if pose is None:
+            raise SemvizError(f"frame {index} is labelled but has no pose to project the map with")
+        for one in labels.in_frame(index):
+            yield rig_view(source.rig, one.side, pose.inverse()), one
+
+
+def _summary(errors: list[_Errors]) -> ClassAccuracy:
+    lateral, longitudinal, angular = (
+        np.concatenate([getattr(one, name) for one in errors] or [np.zeros(0)])
+        for name in ("lateral_px", "longitudinal_px", "angular_deg")
+    )
+    return ClassAccuracy(
+        rmse_px=_rms(np.hypot(lateral, longitudinal)) if longitudinal.size else None,
+        lateral_me_px=_mean(lateral),
+        lateral_sde_px=_deviation(lateral),
+        lateral_rmse_px=_rms(lateral),
+        longitudinal_me_px=_mean(longitudinal),
+        longitudinal_sde_px=_deviation(longitudinal),
+        angular_me_deg=_mean(angular),
+        angular_sde_deg=_deviation(angular),
+        observations=len(errors),
+    )
+
+
+def _mean(values: FloatArray) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _deviation(values: FloatArray) -> float | None:
+    return float(values.std()) if values.size else None
+
+
+def _rms(values: FloatArray) -> float | None:
+    return float(np.sqrt(np.square(values).mean())) if values.size else None
+
+
+def _cell(value: float | int | None) -> str:
+    if value is None:
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.3f}"

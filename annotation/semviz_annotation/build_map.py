@@ -1,0 +1,286 @@
+"""Labels to a map, as in the paper (section III-A): stereo triangulation, true poses, DBSCAN.
+
+Two things go beyond the paper and cannot hurt it: observations that the annotator gave to one label
+element are never torn apart, and label elements seen together in one image are never merged.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from itertools import combinations
+
+import numpy as np
+
+from semviz_annotation.fuse import Sighting, Thing, fuse
+from semviz_annotation.labels import LabelElement, Labels
+from semviz_annotation.triangulate import Failed, rig_view, triangulate
+from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.elements import Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import Provenance, SemanticMap
+from semviz_core.sources.source import Source
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How labels become a map."""
+
+    eps_m: float = 1.0
+    """DBSCAN's radius. Signs of one post are 0.7 m apart or more and mostly of other classes; the
+    same sign from two drives comes back within 0.3 m or so after fusing its frames."""
+    min_points: int = 1
+    """DBSCAN's core size, in stereo pairs. A pair that a person drew is no noise, so 1; labels from
+    a detector want 2 or 3."""
+    sigma_px: float = 1.0
+    """How well labels are placed."""
+    min_angle_deg: float = 0.5
+    """Pairs under this ray angle are left out: 62 m with KITTI's baseline, where 1 px is 10 m."""
+
+    def __post_init__(self) -> None:
+        for name in ("eps_m", "min_points", "sigma_px", "min_angle_deg"):
+            if not getattr(self, name) > 0:
+                raise SemvizError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What became of the labels."""
+
+    pairs: int
+    """Stereo pairs that were triangulated."""
+    merged: tuple[tuple[str, ...], ...]
+    """Names of label elements that became one map element, two or more each."""
+    kept_apart: tuple[tuple[str, str], ...]
+    """Near each other and of one class, but seen together in an image."""
+    rejected: tuple[str, ...]
+    """What is not in the map, and why, a line each."""
+
+    def __str__(self) -> str:
+        lines = [f"{self.pairs} stereo pairs triangulated, {len(self.rejected)} rejected"]
+        lines += [f"rejected: {line}" for line in self.rejected]
+        lines += [f"merged: {', '.join(names)}" for names in self.merged]
+        lines += [
+            f"kept apart: {one} and {two} are seen in the same image"
+            for one, two in self.kept_apart
+        ]
+        return "\n".join(lines)
+
+
+@dataclass
+class _Notes:
+    """The report as it grows."""
+
+    classes: ClassSet
+    merged: list[tuple[str, ...]] = field(default_factory=list)
+    kept_apart: list[tuple[str, str]] = field(default_factory=list)
+    rejected: list[str] = field(default_factory=list)
+
+    def name(self, element: LabelElement) -> str:
+        return self.classes.element_name(element.class_id, element.number)
+
+
+def build_map(
+    labels: Labels,
+    source: Source,
+    options: BuildOptions = BuildOptions(),
+    frames: Collection[int] | None = None,
+    classes: ClassSet = DEFAULT_CLASSES,
+) -> tuple[SemanticMap, BuildReport]:
+    """A map of what is labelled in both images of ``frames`` (None: all), and what became of it.
+
+    Raises SemvizError where a labelled frame is not in the source or has no pose, or nothing is
+    labelled in both images.
+    """
+    notes = _Notes(classes)
+    posed = _posed_frames(labels, source, frames)
+    sightings = list(_triangulate_pairs(labels, source, posed, options, notes))
+    _note_unpaired(labels, posed, notes)
+    alone = [fuse(group, options.sigma_px) for group in _by_element(sightings)]
+    things = [
+        fuse([one for thing in group for one in thing.sightings], options.sigma_px)
+        for group in _merge(alone, labels, options, notes)
+    ]
+    if not things:
+        raise SemvizError(f"nothing could be triangulated; the first of all: {notes.rejected[0]}")
+    report = BuildReport(
+        pairs=len(sightings),
+        merged=tuple(notes.merged),
+        kept_apart=tuple(notes.kept_apart),
+        rejected=tuple(notes.rejected),
+    )
+    return _assemble(things, labels, source, posed, options, classes), report
+
+
+def _posed_frames(
+    labels: Labels, source: Source, frames: Collection[int] | None
+) -> dict[int, Pose]:
+    """``T_map_camera`` of the chosen frames that have one, by index."""
+    poses = {frame.index: frame.T_map_camera for frame in source.frames}
+    chosen = set(poses) if frames is None else set(frames)
+    labelled = [index for index in labels.frames if index in chosen]
+    for index in labels.frames if frames is None else labelled:
+        if index not in poses:
+            raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")
+        if poses[index] is None:
+            raise SemvizError(f"frame {index} is labelled but has no pose; a map needs true poses")
+    if not any(True for index in labelled for _ in labels.pairs(index)):
+        raise SemvizError(
+            "no element is labelled in both images of a frame; label partners in 'semviz annotate'"
+        )
+    return {index: pose for index, pose in poses.items() if index in chosen and pose is not None}
+
+
+def _triangulate_pairs(
+    labels: Labels, source: Source, posed: dict[int, Pose], options: BuildOptions, notes: _Notes
+) -> Iterator[Sighting]:
+    """Every element of every stereo pair, in the map frame by the true pose."""
+    for index, T_map_camera in posed.items():
+        T_left_map = T_map_camera.inverse()
+        for element, left, right in labels.pairs(index):
+            views = (
+                rig_view(source.rig, "left", T_left_map),
+                rig_view(source.rig, "right", T_left_map),
+            )
+            angle = float(np.deg2rad(options.min_angle_deg))
+            result = triangulate(views, (left, right), options.sigma_px, angle)
+            if isinstance(result, Failed):
+                notes.rejected.append(f"{notes.name(element)} in frame {index}: {result.reason}")
+            else:
+                yield Sighting(element, views, (left, right), result)
+
+
+def _note_unpaired(labels: Labels, posed: dict[int, Pose], notes: _Notes) -> None:
+    seen = {row.element_id for index in posed for row in labels.in_frame(index)}
+    paired = {pair.element.id for index in posed for pair in labels.pairs(index)}
+    unpaired = (labels.element(element_id) for element_id in seen - paired)
+    for element in sorted(unpaired, key=lambda one: one.number):
+        notes.rejected.append(f"{notes.name(element)}: never labelled in both images of a frame")
+
+
+def _by_element(sightings: Iterable[Sighting]) -> list[list[Sighting]]:
+    """Together what the annotator gave to one label element."""
+    groups: dict[str, list[Sighting]] = {}
+    for one in sightings:
+        groups.setdefault(one.element.id, []).append(one)
+    return list(groups.values())
+
+
+def _merge(
+    things: Sequence[Thing], labels: Labels, options: BuildOptions, notes: _Notes
+) -> list[list[Thing]]:
+    """Things of one class and place, together; nothing twice, noise left out."""
+    groups: list[list[Thing]] = []
+    for class_id in sorted({thing.elements[0].class_id for thing in things}):
+        alike = [thing for thing in things if thing.elements[0].class_id == class_id]
+        cluster = _dbscan(alike, options)
+        for number in np.unique(cluster):
+            members = [alike[row] for row in np.flatnonzero(cluster == number)]
+            if number >= 0:
+                groups += _split_covisible(members, labels, options, notes)
+                continue
+            notes.rejected += [
+                f"{notes.name(one.elements[0])}: fewer than {options.min_points} stereo pairs "
+                f"within {options.eps_m} m"
+                for one in members
+            ]
+    notes.merged += [
+        tuple(notes.name(thing.elements[0]) for thing in group)
+        for group in groups
+        if len(group) > 1
+    ]
+    return groups
+
+
+def _dbscan(things: Sequence[Thing], options: BuildOptions) -> IntArray:
+    """(n,) cluster of each thing, -1 for noise. Each counts as many points as it has pairs."""
+    import open3d
+
+    counts = [len(thing.sightings) for thing in things]
+    positions = np.repeat([_position(thing) for thing in things], counts, axis=0)
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions))
+    clusters = np.asarray(cloud.cluster_dbscan(options.eps_m, options.min_points), dtype=np.int64)
+    return np.asarray(clusters[np.cumsum(counts) - 1])
+
+
+def _position(thing: Thing) -> FloatArray:
+    """(3,) where a sign is; where a pole stands, since the heights of its ends may be unseen."""
+    if np.isnan(thing.end_m).any():
+        return thing.anchor_m
+    return np.append((thing.anchor_m + thing.end_m)[:2] / 2.0, 0.0)
+
+
+def _split_covisible(
+    members: Sequence[Thing], labels: Labels, options: BuildOptions, notes: _Notes
+) -> list[list[Thing]]:
+    """Merge what is within reach, nearest first, unless one image shows both."""
+    positions = [_position(one) for one in members]
+    near = sorted(
+        (distance, i, j)
+        for i, j in combinations(range(len(members)), 2)
+        if (distance := float(np.linalg.norm(positions[i] - positions[j]))) <= options.eps_m
+    )
+    group = {row: [row] for row in range(len(members))}
+    images = {row: _images(one, labels) for row, one in enumerate(members)}
+    for _, i, j in near:
+        a, b = group[i], group[j]
+        if a is b:
+            continue
+        if images[a[0]] & images[b[0]]:
+            notes.kept_apart.append(
+                (notes.name(members[i].elements[0]), notes.name(members[j].elements[0]))
+            )
+            continue
+        a_images = images[a[0]] | images[b[0]]
+        a += b
+        images[a[0]] = a_images
+        for row in b:
+            group[row] = a
+    distinct = {id(rows): rows for rows in group.values()}
+    return [[members[row] for row in rows] for rows in distinct.values()]
+
+
+def _images(thing: Thing, labels: Labels) -> set[tuple[int, str]]:
+    return {
+        (row.frame_index, row.side)
+        for element in thing.elements
+        for row in labels.of_element(element.id)
+    }
+
+
+def _assemble(
+    things: Sequence[Thing],
+    labels: Labels,
+    source: Source,
+    posed: dict[int, Pose],
+    options: BuildOptions,
+    classes: ClassSet,
+) -> SemanticMap:
+    things = sorted(things, key=lambda thing: thing.elements[0].number)
+    elements = Elements3D(
+        id=np.array([thing.elements[0].number for thing in things], dtype=np.int64),
+        anchor_m=np.array([thing.anchor_m for thing in things]),
+        end_m=np.array([thing.end_m for thing in things]),
+        class_id=np.array([thing.elements[0].class_id for thing in things], dtype=np.int64),
+        covariance_m2=np.array([thing.covariance_m2 for thing in things]),
+        anchor_known=np.array([thing.anchor_known for thing in things]),
+        end_known=np.array([thing.end_known for thing in things]),
+    )
+    return SemanticMap(
+        elements=elements,
+        frame=source.map_frame,
+        classes=classes,
+        trajectory_m=np.array([pose.translation for pose in posed.values()]),
+        provenance=tuple(_provenance(thing) for thing in things),
+        made_by=f"semviz {version('semviz')}: stereo triangulation ({options.sigma_px} px), "
+        f"DBSCAN ({options.eps_m} m, {options.min_points} points)",
+        operation=labels.operation,
+    )
+
+
+def _provenance(thing: Thing) -> Provenance:
+    return Provenance(
+        label_ids=tuple(element.id for element in thing.elements),
+        observation_ids=tuple(row.id for one in thing.sightings for row in one.observations),
+    )
