@@ -1,6 +1,8 @@
 """Brushes: what puts polygons, textures and round poles on a picture, smooth to a sub-pixel."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +12,7 @@ from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street.things import Color, FloatPicture
 from semviz_core.sources.street.view import View
 
+_EDGE_ON_PX = 0.4
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 
 
@@ -50,30 +53,30 @@ def halved(picture: NDArray[np.generic], size: tuple[int, int]) -> FloatPicture:
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture with transparency and its halvings, colours premultiplied by opacity."""
+    """A picture with transparency, and its halvings."""
 
-    levels: tuple[FloatPicture, ...]
-    """(height, width, 4) each: red, green, blue in 0..255, opacity in 0..1."""
+    levels: tuple[tuple[ByteImage, FloatPicture], ...]
+    """Colours (height, width, 3) and opacity (height, width) in 0..1."""
 
     @classmethod
     def of(cls, colors: FloatPicture, opacity: FloatPicture | None = None) -> "Texture":
         """From (height, width, 3) in 0..255 and (height, width) in 0..1, opaque by default."""
-        height, width = colors.shape[:2]
-        alpha = np.ones((height, width), np.float32) if opacity is None else opacity
-        level = np.dstack([colors * alpha[..., None], alpha]).astype(np.float32)
-        levels = [level]
-        while min(level.shape[:2]) > 6:
-            size = (max(1, level.shape[1] // 2), max(1, level.shape[0] // 2))
-            level = halved(level, size)
-            levels.append(level)
-        return cls(tuple(levels))
+        if opacity is None:
+            opacity = np.ones(colors.shape[:2], np.float32)
+        levels = []
+        while True:
+            levels.append((_bytes(colors), opacity))
+            height, width = opacity.shape
+            if min(height, width) <= 6:
+                return cls(tuple(levels))
+            size = (width // 2, height // 2)
+            colors, opacity = halved(colors, size), halved(opacity, size)
 
-    def level_for(self, width_px: float, height_px: float) -> FloatPicture:
-        """The halving that shows at most about one texel per pixel."""
-        height, width = self.levels[0].shape[:2]
-        shrink = max(min(width / max(width_px, 1.0), height / max(height_px, 1.0)), 1.0)
-        shrink = np.sqrt(shrink * max(width / max(width_px, 1.0), height / max(height_px, 1.0)))
-        return self.levels[int(np.clip(np.floor(np.log2(shrink) + 0.3), 0, len(self.levels) - 1))]
+    def level_for(self, width_px: float, height_px: float) -> tuple[ByteImage, FloatPicture]:
+        """The halving with about one texel per pixel."""
+        height, width = self.levels[0][1].shape
+        shrink = max(width / width_px, 1.0) * max(height / height_px, 1.0)
+        return self.levels[min(int(0.5 * math.log2(shrink) + 0.3), len(self.levels) - 1)]
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,11 @@ class Air:
     gain: float
     haze: float
     haze_color: Color
+
+    def table(self) -> ByteImage:
+        """(256, 1, 3) what becomes of each colour."""
+        levels = np.arange(256.0)[:, None, None] * (self.gain * (1.0 - self.haze))
+        return _bytes(levels + np.array(self.haze_color) * self.haze)
 
 
 def stamp(
@@ -95,38 +103,36 @@ def stamp(
     air: Air,
 ) -> None:
     """A texture on a parallelogram in the map: its top-left corner and both edges (3,)."""
-    corners = [corner_m, corner_m + right_m, corner_m + right_m + down_m, corner_m + down_m]
-    outline = view.polygon(np.array(corners))
-    if outline is None:
-        return
-    window = _window(picture, outline)
-    if window is None:
+    corners = np.array(
+        [corner_m, corner_m + right_m, corner_m + right_m + down_m, corner_m + down_m]
+    )
+    outline = view.polygon(corners)
+    window = None if outline is None else _window(picture, outline)
+    if outline is None or window is None:
         return
     x0, y0, x1, y1 = window
-    texels = texture.level_for(*_extent(outline))
-    rows, columns = texels.shape[:2]
+    width_px, height_px = _extent(outline)
+    if min(width_px, height_px) < _EDGE_ON_PX:
+        return
+    colors, opacity = texture.level_for(width_px, height_px)
+    rows, columns = opacity.shape
     # texel i has its centre at (i + 0.5) / columns of the edge
     scale = np.array([[1 / columns, 0, 0.5 / columns], [0, 1 / rows, 0.5 / rows], [0, 0, 1.0]])
     shift = np.array([[1.0, 0, -x0], [0, 1.0, -y0], [0, 0, 1.0]])
     homography = shift @ view.plane(corner_m, right_m, down_m) @ scale
-    if abs(np.linalg.det(homography)) < 1e-9:
-        return  # seen edge-on
     size = (x1 - x0, y1 - y0)
-    warped: FloatPicture = np.asarray(cv2.warpPerspective(texels, homography, size), np.float32)
+    warped = cv2.warpPerspective(colors, homography, size, borderMode=cv2.BORDER_REPLICATE)
+    cover = cv2.warpPerspective(opacity, homography, size)
     if len(outline) != 4:  # cut at the near plane: the rest would show mirrored
-        mask = np.zeros(warped.shape[:2], np.uint8)
+        mask = np.zeros(cover.shape, np.uint8)
         fill_mask(mask, outline - [x0, y0], 1)
-        warped *= mask[..., None]
-    lay(picture[y0:y1, x0:x1], warped, air)
+        cover = cover * mask
+    lay(picture[y0:y1, x0:x1], cv2.LUT(warped, air.table()), np.asarray(cover, np.float32))
 
 
-def lay(target: ByteImage, source: FloatPicture, air: Air) -> None:
-    """Lay premultiplied colours (h, w, 4) over a part of the picture (h, w, 3)."""
-    alpha = source[..., 3:]
-    haze = np.array(air.haze_color, np.float32) * np.float32(air.haze)
-    colors = source[..., :3] * np.float32(air.gain * (1.0 - air.haze)) + haze * alpha
-    result = target * (1.0 - alpha) + colors
-    target[...] = cv2.convertScaleAbs(result)
+def lay(target: ByteImage, colors: NDArray[Any], cover: FloatPicture) -> None:
+    """Lay colours (h, w, 3) over a part of the picture, as far as they cover (h, w) it."""
+    target[...] = cv2.blendLinear(colors, np.ascontiguousarray(target), cover, 1.0 - cover)
 
 
 def rod(
@@ -158,22 +164,27 @@ def rod(
     cover *= np.clip(np.minimum(t + 0.5, length) - np.maximum(t - 0.5, 0.0), 0.0, 1.0)
     side = np.clip(across / np.maximum(radius, 0.7), -1.0, 1.0) * np.sign(-along[1] or 1.0)
     shade = 0.72 + 0.3 * np.sqrt(1.0 - 0.9 * side**2) + 0.22 * light * side
-    source = np.dstack([*(one * shade * cover for one in color), cover]).astype(np.float32)
-    lay(picture[y0:y1, x0:x1], source, Air(1.0, 0.0, (0.0, 0.0, 0.0)))
+    colors = _bytes(shade[..., None] * np.array(color))
+    lay(picture[y0:y1, x0:x1], colors, cover.astype(np.float32))
+
+
+def _bytes(colors: NDArray[np.floating[Any]]) -> ByteImage:
+    return np.asarray(np.clip(colors + 0.5, 0.0, 255.0), dtype=np.uint8)
 
 
 def _extent(outline_px: FloatArray) -> tuple[float, float]:
     """Mean lengths of a quadrangle's edges: those along its width, those along its height."""
-    edges = np.linalg.norm(np.roll(outline_px, -1, axis=0) - outline_px, axis=1)
+    corners = outline_px.tolist()
+    edges = [math.dist(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
     if len(edges) != 4:
-        return float(edges.max()), float(edges.max())
-    return float(edges[[0, 2]].mean()), float(edges[[1, 3]].mean())
+        return max(edges), max(edges)
+    return (edges[0] + edges[2]) / 2.0, (edges[1] + edges[3]) / 2.0
 
 
 def _window(picture: ByteImage, points_px: FloatArray) -> tuple[int, int, int, int] | None:
     """The part of the picture round some points: left, top, right, bottom; None if empty."""
     height, width = picture.shape[:2]
-    x0, y0 = np.floor(points_px.min(axis=0)).astype(int)
-    x1, y1 = np.ceil(points_px.max(axis=0)).astype(int) + 1
-    x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
-    return (int(x0), int(y0), int(x1), int(y1)) if x0 < x1 and y0 < y1 else None
+    (left, top), (right, bottom) = points_px.min(axis=0).tolist(), points_px.max(axis=0).tolist()
+    x0, y0 = max(math.floor(left), 0), max(math.floor(top), 0)
+    x1, y1 = min(math.ceil(right) + 1, width), min(math.ceil(bottom) + 1, height)
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None

@@ -37,6 +37,7 @@ _HATCHBACK = _SEDAN.copy()
 _HATCHBACK[2:5] = [(-2.08, 0.92, 0.82), (-2.02, 0.98, 0.80), (-1.66, 1.42, 0.60)]
 _BELT = slice(3, 7)  # the points round the windows
 _SILL = np.array([(-2.12, 2.1, 2.0, -2.0), (0.42, 0.4, 0.25, 0.25)])
+_SHOULDER = np.array([(-2.08, 1.2, 1.9, 1.9, 1.2, -2.08), (0.87, 0.87, 0.74, 0.70, 0.79, 0.79)])
 _DOOR = np.array([(-0.36, -0.33, -0.33, -0.36), (0.4, 0.4, 0.95, 0.95)])
 _WHEELS_M = (-1.32, 1.34)
 _WHEEL_M = 0.31
@@ -48,6 +49,15 @@ _BUMPER: Color = (38, 40, 42)
 _TAIL: Color = (176, 26, 28)
 _LAMP: Color = (226, 230, 232)
 _PLATE: Color = (232, 232, 224)
+_WHEEL: tuple[tuple[float, Color], ...] = (
+    (0.37, (18.0, 18.0, 20.0)),
+    (_WHEEL_M, _TYRE),
+    (0.62 * _WHEEL_M, _RIM),
+    (0.2 * _WHEEL_M, (70.0, 72.0, 76.0)),
+)
+"""Arch, tyre, rim and hub: radius and colour."""
+_CIRCLE = np.array([np.cos(np.linspace(0, 2 * np.pi, 21)), np.sin(np.linspace(0, 2 * np.pi, 21))])
+_DETAIL_M = 35.0
 
 
 def patches(car: Car, center_m: FloatArray, sun: FloatArray) -> list[Patch]:
@@ -56,12 +66,15 @@ def patches(car: Car, center_m: FloatArray, sun: FloatArray) -> list[Patch]:
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     eye, light = R.T @ (center_m - car.middle_m) / car.scale, R.T @ sun
     side = 1.0 if eye[1] > 0 else -1.0
+    near = float(np.linalg.norm(eye)) < _DETAIL_M
     model = [
         *_strips(car, eye, light),
-        *_side(car, side, light),
+        *_side(car, side, light, near),
         *(_rear() if eye[0] < 0 else _front()),
     ]
-    return [Patch(car.middle_m + corners * car.scale @ R.T, color) for corners, color in model]
+    corners = np.concatenate([one.corners_m for one in model]) * car.scale @ R.T + car.middle_m
+    parts = np.split(corners, np.cumsum([len(one.corners_m) for one in model])[:-1])
+    return [Patch(part, one.color) for part, one in zip(parts, model, strict=True)]
 
 
 def footprint(car: Car) -> FloatArray:
@@ -101,31 +114,30 @@ def _strips(car: Car, eye: FloatArray, light: FloatArray) -> list[Patch]:
     return [patch for _, patch in sorted(found, key=lambda one: -one[0])]
 
 
-def _side(car: Car, side: float, light: FloatArray) -> list[Patch]:
+def _side(car: Car, side: float, light: FloatArray, near: bool) -> list[Patch]:
     """Doors, windows and wheels of the side in sight."""
     profile = _profile(car)
     paint = lit(car.color, _brightness(np.array([0.0, side * 0.97, 0.2]), light))
     lower = np.concatenate([profile[:4], profile[6:]])
-    body = _on_side(lower[:, 0], lower[:, 1], side, lower[:, 2].max())
+    body = np.column_stack([lower[:, 0], side * lower[:, 2], lower[:, 1]])
     belt = profile[_BELT]
     cabin = np.column_stack([belt[:, 0], side * belt[:, 2], belt[:, 1]])
     sill = _on_side(_SILL[0], _SILL[1], side, 0.86)
-    found = [Patch(body, paint), Patch(cabin, lit(paint, 1.04)), Patch(sill, lit(paint, 0.62))]
+    shoulder = _on_side(_SHOULDER[0], _SHOULDER[1], side, 0.83)
+    found = [
+        Patch(body, paint),
+        Patch(cabin, lit(paint, 1.04)),
+        Patch(shoulder, lit(paint, 1.16)),
+        Patch(sill, lit(paint, 0.62)),
+    ]
     for begin, end in ((0.07, 0.47), (0.53, 0.93)):
         found.append(Patch(_pane(cabin, begin, end), lit(_GLASS, 1.15)))
-    door = _on_side(_DOOR[0], _DOOR[1], side, 0.86)
-    found.append(Patch(door, lit(paint, 0.75)))
+    if near:
+        found.append(Patch(_on_side(_DOOR[0], _DOOR[1], side, 0.86), lit(paint, 0.75)))
     for x in _WHEELS_M:
-        for radius, color, out in (
-            (0.37, (18.0, 18.0, 20.0), 0.86),
-            (_WHEEL_M, _TYRE, 0.865),
-            (0.62 * _WHEEL_M, _RIM, 0.87),
-            (0.2 * _WHEEL_M, (70.0, 72.0, 76.0), 0.875),
-        ):
-            angles = np.linspace(0.0, 2.0 * np.pi, 20, endpoint=False)
-            ring = _WHEEL_M + radius * np.sin(angles)
-            ring = np.maximum(ring, 0.0) if radius <= _WHEEL_M else np.maximum(ring, 0.22)
-            found.append(Patch(_on_side(x + radius * np.cos(angles), ring, side, out), color))
+        for radius, color in _WHEEL if near else _WHEEL[:2]:
+            ring = np.maximum(_WHEEL_M + radius * _CIRCLE[1], 0.0 if radius <= _WHEEL_M else 0.22)
+            found.append(Patch(_on_side(x + radius * _CIRCLE[0], ring, side, 0.86), color))
     return found
 
 

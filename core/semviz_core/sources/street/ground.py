@@ -1,6 +1,7 @@
 """Paints the ground: meadow, road with its markings, kerbs, pavements and shadows."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street import textures
-from semviz_core.sources.street.brushes import fill, fill_mask
+from semviz_core.sources.street.brushes import fill, fill_mask, lit
 from semviz_core.sources.street.road import (
     KERB_HEIGHT_M,
     KERB_M,
@@ -21,17 +22,31 @@ from semviz_core.sources.street.view import View
 
 GRASS: Color = (112, 132, 70)
 ASPHALT: Color = (112, 112, 114)
+TRACK: Color = (107, 107, 109)
 PARKING: Color = (126, 123, 120)
 PAVING: Color = (166, 160, 152)
 KERB: Color = (182, 180, 174)
 JOINT: Color = (138, 133, 126)
 PAINT: Color = (226, 226, 222)
 
-_SIGHT_M = 130.0
+_SIGHT_M, _WEAR_SIGHT_M, _JOINT_SIGHT_M = 120.0, 50.0, 26.0
 _CROSSING_EVERY_M = 85.0
 _SHADOW = 0.46
-_FINE_M, _COARSE_M = 4.0, 60.0
-"""Sizes of the two tiles of noise."""
+_VEIL, _VEIL_M = 0.62, 150.0
+"""How much of the ground the haze hides at most, and after which distance."""
+_FARTHEST_M = 220.0
+_FINE_M, _COARSE_M, _TEXELS = 4.0, 60.0, 512
+"""Sizes of the two tiles of noise; one is a multiple of the other."""
+_WEAR_EVERY_M = 7.0
+
+
+class _Decal(NamedTuple):
+    """Something flat on the ground."""
+
+    s_m: float
+    outline_m: FloatArray
+    """(k, 3)"""
+    color: Color
 
 
 class Ground:
@@ -39,21 +54,18 @@ class Ground:
 
     def __init__(self, road: Road, rng: np.random.Generator) -> None:
         self._road = road
-        fine = textures.noise(rng, (512, 512), 0.15)
-        self._fine = [cv2.GaussianBlur(fine, (0, 0), 0.6)]
-        self._coarse = textures.noise(rng, (512, 512), 1.1)
-        self._crossings = np.arange(rng.uniform(25.0, 60.0), road.s_m[-1], _CROSSING_EVERY_M)
-        for level in range(1, 6):  # blurred, not halved: every level keeps its coordinates
-            blurred = _blur_tile(fine, 0.6 * 2**level)
-            self._fine.append(blurred)
+        fine = textures.noise(rng, (_TEXELS, _TEXELS), 0.15)
+        # blurred, not halved: every level keeps its coordinates
+        self._fine = [_blur_tile(fine, 0.6 * 2**level) for level in range(6)]
+        self._coarse = textures.noise(rng, (_TEXELS, _TEXELS), 1.1)
+        wear, markings, joints = self._wear(rng), self._markings(rng), self._joints()
+        self._decals = [(_WEAR_SIGHT_M, wear), (_SIGHT_M, markings), (_JOINT_SIGHT_M, joints)]
 
     def paint(self, picture: ByteImage, view: View, shadows: list[FloatArray], haze: Color) -> None:
         """Everything below the horizon; ``shadows`` are polygons (k, 3) on the ground."""
-        rise = np.zeros(picture.shape[:2], np.uint8)  # 1 where the ground is at kerb height
-        flat = picture.copy()
-        rays_up = self._rays_up(view)
-        flat[rays_up < 0] = GRASS
-        rise[rays_up < 0] = 1
+        rise = np.ones(picture.shape[:2], np.uint8)  # 1 where the ground is at kerb height
+        flat = np.empty_like(picture)
+        flat[:] = GRASS
         for points, color, raised in self._polygons(view):
             polygon = view.polygon(points)
             if polygon is not None:
@@ -65,57 +77,59 @@ class Ground:
             polygon = view.polygon(points)
             if polygon is not None:
                 fill_mask(shadow, polygon, 255)
-        self._finish(picture, flat, view, rays_up, rise, shadow, haze)
+        self._finish(picture, flat, view, rise, shadow, haze)
 
     def _finish(
         self,
         picture: ByteImage,
         flat: ByteImage,
         view: View,
-        rays_up: FloatPicture,
         rise: NDArray[np.uint8],
         shadow: NDArray[np.uint8],
         haze: Color,
     ) -> None:
         """Texture, shadow and haze, for each pixel by its place on the ground."""
-        rows = np.flatnonzero((rays_up < 0).any(axis=1))
+        below = self._rays_up(view) < 0
+        rows = np.flatnonzero(below.any(axis=1))
         if not len(rows):
             return
-        part = slice(rows[0], picture.shape[0])
-        up = np.minimum(rays_up[part], np.float32(-1e-4))
-        height = np.float32(self._height(view)) - np.float32(KERB_HEIGHT_M) * rise[part]
-        reach = -height / up  # along the ray whose depth is 1
-        ray_x, ray_y = (view.rays(axis)[part] for axis in np.eye(3)[:2])
-        x, y = view.center_m[0] + reach * ray_x, view.center_m[1] + reach * ray_y
-        grain = self._grain(x, y, reach, view)
-        soft = cv2.GaussianBlur(shadow[part], (0, 0), 0.8).astype(np.float32) / np.float32(255.0)
-        gain = (1.0 + grain * (0.6 + 0.9 * _green(flat[part]))) * (1.0 - np.float32(_SHADOW) * soft)
-        veil = (1.0 - np.exp(-np.minimum(reach, 4000.0) / np.float32(260.0)))[..., None]
-        colors = flat[part] * (gain[..., None] * (1.0 - veil)) + veil * np.array(haze, np.float32)
-        ground = cv2.convertScaleAbs(colors)
-        below = rays_up[part] < 0
-        picture[part][below] = ground[below]
+        part = slice(int(rows[0]), picture.shape[0])
+        reach = self._reach(view, rise, part)
+        grain = self._grain(view, reach, part) * (0.65 + 0.9 * _green(flat[part]))
+        soft = cv2.GaussianBlur(shadow[part], (0, 0), 0.8).astype(np.float32)
+        gain = (1.0 + grain) * (1.0 - np.float32(_SHADOW / 255.0) * soft)
+        veil = np.float32(_VEIL) * (1.0 - np.exp(reach * np.float32(-1.0 / _VEIL_M)))
+        colors = flat[part] * (gain * (1.0 - veil))[..., None]
+        colors += veil[..., None] * np.array(haze, np.float32)
+        cv2.copyTo(cv2.convertScaleAbs(colors), below[part].view(np.uint8), picture[part])
 
-    def _grain(
-        self, x: FloatPicture, y: FloatPicture, reach: FloatPicture, view: View
-    ) -> FloatPicture:
-        """Texture of the ground, blurred as a pixel covers more of it."""
-        size = 512
-        texel_m = _FINE_M / size
-        footprint = reach / np.float32(view.camera.K[0, 0]) / np.float32(texel_m)
-        footprint *= np.sqrt(np.maximum(reach / np.float32(1.65), 1.0)) * np.float32(0.6)
+    def _reach(self, view: View, rise: NDArray[np.uint8], part: slice) -> FloatPicture:
+        """(h, w) depth of the ground in some rows (m), at most ``_FARTHEST_M``."""
+        height = np.float32(self._height(view)) - np.float32(KERB_HEIGHT_M) * rise[part]
+        reach = height / -np.minimum(self._rays_up(view)[part], np.float32(-1e-5))
+        return np.asarray(np.minimum(reach, np.float32(_FARTHEST_M)), dtype=np.float32)
+
+    def _grain(self, view: View, reach: FloatPicture, part: slice) -> FloatPicture:
+        """(h, w) texture of the ground, blurred as a pixel covers more of it."""
+        # relative to a corner of the tiles near the camera: float32 keeps its precision
+        x, y = (
+            np.float32(view.center_m[i] % _COARSE_M) + reach * view.rays(axis)[part]
+            for i, axis in enumerate(np.eye(3)[:2])
+        )
+        per_metre = np.float32(_TEXELS / _FINE_M)
+        footprint = reach * np.float32(0.6 * per_metre / view.camera.K[0, 0])
+        footprint *= np.sqrt(np.maximum(reach, 1.65) / np.float32(1.65))  # seen at a slant
         level = np.clip(np.log2(np.maximum(footprint, 1.0)), 0.0, len(self._fine) - 1.0)
-        fine = np.zeros_like(x)
-        column, row = _tile(x, _FINE_M, size), _tile(y, _FINE_M, size)
+        grain = np.zeros_like(x)
+        column, row = per_metre * x, per_metre * y
         for i, texture in enumerate(self._fine):
-            weight = np.maximum(1.0 - np.abs(level - i), 0.0)
-            used = np.flatnonzero(weight.any(axis=1))
+            used = np.flatnonzero((np.abs(level - i) < 1.0).any(axis=1))
             if len(used):
                 band = slice(used[0], used[-1] + 1)
-                fine[band] += weight[band] * _look_up(texture, column[band], row[band])
-        coarse = _look_up(self._coarse, _tile(x, _COARSE_M, size), _tile(y, _COARSE_M, size))
-        fade = np.exp(-reach / np.float32(90.0))
-        return np.asarray(0.1 * fine + 0.035 * coarse * fade, dtype=np.float32)
+                weight = np.maximum(1.0 - np.abs(level[band] - i), 0.0)
+                grain[band] += 0.1 * weight * _look_up(texture, column[band], row[band])
+        scale = np.float32(_TEXELS / _COARSE_M)
+        return np.asarray(grain + 0.05 * _look_up(self._coarse, scale * x, scale * y), np.float32)
 
     def _height(self, view: View) -> float:
         """Of the camera above the road's plane, vertically."""
@@ -136,30 +150,63 @@ class Ground:
             yield self._strip(s, side * KERB_M, side * PAVEMENT_M, top), PAVING, 1
         yield self._strip(s, -KERB_M, KERB_M), PARKING, 0
         yield self._strip(s, -LANE_M, LANE_M), ASPHALT, 0
-        yield from self._markings(s, here)
+        for d in (-LANE_M / 2 - 0.75, -LANE_M / 2 + 0.75, LANE_M / 2 - 0.75, LANE_M / 2 + 0.75):
+            yield self._strip(s, d - 0.24, d + 0.24), TRACK, None
+        for side in (-1, 1):
+            d = side * (LANE_M - 0.02)
+            yield self._strip(s, d - 0.05, d + 0.05), PAINT, None
+        for sight, decals in self._decals:
+            for decal in decals:
+                if here - 6.0 < decal.s_m < here + sight:
+                    yield decal.outline_m, decal.color, None
         for side in (-1, 1):
             edge, inner = self._road.at(s, side * KERB_M, 0.0), self._road.at(s, side * KERB_M, top)
             yield np.concatenate([edge, inner[::-1]]), (150, 148, 143), None
             yield self._strip(s, side * KERB_M, side * (KERB_M + 0.14), top), KERB, 1
-        joints = np.arange(np.ceil(here), here + 26.0, 1.0)
-        for side in (-1, 1):
-            for joint in joints:
-                ends = np.array([joint, joint + 0.015])
-                outer = side * (KERB_M + 0.14)
-                yield self._strip(ends, outer, side * PAVEMENT_M, top), JOINT, None
 
-    def _markings(self, s: FloatArray, here: float) -> Iterator[tuple[FloatArray, Color, None]]:
-        """Dashes in the middle, lines along the parking lanes, zebra crossings."""
-        for begin in np.arange(np.floor(here / 6.0) * 6.0 - 6.0, here + 95.0, 6.0):
-            if np.abs(self._crossings - begin - 1.5).min(initial=99.0) > 5.0:
-                yield self._strip(np.linspace(begin, begin + 3.0, 4), -0.06, 0.06), PAINT, None
-        for side in (-1, 1):
-            d = side * (LANE_M - 0.02)
-            yield self._strip(s, d - 0.05, d + 0.05), PAINT, None
-        for crossing in self._crossings[np.abs(self._crossings - here) < 90.0]:
-            along = np.array([crossing - 1.6, crossing + 1.6])
+    def _wear(self, rng: np.random.Generator) -> list[_Decal]:
+        """Mended patches and manholes in the road."""
+        found: list[_Decal] = []
+        for s in np.arange(self._road.s_m[0], self._road.s_m[-1] - 15.0, _WEAR_EVERY_M):
+            begin = float(s + rng.uniform(0.0, _WEAR_EVERY_M))
+            d = rng.uniform(-LANE_M, LANE_M - 1.0)
+            if rng.random() < 0.3:
+                rim, lid = lit(ASPHALT, 0.82), lit(ASPHALT, 0.62)
+                found.append(self._decal(begin, begin + 0.74, d - 0.06, d + 0.68, rim))
+                found.append(self._decal(begin + 0.06, begin + 0.68, d, d + 0.62, lid))
+            else:
+                length, width = rng.uniform((0.8, 0.4), (4.5, 1.1))
+                color = lit(ASPHALT, rng.uniform(0.86, 1.06))
+                found.append(self._decal(begin, begin + length, d, d + width, color))
+        return found
+
+    def _markings(self, rng: np.random.Generator) -> list[_Decal]:
+        """Dashes in the middle of the road, and zebra crossings."""
+        found: list[_Decal] = []
+        first, last = self._road.s_m[0], self._road.s_m[-1]
+        crossings = np.arange(rng.uniform(25.0, 60.0), last - 5.0, _CROSSING_EVERY_M)
+        for begin in np.arange(first, last - 3.0, 6.0):
+            if np.abs(crossings - begin - 1.5).min(initial=99.0) > 5.0:
+                found.append(self._decal(begin, begin + 3.0, -0.06, 0.06, PAINT))
+        for crossing in crossings:
             for d in np.arange(-LANE_M + 0.5, LANE_M - 0.5, 1.0):
-                yield self._strip(along, d, d + 0.5), PAINT, None
+                found.append(self._decal(crossing - 1.6, crossing + 1.6, d, d + 0.5, PAINT))
+        return found
+
+    def _joints(self) -> list[_Decal]:
+        """Between the slabs of the pavements."""
+        found: list[_Decal] = []
+        for s in np.arange(self._road.s_m[0], self._road.s_m[-1] - 1.0, 1.0):
+            for side in (-1, 1):
+                ends = side * (KERB_M + 0.14), side * PAVEMENT_M
+                found.append(self._decal(s, s + 0.015, *ends, JOINT, KERB_HEIGHT_M))
+        return found
+
+    def _decal(
+        self, begin: float, end: float, d0: float, d1: float, color: Color, h: float = 0.0
+    ) -> _Decal:
+        s = np.linspace(begin, end, 2 if end - begin < 2.0 else 4)
+        return _Decal(begin, self._strip(s, d0, d1, h), color)
 
     def _strip(self, s: FloatArray, d0: float, d1: float, h: float = 0.0) -> FloatArray:
         """(2 n, 3) outline of the ground between two lines along the road."""
@@ -177,11 +224,6 @@ def _green(colors: ByteImage) -> FloatPicture:
     return np.asarray(np.clip(green, 0, 60) / np.float32(60.0), dtype=np.float32)
 
 
-def _tile(place_m: FloatPicture, tile_m: float, size: int) -> FloatPicture:
-    """Texel of a place; relative to the first, so that float32 keeps its precision."""
-    return np.asarray((place_m % tile_m) * (size / tile_m), dtype=np.float32)
-
-
 def _look_up(texture: FloatPicture, column: FloatPicture, row: FloatPicture) -> FloatPicture:
     found = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return np.asarray(found, dtype=np.float32)
@@ -189,6 +231,6 @@ def _look_up(texture: FloatPicture, column: FloatPicture, row: FloatPicture) -> 
 
 def _blur_tile(texture: FloatPicture, sigma: float) -> FloatPicture:
     """Blurred as if it were repeated."""
-    frequency = np.hypot(np.fft.fftfreq(512)[:, None], np.fft.rfftfreq(512)[None, :])
+    frequency = np.hypot(np.fft.fftfreq(_TEXELS)[:, None], np.fft.rfftfreq(_TEXELS)[None, :])
     kernel = np.exp(-2.0 * (np.pi * frequency * sigma) ** 2)
-    return np.fft.irfft2(np.fft.rfft2(texture) * kernel, texture.shape).astype(np.float32)
+    return np.asarray(np.fft.irfft2(np.fft.rfft2(texture) * kernel, texture.shape), np.float32)

@@ -5,7 +5,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from semviz_core.arrays import ByteImage
+from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street import textures
 from semviz_core.sources.street.furniture import paint_standing, standing_in_order
 from semviz_core.sources.street.ground import Ground
@@ -28,11 +28,15 @@ class Painter:
     def paint(self, view: View) -> ByteImage:
         """(height, width, 3) sRGB."""
         picture = self._paint_sky(view)
-        self._ground.paint(picture, view, shadows(self._layout, view), HAZE)
+        self._ground.paint(picture, view, self._shadows, HAZE)
         self._scenery.paint(picture, view)
         for thing in standing_in_order(self._layout, view):
             paint_standing(picture, view, thing, self._layout.sun, HAZE)
         return picture
+
+    @cached_property
+    def _shadows(self) -> list[FloatArray]:
+        return shadows(self._layout)
 
     @cached_property
     def _sky(self) -> FloatPicture:

@@ -13,6 +13,7 @@ from semviz_core.sources.street.things import UP, Color, Hedge, House, Tree
 from semviz_core.sources.street.view import View
 
 _SIGHT_M = 150.0
+_DETAIL_M = 50.0
 _EAVES_M = 0.45
 _CROWN = ((0.22, 1.0, 0.0), (0.0, 0.86, 0.03), (-0.2, 0.66, 0.1))
 """Of a crown's pictures: how far back (widths), how large, how much higher (heights)."""
@@ -83,7 +84,7 @@ class Scenery:
             texture = self._leaves[int(hedge.height_m * 100) % len(self._leaves)]
         rise, along = hedge.height_m * UP, hedge.end_m - hedge.begin_m
         distance = view.distance((hedge.begin_m + hedge.end_m) / 2)
-        if along @ (hedge.begin_m - view.center_m) > 0:
+        if distance < _DETAIL_M and along @ (hedge.begin_m - view.center_m) > 0:
             air = air_at(distance, self._haze, 0.85 * self._light(-along))
             stamp(picture, view, texture, hedge.begin_m + rise, hedge.depth_m, -rise, air)
         top = [hedge.begin_m + rise, hedge.end_m + rise]
@@ -94,7 +95,7 @@ class Scenery:
         stamp(picture, view, texture, hedge.begin_m + rise, along, -rise, air)
 
     def _paint_tree(self, picture: ByteImage, view: View, tree: Tree) -> None:
-        """A trunk, and three pictures of a crown one behind the other."""
+        """A trunk, and up to three pictures of a crown one behind the other."""
         if view.depth(tree.root_m) < 1.0:
             return
         distance = view.distance(tree.root_m)
@@ -109,7 +110,8 @@ class Scenery:
         back = back if back @ view.T_map_camera.rotation[:, 2] > 0 else -back
         right = np.cross(back, UP)
         base = tree.root_m + tree.trunk_m * UP
-        for i, (offset, size, lift) in enumerate(_CROWN):
+        pieces = _CROWN if distance < _DETAIL_M else _CROWN[:1]
+        for i, (offset, size, lift) in enumerate(pieces):
             crown = self._crowns[(tree.sprite + i * (1 + tree.sprite // 7)) % len(self._crowns)]
             middle = base + offset * width * back + (0.5 + lift) * height * UP
             middle = middle + (0.12 * (i - 1)) * width * right

@@ -8,37 +8,28 @@ from semviz_core.sources.street import cars
 from semviz_core.sources.street.layout import Layout
 from semviz_core.sources.street.road import Road
 from semviz_core.sources.street.things import UP, Tree
-from semviz_core.sources.street.view import View
-
-_REACH_M = 60.0
 
 
-def shadows(layout: Layout, view: View) -> list[FloatArray]:
-    """Polygons (k, 3) on the ground, of everything within reach."""
+def shadows(layout: Layout) -> list[FloatArray]:
+    """Polygons (k, 3) on the ground, of everything on a street."""
     solids: list[FloatArray] = []
     for pole in layout.poles:
-        if view.distance(pole.bottom_m) < _REACH_M:
-            solids.append(_rod(pole.bottom_m, pole.peak_m, pole.radius_m, layout.sun))
-            if pole.arm_m.any():
-                solids.append(_rod(pole.peak_m, pole.peak_m + pole.arm_m, 0.06, layout.sun))
+        solids.append(_rod(pole.bottom_m, pole.peak_m, pole.radius_m, layout.sun))
+        if pole.arm_m.any():
+            solids.append(_rod(pole.peak_m, pole.peak_m + pole.arm_m, 0.06, layout.sun))
     for sign in layout.signs:
-        if view.distance(sign.middle_m) < _REACH_M:
-            right, up = sign.right_m, sign.up_m
-            corners = np.array([-right - up, right - up, right + up, up - right])
-            solids.append(sign.middle_m + corners)
+        right, up = sign.right_m, sign.up_m
+        corners = np.array([-right - up, right - up, right + up, up - right])
+        solids.append(sign.middle_m + corners)
     for car in layout.cars:
-        if view.distance(car.middle_m) < _REACH_M:
-            low = cars.footprint(car)
-            roof = 0.75 * low + 0.25 * car.middle_m + 1.4 * UP
-            solids.append(np.concatenate([low, low + 0.8 * UP, roof]))
-    for tree in layout.trees:
-        if view.distance(tree.root_m) < _REACH_M:
-            solids.append(_crown(tree))
+        low = cars.footprint(car)
+        roof = 0.75 * low + 0.25 * car.middle_m + 1.4 * UP
+        solids.append(np.concatenate([low, low + 0.8 * UP, roof]))
+    solids += [_crown(tree) for tree in layout.trees]
     for hedge in layout.hedges:
-        if view.distance(hedge.begin_m) < _REACH_M:
-            ends = np.array([hedge.begin_m, hedge.end_m])
-            base = np.concatenate([ends, ends + hedge.depth_m])
-            solids.append(np.concatenate([base, base + hedge.height_m * UP]))
+        ends = np.array([hedge.begin_m, hedge.end_m])
+        base = np.concatenate([ends, ends + hedge.depth_m])
+        solids.append(np.concatenate([base, base + hedge.height_m * UP]))
     for house in layout.houses:
         corners = house.corner_m + np.array([0 * UP, house.front_m])
         ridge = corners + 0.5 * house.depth_m + (house.height_m + house.roof_m) * UP

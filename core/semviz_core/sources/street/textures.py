@@ -23,12 +23,20 @@ _LEAVES: tuple[Color, ...] = ((86, 120, 52), (104, 134, 60), (70, 104, 56), (122
 
 
 def noise(
-    rng: np.random.Generator, shape: tuple[int, int], falloff: float, stretch: float = 1.0
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    falloff: float,
+    stretch: float = 1.0,
+    lowest: float = 1.0,
 ) -> FloatPicture:
-    """Tileable noise of mean 0 and standard deviation 1; the spectrum falls as 1/f^falloff."""
-    fy = np.fft.fftfreq(shape[0])[:, None] * shape[0] * stretch
+    """Tileable noise of mean 0 and standard deviation 1.
+
+    Its spectrum falls as 1/f^falloff from ``lowest`` cycles per width on; ``stretch`` makes it
+    longer along the rows.
+    """
+    fy = np.fft.fftfreq(shape[0])[:, None] * shape[1] / stretch
     fx = np.fft.rfftfreq(shape[1])[None, :] * shape[1]
-    frequency = np.hypot(fx, fy)
+    frequency = np.maximum(np.hypot(fx, fy), lowest)
     frequency[0, 0] = np.inf
     spectrum = np.fft.rfft2(rng.standard_normal(shape)) / frequency**falloff
     field = np.fft.irfft2(spectrum, shape)
@@ -47,8 +55,8 @@ def sky(rng: np.random.Generator, haze: Color) -> FloatPicture:
     zenith = np.array(mixed((84, 138, 205), (110, 160, 212), rng.random()), np.float32)
     colors = np.array(haze, np.float32) * (1 - rise) + zenith * rise
     colors = np.broadcast_to(colors, (height, width, 3)).copy()
-    puffs = noise(rng, (height, width), 1.75, 2.4) + 0.1 * noise(rng, (height, width), 1.0)
-    cover = rng.uniform(0.15, 0.75)
+    puffs = noise(rng, (height, width), 1.6, 2.6, 12.0)
+    cover = rng.uniform(0.1, 0.7)
     clouds = np.clip((puffs - cover) / 1.3, 0.0, 1.0)[..., None]
     shade = cv2.GaussianBlur(np.roll(clouds[..., 0], 9, axis=0), (0, 0), 6)[..., None]
     white = np.array((252, 252, 252), np.float32) - shade * np.array((34, 30, 24), np.float32)
@@ -64,10 +72,10 @@ def _far_woods(
     """Hills and tree lines at the horizon, the nearer the darker."""
     width = colors.shape[1]
     step = float(elevation[0, 0] - elevation[1, 0])
-    for share, height, rough, falloff in ((0.62, 0.034, 0.012, 1.6), (0.42, 0.016, 0.007, 1.05)):
-        crest = height + rough * noise(rng, (1, width), falloff)
+    for share, height, rough, falloff in ((0.66, 0.030, 0.012, 1.5), (0.46, 0.012, 0.006, 0.8)):
+        crest = height + rough * noise(rng, (1, width), falloff, lowest=10.0)
         cover = np.clip((crest - elevation) / step + 0.5, 0.0, 1.0)[..., None]
-        leaves = 1.0 + 0.08 * noise(rng, (elevation.shape[0], width), 0.7)[..., None]
+        leaves = 1.0 + 0.05 * noise(rng, (elevation.shape[0], width), 0.5)[..., None]
         color = np.array(mixed((76, 98, 62), haze, share), np.float32)
         colors += cover * (color * leaves - colors)
 

@@ -19,7 +19,7 @@ _MEMORY_M = 7.0
 def drive(road: Road, options: StreetOptions, seed: int) -> list[Pose]:
     """True ``T_map_camera`` of each frame: in the right lane, with the benchmark's deviations."""
     rng = np.random.default_rng([seed, 1])
-    s = np.arange(options.frames) * options.spacing_m
+    s: FloatArray = np.arange(options.frames, dtype=np.float64) * options.spacing_m
     sigmas = (LATERAL_SIGMA_M, HEIGHT_SIGMA_M, ATTITUDE_SIGMA_RAD, YAW_SIGMA_RAD)
     lateral, height, pitch, yaw = (sigma * _wander(rng, options) for sigma in sigmas)
     roll = ATTITUDE_SIGMA_RAD * _wander(rng, options)

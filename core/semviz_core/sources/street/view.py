@@ -44,15 +44,21 @@ class View:
     def polygon(self, points_m: FloatArray) -> FloatArray | None:
         """(k, 2) pixels of a polygon (n, 3), cut at the near plane; None where out of sight."""
         points = self.T_camera_map.apply(points_m)
-        ahead = points[:, 2] > NEAR_M
-        if not ahead.any():
+        depth = points[:, 2]
+        if depth.min() <= NEAR_M:
+            if depth.max() <= NEAR_M:
+                return None
+            points = _cut(points, depth > NEAR_M)
+            depth = points[:, 2]
+        camera = self.camera
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        pixels = np.empty((len(points), 2))
+        u, v = pixels.T
+        u[:] = points[:, 0] * (fx / depth) + cx
+        v[:] = points[:, 1] * (fy / depth) + cy
+        if u.max() < -1 or v.max() < -1 or u.min() > camera.width or v.min() > camera.height:
             return None
-        if not ahead.all():
-            points = _cut(points, ahead)
-        pixels = points[:, :2] / points[:, 2:] @ self.camera.K[:2, :2].T + self.camera.K[:2, 2]
-        (left, top), (right, bottom) = pixels.min(axis=0), pixels.max(axis=0)
-        sight = right > -1 and bottom > -1 and left < self.camera.width and top < self.camera.height
-        return pixels if sight else None
+        return pixels
 
     def plane(self, origin_m: FloatArray, right_m: FloatArray, down_m: FloatArray) -> FloatArray:
         """(3, 3) homography to pixels from (u, v, 1), the point ``origin + u right + v down``."""
