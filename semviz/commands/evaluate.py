@@ -7,6 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from semviz.commands.parsing import OptionalPath
+from semviz_core.errors import SemvizError
 
 
 @dataclass(frozen=True)
@@ -21,19 +22,22 @@ class Evaluate:
     """Write one row a frame to this file as well."""
 
     def run(self) -> int:
+        from semviz.measure import summarize_run, write_csv
         from semviz.recording.reader import load_run
-        from semviz.summary import summarize_run, write_csv
-        from semviz_core.errors import SemvizError
 
         if not self.runs:
             raise SemvizError("name at least one run, such as town/runs/first.rrd")
-        loaded = [(path, load_run(path)) for path in self.runs]
-        summaries = [(path, summarize_run(run)) for path, run in loaded]
+        loaded = [load_run(path) for path in self.runs]
+        summaries = [summarize_run(run) for run in loaded]
         if self.csv is not None:
             write_csv(loaded, self.csv)
         if self.json:
-            rows = [{"run": str(path), **summary.as_dict()} for path, summary in summaries]
+            rows = [
+                {"run": str(path), **one.as_json()}
+                for path, one in zip(self.runs, summaries, strict=True)
+            ]
             print(json.dumps(rows[0] if len(rows) == 1 else {"runs": rows}))
         else:
-            print("\n\n".join(f"{path}\n{summary.as_text()}" for path, summary in summaries))
+            for path, run, one in zip(self.runs, loaded, summaries, strict=True):
+                print(f"{path}  {run.note}\n{one.as_text()}\n")
         return 0

@@ -44,6 +44,7 @@ class New:
         else:
             assert self.simulate is not None
             made = Workspace.create_street(self.folder, self.simulate, frames)
+            save_map(made.source.truth_map, made.map_path("truth"))
         print(f"{made.path}: {len(made.source.frames)} frames, {made.source.map_frame.name}")
         print(f"next: semviz annotate {self.folder}")
         return 0
