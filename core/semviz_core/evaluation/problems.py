@@ -42,6 +42,8 @@ class Difficulty:
     """Exact distance of the fix from the truth instead of a random one."""
     with_gravity: bool = True
     crop_m: float = 50.0
+    elements: int = 60
+    """Poles along 150 m of road; signs come on top."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ def make_problem(seed: int, difficulty: Difficulty | None = None) -> Problem:
     level = difficulty or Difficulty()
     rng = np.random.default_rng(seed)
     T_camera_map = _camera_pose(rng)
-    world = _street(rng)
+    world = _street(level, rng)
     mapped, moved = _mapped(world, level, rng)
     observed, seen = _observed(world, T_camera_map, level, rng)
     prior = _prior(T_camera_map, level, rng)
@@ -91,9 +93,9 @@ def _camera_pose(rng: np.random.Generator) -> Pose:
     return (T_map_level @ Pose(axes, np.zeros(3)) @ tilt).inverse()
 
 
-def _street(rng: np.random.Generator) -> Elements3D:
+def _street(level: Difficulty, rng: np.random.Generator) -> Elements3D:
     """Posts, lamps and others on both sides, with signs on most posts; the true world."""
-    count = 60
+    count = level.elements
     x = rng.uniform(-75.0, 75.0, count)
     side = rng.choice([-1.0, 1.0], count)
     y = _road_y(x) + side * rng.uniform(3.5, 9.0, count)

@@ -85,7 +85,7 @@ def one_to_one(gain: FloatArray) -> tuple[IntArray, FloatArray]:
     left = gain.copy()
     match = np.full((b, m), -1, dtype=np.int64)
     chosen = np.zeros((b, m))
-    if n == 0:
+    if not gain.size:
         return match, chosen
     batch = np.arange(b)
     for _ in range(m):

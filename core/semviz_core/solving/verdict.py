@@ -1,0 +1,50 @@
+"""Whether a pose can be relied on, and in which words."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_core.localization import Status
+from semviz_core.solving.refine import NEEDED_PAIRS, Refined
+from semviz_core.solving.search import Modes, apart
+
+AMBIGUOUS_NATS = 6.0
+"""Another pose within this of the best makes the answer ambiguous. See bench/localize.py."""
+LEAST_SHARE = 0.5
+"""Share of the elements seen that must fit: a wrong place explains a few by chance, seldom half."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    status: Status
+    reason: str
+    """One sentence with numbers."""
+
+
+def judge(modes: Modes, refined: Refined, seen: int) -> Verdict:
+    """Judge the refined best of ``modes`` for an image with ``seen`` elements."""
+    fitting = int(refined.refinement.inlier.sum())
+    if fitting < NEEDED_PAIRS:
+        return Verdict("cannot", f"{fitting} of {seen} elements fit, {NEEDED_PAIRS} needed.")
+    if fitting < LEAST_SHARE * seen:
+        return Verdict(
+            "cannot",
+            f"Only {fitting} of {seen} elements fit the best pose; "
+            f"{int(np.ceil(LEAST_SHARE * seen))} needed.",
+        )
+    T = refined.T_camera_map
+    away, angle = apart(T.rotation, T.translation, modes.rotation, modes.translation)
+    gap = modes.score[0] - modes.score
+    rivals = int((gap < AMBIGUOUS_NATS).sum())
+    if rivals > 1:
+        first, second = modes.score[:2]
+        count = "Two" if rivals == 2 else str(rivals)
+        between = f"{away[1]:.1f} m" if away[1] > 0.05 else f"{np.rad2deg(angle[1]):.1f} deg"
+        which = "" if rivals == 2 else "the first two "
+        return Verdict(
+            "ambiguous",
+            f"{count} poses fit: scores {first:.1f} and {second:.1f}, {which}{between} apart.",
+        )
+    sigma = float(np.sqrt(np.trace(refined.covariance[:3, :3])))
+    next_best = f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
+    return Verdict("ok", f"{fitting} of {seen} elements fit, {sigma:.2f} m{next_best}.")
