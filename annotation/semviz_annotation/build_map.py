@@ -160,11 +160,11 @@ def _note_unpaired(labels: Labels, posed: dict[int, Pose], notes: _Notes) -> Non
 
 
 def _by_element(sightings: Iterable[Sighting]) -> list[list[Sighting]]:
-    """Together what the annotator gave to one label element."""
-    groups: dict[str, list[Sighting]] = {}
+    """Together what the annotator gave to one label element; by number."""
+    groups: dict[int, list[Sighting]] = {}
     for one in sightings:
-        groups.setdefault(one.element.id, []).append(one)
-    return list(groups.values())
+        groups.setdefault(one.element.number, []).append(one)
+    return [groups[number] for number in sorted(groups)]
 
 
 def _merge(

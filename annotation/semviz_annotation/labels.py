@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
@@ -83,12 +83,26 @@ Row: TypeAlias = LabelElement | Observation | Review
 Key: TypeAlias = tuple[type[Row], str | int]
 
 
+def _row_tag(row: object) -> str:
+    """Which row it is, parsed or not, so that what is wrong in it is reported as of that row."""
+    names = row if isinstance(row, dict) else vars(row) if isinstance(row, Row) else {}
+    return "review" if "state" in names else "element" if "number" in names else "observation"
+
+
+_Tagged: TypeAlias = Annotated[
+    Annotated[LabelElement, Tag("element")]
+    | Annotated[Observation, Tag("observation")]
+    | Annotated[Review, Tag("review")],
+    Discriminator(_row_tag),
+]
+
+
 @dataclass(frozen=True)
 class Change:
     """One row before and after; None where it did not exist. Its inverse swaps the two."""
 
-    before: Row | None
-    after: Row | None
+    before: _Tagged | None
+    after: _Tagged | None
 
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 

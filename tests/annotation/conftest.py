@@ -1,6 +1,5 @@
 """A small world with exact labels, and random edits."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,7 +33,7 @@ class World:
         )
     )
     count: int = 5
-    map_frame: MapFrame = MapFrame("world")
+    map_frame: MapFrame = field(default_factory=lambda: MapFrame("world"))
 
     @property
     def frames(self) -> tuple[Frame, ...]:
@@ -76,7 +75,8 @@ class World:
         return Labels.from_rows([one for one in elements.values() if one.id in seen] + rows)
 
 
-def street() -> World:
+@pytest.fixture
+def world() -> World:
     """Two poles and two signs of different classes, well apart."""
     return World(
         {
@@ -89,12 +89,7 @@ def street() -> World:
 
 
 @pytest.fixture
-def world() -> World:
-    return street()
-
-
-@pytest.fixture
-def make_world() -> Callable[..., World]:
+def make_world() -> type[World]:
     return World
 
 

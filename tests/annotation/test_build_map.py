@@ -1,49 +1,248 @@
 """Maps from labels."""
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from semviz_annotation.build_map import BuildOptions, build_map
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.edits import DeleteObservation, Link, Rules
+from semviz_annotation.labels import LabelElement, Labels, Observation, Row, new_id
+from semviz_annotation.observe import UNKNOWN, observe
 from semviz_core.errors import SemvizError
 from semviz_core.map_file import load_map, save_map
-from semviz_core.semantic_map import MapFrame
+
+POLE = (np.array([20.0, 5.0, 4.0]), np.array([20.0, 5.02, 0.4]))
+SIGN = np.array([22.0, -4.0, 2.4])
 
 
 def split_by_frame(labels: Labels) -> Labels:
-    """The same labels without identity over frames: each frame has elements of its own."""
-    from semviz_annotation.labels import LabelElement, new_id
-
-    rows: list = []
-    number = labels.next_number
+    """The same without identity over frames: each stereo pair is an element of its own."""
+    rows: list[Row] = []
+    number = 100
     for index in labels.frames:
-        new = {}
+        new: dict[str, LabelElement] = {}
         for row in labels.in_frame(index):
             if row.element_id not in new:
-                old = labels.element(row.element_id)
-                new[row.element_id] = LabelElement(new_id(), number, old.class_id)
+                class_id = labels.element(row.element_id).class_id
+                new[row.element_id] = LabelElement(new_id(), number, class_id)
                 number += 1
             rows.append(replace(row, element_id=new[row.element_id].id))
         rows += new.values()
     return Labels.from_rows(rows)
 
 
-def test_exact_labels_give_the_exact_map(world):
-    labels = world.labels()
+def rebuilt(labels: Labels, rows: Iterable[Row]) -> Labels:
+    return Labels.from_rows([*labels.elements.values(), *rows], operation=labels.operation)
+
+
+def test_exact_labels_give_the_exact_map(world, tmp_path):
+    labels = replace(world.labels(), operation=42)
     semantic_map, report = build_map(labels, world)
-    assert list(semantic_map.elements.id) == [3, 4, 7, 9]
-    for row, number in enumerate(semantic_map.elements.id):
-        kind, anchor, end = world.things[number]
-        assert semantic_map.elements.class_id[row] == kind
-        assert np.allclose(semantic_map.elements.anchor_m[row], anchor, atol=1e-6)
+    elements = semantic_map.elements
+    assert list(elements.id) == [3, 4, 7, 9]
+    for row, number in enumerate(elements.id):
+        class_id, anchor, end = world.things[number]
+        assert elements.class_id[row] == class_id
+        assert np.allclose(elements.anchor_m[row], anchor, atol=1e-6)
+        assert np.array_equal(np.isfinite(elements.end_m[row]), [end is not None] * 3)
         if end is not None:
-            assert np.allclose(semantic_map.elements.end_m[row], end, atol=1e-6)
-        else:
-            assert np.isnan(semantic_map.elements.end_m[row]).all()
-    assert report.rejected == () and report.merged == ()
-    assert semantic_map.frame == MapFrame("world")
-    assert semantic_map.trajectory_m.shape == (world.count, 3)
-    print(report, semantic_map.made_by)
+            assert np.allclose(elements.end_m[row], end, atol=1e-6)
+    assert report.pairs == sum(len(list(labels.pairs(index))) for index in labels.frames)
+    assert report.rejected == report.merged == report.kept_apart == ()
+    assert semantic_map.frame == world.map_frame
+    assert np.allclose(semantic_map.trajectory_m[:, 0], 2.0 * np.arange(world.count))
+    assert semantic_map.operation == 42
+    assert semantic_map.provenance[0].label_ids == (
+        next(one.id for one in labels.elements.values() if one.number == 3),
+    )
+    assert set(semantic_map.provenance[0].observation_ids) <= labels.observations.keys()
+    save_map(semantic_map, tmp_path / "m.parquet")
+    assert load_map(tmp_path / "m.parquet").digest == semantic_map.digest
+
+
+def test_covariances_hold_and_fusing_beats_single_pairs(world):
+    normalized, single = [], []
+    for seed in range(40):
+        labels = world.labels(sigma_px=0.5, seed=seed)
+        options = BuildOptions(sigma_px=0.5)
+        fused = build_map(labels, world, options)[0].elements
+        first = build_map(labels, world, options, frames=[0])[0].elements
+        for elements, errors in ((fused, normalized), (first, single)):
+            row = list(elements.id).index(7)
+            error = elements.anchor_m[row] - world.things[7][1]
+            errors.append(error @ np.linalg.solve(elements.covariance_m2[row, :3, :3], error))
+            if elements is fused:
+                far = np.trace(first.covariance_m2[list(first.id).index(7)])
+                assert np.trace(elements.covariance_m2[row]) < 0.5 * far
+    assert 2.0 < np.mean(normalized) < 4.5  # chi2 with 3 degrees of freedom
+    assert 2.0 < np.mean(single) < 4.5
+
+
+def test_dbscan_merges_what_has_no_identity(world):
+    labels = split_by_frame(world.labels(sigma_px=0.2))
+    semantic_map, report = build_map(labels, world)
+    assert len(semantic_map) == len(world.things)
+    assert len(report.merged) == len(world.things)
+    assert semantic_map.elements.id[0] == 100
+    for one, row in zip(semantic_map.provenance, semantic_map.elements.id, strict=True):
+        numbers = sorted(labels.element(label_id).number for label_id in one.label_ids)
+        assert numbers[0] == row
+        assert len(numbers) == world.count
+    apart, _ = build_map(labels, world, BuildOptions(eps_m=1e-6))
+    assert len(apart) == world.count * len(world.things)
+
+
+def test_ids_stay_over_rebuilds_and_links(world):
+    labels = split_by_frame(world.labels(sigma_px=0.2))
+    before, _ = build_map(labels, world)
+    by_number = {one.number: one.id for one in labels.elements.values()}
+    first, second = sorted(labels.element(i).number for i in before.provenance[0].label_ids)[:2]
+    edit = Link(by_number[second], by_number[first])
+    after, _ = build_map(labels.changed(edit.changes(labels, Rules())), world)
+    assert np.array_equal(after.elements.id, before.elements.id)
+
+
+def test_given_identity_is_kept_however_far_apart(world):
+    """Metres of noise in depth: DBSCAN alone tears the pairs apart, the annotator does not."""
+    far = replace(world, things={1: (1, np.array([55.0, 3.0, 3.0]), None)})
+    labels = far.labels(sigma_px=1.0)
+    semantic_map, _ = build_map(labels, far)
+    assert list(semantic_map.elements.id) == [1]
+    assert len(build_map(split_by_frame(labels), far)[0]) > 1
+
+
+@pytest.mark.parametrize("frames", [None, [0, 1]])
+def test_what_one_image_shows_twice_is_two_things(make_world, frames):
+    twins = make_world(
+        {
+            1: (1, SIGN, None),
+            2: (1, SIGN + np.array([0.0, 0.0, 0.6]), None),
+            3: (0, *POLE),
+            4: (0, POLE[0] + [0.0, 0.5, 0.0], POLE[1] + [0.0, 0.5, 0.0]),
+        }
+    )
+    labels = twins.labels()
+    semantic_map, report = build_map(labels, twins, frames=frames)
+    assert list(semantic_map.elements.id) == [1, 2, 3, 4]
+    assert set(report.kept_apart) == {("T-01", "T-02"), ("P-03", "P-04")}
+    assert "kept apart: T-01 and T-02 are seen in the same image" in str(report)
+    torn, _ = build_map(split_by_frame(labels), twins)
+    assert len(torn) == 4
+    assert all(len(one.label_ids) == twins.count for one in torn.provenance)
+
+
+def test_seen_together_in_an_unused_frame_still_counts(make_world):
+    twins = make_world({1: (1, SIGN, None), 2: (1, SIGN + np.array([0.0, 0.0, 0.3]), None)})
+    labels = twins.labels()
+    kept = [
+        row
+        for row in labels.observations.values()
+        if row.frame_index == 4
+        or (row.frame_index == 0) == (labels.element(row.element_id).number == 1)
+    ]
+    labels = rebuilt(labels, kept)
+    assert len(build_map(labels, twins, frames=[0, 1])[0]) == 2
+    unseen = rebuilt(labels, [row for row in kept if row.frame_index != 4])
+    assert len(build_map(unseen, twins, frames=[0, 1])[0]) == 1
+
+
+def test_an_end_hidden_in_some_views_comes_from_the_others(make_world):
+    world = make_world({1: (0, *POLE)})
+    labels = world.labels()
+
+    def hidden(row: Observation) -> Observation:
+        halfway = tuple(np.mean([row.anchor_px, row.end_px], axis=0))
+        return replace(row, end_px=halfway, end_known=False)
+
+    rows = labels.observations.values()
+    some = rebuilt(labels, [hidden(row) if row.frame_index else row for row in rows])
+    elements = build_map(some, world)[0].elements
+    assert np.allclose(elements.end_m[0], POLE[1], atol=1e-3)
+    assert elements.end_known[0]
+    nowhere = rebuilt(labels, [hidden(row) for row in rows])
+    elements = build_map(nowhere, world)[0].elements
+    assert not elements.end_known[0]
+    assert 1.5 < elements.end_m[0, 2] < 2.7
+    assert np.linalg.norm(elements.end_m[0, :2] - POLE[1][:2]) < 0.05
+    assert np.linalg.eigvalsh(elements.covariance_m2[0]).max() < 1.0
+
+
+def test_min_points_drops_what_too_few_pairs_show(world):
+    labels = split_by_frame(world.labels(sigma_px=0.1))
+    lonely = replace(world, things={1: (2, np.array([15.0, -3.0, 3.0]), None)}, count=1).labels()
+    both = Labels.from_rows(
+        [
+            row
+            for one in (labels, lonely)
+            for row in [*one.elements.values(), *one.observations.values()]
+        ]
+    )
+    assert len(build_map(both, world)[0]) == 5
+    semantic_map, report = build_map(both, world, BuildOptions(min_points=2))
+    assert len(semantic_map) == 4
+    assert report.rejected == ("R-01: fewer than 2 stereo pairs within 1.0 m",)
+
+
+def test_what_cannot_be_placed_is_reported_by_name(world):
+    labels = world.labels()
+    rows = []
+    for row in labels.observations.values():
+        number = labels.element(row.element_id).number
+        if number == 7 and row.side == "right":
+            row = replace(row, anchor_px=(row.anchor_px[0] + 60.0, row.anchor_px[1]))
+        if number != 9 or row.side == "left":
+            rows.append(row)
+    semantic_map, report = build_map(rebuilt(labels, rows), world)
+    assert list(semantic_map.elements.id) == [3, 4]
+    assert report.rejected[0].startswith("T-07 in frame 0: the rays meet behind the camera")
+    assert report.rejected[-1] == "O-09: never labelled in both images of a frame"
+    assert len(report.rejected) == world.count + 1
+
+
+def test_bad_input_is_one_line(world):
+    labels = world.labels()
+    frames = world.frames
+
+    class Broken:
+        map_frame, rig = world.map_frame, world.rig
+        frames = (replace(world.frames[0], T_map_camera=None), *world.frames[1:])
+
+    with pytest.raises(SemvizError, match="frame 0 is labelled but has no pose"):
+        build_map(labels, Broken())
+    assert len(build_map(labels, Broken(), frames=range(1, 5))[0]) == 4
+    Broken.frames = frames[:2]
+    with pytest.raises(SemvizError, match="frame 2 is labelled but not in this sequence"):
+        build_map(labels, Broken())
+    for nothing in (Labels(), labels):
+        with pytest.raises(SemvizError, match="no element is labelled in both images"):
+            build_map(nothing, world, frames=[77])
+    gone = labels
+    for row in labels.observations.values():
+        if row.side == "right":
+            gone = gone.changed(DeleteObservation(row.id).changes(gone, Rules()))
+    with pytest.raises(SemvizError, match="no element is labelled in both images"):
+        build_map(gone, world)
+    with pytest.raises(SemvizError, match="nothing could be triangulated; the first of all: "):
+        build_map(labels, world, BuildOptions(min_angle_deg=80.0))
+    with pytest.raises(SemvizError, match="eps_m must be positive"):
+        BuildOptions(eps_m=0.0)
+
+
+def test_observing_labels_gives_elements_and_the_ids_they_should_match(world):
+    labels = world.labels()
+    semantic_map, _ = build_map(split := split_by_frame(labels), world)
+    for side in ("left", "right"):
+        elements, ids = observe(split, 2, side, semantic_map, sigma_px=0.7)
+        rows = split.in_frame(2, side)
+        assert len(elements) == len(rows) == 4
+        assert [tuple(px) for px in elements.anchor_px] == [row.anchor_px for row in rows]
+        assert (elements.sigma_px == 0.7).all()
+        assert np.array_equal(elements.end_known, elements.is_line)
+        by_id = dict(zip(semantic_map.elements.id, semantic_map.elements.class_id, strict=True))
+        assert [by_id[one] for one in ids] == list(elements.class_id)
+        assert len(set(ids)) == 4
+    assert list(observe(labels, 2, "left", semantic_map)[1]) == [UNKNOWN] * 4
+    assert list(observe(labels, 2)[1]) == [UNKNOWN] * 4
+    assert len(observe(labels, 99)[0]) == 0

@@ -1,0 +1,218 @@
+"""Edits: what they do, what they refuse, how they are read."""
+
+from dataclasses import replace
+
+import pytest
+
+from semviz_annotation.edits import (
+    AddObservation,
+    DeleteElement,
+    DeleteObservation,
+    Link,
+    MoveObservation,
+    ReviewFrame,
+    Rules,
+    SetClass,
+    SetKnown,
+    SwapEnds,
+    Unlink,
+    edit_from_json,
+    edit_to_json,
+)
+from semviz_annotation.labels import Labels, new_id
+from semviz_core.errors import SemvizError
+
+RULES = Rules()
+
+
+def after(labels: Labels, *edits) -> Labels:
+    for edit in edits:
+        labels = labels.changed(edit.changes(labels, RULES))
+    return labels
+
+
+def pole(frame: int = 0, side: str = "left", **more) -> AddObservation:
+    values = {
+        "observation_id": new_id(),
+        "element_id": new_id(),
+        "frame_index": frame,
+        "side": side,
+        "anchor_px": (100.0, 50.0),
+        "end_px": (101.0, 200.0),
+        "class_id": 0,
+    }
+    return AddObservation(**(values | more))
+
+
+def sign(**more) -> AddObservation:
+    return pole(**({"end_px": None, "class_id": 1} | more))
+
+
+def partner(first: AddObservation) -> AddObservation:
+    return replace(first, observation_id=new_id(), side="right", class_id=None)
+
+
+def test_one_element_is_labelled_in_both_images_and_over_frames():
+    first = pole()
+    labels = after(Labels(), first, partner(first), replace(partner(first), frame_index=1))
+    labels = after(labels, pole(frame=1))
+    (pair,) = labels.pairs(0)
+    assert pair.element.id == first.element_id
+    assert (pair.left.side, pair.right.side) == ("left", "right")
+    assert list(labels.pairs(1)) == []
+    assert [len(labels.in_frame(0)), len(labels.in_frame(1, "right"))] == [2, 1]
+    assert len(labels.of_element(first.element_id)) == 3
+    assert labels.find(first.element_id, 1, "left") is None
+    assert labels.find(first.element_id, 0, "right") == pair.right
+    assert labels.frames == (0, 1)
+    assert [one.number for one in labels.elements.values()] == [1, 2]
+
+
+def test_numbers_are_never_used_again():
+    first, second = pole(), pole(frame=1)
+    labels = after(Labels(), first, second, DeleteElement(second.element_id), pole(frame=2))
+    assert sorted(one.number for one in labels.elements.values()) == [1, 3]
+
+
+def test_moving_swapping_and_hiding():
+    one = pole()
+    labels = after(Labels(), one, MoveObservation(one.observation_id, end_px=(5.0, 6.0)))
+    assert labels.observation(one.observation_id).anchor_px == one.anchor_px
+    assert labels.observation(one.observation_id).end_px == (5.0, 6.0)
+    labels = after(labels, SetKnown(one.observation_id, end_known=False))
+    assert labels.observation(one.observation_id).anchor_known
+    labels = after(labels, SwapEnds(one.observation_id))
+    swapped = labels.observation(one.observation_id)
+    assert (swapped.anchor_px, swapped.end_px) == ((5.0, 6.0), one.anchor_px)
+    assert (swapped.anchor_known, swapped.end_known) == (False, True)
+    assert after(labels, SwapEnds(one.observation_id), SwapEnds(one.observation_id)) == labels
+
+
+def test_the_last_observation_takes_its_element_along():
+    one = pole()
+    labels = after(Labels(), one, partner(one), DeleteObservation(one.observation_id))
+    assert len(labels.elements) == 1
+    (rest,) = labels.observations
+    assert after(labels, DeleteObservation(rest)) == Labels()
+
+
+def test_link_keeps_the_smaller_number_and_unlink_makes_a_new_one():
+    first, second = pole(), pole(side="right")
+    labels = after(Labels(), first, second, Link(second.element_id, first.element_id))
+    assert [one.number for one in labels.elements.values()] == [1]
+    assert len(list(labels.pairs(0))) == 1
+    labels = after(labels, Unlink(second.observation_id, new_id()))
+    assert sorted(one.number for one in labels.elements.values()) == [1, 3]
+    assert list(labels.pairs(0)) == []
+
+
+def test_a_verdict_is_overtaken_by_later_labels():
+    assert Labels().review(0) == "unseen"
+    labels = after(Labels(), ReviewFrame(0, "reviewed, empty"))
+    assert labels.review(0) == "reviewed, empty"
+    one = pole()
+    labels = after(labels, one)
+    assert labels.review(0) == "in work"
+    labels = after(labels, ReviewFrame(0, "reviewed"))
+    assert labels.review(0) == "reviewed"
+    assert after(labels, DeleteObservation(one.observation_id)).review(0) == "in work"
+    assert after(labels, ReviewFrame(0, "unseen")).review(0) == "in work"
+    assert after(Labels(), ReviewFrame(4, "in work")).review(4) == "in work"
+
+
+A, B, S = pole(), pole(), sign(frame=3)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (replace(A, element_id=new_id()), "exists already"),
+        (replace(A, observation_id=new_id()), "leave its class out"),
+        (replace(A, observation_id=new_id(), class_id=None), "P-01 is labelled already"),
+        (pole(class_id=None), "no element"),
+        (pole(class_id=7), "unknown class 7"),
+        (pole(end_px=None), "two points"),
+        (sign(end_px=(1.0, 1.0)), "one point"),
+        (pole(end_px=(100.0, 50.1)), "same point"),
+        (pole(anchor_px=(float("nan"), 1.0)), "not a number"),
+        (MoveObservation(new_id(), (1.0, 1.0)), "no observation"),
+        (MoveObservation(S.observation_id, end_px=(1.0, 1.0)), "one point"),
+        (MoveObservation(A.observation_id, anchor_px=(101.0, 200.0)), "same point"),
+        (SetKnown(S.observation_id, end_known=True), "pole"),
+        (SwapEnds(S.observation_id), "nothing to swap"),
+        (Link(A.element_id, A.element_id), "itself"),
+        (Link(A.element_id, B.element_id), "left image of frame 0"),
+        (Link(A.element_id, S.element_id), "differ in class"),
+        (Unlink(A.observation_id, new_id()), "only observation"),
+        (SetClass(A.element_id, 2), "cannot become"),
+        (SetClass(S.element_id, 9), "unknown class 9"),
+        (DeleteElement(new_id()), "no element"),
+        (ReviewFrame(0, "reviewed, empty"), "not empty"),
+        (ReviewFrame(8, "reviewed"), "no labels"),
+    ],
+)
+def test_nonsense_is_refused_in_words(edit, words):
+    labels = after(Labels(), A, B, S)
+    with pytest.raises(SemvizError, match=words) as caught:
+        after(labels, edit)
+    assert "\n" not in str(caught.value)
+
+
+def test_points_must_be_in_the_image_of_their_side(world):
+    rules = Rules(rig=world.rig)
+    inside = pole(anchor_px=(-0.5, -0.5), end_px=(1240.5, 375.5))
+    Labels().changed(inside.changes(Labels(), rules))
+    for outside in ((-0.6, 5.0), (5.0, 376.0)):
+        with pytest.raises(SemvizError, match=r"outside the left image \(1241x376\)"):
+            list(pole(end_px=outside).changes(Labels(), rules))
+    alone = Rules(rig=replace(world.rig, right=None, T_right_left=None))
+    with pytest.raises(SemvizError, match="no right camera"):
+        list(pole(side="right").changes(Labels(), alone))
+
+
+EVERY = [
+    A,
+    S,
+    MoveObservation(A.observation_id, (0.125, 7.0)),
+    SetKnown(A.observation_id, False, None),
+    SwapEnds(A.observation_id),
+    DeleteObservation(A.observation_id),
+    DeleteElement(A.element_id),
+    Link(A.element_id, B.element_id),
+    Unlink(A.observation_id, new_id()),
+    SetClass(A.element_id, 3),
+    ReviewFrame(3, "reviewed, empty"),
+]
+
+
+@pytest.mark.parametrize("edit", EVERY, ids=lambda edit: edit.kind)
+def test_json_round_trip(edit):
+    assert edit_from_json(edit_to_json(edit)) == edit
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"frame_index": "3"}, "frame_index"),
+        ({"frame_index": -1}, "frame_index"),
+        ({"frame_index": 10**400}, "frame_index"),
+        ({"frame_index": True}, "frame_index"),
+        ({"anchor_px": [1.0]}, "anchor_px"),
+        ({"anchor_px": [1.0, float("nan")]}, "anchor_px.1"),
+        ({"anchor_px": [1.0, float("inf")]}, "anchor_px.1"),
+        ({"element_id": "x' OR 1"}, "element_id"),
+        ({"side": "up"}, "side"),
+        ({"more": 1}, "more"),
+        ({"kind": "drop table"}, "drop table"),
+    ],
+)
+def test_broken_json_is_refused_by_field(change, field):
+    with pytest.raises(SemvizError, match=field) as caught:
+        edit_from_json(edit_to_json(A) | change)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [None, 3, [], "x", {}, {"kind": "add"}, {"kind": []}, object()])
+def test_no_edit_at_all(data):
+    with pytest.raises(SemvizError, match="not an edit"):
+        edit_from_json(data)

@@ -1,0 +1,111 @@
+"""The operation log as JSON lines."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from semviz_annotation.edits import AddObservation, MoveObservation, ReviewFrame
+from semviz_annotation.exchange import export_operations, import_operations
+from semviz_annotation.labels import Labels, new_id
+from semviz_annotation.store import LabelStore
+from semviz_core.errors import SemvizError
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Seven operations of two people and a machine, with numbers that decimals cannot hold."""
+    rng = np.random.default_rng(1)
+    with LabelStore.open(tmp_path / "first.db") as store:
+        edits = [
+            AddObservation(
+                new_id(),
+                new_id(),
+                frame,
+                "left",
+                tuple(map(float, rng.uniform(0, 300, 2))),
+                tuple(map(float, rng.uniform(0, 300, 2))),
+                class_id=0,
+            )
+            for frame in range(3)
+        ]
+        for edit in edits:
+            store.apply(edit, 'Änn \u2028 "quoted"\n')
+        store.apply(MoveObservation(edits[1].observation_id, (0.1 + 0.2, 1e-300)), "bea")
+        store.undo("bea")
+        store.redo("bea")
+        store.apply(ReviewFrame(9, "reviewed, empty"), "detector", origin="machine")
+        export_operations(store, tmp_path / "log.jsonl")
+    return tmp_path / "log.jsonl"
+
+
+def test_round_trip_is_exact(log, tmp_path):
+    with (
+        LabelStore.open(tmp_path / "first.db") as first,
+        LabelStore.open(tmp_path / "second.db") as second,
+    ):
+        assert import_operations(log, second) == 7
+        assert second.operations() == first.operations()
+        assert second.labels == first.labels != Labels()
+        assert second.labels.next_number == first.labels.next_number == 4
+        export_operations(second, tmp_path / "again.jsonl")
+        assert (tmp_path / "again.jsonl").read_bytes() == log.read_bytes()
+        assert import_operations(log, second) == 0
+        second.undo("bea")
+        assert second.last_operation == 8
+
+
+def test_what_is_newer_is_appended(log, tmp_path):
+    lines = log.read_text().split("\n")
+    early = tmp_path / "early.jsonl"
+    early.write_text("\n".join(lines[:4]) + "\n")
+    with LabelStore.open(tmp_path / "second.db") as second:
+        assert import_operations(early, second) == 3
+        assert import_operations(log, second) == 4
+        with pytest.raises(SemvizError, match=r"early.jsonl, line 5: not operation 4"):
+            import_operations(early, second)
+
+
+def changed(line: str, **values: object) -> str:
+    return json.dumps(json.loads(line) | values)
+
+
+@pytest.mark.parametrize(
+    ("line", "break_it", "words"),
+    [
+        (1, lambda line: "{}", "not a log of label operations"),
+        (1, lambda line: "[]", "not a log"),
+        (1, lambda line: changed(line, version=2), "version 2, this semviz reads up to 1"),
+        (3, lambda line: line[:-10], "line 3: Invalid JSON"),
+        (4, lambda line: "", "line 4: Invalid JSON"),
+        (4, lambda line: changed(line, number=9), "line 4: number 9 where 3 follows"),
+        (5, lambda line: changed(line, more=1), "line 5: more"),
+        (5, lambda line: line.replace("1e-300", "1e999"), "line 5: changes.*finite"),
+        (5, lambda line: line.replace("1e-300", "2e-300"), "line 6: operation 5: element 2 was"),
+        (6, lambda line: changed(line, undoes=2), "line 6: operation 5: operation 2 is not"),
+        (2, lambda line: line.replace('"class_id":0', '"class_id":8'), "line 2.*class 8"),
+        (2, lambda line: line.replace('"class_id":0', '"class_id":1'), "line 2.*one point"),
+        (3, lambda line: changed(line, changes=[]), "line 5: operation 4: .* was changed"),
+        (2, lambda line: changed(line, changes=[{"before": None, "after": None}]), "line 2"),
+        (3, lambda line: changed(line, origin="cat"), "line 3: origin"),
+    ],
+)
+def test_a_broken_line_is_named_and_nothing_imported(log, tmp_path, line, break_it, words):
+    lines = log.read_text(encoding="utf-8").split("\n")
+    lines[line - 1] = break_it(lines[line - 1])
+    log.write_text("\n".join(lines), encoding="utf-8")
+    with LabelStore.open(tmp_path / "second.db") as second:
+        with pytest.raises(SemvizError, match=words) as caught:
+            import_operations(log, second)
+        assert "\n" not in str(caught.value)
+        assert second.labels == Labels()
+        assert second.last_operation == 0
+        assert second.labels.next_number == 1
+    with LabelStore.open(tmp_path / "second.db") as second:
+        assert second.operations() == ()
+
+
+def test_a_missing_file_is_named(tmp_path, store):
+    with pytest.raises(SemvizError, match=r"none.jsonl: cannot be read"):
+        import_operations(tmp_path / "none.jsonl", store)
