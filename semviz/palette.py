@@ -1,0 +1,53 @@
+"""Colours shared by all screens: poses, status, residuals. Classes carry their own (core)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.localization import Status
+
+
+@dataclass(frozen=True)
+class Tone:
+    """One meaning's sRGB hex colour; ``dark`` is for dark grounds and for every image."""
+
+    dark: str
+    light: str
+
+
+TRUTH = Tone("#FFFFFF", "#111111")
+ESTIMATE = Tone("#FF7A1A", "#C94A08")
+PRIOR = Tone("#8B9198", "#74797F")
+ALTERNATIVE = Tone("#B79CFF", "#6741D9")
+
+STATUS: dict[Status, Tone] = {
+    "ok": Tone("#5C9DED", "#1F62C8"),
+    "ambiguous": Tone("#F5C542", "#A2811A"),
+    "cannot": Tone("#F0532D", "#8E1B08"),
+}
+
+RESIDUAL_LIMITS_PX = (1.0, 2.0, 3.0, 5.0)
+"""Upper limits of the residual colours but the last. Absolute: they never follow the frame."""
+RESIDUAL = (
+    Tone("#4A78C9", "#2C5AA0"),
+    Tone("#8CC2E0", "#4F9BC4"),
+    Tone("#F2E6A8", "#A8923A"),
+    Tone("#F29A4A", "#D06A14"),
+    Tone("#E0402A", "#A81C1C"),
+)
+
+
+def residual_level(residual_px: FloatArray) -> IntArray:
+    """(k,) index into RESIDUAL of lengths (k,) in pixels."""
+    return np.searchsorted(RESIDUAL_LIMITS_PX, residual_px, side="right").astype(np.int64)
+
+
+def rgba(color: str, alpha: float = 1.0) -> int:
+    """``#RRGGBB`` as the number 0xRRGGBBAA."""
+    return int(color[1:], 16) << 8 | round(alpha * 255)
+
+
+def residual_colors(residual_px: FloatArray) -> IntArray:
+    """(k,) 0xRRGGBBAA, dark set, of lengths (k,) in pixels."""
+    return np.array([rgba(one.dark) for one in RESIDUAL])[residual_level(residual_px)]

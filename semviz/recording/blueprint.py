@@ -1,0 +1,53 @@
+"""How rerun lays a run out."""
+
+from typing import Any
+
+import rerun.blueprint as rrb
+
+from semviz.recording import layout, scene
+from semviz.recording.columns import FRAME
+
+
+def make_blueprint() -> Any:
+    """3D beside image and matrix, texts on the right, plots over the frames below."""
+    everything = rrb.VisibleTimeRanges(
+        timeline=FRAME,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.infinite(),
+    )
+    paths: dict[Any, Any] = dict.fromkeys((scene.TRUE_PATH, scene.PATH), everything)
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Vertical(
+                    rrb.Spatial3DView(name="Map and poses", origin="/map", overrides=paths),
+                    rrb.Spatial2DView(name="Image", origin=layout.IMAGE),
+                    row_shares=[3, 2],
+                ),
+                rrb.Vertical(
+                    rrb.Tabs(
+                        rrb.TextDocumentView(name="Why", origin=scene.WHY),
+                        rrb.TextDocumentView(name="How to read this", origin=scene.README),
+                    ),
+                    rrb.Spatial2DView(name="Match probability", origin=scene.MATRIX),
+                ),
+                column_shares=[5, 2],
+            ),
+            rrb.Horizontal(
+                rrb.Vertical(
+                    rrb.TimeSeriesView(name="Error", origin=scene.ERRORS),
+                    rrb.StateTimelineView(name="Status", origin=scene.STATE),
+                    row_shares=[3, 1],
+                ),
+                rrb.TimeSeriesView(name="Elements", origin=scene.COUNTS),
+                rrb.TextLogView(name="Reasons", origin=scene.WHY),
+                column_shares=[3, 2, 2],
+            ),
+            row_shares=[5, 2],
+        ),
+        rrb.TimePanel(timeline=FRAME, state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_layout=False,
+        auto_views=False,
+    )

@@ -1,0 +1,78 @@
+"""A run: one localization of a sequence, with everything to redraw and measure it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from semviz_core.arrays import IntArray, int_array
+from semviz_core.camera import Rig
+from semviz_core.frame import Frame
+from semviz_core.localization import Localization
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+
+
+@dataclass(frozen=True, eq=False)
+class RunInfo:
+    """Where a run comes from, so that it can be made again.
+
+    What the map says of itself (frame, classes, operation, digest) is in ``Run.semantic_map``.
+    """
+
+    name: str
+    workspace: str
+    """Folder of the workspace as the user gave it; empty without one."""
+    method: str
+    seed: int
+    version: str
+    """semviz's version."""
+    created: str
+    """When, as ISO 8601; given by the caller, so that equal runs can be equal files."""
+    rig: Rig
+    map_name: str
+    observations: str = ""
+    """Where observations come from, in words: ``labels``, or the detector and its noise."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """JSON values: settings of the method, prior, crop and noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """One frame of a run."""
+
+    frame: Frame
+    localization: Localization
+    element_id: IntArray
+    """(m,) true map element of each observed row; -1 where unknown or a false detection."""
+    image: bytes | None = None
+    """The left image as JPEG."""
+
+    def __post_init__(self) -> None:
+        rows = len(self.localization.observed)
+        object.__setattr__(self, "element_id", int_array(self.element_id, (rows,), "element_id"))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a run file holds."""
+
+    info: RunInfo
+    semantic_map: SemanticMap
+    frames: tuple[FrameRecord, ...]
+    """In order of their frame numbers."""
+    complete: bool = True
+    """False for a run that was interrupted; every frame in ``frames`` is whole all the same."""
+
+    @property
+    def note(self) -> str:
+        """One line on what is missing; empty for a complete run."""
+        if self.complete:
+            return ""
+        last = f"after frame {self.frames[-1].frame.index}" if self.frames else "before any frame"
+        return f"This run was interrupted {last}; {len(self.frames)} frames are readable."
+
+    def localized(self) -> Iterator[tuple[Localization, Pose]]:
+        """The frames that can be measured: localization and true T_map_camera."""
+        for record in self.frames:
+            if record.frame.T_map_camera is not None:
+                yield record.localization, record.frame.T_map_camera

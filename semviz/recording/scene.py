@@ -1,0 +1,215 @@
+"""What rerun shows of a run: map, poses, matrix, numbers. The entities mirror the frames."""
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from semviz.palette import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, residual_colors, rgba
+from semviz.recording import layout, picture
+from semviz.recording.columns import Columns, Strips
+from semviz.recording.run import FrameRecord, RunInfo
+from semviz.recording.words import LEVELS, explain, readme
+from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.camera import Camera
+from semviz_core.localization import Localization
+from semviz_core.pose import Pose, so3_log
+from semviz_core.semantic_map import SemanticMap
+
+ELEMENTS, ROAD = "/map/elements", "/map/road"
+CAMERA, TRUE_CAMERA = layout.CAMERA, "/map/camera_truth"
+TRUE_PATH, PATH = "/map/path/truth", "/map/path/estimate"
+PRIOR_CIRCLE, GHOSTS, RAYS = "/map/prior", "/map/alternatives", "/map/pairs"
+MATRIX = "/match/probability"
+ERRORS, COUNTS, TIME_MS = "/error", "/elements", "/time_ms"
+STATE, WHY, README = "/status", "/why", "/readme"
+
+FRUSTUM_M = 4.0
+"""Depth at which a camera's image is drawn."""
+LABELLED = 60
+"""Maps with more elements than this show names only where the pointer is."""
+_CIRCLE = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 49)), np.sin(turn)], axis=1)
+_INVISIBLE = Pose(np.eye(3), np.array([0.0, 0.0, -1e4]))
+"""Where a camera goes that has no pose: out of sight. rerun cannot hide it frame by frame."""
+
+
+class Scene:
+    """Draws a run: the map once, into the stream; then each frame, into its columns."""
+
+    def __init__(
+        self, stream: rr.RecordingStream, info: RunInfo, semantic_map: SemanticMap
+    ) -> None:
+        self._classes = semantic_map.classes
+        self._true_center: FloatArray | None = None
+        text = readme(info, semantic_map)
+        stream.log(README, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        _draw_map(stream, semantic_map)
+        _draw_styles(stream, info.rig.left)
+        picture.draw_styles(stream)
+
+    def draw(self, columns: Columns, record: FrameRecord) -> None:
+        result, truth = record.localization, record.frame.T_map_camera
+        estimate = None if result.T_camera_map is None else result.T_camera_map.inverse()
+        columns.pinhole(TRUE_CAMERA, None if truth is None else result.camera.K)
+        columns.pose(TRUE_CAMERA, truth or _INVISIBLE)
+        columns.pose(CAMERA, estimate or _INVISIBLE)
+        self._draw_paths(columns, record, estimate)
+        _draw_prior(columns, result)
+        _draw_alternatives(columns, result)
+        _draw_rays(columns, result, estimate)
+        picture.draw(columns, record, self._classes)
+        _draw_matrix(columns, record)
+        _draw_numbers(columns, record, estimate)
+
+    def _draw_paths(self, columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
+        """Each frame adds its piece; the 3D view shows the pieces of all frames."""
+        before, truth = self._true_center, record.frame.T_map_camera
+        self._true_center = now = None if truth is None else truth.translation
+        if before is not None and now is not None:
+            columns.strips(TRUE_PATH, _line(before, now), np.array([rgba(TRUTH.dark)]))
+        if estimate is not None:
+            color = np.array([rgba(STATUS[record.localization.status].dark)])
+            columns.points(PATH, estimate.translation[None], color)
+            if now is not None:
+                columns.strips(PATH, _line(now, estimate.translation), color)
+
+
+def _line(start: FloatArray, end: FloatArray) -> Strips:
+    return Strips.of(np.stack([start, end])[None])
+
+
+def _draw_map(stream: rr.RecordingStream, semantic_map: SemanticMap) -> None:
+    stream.log("/map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    columns = Columns()
+    for kind in semantic_map.classes:
+        entity = f"{ELEMENTS}/{kind.letter}"
+        one = semantic_map.elements[semantic_map.elements.class_id == kind.id]
+        colors = np.full(len(one), rgba(kind.color))
+        names = [semantic_map.classes.element_name(kind.id, number) for number in one.id]
+        if kind.kind == "line":
+            columns.strips(entity, Strips.of(np.stack([one.anchor_m, one.end_m], axis=1)), colors)
+            columns.labels(entity, "LineStrips3D", names, show=len(semantic_map) <= LABELLED)
+            columns.radius(entity, "LineStrips3D", 1.0)
+        else:
+            columns.points(entity, one.anchor_m, colors)
+            columns.labels(entity, "Points3D", names, show=len(semantic_map) <= LABELLED)
+            columns.radius(entity, "Points3D", 5.0)
+    road = Strips(semantic_map.trajectory_m, np.array([len(semantic_map.trajectory_m)]))
+    columns.strips(ROAD, road, np.array([rgba(PRIOR.dark, 0.5)]))
+    columns.send(stream)
+
+
+def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
+    """What stays the same for all frames: sizes, cameras, names and colours of the plots."""
+    for entity, color in ((TRUE_CAMERA, TRUTH), (layout.IMAGE, ESTIMATE)):
+        pinhole = rr.Pinhole.from_fields(
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=FRUSTUM_M,
+            color=rgba(color.dark),
+        )
+        stream.log(entity, pinhole, static=True)
+    stream.log(layout.IMAGE, rr.Pinhole.from_fields(image_from_camera=camera.K), static=True)
+    stream.log(layout.IMAGE, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+    widths = {TRUE_PATH: 1.5, PATH: 1.5, PRIOR_CIRCLE: 1.0, GHOSTS: 1.0, RAYS: 1.0}
+    for entity, width in widths.items():
+        thin = rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width / 2))
+        stream.log(entity, thin, static=True)
+    stream.log(PATH, rr.Points3D.from_fields(radii=rr.Radius.ui_points(3.0)), static=True)
+    matrix = rr.DepthImage.from_fields(meter=1.0, colormap="viridis", depth_range=[0.0, 1.0])
+    cells = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0))
+    stream.log(MATRIX, matrix, cells, static=True)
+    names = ["translation error, m", "rotation error, deg"]
+    colors = _colors(ESTIMATE, ALTERNATIVE)
+    stream.log(ERRORS, rr.SeriesPoints(colors=colors, names=names, marker_sizes=3.0), static=True)
+    names, colors = ["seen", "paired", "inliers"], _colors(TRUTH, PRIOR, STATUS["ok"])
+    stream.log(COUNTS, rr.SeriesLines(colors=colors, names=names, widths=1.5), static=True)
+    states = rr.StateConfiguration(values=list(STATUS), colors=_colors(*STATUS.values()))
+    stream.log(STATE, states, static=True)
+
+
+def _colors(*tones: Tone) -> NDArray[np.uint32]:
+    return np.array([rgba(one.dark) for one in tones], np.uint32)
+
+
+def _draw_prior(columns: Columns, result: Localization) -> None:
+    prior = result.prior
+    ring = np.concatenate([_CIRCLE * prior.horizontal_sigma_m, np.zeros((len(_CIRCLE), 1))], axis=1)
+    circle = Strips.of((prior.position_m + ring)[None])
+    columns.strips(PRIOR_CIRCLE, circle, np.array([rgba(PRIOR.dark)]))
+
+
+def _draw_alternatives(columns: Columns, result: Localization) -> None:
+    outline = _frustum(result.camera, FRUSTUM_M / 2)
+    ghosts = [one.T_camera_map.inverse().apply(outline) for one in result.alternatives]
+    strips = np.array(ghosts).reshape(-1, *outline.shape)
+    columns.strips(GHOSTS, Strips.of(strips), np.full(len(ghosts), rgba(ALTERNATIVE.dark)))
+
+
+def _frustum(camera: Camera, depth_m: float) -> FloatArray:
+    """(11, 3) one strip through all edges of a camera's view, in camera coordinates."""
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    corners = camera.normalize(
+        np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    )
+    points = np.concatenate([corners, np.ones((4, 1))], axis=1) * depth_m
+    points = np.concatenate([points, np.zeros((1, 3))])
+    return points[[0, 1, 2, 3, 0, 4, 1, 2, 4, 3, 4]]
+
+
+def _draw_rays(columns: Columns, result: Localization, estimate: Pose | None) -> None:
+    """From the estimated camera to each paired element, in the colour of its residual."""
+    refinement = result.refinement
+    rays, colors = np.zeros((0, 2, 3)), np.zeros(0, np.int64)
+    if refinement is not None and estimate is not None:
+        targets = result.submap.anchor_m[refinement.pairs[:, 1]]
+        centers = np.broadcast_to(estimate.translation, targets.shape)
+        rays = np.stack([centers, targets], axis=1)
+        colors = residual_colors(np.sqrt(np.nansum(refinement.residual_px**2, axis=1)))
+    columns.strips(RAYS, Strips.of(rays), colors)
+
+
+def _draw_matrix(columns: Columns, record: FrameRecord) -> None:
+    """Rows and columns sorted by class, so that classes are blocks; the dustbins stay last."""
+    result = record.localization
+    if result.match is None:
+        columns.matrix(MATRIX, None)
+        columns.points(MATRIX, np.zeros((0, 2)), np.zeros(0, np.int64))
+        return
+    m, n = len(result.observed), len(result.submap)
+    rows = np.append(np.argsort(result.observed.class_id, kind="stable"), m)
+    order = np.append(np.argsort(result.submap.class_id, kind="stable"), n)
+    columns.matrix(MATRIX, result.match.probability[np.ix_(rows, order)])
+    truth = _true_pairs(record.element_id, result.submap.id)
+    pairs = truth if result.refinement is None else np.concatenate([truth, result.refinement.pairs])
+    place = np.stack([np.argsort(order)[pairs[:, 1]], np.argsort(rows)[pairs[:, 0]]], axis=1)
+    where = place.astype(np.float64) + 0.5
+    is_truth = np.arange(len(pairs)) < len(truth)
+    columns.points(MATRIX, where, np.where(is_truth, rgba(TRUTH.dark), rgba(ESTIMATE.dark)))
+
+
+def _true_pairs(element_id: IntArray, submap_id: IntArray) -> IntArray:
+    """(k, 2) rows of observed and submap that are the same element."""
+    pairs: IntArray = np.argwhere(element_id[:, None] == submap_id[None, :])
+    return pairs
+
+
+def _draw_numbers(columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
+    result, truth = record.localization, record.frame.T_map_camera
+    errors = None if truth is None or estimate is None else pose_errors(estimate, truth)
+    pairs, inliers = np.nan, np.nan
+    if result.refinement is not None:
+        pairs, inliers = len(result.refinement.pairs), int(result.refinement.inlier.sum())
+    columns.scalars(ERRORS, *(errors or (np.nan, np.nan)))
+    columns.scalars(COUNTS, len(result.observed), pairs, inliers)
+    columns.scalars(TIME_MS, sum(result.time_ms.values()))
+    columns.text(STATE, "StateChange:state", result.status)
+    columns.text(WHY, "TextDocument:text", explain(record, errors))
+    columns.text(WHY, "TextLog:text", f"{record.frame.index}: {result.reason}")
+    columns.text(WHY, "TextLog:level", LEVELS[result.status], "TextLogLevel")
+
+
+def pose_errors(estimate: Pose, truth: Pose) -> tuple[float, float]:
+    """RTE (m) and RRE (deg) between two T_map_camera."""
+    turn = so3_log(estimate.rotation.T @ truth.rotation)
+    shift = estimate.translation - truth.translation
+    return float(np.linalg.norm(shift)), float(np.rad2deg(np.linalg.norm(turn)))

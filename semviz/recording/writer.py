@@ -1,0 +1,88 @@
+"""Runs on disk: one .rrd file that rerun shows and that our reader gets back bit for bit."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import pyarrow as pa
+import rerun as rr
+
+from semviz.recording import layout
+from semviz.recording.blueprint import make_blueprint
+from semviz.recording.codec import encode
+from semviz.recording.columns import Columns
+from semviz.recording.run import FrameRecord, RunInfo
+from semviz.recording.scene import Scene
+from semviz_core.errors import SemvizError
+from semviz_core.semantic_map import SemanticMap
+
+
+class RunWriter:
+    """Writes a run, frame by frame, at its final path.
+
+    Every frame is in the operating system's hands when ``write`` returns, so a killed run keeps
+    all frames written; leaving the context without an exception marks the run as complete.
+    A run that was at ``path`` before is replaced at once. Raises SemvizError where ``path``
+    cannot be written.
+    """
+
+    def __init__(self, path: Path, info: RunInfo, semantic_map: SemanticMap) -> None:
+        _check_writable(path)
+        self._frames = 0
+        self._last_index: int | None = None
+        self._stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
+        self._stream.save(path, default_blueprint=make_blueprint())
+        self._stream.send_recording_name(info.name)
+        columns = Columns()
+        columns.add(layout.INFO, "version", pa.array([layout.FORMAT_VERSION]))
+        _add_exact(columns, layout.INFO, info)
+        _add_exact(columns, layout.MAP, semantic_map)
+        columns.send(self._stream)
+        self._scene = Scene(self._stream, info, semantic_map)
+        self._stream.flush()
+
+    def write(self, record: FrameRecord) -> None:
+        """Add one frame. Frame numbers go up; ValueError where one does not."""
+        frame = record.frame
+        if self._last_index is not None and frame.index <= self._last_index:
+            raise ValueError(f"frame {frame.index} comes after frame {self._last_index}")
+        columns = Columns.at(frame.index, frame.time_s)
+        self._scene.draw(columns, record)
+        # Last, so that a frame whose numbers are readable has its image too. The scene keeps that.
+        _add_exact(columns, layout.FRAME, replace(record, image=None))
+        columns.send(self._stream)
+        self._stream.flush()
+        self._last_index = frame.index
+        self._frames += 1
+
+    def __enter__(self) -> "RunWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            columns = Columns()
+            columns.add(layout.END, "frames", pa.array([self._frames]))
+            columns.send(self._stream)
+        self._stream.disconnect()
+
+
+def _add_exact(columns: Columns, entity: str, value: object) -> None:
+    structure, pools = encode(value)
+    columns.add(entity, layout.STRUCTURE, pa.array([json.dumps(structure)]))
+    for name, numbers in pools.items():
+        columns.add(entity, name, pa.array(numbers))
+
+
+def _check_writable(path: Path) -> None:
+    """rerun itself writes to nowhere without an error in some of these cases."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("wb").close()
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be written ({error.strerror})") from None
