@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from semviz import palette
 from semviz_core.arrays import FloatArray
 
 Theme = Literal["dark", "light"]
@@ -28,37 +29,31 @@ class Palette:
     estimate: str
     prior: str
     alternative: str
-    residual: tuple[str, str, str, str, str]
-    """From good to bad; the limits between them are ``RESIDUAL_LIMITS_PX``."""
+    residual: tuple[str, ...]
+    """From good to bad; the limits between them are ``semviz.palette.RESIDUAL_LIMITS_PX``."""
 
 
-RESIDUAL_LIMITS_PX = (1.0, 2.0, 3.0, 5.0)
+def _palette(theme: Theme, scene: str, road: str, grid: str, faint: str, accent: str) -> Palette:
+    def pick(tone: palette.Tone) -> str:
+        return tone.dark if theme == "dark" else tone.light
+
+    return Palette(
+        scene=scene,
+        road=road,
+        grid=grid,
+        faint=faint,
+        accent=accent,
+        truth=pick(palette.TRUTH),
+        estimate=pick(palette.ESTIMATE),
+        prior=pick(palette.PRIOR),
+        alternative=pick(palette.ALTERNATIVE),
+        residual=tuple(pick(tone) for tone in palette.RESIDUAL),
+    )
+
 
 PALETTES: dict[Theme, Palette] = {
-    "dark": Palette(
-        scene="#17181A",
-        road="#26282B",
-        grid="#2A2C30",
-        faint="#7D828A",
-        accent="#4DABF7",
-        truth="#FFFFFF",
-        estimate="#FF7A1A",
-        prior="#8B9198",
-        alternative="#B79CFF",
-        residual=("#4A78C9", "#8CC2E0", "#F2E6A8", "#F29A4A", "#E0402A"),
-    ),
-    "light": Palette(
-        scene="#F7F8F9",
-        road="#E7E9EC",
-        grid="#E4E6E9",
-        faint="#767D86",
-        accent="#1971C2",
-        truth="#111111",
-        estimate="#C94A08",
-        prior="#74797F",
-        alternative="#6741D9",
-        residual=("#2C5AA0", "#4F9BC4", "#A8923A", "#D06A14", "#A81C1C"),
-    ),
+    "dark": _palette("dark", "#17181A", "#26282B", "#2A2C30", "#7D828A", "#4DABF7"),
+    "light": _palette("light", "#F7F8F9", "#E7E9EC", "#E4E6E9", "#767D86", "#1971C2"),
 }
 
 

@@ -86,16 +86,17 @@ class Scene:
         for node in self._nodes.pop(name, []):
             node.remove()
 
-    def draw_ground(self, trajectory_m: FloatArray, around_m: FloatArray) -> None:
-        """Grid of 10 m around a point, and the road along ``trajectory_m`` (k, 3)."""
+    def draw_grid(self, around_m: FloatArray) -> None:
+        """A level grid of 10 m on the road around a camera centre (3,)."""
         floor = np.array([*around_m[:2], around_m[2] - CAMERA_HEIGHT_M])
         self.draw_lines("/grid", shapes.grid_segments(floor, 120.0, 10.0), self.palette.grid, 1.0)
+
+    def draw_road(self, trajectory_m: FloatArray) -> None:
+        """The road under camera centres (k, 3)."""
         self.clear("/road")
-        if len(trajectory_m) < 2:
-            return
-        below = trajectory_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.02]
-        vertices, faces = shapes.ribbon(below, width_m=7.0)
-        self._mesh("/road", vertices, faces, self.palette.road)
+        if len(trajectory_m) > 1:
+            below = trajectory_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.02]
+            self._mesh("/road", *shapes.ribbon(below, width_m=7.0), self.palette.road)
 
     def draw_elements(
         self,

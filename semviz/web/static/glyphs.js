@@ -131,3 +131,20 @@ export function classGlyph(element, color = element.color) {
   else icon.append(svg("polygon", { points: corners(element.shape, 6.2).join(" ") }));
   return icon;
 }
+
+/** Colours on images, which are dark in both themes. */
+export const ON_IMAGE = {
+  truth: "#FFFFFF",
+  estimate: "#FF7A1A",
+  cannot: "#F0532D",
+  accent: "#4DABF7",
+  residual: ["#4A78C9", "#8CC2E0", "#F2E6A8", "#F29A4A", "#E0402A"],
+};
+
+export const RESIDUAL_LIMITS_PX = [1, 2, 3, 5];
+
+/** The colour of a residual; the limits are absolute and never adapt. */
+export function residualColor(px, colors = ON_IMAGE.residual) {
+  const level = RESIDUAL_LIMITS_PX.findIndex((limit) => px <= limit);
+  return colors[level < 0 ? RESIDUAL_LIMITS_PX.length : level];
+}

@@ -19,8 +19,9 @@ function signature({ key, shift = false, ctrl = false }) {
  * found with and without it. */
 function pressed(event) {
   const ctrl = event.ctrlKey || event.metaKey;
-  const codes = { Comma: ",", Period: "." }; // Shift , is < on many layouts
-  const key = event.shiftKey && codes[event.code] ? codes[event.code] : event.key;
+  const codes = { Comma: ",", Period: "." }; // Shift , is < on many layouts, Shift 1 is !
+  const code = codes[event.code] ?? event.code.match(/^Digit(\d)$/)?.[1];
+  const key = event.shiftKey && code ? code : event.key;
   const exact = signature({ key, shift: event.shiftKey, ctrl });
   return [exact, signature({ key, ctrl })].slice(0, event.shiftKey && /^[^a-z0-9 ,.]$/i.test(key) ? 2 : 1);
 }

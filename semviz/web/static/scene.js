@@ -2,7 +2,8 @@
 
 const HIDE = "[data-floating-window], .mantine-Notifications-root { display: none !important; }";
 
-/** Shows `session`'s scene in `frame` (an iframe) and hands `keys` its key presses. */
+/** Shows `session`'s scene in `frame` (an iframe) and hands `keys` its key presses. The frame gets
+ * the class "ready" when viser's own panels are out of sight. */
 export function showScene(frame, session, keys) {
   frame.addEventListener("load", () => {
     const inside = frame.contentDocument;
@@ -10,6 +11,7 @@ export function showScene(frame, session, keys) {
     style.textContent = HIDE;
     inside.head.append(style);
     keys.listen(frame.contentWindow, true);
+    frame.classList.add("ready");
   }, { once: true });
   frame.src = `/view/${encodeURIComponent(session)}/`;
 }

@@ -1,0 +1,224 @@
+/* The inspector's page: the server holds the state, each panel draws its part of it. */
+
+import { byId, el } from "/static/dom.js";
+import { Keys } from "/static/keys.js";
+import { showScene } from "/static/scene.js";
+import { Socket } from "/static/socket.js";
+import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
+import { Bar } from "./bar.js";
+import { FrameList } from "./frames.js";
+import { ImagePanel } from "./image.js";
+import { MatrixPanel } from "./matrix.js";
+import { SpacePanel } from "./space.js";
+import { Timeline } from "./timeline.js";
+import { WhyCard } from "./why.js";
+
+class Page {
+  constructor() {
+    startTheme();
+    this.run = null;
+    this.frame = null;
+    this.state = { observed: null, element: null, view: "behind", alternatives: true };
+    this.wanted = 0;
+    this.waiting = false;
+    this.playing = false;
+    this.image = new ImagePanel(this, () => this.painted());
+    this.list = new FrameList(this);
+    this.matrix = new MatrixPanel(this);
+    this.panels = [new Bar(this), this.list, new SpacePanel(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
+    this.keys = new Keys(this.commands());
+    this.keys.listen(window);
+    this.socket = new Socket({
+      onmessage: (message) => this.receive(message),
+      onsession: (id, isNew) => this.begin(id, isNew),
+      onstate: (connected) => this.line(connected),
+    });
+  }
+
+  /* From the server */
+
+  begin(session, isNew) {
+    this.session = session;
+    if (!isNew) return;
+    this.sceneShown = false;
+    const wanted = new URLSearchParams(location.search);
+    const frame = Number.parseInt(this.frame?.index ?? wanted.get("frame"), 10);
+    const run = this.run?.name ?? wanted.get("run");
+    this.open(run, Number.isNaN(frame) ? null : frame);
+    const element = Number.parseInt(wanted.get("element"), 10);
+    if (!Number.isNaN(element)) this.select({ element });
+  }
+
+  receive(message) {
+    if (message.type === "error") this.notice(message.text);
+    else if (message.type === "runs") this.each("showRuns", message.names);
+    else if (message.type === "run") this.showRun(message.run);
+    else if (message.type === "frame") this.showFrame(message.frame, message.state);
+    else if (message.type === "state") this.showState(message.state);
+    else if (message.type === "scene") this.showScene();
+  }
+
+  showScene() {
+    if (!this.sceneShown) showScene(byId("scene"), this.session, this.keys);
+    this.sceneShown = true;
+  }
+
+  line(connected) {
+    if (connected) this.notice("");
+    else this.notice("Offline: the server does not answer. This page connects again by itself.", true);
+    this.waiting = false;
+  }
+
+  showRun(run) {
+    this.run = run;
+    this.notice(run.note);
+    this.each("showRun", run);
+  }
+
+  showFrame(frame, state) {
+    this.waiting = false;
+    this.frame = frame;
+    if (this.wanted !== frame.position && this.stepping) {
+      this.go(this.wanted); // keys were faster than the server
+    } else {
+      this.wanted = frame.position;
+    }
+    this.state = state;
+    this.each("showFrame", frame, state);
+    this.each("showState", state);
+    this.writeUrl();
+  }
+
+  showState(state) {
+    this.state = state;
+    this.each("showState", state);
+    this.writeUrl();
+  }
+
+  painted() {
+    if (this.stepping === undefined || this.frame?.position !== this.wanted) return;
+    performance.measure("frame switch", { start: this.stepping, end: performance.now() });
+    this.stepping = undefined;
+    if (this.playing) setTimeout(() => this.playing && this.step(1), 60);
+  }
+
+  /* To the server */
+
+  open(run, frame) {
+    this.socket.send({ verb: "open", run, frame, theme: currentTheme() });
+  }
+
+  go(position) {
+    if (!this.run) return;
+    this.wanted = Math.min(Math.max(position, 0), this.run.frames.length - 1);
+    if (this.wanted !== position) this.playing = false;
+    this.stepping ??= performance.now();
+    if (!this.waiting && this.wanted !== this.frame?.position) {
+      this.waiting = this.socket.send({ verb: "go", position: this.wanted });
+    }
+    this.each("pointAt", this.wanted);
+  }
+
+  step(by) {
+    this.go(this.wanted + by);
+  }
+
+  /** `{observed}`, `{element}`, both for a pair, or neither to clear. */
+  select({ observed = null, element = null } = {}) {
+    this.socket.send({ verb: "select", observed, element });
+  }
+
+  look(view) {
+    this.socket.send({ verb: "look", view });
+  }
+
+  /* Alone */
+
+  commands() {
+    const step = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Frames" });
+    const show = (key, title, run) => ({ key, title, run, group: "Image and matrix" });
+    const from = (key, title, run) => ({ key, title, run, group: "3D" });
+    return [
+      step(",", "Frame before", () => this.step(-1)),
+      step(".", "Frame after", () => this.step(1)),
+      step(",", "Up in the worst-first list", () => this.list.step(-1), true),
+      step(".", "Down in the worst-first list", () => this.list.step(1), true),
+      step("j", "Go to a frame by number", () => this.askForFrame()),
+      step(" ", "Play, stop", () => this.play()),
+      show("1", "Map with the estimate", () => this.image.setMode("estimate")),
+      show("2", "Map with the truth", () => this.image.setMode("truth")),
+      show("3", "Pairs with outliers", () => this.image.setMode("pairs")),
+      show("r", "Residuals", () => this.image.toggleResiduals()),
+      show("z", "Zoom to the selection", () => this.image.zoomToSelection()),
+      show("0", "Whole image", () => this.image.fit()),
+      show("m", "Matrix linear, log", () => this.matrix.toggleLog()),
+      from("b", "From behind the vehicle", () => this.look("behind")),
+      from("l", "Through the camera", () => this.look("camera")),
+      from("u", "From above", () => this.look("above")),
+      from("g", "Other poses that fit", () => this.socket.send({ verb: "alternatives", shown: !this.state.alternatives })),
+      { key: "Tab", group: "Selection", title: "Next element", run: () => this.selectNext(1) },
+      { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
+      { key: "Escape", group: "Selection", title: "Clear the selection", run: () => this.select() },
+      { key: "t", group: "Page", title: "Dark or light", run: () => this.switchTheme() },
+      { key: "?", group: "Page", title: "This help", run: () => this.help() },
+    ];
+  }
+
+  each(method, ...values) {
+    for (const panel of this.panels) panel[method]?.(...values);
+  }
+
+  notice(text, offline = false) {
+    const box = byId("notice");
+    box.textContent = text;
+    box.classList.toggle("offline", offline);
+    box.hidden = !text;
+  }
+
+  play() {
+    this.playing = !this.playing;
+    if (this.playing) this.step(1);
+  }
+
+  selectNext(by) {
+    const count = this.frame?.observed.length ?? 0;
+    if (!count) return;
+    const now = this.state.observed;
+    const next = now === null ? (by > 0 ? 0 : count - 1) : (now + by + count) % count;
+    this.select({ observed: next });
+  }
+
+  switchTheme() {
+    const theme = switchTheme();
+    this.socket.send({ verb: "theme", theme });
+    this.each("showTheme");
+  }
+
+  help() {
+    this.keys.showHelp("Keys of the inspector");
+  }
+
+  askForFrame() {
+    const input = el("input", { type: "number", value: this.frame?.index ?? 0, "aria-label": "Frame number" });
+    const dialog = el("dialog", { class: "help ask" }, el("h2", { text: "Go to frame" }),
+      el("form", { method: "dialog" }, input));
+    dialog.addEventListener("close", () => {
+      const position = this.run.frames.findIndex((row) => row.index === Number(input.value));
+      if (dialog.returnValue !== "cancel" && position >= 0) this.go(position);
+      dialog.remove();
+    });
+    dialog.addEventListener("cancel", () => { dialog.returnValue = "cancel"; });
+    document.body.append(dialog);
+    dialog.showModal();
+    input.select();
+  }
+
+  writeUrl() {
+    const query = new URLSearchParams({ run: this.run.name, frame: this.frame.index });
+    if (this.state.element !== null) query.set("element", this.state.element);
+    history.replaceState(null, "", `?${query}`);
+    document.title = `Frame ${this.frame.index} · ${this.run.name} · semviz inspect`;
+  }
+}
+
+new Page();

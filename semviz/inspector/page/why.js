@@ -1,0 +1,24 @@
+/* The card that says why a frame came out as it did. */
+
+import { byId, el, fixed } from "/static/dom.js";
+import { statusMark } from "/static/glyphs.js";
+
+export class WhyCard {
+  showFrame(frame) {
+    const { title, sentence, rows, alternatives, alternativesLeft, times } = frame.why;
+    const numbers = [...rows, ...alternatives.map(alternativeRow)];
+    if (alternativesLeft) numbers.push(["More alternatives", `${alternativesLeft}`]);
+    byId("why-frame").textContent = `frame ${frame.index}`;
+    byId("why-truth").textContent = frame.hasTruth ? "with truth" : "without truth";
+    byId("why-body").replaceChildren(
+      el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
+      el("p", { class: "sentence", text: sentence }),
+      el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
+      el("div", { class: "times" }, ...times.map(([stage, ms]) => el("span", { text: `${stage} ${fixed(ms, 1)} ms` }))));
+  }
+}
+
+function alternativeRow({ name, distanceM, angleDeg, gapNats }) {
+  const gap = gapNats === null ? "" : `, ${fixed(gapNats, 1)} nats worse`;
+  return [`Alternative ${name}`, `${fixed(distanceM, 1)} m, ${fixed(angleDeg, 1)}° away${gap}`];
+}

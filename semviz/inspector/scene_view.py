@@ -1,0 +1,196 @@
+"""The 3D pane: what the state shows, drawn into the session's scene."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz.inspector.session import State, View
+from semviz.palette import residual_level
+from semviz.recording.run import FrameRecord, Run
+from semviz.web import shapes, viewpoint
+from semviz.web.colors import mix
+from semviz.web.scene import ALTERNATIVE, CAMERA_HEIGHT_M, CLICKABLE, ESTIMATE, TRUTH, Scene
+from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.frame import Prior
+from semviz_core.localization import Localization
+from semviz_core.pose import Pose
+
+if TYPE_CHECKING:
+    import viser
+
+
+class SceneView:
+    """Draws a run's map once, and a frame's poses and pairs each time."""
+
+    def __init__(self, server: "viser.ViserServer", on_click: Callable[[int], None]) -> None:
+        self._scene = Scene(server)
+        self._on_click = on_click
+        self._facing = np.zeros(0)
+        self._shown: tuple[Pose, View] | None = None
+
+    def show_run(self, run: Run, state: State) -> None:
+        """The whole map, faint, and the true path; then the state's frame."""
+        scene, semantic_map = self._scene, run.semantic_map
+        path = _path(run)
+        with scene.server.atomic():
+            scene.set_theme(state.theme)
+            elements = semantic_map.elements
+            self._facing = shapes.facing(elements.anchor_m, path)
+            scene.draw_elements(
+                "/map", elements, semantic_map.classes, self._facing, strength=0.45, width_px=1.2
+            )
+            scene.draw_road(path)
+            scene.make_clickable(elements, _vehicle(run.frames[0]).translation, self._on_click)
+        self._shown = None
+        self.show_frame(run, state)
+
+    def show_frame(self, run: Run, state: State) -> None:
+        """The state's frame: submap, prior, truth, estimate, alternatives, pairs, selection."""
+        record = run.frames[state.position]
+        one = record.localization
+        with self._scene.server.atomic():
+            self._scene.draw_grid(_vehicle(record).translation)
+            self._draw_submap(run, record)
+            self._draw_prior(one.prior, run)
+            self._draw_poses(record, state)
+            self._draw_pairs(one)
+            self._select(run, state)
+        self._follow(record, state)
+
+    def select(self, run: Run, state: State) -> None:
+        """The ring around the selected element."""
+        with self._scene.server.atomic():
+            self._select(run, state)
+
+    def look(self, run: Run, state: State) -> None:
+        """Turns to the state's viewpoint, again where it is the same."""
+        self._shown = None
+        self.show_frame(run, state)
+
+    def _draw_submap(self, run: Run, record: FrameRecord) -> None:
+        submap, scene = record.localization.submap, self._scene
+        ids = run.semantic_map.elements.id
+        order = np.argsort(ids)
+        rows = order[np.searchsorted(ids, submap.id, sorter=order).clip(max=len(ids) - 1)]
+        scene.draw_elements("/submap", submap, run.semantic_map.classes, self._facing[rows])
+        if len(ids) > CLICKABLE:
+            center = record.localization.prior.position_m
+            scene.make_clickable(run.semantic_map.elements, center, self._on_click)
+
+    def _draw_prior(self, prior: Prior, run: Run) -> None:
+        scene, center = self._scene, _on_road(prior.position_m)
+        color = scene.palette.prior
+        scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
+        cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
+        scene.draw_lines("/prior-cross", cross, color, 1.5)
+        sigma = f"prior ± {prior.horizontal_sigma_m:.1f} m"
+        scene.draw_label("/prior-label", sigma, center)
+        radius = run.info.options.get("crop_radius_m")
+        scene.clear("/crop")
+        if isinstance(radius, int | float):
+            scene.draw_circle("/crop", center, float(radius), scene.palette.faint)
+
+    def _draw_poses(self, record: FrameRecord, state: State) -> None:
+        """From the camera itself its image is all there is; frusta would be in the way."""
+        scene, one = self._scene, record.localization
+        for name in ("/truth", "/estimate", "/backdrop", *_ALTERNATIVES):
+            scene.clear(name)
+        image = None if record.image is None else _decoded(record.image)
+        truth, estimate = record.frame.T_map_camera, _estimate(one)
+        if state.view == "camera":
+            if image is not None:
+                scene.draw_backdrop("/backdrop", _vehicle(record), one.camera, image)
+            return
+        if truth is not None:
+            picture = image if estimate is None else None
+            scene.draw_camera("/truth", truth, one.camera, TRUTH, picture, "truth")
+        if estimate is not None:
+            scene.draw_camera("/estimate", estimate, one.camera, ESTIMATE, image, "estimate")
+        if state.alternatives:
+            for name, other in zip(_ALTERNATIVES, one.alternatives, strict=False):
+                pose = other.T_camera_map.inverse()
+                letter = name[-1].upper()
+                scene.draw_camera(
+                    name, pose, one.camera, ALTERNATIVE, None, f"alternative {letter}"
+                )
+
+    def _draw_pairs(self, one: Localization) -> None:
+        """Rays to the matched elements, in the colour of their residual."""
+        scene, pose, fine = self._scene, _estimate(one), one.refinement
+        for level in range(len(scene.palette.residual)):
+            scene.clear(f"/pairs/{level}")
+        if pose is None or fine is None:
+            return
+        size = np.sqrt(np.nansum(fine.residual_px**2, axis=1))
+        levels = residual_level(size)
+        targets = _middles(one)[fine.pairs[:, 1]]
+        for level, color in enumerate(scene.palette.residual):
+            ends = targets[levels == level]
+            starts = np.broadcast_to(pose.translation, ends.shape)
+            soft = mix(color, scene.palette.scene, 0.7)
+            scene.draw_lines(f"/pairs/{level}", np.stack([starts, ends], axis=1), soft, 1.0)
+
+    def _select(self, run: Run, state: State) -> None:
+        elements = run.semantic_map.elements
+        chosen = elements[np.flatnonzero(elements.id == state.selection.element)]
+        name = ""
+        if len(chosen):
+            classes = run.semantic_map.classes
+            name = classes.element_name(int(chosen.class_id[0]), int(chosen.id[0]))
+        self._scene.highlight(chosen, name)
+
+    def _follow(self, record: FrameRecord, state: State) -> None:
+        """A new viewpoint is taken; otherwise the viewer is carried along with the vehicle."""
+        server, pose, before = self._scene.server, _vehicle(record), self._shown
+        self._shown = (pose, state.view)
+        if state.view == "camera":
+            viewpoint.show(server, viewpoint.through(pose, record.localization.camera))
+        elif before is None or before[1] != state.view:
+            view = viewpoint.above(pose) if state.view == "above" else viewpoint.behind(pose)
+            viewpoint.show(server, view)
+        elif before[0] is not pose:
+            viewpoint.move_along(server, before[0], pose)
+
+
+_ALTERNATIVES = tuple(f"/alternative-{letter}" for letter in "bcdefgh")
+_LABELLED = _ALTERNATIVES[:2]
+
+
+def _estimate(localization: Localization) -> Pose | None:
+    pose = localization.T_camera_map
+    return None if pose is None else pose.inverse()
+
+
+def _vehicle(record: FrameRecord) -> Pose:
+    """Where the viewer goes: the estimate, else the truth, else the prior facing along x."""
+    pose = _estimate(record.localization) or record.frame.T_map_camera
+    if pose is not None:
+        return pose
+    facing_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    return Pose(facing_x, record.localization.prior.position_m)
+
+
+def _path(run: Run) -> FloatArray:
+    """(k, 3) camera centres: of the run where true poses are known, else of the map."""
+    known = [one.frame.T_map_camera for one in run.frames if one.frame.T_map_camera is not None]
+    if len(run.semantic_map.trajectory_m) > len(known):
+        return run.semantic_map.trajectory_m
+    return np.array([pose.translation for pose in known]).reshape(-1, 3)
+
+
+def _middles(localization: Localization) -> FloatArray:
+    submap = localization.submap
+    poles = (submap.anchor_m + submap.end_m) / 2
+    return np.where(submap.is_line[:, None], poles, submap.anchor_m)
+
+
+def _on_road(position_m: FloatArray) -> FloatArray:
+    return position_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.05]
+
+
+def _decoded(jpeg: bytes) -> ByteImage | None:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
+    return None if image is None else np.asarray(image, dtype=np.uint8)

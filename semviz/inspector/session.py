@@ -1,0 +1,81 @@
+"""What one opened page shows: a frozen state, and the verbs that give the next one."""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from semviz.recording.run import Run
+from semviz.web.colors import Theme
+from semviz_core.errors import SemvizError
+
+View = Literal["behind", "above", "camera"]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """An observed row, a map element's id, or a pair of them."""
+
+    observed: int | None = None
+    element: int | None = None
+
+
+@dataclass(frozen=True)
+class State:
+    """Frames are counted by their position in the run; ``run`` is a name, empty at first."""
+
+    run: str = ""
+    position: int = 0
+    selection: Selection = Selection()
+    view: View = "behind"
+    theme: Theme = "dark"
+    alternatives: bool = True
+
+    def opened(self, name: str, run: Run, frame: int | None) -> "State":
+        """At the frame numbered ``frame`` of another run; at its first frame where it has none."""
+        numbers = [record.frame.index for record in run.frames]
+        if not numbers:
+            raise SemvizError(f"{name}: no frame in it; localize again")
+        at = numbers.index(frame) if frame in numbers else 0
+        return replace(self, run=name, position=at, selection=Selection())
+
+    def at(self, position: int, run: Run) -> "State":
+        """At another position, cut to the run; a selected map element stays selected."""
+        last = len(run.frames) - 1
+        kept = Selection(element=self.selection.element)
+        return replace(self, position=min(max(position, 0), last), selection=kept)
+
+    def selecting(self, observed: int | None, element: int | None, run: Run) -> "State":
+        """With an observed row, an element or a pair selected; of one alone, its partner too."""
+        record = run.frames[self.position]
+        rows = len(record.localization.observed)
+        if observed is not None and not 0 <= observed < rows:
+            raise SemvizError(f"observation {observed} does not exist; this frame has {rows}")
+        partners = matched_elements(run, self.position)
+        if observed is not None and element is None:
+            element = partners.get(observed)
+        elif observed is None and element is not None:
+            observed = next((i for i, one in partners.items() if one == element), None)
+        return replace(self, selection=Selection(observed, element))
+
+    def looking(self, view: str) -> "State":
+        """From another viewpoint."""
+        if view not in get_args(View):
+            raise SemvizError(f"no viewpoint '{view}'; there are {', '.join(get_args(View))}")
+        return replace(self, view=view)  # type: ignore[arg-type]
+
+    def themed(self, theme: str) -> "State":
+        """Dark or light."""
+        return replace(self, theme="light" if theme == "light" else "dark")
+
+    def showing_alternatives(self, shown: bool) -> "State":
+        """With or without the other poses that fit."""
+        return replace(self, alternatives=shown)
+
+
+def matched_elements(run: Run, position: int) -> dict[int, int]:
+    """Map element's id by observed row, of the pairs that the answer rests on."""
+    localization = run.frames[position].localization
+    if localization.refinement is None:
+        return {}
+    pairs = localization.refinement.pairs
+    ids = localization.submap.id[pairs[:, 1]]
+    return dict(zip(pairs[:, 0].tolist(), ids.tolist(), strict=True))
