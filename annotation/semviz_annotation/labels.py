@@ -150,9 +150,9 @@ class Labels:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Row], next_number: int = 1, operation: int = 0) -> "Labels":
-        """From all rows, in any order."""
+        """From all rows, in any order; SemvizError where they do not hold together."""
         draft = Draft(cls(next_number=next_number, operation=operation))
-        draft.apply(Change(None, row) for row in rows)
+        draft.fill(rows)
         return draft.labels()
 
     def changed(self, changes: Iterable[Change]) -> "Labels":
@@ -245,8 +245,16 @@ class Draft:
         for change in changes:
             self._remove(change)
         for change in changes:
-            self._add(change)
+            if change.after is not None:
+                self._add(change.after)
         for element_id in {one for change in changes for one in _elements_of(change)}:
+            self._check(element_id)
+
+    def fill(self, rows: Iterable[Row]) -> None:
+        """Add rows that are not there yet, in any order; as ``apply``, but faster."""
+        for row in rows:
+            self._add(row)
+        for element_id in self._elements.keys() | self._of_element.keys():
             self._check(element_id)
 
     def labels(self) -> Labels:
@@ -285,8 +293,7 @@ class Draft:
         elif isinstance(row, Review):
             del self._reviews[row.frame_index]
 
-    def _add(self, change: Change) -> None:
-        row = change.after
+    def _add(self, row: Row) -> None:
         if isinstance(row, LabelElement):
             if row.number in self._numbers:
                 raise SemvizError(f"element number {row.number} is taken")
@@ -299,7 +306,7 @@ class Draft:
             self._observations[row.id] = row
             self._in_frame[row.frame_index] = (*self._in_frame.get(row.frame_index, ()), row.id)
             self._of_element[row.element_id] = (*self._of_element.get(row.element_id, ()), row.id)
-        elif isinstance(row, Review):
+        else:
             self._reviews[row.frame_index] = row
 
     def _check(self, element_id: str) -> None:
