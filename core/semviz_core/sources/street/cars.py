@@ -108,9 +108,11 @@ def _strips(car: Car, eye: FloatArray, light: FloatArray) -> list[Patch]:
         )
         middle = corners.mean(axis=0)
         if normal @ (eye - middle) > 0:
-            glint = 1.35 if color is _GLASS else 1.0
-            patch = Patch(corners, lit(color, glint * _brightness(normal, light)))
-            found.append((float(np.linalg.norm(eye - middle)), patch))
+            gain, distance = _brightness(normal, light), float(np.linalg.norm(eye - middle))
+            if color is _GLASS:
+                found.append((distance + 0.01, Patch(corners, lit(paint, gain))))
+                corners, gain = middle + 0.86 * (corners - middle), 1.35 * gain
+            found.append((distance, Patch(corners, lit(color, gain))))
     return [patch for _, patch in sorted(found, key=lambda one: -one[0])]
 
 

@@ -1,5 +1,6 @@
 """What stands beside the road and can hide one another: cars, poles, signs."""
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -25,16 +26,14 @@ def standing_in_order(layout: Layout, view: View) -> list[Standing]:
     just in front of its pole.
     """
     keyed: list[tuple[float, Standing]] = []
-    pole_distance: dict[int, float] = {}
     for pole in layout.poles:
-        distance = float(np.linalg.norm((pole.bottom_m - view.center_m)[:2]))
-        pole_distance[pole.id] = distance
+        distance = math.dist(pole.bottom_m[:2], view.center_m[:2])
         if distance < SIGHT_M and view.depth(pole.bottom_m) > NEAR_M < view.depth(pole.peak_m):
             keyed.append((distance, pole))
     for sign in layout.signs:
-        distance = pole_distance[sign.pole_id]
+        distance = math.dist(sign.middle_m[:2], view.center_m[:2]) - 0.05
         if distance < SIGHT_M and view.depth(sign.middle_m) > 2 * NEAR_M:
-            keyed.append((distance - 0.01, sign))
+            keyed.append((distance, sign))
     for car in layout.cars:
         distance = float(np.linalg.norm((cars.footprint(car) - view.center_m)[:, :2], axis=1).min())
         if distance < SIGHT_M:

@@ -1,0 +1,241 @@
+"""What the pictures show is what the labels say, to a fraction of a pixel."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.pose import Pose
+from semviz_core.sources.street.furniture import paint_standing, standing_in_order
+from semviz_core.sources.street.layout import Layout
+from semviz_core.sources.street.street import Street
+from semviz_core.sources.street.things import UP, Car, Pole, Sign
+from semviz_core.sources.street.trajectory import camera_axes
+from semviz_core.sources.street.view import View
+from semviz_core.sources.street.visibility import visible_elements
+
+
+@pytest.fixture(scope="module")
+def street() -> Street:
+    return Street(11)
+
+
+def furniture(layout: Layout, view: View, ground: int = 128) -> ByteImage:
+    """Cars, poles and signs alone, before a plain ground."""
+    picture = np.full((view.camera.height, view.camera.width, 3), ground, np.uint8)
+    for thing in standing_in_order(layout, view):
+        paint_standing(picture, view, thing, layout.sun, (206.0, 220.0, 232.0))
+    return picture
+
+
+def cover(layout: Layout, view: View) -> FloatArray:
+    """(height, width) how much of each pixel is painted: it hides that much of the ground."""
+    white, black = (furniture(layout, view, one).astype(float)[..., 1] for one in (255, 0))
+    return np.asarray(1.0 - (white - black) / 255.0)
+
+
+def empty(layout: Layout) -> Layout:
+    return replace(layout, poles=(), signs=(), cars=(), trees=(), hedges=(), houses=())
+
+
+def view_at(street: Street, roll_rad: float = 0.0) -> View:
+    turn = Pose.from_rotvec([0.01, -0.02, roll_rad], [0.0, 0.0, 0.0])
+    return View(street.rig.left, Pose(camera_axes(0.3), np.array([4.0, 5.0, 1.65])) @ turn)
+
+
+def in_view(view: View, x: float, y: float, z: float) -> FloatArray:
+    return view.T_map_camera.apply(np.array([x, y, z]))
+
+
+def pole_at(bottom: FloatArray, height: float, radius: float, tilt: float = 0.01) -> Pole:
+    peak = bottom + height * (UP + [tilt, -tilt, 0.0])
+    return Pole(1, "post", bottom, peak, radius, (90.0, 95.0, 99.0), np.zeros(3))
+
+
+@pytest.mark.parametrize("depth", [5.0, 12.3, 24.7, 38.1])
+@pytest.mark.parametrize("radius", [0.038, 0.09])
+@pytest.mark.parametrize("roll", [0.0, 0.05])
+def test_a_poles_axis_is_painted_where_it_projects(
+    street: Street, depth: float, radius: float, roll: float
+) -> None:
+    view = view_at(street, roll)
+    pole = pole_at(in_view(view, 0.21 * depth + 0.137, 1.2, depth), 2.7, radius)
+    painted = cover(replace(empty(street.layout), poles=(pole,)), view)
+    peak, bottom = view.project(np.array([pole.peak_m, pole.bottom_m]))
+    rows = np.arange(int(max(peak[1], 0)) + 4, int(min(bottom[1], view.camera.height)) - 4)
+    centroid = painted[rows] @ np.arange(view.camera.width) / painted[rows].sum(axis=1)
+    expected = peak[0] + (rows - peak[1]) / (bottom[1] - peak[1]) * (bottom[0] - peak[0])
+    assert len(rows) > 20
+    assert np.abs(centroid - expected).max() < 0.15
+    width = 2.0 * radius * view.camera.K[0, 0] / depth
+    assert painted[rows].sum(axis=1).mean() == pytest.approx(width, rel=0.1)
+
+
+@pytest.mark.parametrize("depth", [9.0, 21.3, 36.6])
+def test_a_pole_ends_where_its_ends_project(street: Street, depth: float) -> None:
+    view = view_at(street)
+    pole = pole_at(in_view(view, 0.5, 1.1, depth), 2.7 if depth > 10 else 2.2, 0.06, tilt=0.0)
+    painted = cover(replace(empty(street.layout), poles=(pole,)), view).max(axis=1)
+    peak, bottom = view.project(np.array([pole.peak_m, pole.bottom_m]))
+    solid = np.flatnonzero(painted > 0.5 * painted.max())
+    assert solid[0] == pytest.approx(peak[1], abs=1.0)
+    assert solid[-1] == pytest.approx(bottom[1], abs=1.0)
+    assert painted.sum() / painted.max() == pytest.approx(bottom[1] - peak[1], abs=0.3)
+
+
+@pytest.mark.parametrize("class_id", [TRIANGULAR, RECTANGULAR, ROUNDED])
+@pytest.mark.parametrize("depth", [6.1, 17.8, 33.4])
+def test_a_signs_middle_is_painted_where_it_projects(
+    street: Street, class_id: int, depth: float
+) -> None:
+    view = view_at(street)
+    right = 0.35 * view.T_map_camera.rotation[:, 0]
+    middle = in_view(view, 0.13 * depth, -0.5, depth)
+    bottom = in_view(view, 0.13 * depth, 1.6, depth)
+    pole = replace(pole_at(bottom, 0.1, 0.02), id=2)
+    sign = Sign(1, class_id, middle, right, 0.35 * UP, 4, 2)
+    painted = cover(replace(empty(street.layout), poles=(pole,), signs=(sign,)), view)
+    u, v = view.project(middle)[0]
+    near = painted[: int(v + 0.45 * view.camera.K[0, 0] / depth) + 3]
+    rows, columns = np.indices(near.shape)
+    if class_id == TRIANGULAR:  # the middle is that of its box; its mass lies a third lower
+        v = view.project(middle - sign.up_m / 3.0)[0, 1]
+    assert (near * columns).sum() / near.sum() == pytest.approx(u, abs=0.15)
+    assert (near * rows).sum() / near.sum() == pytest.approx(v, abs=0.2)
+
+
+def test_the_same_seed_paints_the_same_picture(street: Street) -> None:
+    again = Street(11)
+    for side in ("left", "right"):
+        assert np.array_equal(street.image(5, side), again.image(5, side))
+    assert street.image(5, "left").shape == (376, 1241, 3)
+    assert np.abs(street.image(5, "left").astype(int) - Street(12).image(5, "left")).mean() > 5
+
+
+def test_labels_project_from_the_truth(street: Street) -> None:
+    elements = street.truth_map.elements
+    for index in range(0, 60, 7):
+        for side in ("left", "right"):
+            labels, ids = street.labels(index, side)
+            view = street.view(index, side)
+            true = elements[np.searchsorted(elements.id, ids)]
+            peak, bottom = view.project(true.anchor_m), view.project(true.end_m)
+            assert len(ids) > 4
+            assert np.array_equal(true.class_id, labels.class_id)
+            assert np.abs((labels.anchor_px - peak)[labels.anchor_known]).max() < 1e-6
+            assert np.abs((labels.end_px - bottom)[labels.end_known]).max(initial=0.0) < 1e-6
+            line = labels.is_line
+            axis = (bottom - peak)[line] / np.linalg.norm((bottom - peak)[line], axis=1)[:, None]
+            for end in (labels.anchor_px, labels.end_px):
+                offset = (end - peak)[line]
+                across = axis[:, 0] * offset[:, 1] - axis[:, 1] * offset[:, 0]
+                assert np.abs(across).max() < 1e-6
+                assert view.camera.contains(end[line]).all()
+
+
+def test_left_and_right_labels_lie_on_the_same_rows(street: Street) -> None:
+    pairs = 0
+    for index in range(0, 60, 9):
+        (left, left_ids), (right, right_ids) = (street.labels(index, s) for s in ("left", "right"))
+        _, a, b = np.intersect1d(left_ids, right_ids, return_indices=True)
+        known = left.anchor_known[a] & right.anchor_known[b]
+        one, two = left.anchor_px[a][known], right.anchor_px[b][known]
+        elements = street.truth_map.elements
+        points = elements.anchor_m[np.searchsorted(elements.id, left_ids[a][known])]
+        disparity = 718.856 * 0.54 / street.view(index, "left").depth(points)
+        assert np.abs(one[:, 1] - two[:, 1]).max() < 1e-6
+        assert np.abs(one[:, 0] - two[:, 0] - disparity).max() < 1e-6
+        pairs += int(known.sum())
+    assert pairs > 20
+
+
+def test_left_and_right_pictures_agree_in_3d(street: Street) -> None:
+    """The road's texture shows the same at one place in both, and another one beside it."""
+    bare = Street(11)
+    bare.layout = empty(street.layout)
+    road = street.layout.road
+    s, d = (one.ravel() for one in np.meshgrid(np.arange(17.0, 24.0, 0.05), np.arange(-3, -1, 0.1)))
+    points = road.at(s, d)
+    from semviz_core.sources.street.painter import Painter
+
+    painter = Painter(bare.layout, 11)
+    samples = []
+    for side, shift in (("left", 0.0), ("right", 0.0), ("right", 4.0)):
+        view = street.view(10, side)
+        pixels = (view.project(points) + [shift, 0.0]).astype(np.float32)
+        picture = painter.paint(view)[..., 1].astype(np.float32)
+        samples.append(cv2.remap(picture, pixels[:, 0], pixels[:, 1], cv2.INTER_LINEAR).ravel())
+    inside = np.isfinite(samples).all(axis=0) & (np.min(samples, axis=0) > 0)
+    correlation = np.corrcoef(np.array(samples)[:, inside])
+    assert inside.sum() > 300
+    assert correlation[0, 1] > 0.85
+    assert correlation[0, 2] < correlation[0, 1] - 0.1
+
+
+def test_a_parked_car_hides_the_bottom_of_the_pole_behind_it(street: Street) -> None:
+    view = view_at(street)
+    bottom = in_view(view, 3.0, 1.6, 14.0)
+    pole = pole_at(bottom, 2.8, 0.05, tilt=0.0)
+    car_place = in_view(view, 2.0, 1.65, 10.0)
+    car = Car(car_place, 0.3, (1.0, 1.0, 1.0), True, (150.0, 30.0, 30.0))
+    truth = street.truth_map.elements[[0]]
+    truth = replace(
+        truth,
+        id=np.array([1]),
+        class_id=np.array([POLE]),
+        anchor_m=pole.peak_m[None],
+        end_m=pole.bottom_m[None],
+        anchor_known=np.array([True]),
+        end_known=np.array([True]),
+    )
+    alone = replace(empty(street.layout), poles=(pole,))
+    free, _ = visible_elements(alone, truth, view)
+    hidden, _ = visible_elements(replace(alone, cars=(car,)), truth, view)
+    assert free.end_known.all() and hidden.anchor_known.all()
+    assert not hidden.end_known.any()
+    assert free.end_px[0, 1] - hidden.end_px[0, 1] > 10.0
+    assert np.allclose(free.anchor_px, hidden.anchor_px)
+
+
+def test_labels_end_where_the_picture_does(street: Street) -> None:
+    """Taking a pole away changes the picture along its label, and nowhere else on its line."""
+    hidden = 0
+    for index in (3, 30, 55):
+        view = street.view(index, "left")
+        layout = replace(
+            street.layout, poles=tuple(replace(p, arm_m=np.zeros(3)) for p in street.layout.poles)
+        )
+        full = furniture(layout, view).astype(int)
+        labels, ids = street.labels(index, "left")
+        for row in np.flatnonzero(labels.is_line):
+            poles = tuple(one for one in layout.poles if one.id != ids[row])
+            left = furniture(replace(layout, poles=poles), view)
+            changed = np.abs(full - left).max(axis=2) > 5
+            pole = next(one for one in layout.poles if one.id == ids[row])
+            axis = view.project(np.linspace(pole.peak_m, pole.bottom_m, 2000))
+            axis = axis[view.camera.contains(axis)]
+            u, v = np.round(axis).astype(int).T
+            shown = axis[changed[v, u]]
+            assert np.linalg.norm(shown[0] - labels.anchor_px[row]) < 2.0
+            assert np.linalg.norm(shown[-1] - labels.end_px[row]) < 2.0
+            hidden += not labels.end_known[row]
+    assert hidden > 0
+
+
+def test_elements_without_a_label_are_out_of_sight(street: Street) -> None:
+    for index in (0, 17, 44):
+        view = street.view(index, "left")
+        _, ids = street.labels(index, "left")
+        full = furniture(street.layout, view).astype(int)
+        for sign in street.layout.signs:
+            near = view.distance(sign.middle_m) < 58.0
+            if not near or sign.id in ids or view.depth(sign.middle_m) < 1.0:
+                continue
+            signs = tuple(one for one in street.layout.signs if one is not sign)
+            u, v = np.round(view.project(sign.middle_m)[0]).astype(int)
+            if 0 <= u < 1241 and 0 <= v < 376:
+                without = furniture(replace(street.layout, signs=signs), view)
+                assert (full[v, u] == without[v, u]).all()
