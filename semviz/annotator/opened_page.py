@@ -1,0 +1,196 @@
+"""One opened page: what it asks for, what it is told, and its 3D scene."""
+
+import json
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from typing import Protocol
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from semviz.annotator.images import Images
+from semviz.annotator.scene_view import SceneView, Shown
+from semviz.annotator.session import Done, LabelSession, Look
+from semviz.annotator.views import Json, element_name
+from semviz.web.colors import Theme
+from semviz.web.scenes import Scenes
+from semviz.web.sessions import Message, Send
+from semviz_annotation.edits import first_fault
+from semviz_core.errors import SemvizError
+
+_LOOK: TypeAdapter[Look] = TypeAdapter(Look)
+
+
+class Shared(Protocol):
+    """What all opened pages of a workspace share."""
+
+    @property
+    def session(self) -> LabelSession: ...
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held around every use of ``session``."""
+        ...
+
+    @property
+    def images(self) -> Images: ...
+
+    @property
+    def scenes(self) -> Scenes: ...
+
+    @property
+    def painter(self) -> Executor:
+        """One thread that draws all 3D scenes, so that no edit waits for one."""
+        ...
+
+    @property
+    def pages(self) -> Iterable["OpenedPage"]: ...
+
+    def forget(self, page: "OpenedPage") -> None: ...
+
+
+class OpenedPage:
+    """A ``PageSession`` of the web tools' sessions."""
+
+    def __init__(self, session_id: str, send: Send, shared: Shared) -> None:
+        self._id = session_id
+        self._send = send
+        self._shared = shared
+        self._session = shared.session
+        self._frame = next(iter(self._session.frames))
+        self._selected: str | None = None
+        self._scene: SceneView | None = None
+        self._theme: Theme = "dark"
+        self._stale = threading.Event()
+
+    # -- as the web tools' sessions call it
+
+    def connected(self) -> None:
+        with self._shared.lock:
+            state = self._session.summary()
+        self._send({"type": "hello"} | self._session.describe() | {"state": state})
+        if self._scene is not None:
+            self._send({"type": "scene"})
+        self._redraw()
+
+    def receive(self, message: Message) -> None:
+        verbs: dict[object, Callable[[Message], None]] = {
+            "go": self._go,
+            "look": self._look,
+            "edit": self._edit,
+            "theme": self._set_theme,
+        }
+        if message.get("type") not in verbs:
+            raise SemvizError("not a message of this page; reload it")
+        verbs[message["type"]](message)
+
+    def close(self) -> None:
+        self._shared.forget(self)
+        self._shared.painter.submit(self._shared.scenes.close, self._id)
+
+    # -- what the page asks for
+
+    def _go(self, message: Message) -> None:
+        index = message.get("frame")
+        if not isinstance(index, int):
+            raise SemvizError("no frame number; reload the page")
+        with self._shared.lock:
+            frame = self._session.frame(index)
+        self._frame = index
+        self._send({"type": "frame", "frame": frame})
+        self._shared.images.prefetch(index)
+        self._redraw()
+
+    def _look(self, message: Message) -> None:
+        look = _look_of(message.get("look"))
+        with self._shared.lock:
+            answer = self._session.look(look)
+        self._send({"type": "look", "look": answer})
+        if self._selected != look.selected_id:
+            self._selected = look.selected_id
+            self._redraw()
+
+    def _edit(self, message: Message) -> None:
+        """Does an edit, says that it is saved, and tells the other pages what is new."""
+        request, edit = message.get("request"), message.get("edit")
+        if not isinstance(request, str) or not isinstance(edit, dict):
+            raise SemvizError("an edit needs a request and what to do")
+        with self._shared.lock:
+            try:
+                done = self._session.do(request, edit)
+            except SemvizError as error:
+                # what the disk refused stays with the page; what makes no sense is dropped there
+                kept = str(error).startswith("Not saved")
+                refused = {"type": "refused", "request": request, "text": str(error), "kept": kept}
+                self._send(refused)
+                return
+            if done.operation.kind in ("undo", "redo") and done.frame is not None:
+                self._frame = done.frame
+            answer = {"request": request, "element": done.element_id, "note": done.note}
+            self._send({"type": "saved"} | self._news(done) | answer)
+            for page in self._shared.pages:
+                if page is not self:
+                    page._send({"type": "news"} | page._news(done))
+        for page in self._shared.pages:
+            page._redraw()
+
+    def _set_theme(self, message: Message) -> None:
+        self._theme = "light" if message.get("theme") == "light" else "dark"
+        self._redraw()
+
+    def _news(self, done: Done) -> Json:
+        return {
+            "state": self._session.news(done.operation),
+            "frame": self._session.frame(self._frame),
+        }
+
+    # -- the 3D scene
+
+    def _redraw(self) -> None:
+        """Draws the scene soon; the latest state wins."""
+        if not self._stale.is_set():
+            self._stale.set()
+            self._shared.painter.submit(self._draw)
+
+    def _draw(self) -> None:
+        self._stale.clear()
+        with self._shared.lock:
+            shown = self._shown()
+        if self._scene is None:
+            self._scene = self._new_scene()
+            self._send({"type": "scene"})
+        self._scene.show(shown)
+        self._scene.set_theme(self._theme)
+
+    def _shown(self) -> Shown:
+        element = self._session.labels.elements.get(self._selected or "")
+        return Shown(
+            elements=self._session.elements_3d(),
+            T_map_camera=self._session.frames[self._frame].T_map_camera,
+            selected=None if element is None else element.number,
+            name="" if element is None else element_name(element, self._session.classes),
+        )
+
+    def _new_scene(self) -> SceneView:
+        poses = [frame.T_map_camera for frame in self._session.frames.values()]
+        centers = [pose.translation for pose in poses if pose is not None]
+        return SceneView(
+            self._shared.scenes.scene(self._id),
+            np.array(centers).reshape(-1, 3),
+            self._session.rig.left,
+            self._session.classes,
+            self._clicked,
+        )
+
+    def _clicked(self, number: int) -> None:
+        for element in self._session.labels.elements.values():
+            if element.number == number:
+                self._send({"type": "select", "element": element.id})
+
+
+def _look_of(data: object) -> Look:
+    try:
+        return _LOOK.validate_json(json.dumps(data))
+    except ValidationError as error:
+        raise SemvizError(f"not a look: {first_fault(error)}") from None

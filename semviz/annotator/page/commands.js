@@ -1,0 +1,142 @@
+// Every command of the page with its key: the help overlay and the key handler read this one list.
+import { switchTheme } from "/static/theme.js";
+import { SIDES, uuid7 } from "./state.js";
+
+/** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help. */
+export function commands(state, images, tools, actions) {
+  const edit = editing(state, actions);
+  const step = (by) => actions.go(neighbour(state, by));
+  const toggle = (aid) => () => state.set({ aids: { ...state.aids, [aid]: !state.aids[aid] } });
+  const nudge = (key, du, dv) => [
+    { key, group: "Edit", title: "Nudge 0.1 px", run: () => edit.nudge(0.1 * du, 0.1 * dv) },
+    { key, shift: true, group: "Edit", title: "Nudge 1 px", run: () => edit.nudge(du, dv) },
+  ];
+  return [
+    { key: "Click", group: "Draw", title: "Pole: peak, then bottom. Sign: middle" },
+    { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: in one stroke" },
+    { key: "Click", shift: true, group: "Draw", title: "Draw, even on top of an element" },
+    ...["1", "2", "3", "4"].map((key, id) => ({
+      key, group: "Draw", title: `Class: ${CLASS_NAMES[id]}`, run: () => edit.chooseClass(id),
+    })),
+    { key: "Escape", group: "Draw", title: "Cancel the drawing; clear the selection", run: () => {
+      if (!tools.cancel()) actions.select(null);
+    } },
+
+    { key: "Click element", group: "Edit", title: "Select; drag moves an end, or all of it" },
+    { key: "Click element", ctrl: true, group: "Edit", title: "Select a second one, to link" },
+    { key: "p", group: "Edit", title: "Link the two selected: one thing", run: edit.link },
+    { key: "u", group: "Edit", title: "Unlink: this view shows another thing", run: edit.unlink },
+    ...["1", "2", "3", "4"].map((key, id) => ({
+      key, shift: true, group: "Edit", title: `Selected becomes ${CLASS_NAMES[id]}`,
+      run: () => edit.setClass(id),
+    })),
+    { key: "o", group: "Edit", title: "Bottom hidden, or seen again", run: () => edit.flag("end_known") },
+    { key: "c", group: "Edit", title: "Peak cut off, or seen again", run: () => edit.flag("anchor_known") },
+    { key: "r", group: "Edit", title: "Swap peak and bottom", run: edit.swap },
+    ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
+    ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
+    { key: "v", group: "Edit", title: "The other end, for the arrows", run: edit.otherEnd },
+    { key: "Delete", group: "Edit", title: "Delete this view of the element", run: edit.remove },
+    { key: "Delete", shift: true, group: "Edit", title: "Delete the element in all frames", run: edit.removeAll },
+
+    { key: "Wheel", group: "See", title: "Zoom both images at the pointer" },
+    { key: "Right drag", group: "See", title: "Pan; also middle button, or Alt" },
+    { key: "z", group: "See", title: "Zoom to the selection", run: () => lookAt(state, images) },
+    { key: "0", group: "See", title: "Whole image", run: () => images.fit() },
+    { key: "l", group: "See", title: "Loupe", run: toggle("loupe") },
+    { key: "i", group: "See", title: "Epipolar line", run: toggle("guides") },
+    { key: "g", group: "See", title: "Ghosts of mapped elements", run: toggle("ghosts") },
+    { key: "b", group: "See", title: "Brightness", run: toggle("bright") },
+
+    { key: ",", group: "Frames", title: "Frame before", run: () => step(-1) },
+    { key: ".", group: "Frames", title: "Frame after", run: () => step(1) },
+    { key: "Enter", group: "Frames", title: "Reviewed", run: () => edit.review("reviewed") },
+    { key: "Enter", shift: true, group: "Frames", title: "Reviewed, empty", run: () => edit.review("reviewed, empty") },
+    { key: "Tab", group: "Frames", title: "Next element of the list", run: () => cycle(state, actions, 1) },
+    { key: "Tab", shift: true, group: "Frames", title: "Element before", run: () => cycle(state, actions, -1) },
+
+    { key: "z", ctrl: true, group: "Safety", title: "Undo, also after a restart", run: () => actions.submit({ kind: "undo" }) },
+    { key: "z", ctrl: true, shift: true, group: "Safety", title: "Redo", run: () => actions.submit({ kind: "redo" }) },
+    { key: "h", group: "Safety", title: "History: show or hide", run: () => document.body.classList.toggle("history") },
+
+    { key: "t", group: "Anywhere", title: "Dark or light", run: () => {
+      switchTheme();
+      actions.sendTheme();
+    } },
+    { key: "?", group: "Anywhere", title: "These keys", run: actions.help },
+  ];
+}
+
+const CLASS_NAMES = ["pole", "triangular sign", "rectangular sign", "rounded sign"];
+
+/** What the editing keys do with the selected observation. Each is one edit, or none. */
+export function editing(state, { submit, select }) {
+  const observation = () => state.selectedObservation;
+  const kind = () => state.selectedElement && state.classOf(state.selectedElement.class).kind;
+  const withPole = (run) => () => { if (observation() && kind() === "line") run(observation()); };
+  return {
+    chooseClass(id) {
+      if (state.hello.classes.some((one) => one.id === id) && !state.drawing) state.set({ classId: id });
+    },
+    setClass(id) {
+      if (state.selectedElement) submit({ kind: "set class", element_id: state.selectedElement.id, class_id: id });
+    },
+    link() {
+      const { element, also } = state.selected ?? {};
+      if (element && also) submit({ kind: "link", element_id: element, other_id: also });
+    },
+    unlink() {
+      if (observation()) submit({ kind: "unlink", observation_id: observation().id, new_element_id: uuid7() });
+    },
+    flag(end) {
+      const { drawing } = state;
+      if (drawing?.end) {
+        state.set({ drawing: { ...drawing, [end]: !drawing[end] } });
+      } else if (observation() && kind() === "line") {
+        submit({ kind: "set known", observation_id: observation().id, [end]: !observation()[end] });
+      }
+    },
+    swap: withPole((one) => submit({ kind: "swap ends", observation_id: one.id })),
+    otherEnd: withPole(() => state.set({ vertex: state.vertex === "anchor" ? "end" : "anchor" })),
+    nudge(du, dv) {
+      const one = observation();
+      if (!one) return;
+      const moved = { anchor: one.anchor, end: one.end };
+      const [u, v] = moved[state.vertex];
+      moved[state.vertex] = [u + du, v + dv];
+      submit({ kind: "move", observation_id: one.id, anchor_px: moved.anchor, end_px: moved.end });
+    },
+    remove() {
+      if (!observation()) return;
+      submit({ kind: "delete", observation_id: observation().id });
+      const left = SIDES.find((side) => state.selectedElement?.observations[side]);
+      select(left ? state.selected.element : null);
+    },
+    removeAll() {
+      if (!state.selectedElement) return;
+      submit({ kind: "delete element", element_id: state.selectedElement.id });
+      select(null);
+    },
+    review(verdict) {
+      submit({ kind: "review", frame_index: state.frame, state: verdict });
+    },
+  };
+}
+
+/** The frame `by` places further; null at the ends. */
+export function neighbour(state, by) {
+  return state.order[state.order.indexOf(state.frame) + by] ?? null;
+}
+
+function lookAt(state, images) {
+  const here = state.selectedElement?.observations ?? state.selectedGhost ?? {};
+  const side = here[state.selected?.side] ? state.selected.side : SIDES.find((one) => here[one]);
+  if (side) images.lookAt([here[side].anchor, here[side].end].filter(Boolean));
+}
+
+function cycle(state, actions, by) {
+  const ids = [...state.elements, ...state.expected].map((one) => one.id);
+  if (!ids.length) return;
+  const place = ids.indexOf(state.selected?.element);
+  actions.select(ids[(place + by + ids.length + (place < 0 && by < 0 ? 1 : 0)) % ids.length]);
+}

@@ -1,0 +1,38 @@
+// What each key does right now: the line under the images.
+
+/** [{keys, text}] for the state of the page, most useful first; the first six must suffice. */
+export function hints(state) {
+  const { drawing, selectedElement: element, selectedGhost: ghost, selected } = state;
+  if (drawing) return whileDrawing(state.classOf(drawing.class).kind);
+  const kind = state.classOf(state.classId).kind;
+  const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
+  if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
+  if (element) return withElement(state, element, selected);
+  if (ghost) return [hint(`${ghost.name} here`, "Click"), hint("next", "Tab"), hint("zoom to it", "Z"), hint("not this one", "Esc")];
+  return [
+    draw, hint("class", "1", "2", "3", "4"), hint("zoom", "Wheel"), hint("pan", "Right drag"),
+    hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
+  ];
+}
+
+function whileDrawing(kind) {
+  if (kind === "point") return [hint("sets the middle", "Release"), hint("cancel", "Esc")];
+  return [
+    hint("bottom", "Click"), hint("cancel", "Esc"), hint("bottom hidden", "O"), hint("peak cut", "C"),
+    hint("zoom", "Wheel"), hint("pan", "Right drag"),
+  ];
+}
+
+function withElement(state, element, { side }) {
+  const here = element.observations[side];
+  const isLine = state.classOf(element.class).kind === "line";
+  const missing = state.hasRight && ["left", "right"].find((one) => !element.observations[one]);
+  return [
+    ...(missing ? [hint(`${element.name} in the ${missing} image`, "Click")] : []),
+    ...(here ? [hint("0.1 px", "Arrows"), hint("delete", "Del")] : []),
+    ...(here && isLine ? [hint("bottom hidden", "O"), hint("peak cut", "C"), hint("swap", "R")] : []),
+    hint("draw on top", "Shift Click"), hint("zoom to it", "Z"), hint("frame", ",", "."),
+  ];
+}
+
+const hint = (text, ...keys) => ({ keys, text });

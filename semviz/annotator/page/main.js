@@ -1,0 +1,194 @@
+// Puts the page together: server, outbox, images, pen, keys and panels.
+import { byId } from "/static/dom.js";
+import { showScene } from "/static/scene.js";
+import { Socket } from "/static/socket.js";
+import { currentTheme, startTheme } from "/static/theme.js";
+import { commands } from "./commands.js";
+import { Images } from "./images.js";
+import { Outbox } from "./outbox.js";
+import { Panels } from "./panels.js";
+import { Pictures } from "./pictures.js";
+import { State } from "./state.js";
+import { Tools } from "./tools.js";
+import { Keys } from "/static/keys.js";
+
+startTheme();
+const state = new State();
+const images = new Images(state, { left: byId("left-image"), right: byId("right-image") });
+const pictures = new Pictures();
+const looking = { waiting: false, again: false };
+let outbox = null;
+let session = "";
+
+/** Keeps an edit and sends it; the page shows it at once. */
+function submit(edit) {
+  const request = outbox.add(edit);
+  if (edit.kind === "draw") {
+    state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
+  }
+  refreshPending();
+  return request;
+}
+
+function refreshPending() {
+  state.set({ pending: outbox.entries });
+}
+
+/** Asks for guides and numbers of what is in hand; one question at a time, the last one counts. */
+function look() {
+  if (looking.waiting) {
+    looking.again = true;
+    return;
+  }
+  looking.waiting = socket.send({ type: "look", look: inHand() });
+}
+
+function inHand() {
+  const { drawing, dragged, selected } = state;
+  const known = selected && !state.pending.some(({ edit }) => edit.element_id === selected.element);
+  return {
+    frame_index: state.frame,
+    selected_id: known ? selected.element : null,
+    side: selected?.side ?? "left",
+    drawing: drawing && {
+      side: drawing.side,
+      class_id: drawing.class,
+      anchor_px: drawing.anchor,
+      end_px: drawing.end,
+      anchor_known: drawing.anchor_known,
+      end_known: drawing.end_known,
+    },
+    moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
+  };
+}
+
+/** Shows frame `index`; what is selected stays so, to be continued there. */
+function go(index) {
+  if (!state.hello || index === null) return;
+  const order = state.order;
+  if (!order.includes(index)) return;
+  tools.cancel();
+  state.set({ frame: index, look: null });
+  history.replaceState(null, "", `?frame=${index}`);
+  socket.send({ type: "go", frame: index });
+  showPictures(index);
+  look();
+}
+
+async function showPictures(index) {
+  const sides = state.hasRight ? ["left", "right"] : ["left"];
+  if (!state.hasRight) images.show("right", index, null, "This sequence has no right camera.");
+  await Promise.all(sides.map(async (side) => {
+    const { bitmap, message } = await pictures.get(index, side);
+    if (state.frame === index) images.show(side, index, bitmap, message);
+  }));
+  const place = state.order.indexOf(index);
+  for (const near of [state.order[place + 1], state.order[place - 1]]) {
+    if (near !== undefined) sides.forEach((side) => pictures.get(near, side));
+  }
+}
+
+const received = {
+  hello(message) {
+    const first = state.hello === null;
+    state.hello = message;
+    outbox ??= new Outbox(message.key, (one) => socket.send(one));
+    const frames = message.state.frames;
+    state.set({ labels: { ...message.state, frame: state.labels?.frame ?? null } });
+    refreshPending();
+    panels.start();
+    images.fit();
+    const asked = Number(new URLSearchParams(location.search).get("frame") ?? frames[0].index);
+    const known = frames.some(({ index }) => index === asked);
+    go(first ? (known ? asked : frames[0].index) : state.frame);
+    outbox.flush();
+    sendTheme();
+  },
+  frame({ frame }) {
+    state.set({ labels: { ...state.labels, frame } });
+    look();
+  },
+  news(message) {
+    take(message);
+    look();
+  },
+  saved(message) {
+    const sent = outbox.entries.find(({ request }) => request === message.request);
+    outbox.settle(message.request);
+    state.pending = outbox.entries;
+    take(message);
+    const isDrawing = sent?.edit.kind === "draw";
+    const isInHand = isDrawing && state.selected?.element === sent.edit.element_id;
+    if (message.element && (isInHand || !isDrawing)) {
+      state.set({ selected: { element: message.element, side: state.selected?.side ?? "left" } });
+    }
+    panels.tell(message.note);
+    if (message.frame.index !== state.frame && isStep(sent)) go(message.frame.index);
+    else look();
+  },
+  refused({ request, text, kept }) {
+    if (!kept) outbox.settle(request);
+    state.set({ trouble: kept ? text : null });
+    refreshPending();
+    panels.tell(text, "wrong");
+    look();
+  },
+  look({ look: answer }) {
+    looking.waiting = false;
+    state.set({ look: answer });
+    if (!looking.again) return;
+    looking.again = false;
+    look();
+  },
+  scene() {
+    showScene(byId("scene"), session, keys);
+  },
+  select({ element }) {
+    select(element);
+  },
+  error({ text }) {
+    looking.waiting = false;
+    panels.tell(text, "wrong");
+  },
+};
+
+/** Takes over what an operation changed. */
+function take({ state: news, frame }) {
+  const changed = new Map(news.frames.map((one) => [one.index, one]));
+  const frames = state.labels.frames.map((one) => changed.get(one.index) ?? one);
+  const mine = frame.index === state.frame ? frame : state.labels.frame;
+  state.set({ labels: { ...news, frames, frame: mine }, trouble: null });
+}
+
+function sendTheme() {
+  state.set({ theme: currentTheme() });
+  socket.send({ type: "theme", theme: state.theme });
+}
+
+const isStep = (sent) => sent?.edit.kind === "undo" || sent?.edit.kind === "redo";
+
+/** Selects an element on the side where it can be seen. */
+function select(element, side = null) {
+  const here = state.elements.find((one) => one.id === element)?.observations ?? {};
+  const shown = side ?? (here.left || !here.right ? "left" : "right");
+  state.set({ selected: element ? { element, side: shown } : null, vertex: "anchor" });
+  look();
+}
+
+const actions = { submit, look, go, select };
+const tools = new Tools(state, images, actions);
+const keys = new Keys(commands(state, images, tools, { ...actions, help: () => keys.showHelp("Keys"), sendTheme }));
+const panels = new Panels(state, images, keys, actions);
+keys.listen(window);
+
+const socket = new Socket({
+  onmessage: (message) => received[message.type]?.(message),
+  onsession: (id) => {
+    session = id;
+  },
+  onstate: (connected) => {
+    looking.waiting = false;
+    if (!connected) outbox?.disconnected();
+    state.set({ connected, theme: currentTheme() });
+  },
+});

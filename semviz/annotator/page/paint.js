@@ -1,0 +1,219 @@
+// Elements, ghosts, guides and the loupe on an image. Sizes are CSS pixels and don't grow with zoom.
+import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
+
+const ACCENT = "#4DABF7"; // the dark set is used on images in both themes
+const HANDLE_HIT = 8; // a handle is taken hold of within this radius
+const GLYPH = 7;
+const SELECTED_GLYPH = 8;
+const LABEL_SIZE = 11;
+const BRIGHT = "brightness(1.7) contrast(1.15)";
+
+/** Paints one frame's overlay of one image; `labels` last, so that they lie above all lines. */
+export class Painter {
+  constructor(context, view, classOf) {
+    this.context = context;
+    this.view = view;
+    this.classOf = classOf;
+    this.texts = [];
+  }
+
+  /** A labelled element. `vertex`: the end that the arrow keys move, null where it isn't in hand. */
+  element(element, observation, { selected, hovered, vertex }) {
+    const { color, shape, kind } = this.classOf(element.class);
+    const anchor = this.view.toScreen(observation.anchor);
+    const width = hovered ? 3 : 2;
+    const dash = element.kept ? [2, 2] : [];
+    if (kind === "line") {
+      const end = this.view.toScreen(observation.end);
+      if (selected) this.#halo(anchor, end);
+      drawLine(this.context, anchor, end, color, width, dash);
+      this.#poleEnd("peak", anchor, end, color, observation.anchor_known, vertex === "anchor");
+      this.#poleEnd("bottom", end, anchor, color, observation.end_known, vertex === "end");
+    } else {
+      if (selected) this.#ring(anchor, GLYPH + 6);
+      drawGlyph(this.context, shape, ...anchor, selected ? SELECTED_GLYPH : GLYPH, color, width, dash);
+      this.#dot(anchor, color);
+    }
+    const cut = observation.anchor_known ? "" : " · peak cut";
+    const hidden = kind === "line" && !observation.end_known ? " · bottom hidden" : "";
+    this.#label(element.name + cut + hidden, anchor, selected ? 2 : 1);
+  }
+
+  /** Where a mapped element should be in this image: dashed, never filled. */
+  ghost(ghost, place, selected) {
+    const { color, shape, kind } = this.classOf(ghost.class);
+    const anchor = this.view.toScreen(place.anchor);
+    if (kind === "line") {
+      const end = this.view.toScreen(place.end);
+      if (selected) this.#halo(anchor, end);
+      drawLine(this.context, anchor, end, color, 1.5, [5, 4]);
+    } else {
+      if (selected) this.#ring(anchor, GLYPH + 6);
+      drawGlyph(this.context, shape, ...anchor, GLYPH, color, 1.5, [4, 3]);
+    }
+    this.#label(ghost.name, anchor, selected ? 2 : 0);
+  }
+
+  /** Epipolar lines: thin over the whole image, brighter where the depth is plausible. */
+  guides(guides) {
+    for (const { line, plausible } of guides) {
+      this.#path(line, "rgba(255,255,255,.55)", 1);
+      this.#path(plausible, "rgba(255,255,255,.9)", 2);
+    }
+  }
+
+  /** The element under the pen. */
+  drawing({ class: id, anchor, end, box, anchor_known, end_known }) {
+    const { color, shape, kind } = this.classOf(id);
+    const from = this.view.toScreen(anchor);
+    if (kind === "line") {
+      const to = this.view.toScreen(end);
+      drawLine(this.context, from, to, color);
+      this.#poleEnd("peak", from, to, color, anchor_known, false);
+      if (!end_known) this.#poleEnd("bottom", to, from, color, false, false);
+    } else {
+      if (box) this.#box(box.map((corner) => this.view.toScreen(corner)), color);
+      drawGlyph(this.context, shape, ...from, GLYPH, color);
+      this.#dot(from, color);
+    }
+  }
+
+  /** Names; where two would overlap, the one with less to say goes. */
+  labels() {
+    const taken = [];
+    for (const { text, at, weight } of this.texts.sort((a, b) => b.weight - a.weight)) {
+      const font = weight ? 600 : 400;
+      this.context.font = `${font} ${LABEL_SIZE}px Inter, "Liberation Sans", Arial, sans-serif`;
+      const place = [at[0] + 11, at[1] - 8];
+      const box = [place[0], place[1] - 7, this.context.measureText(text).width, 14];
+      if (weight < 2 && taken.some((one) => overlap(one, box))) continue;
+      taken.push(box);
+      drawText(this.context, text, ...place, { weight: font, size: LABEL_SIZE });
+    }
+  }
+
+  #label(text, at, weight) {
+    this.texts.push({ text, at, weight });
+  }
+
+  /** A handle; where the end is not seen, hollow and with an arrow that points on along the pole. */
+  #poleEnd(kind, at, from, color, known, active) {
+    const { context } = this;
+    if (!known) {
+      const length = Math.hypot(at[0] - from[0], at[1] - from[1]) || 1;
+      const ahead = (distance) => at.map((one, axis) => one + ((one - from[axis]) / length) * distance);
+      drawArrow(context, ahead(6), ahead(14), color, 1.6);
+    }
+    drawHandle(context, kind, ...at, color, known);
+    if (!active) return;
+    context.strokeStyle = ACCENT;
+    context.lineWidth = 2.2;
+    context.strokeRect(at[0] - 6, at[1] - 6, 12, 12);
+  }
+
+  #halo(from, to) {
+    this.#path([from, to], ACCENT, 6.5, true);
+  }
+
+  #ring([x, y], radius) {
+    this.context.beginPath();
+    this.context.arc(x, y, radius, 0, 2 * Math.PI);
+    this.context.strokeStyle = ACCENT;
+    this.context.lineWidth = 2.2;
+    this.context.stroke();
+  }
+
+  #path(points, color, width, onScreen = false) {
+    const { context } = this;
+    context.beginPath();
+    for (const point of points) context.lineTo(...(onScreen ? point : this.view.toScreen(point)));
+    context.strokeStyle = color;
+    context.lineWidth = width;
+    context.stroke();
+  }
+
+  #dot([x, y], color) {
+    this.context.fillStyle = CASING;
+    this.context.fillRect(x - 1.5, y - 1.5, 3, 3);
+    this.context.fillStyle = color;
+    this.context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
+  }
+
+  #box([[x0, y0], [x1, y1]], color) {
+    this.context.strokeStyle = color;
+    this.context.lineWidth = 1;
+    this.context.strokeRect(x0, y0, x1 - x0, y1 - y0);
+  }
+}
+
+/** Draws `bitmap` as `view` says; single pixels show as squares from 3 CSS pixels on. */
+export function picture(context, bitmap, view, bright) {
+  context.filter = bright ? BRIGHT : "none";
+  context.imageSmoothingEnabled = view.scale < 3;
+  context.imageSmoothingQuality = "high";
+  context.drawImage(bitmap, view.x, view.y, bitmap.width * view.scale, bitmap.height * view.scale);
+  context.filter = "none";
+}
+
+/** The magnifier around pixel (u, v): nearest neighbour, never smoothed, with the coordinates. */
+export function loupe(context, bitmap, [u, v], { corner: [x, y], size, zoom, drawing, color, bright }) {
+  const caption = 20;
+  const place = ([pu, pv]) => [x + size / 2 + (pu - u) * zoom, y + size / 2 + (pv - v) * zoom];
+  const first = [u, v].map((one) => Math.floor(one - size / zoom / 2));
+  const count = Math.ceil(size / zoom) + 2;
+  const [left, top] = place(first).map((one) => one - zoom / 2);
+  context.save();
+  context.beginPath();
+  context.roundRect(x, y, size, size + caption, 4);
+  context.clip();
+  context.fillStyle = "#0A0B0D";
+  context.fillRect(x, y, size, size + caption);
+  context.filter = bright ? BRIGHT : "none";
+  context.imageSmoothingEnabled = false;
+  context.drawImage(bitmap, ...first, count, count, left, top, count * zoom, count * zoom);
+  context.filter = "none";
+  if (drawing?.end) drawLine(context, place(drawing.anchor), place([u, v]), color, 1.5);
+  crosshair(context, x + size / 2, y + size / 2, size / 2);
+  context.fillStyle = "#0A0B0D";
+  context.fillRect(x, y + size, size, caption);
+  const text = `${zoom}× ${u.toFixed(1)}, ${v.toFixed(1)}`;
+  drawText(context, text, x + size / 2, y + size + caption / 2, { weight: 400, align: "center" });
+  context.textAlign = "left";
+  context.restore();
+  context.strokeStyle = "#A3A8AF";
+  context.lineWidth = 1;
+  context.strokeRect(x + 0.5, y + 0.5, size - 1, size + caption - 1);
+}
+
+function crosshair(context, x, y, reach) {
+  context.strokeStyle = "rgba(255,255,255,.75)";
+  context.lineWidth = 1;
+  context.beginPath();
+  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    context.moveTo(x + dx * 5, y + dy * 5);
+    context.lineTo(x + dx * reach, y + dy * reach);
+  }
+  context.stroke();
+}
+
+/** Which part of an observation lies under `point` (CSS pixels): handles before lines. */
+export function hitTest(view, { anchor, end }, point) {
+  const ends = [["anchor", anchor], ["end", end]].filter(([, pixel]) => pixel);
+  for (const [part, pixel] of ends) {
+    const distance = gap(point, view.toScreen(pixel));
+    if (distance <= (end ? HANDLE_HIT : GLYPH + 3)) return { part, distance, rank: 0 };
+  }
+  if (!end) return null;
+  const distance = gapToSegment(point, view.toScreen(anchor), view.toScreen(end));
+  return distance <= 5 ? { part: "line", distance, rank: 1 } : null;
+}
+
+const overlap = ([x, y, w, h], [a, b, c, d]) => x < a + c && a < x + w && y < b + d && b < y + h;
+
+const gap = ([x, y], [a, b]) => Math.hypot(x - a, y - b);
+
+function gapToSegment([x, y], [ax, ay], [bx, by]) {
+  const length = (bx - ax) ** 2 + (by - ay) ** 2 || 1;
+  const along = Math.min(1, Math.max(0, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length));
+  return gap([x, y], [ax + along * (bx - ax), ay + along * (by - ay)]);
+}

@@ -1,0 +1,262 @@
+// Everything around the images: top bar, lists, card, hints and frames. Rebuilt from the state.
+import { byId, el, fixed, svg } from "/static/dom.js";
+import { classGlyph } from "/static/glyphs.js";
+import { hints } from "./hints.js";
+import { editing, neighbour } from "./commands.js";
+import { SIDES, spaced } from "./state.js";
+import { Strip } from "./strip.js";
+
+const TOLD_MS = 6000;
+
+const AIDS = [
+  ["loupe", "Loupe", "L"],
+  ["guides", "Epipolar line", "I"],
+  ["ghosts", "Ghosts", "G"],
+  ["bright", "Brightness", "B"],
+];
+
+export class Panels {
+  constructor(state, images, keys, actions) {
+    this.state = state;
+    this.images = images;
+    this.actions = actions;
+    this.edit = editing(state, actions);
+    this.strip = new Strip(state, actions);
+    this.timer = 0;
+    const press = (id, run) => byId(id).addEventListener("click", run);
+    press("undo", () => actions.submit({ kind: "undo" }));
+    press("redo", () => actions.submit({ kind: "redo" }));
+    press("help", () => keys.showHelp("Keys"));
+    press("step", (event) => {
+      const box = event.currentTarget.getBoundingClientRect();
+      actions.go(neighbour(state, event.clientX - box.left < box.width / 2 ? -1 : 1));
+    });
+    this.drawn = {};
+    state.onChange(() => this.#queue());
+  }
+
+  /** What never changes after the first greeting. */
+  start() {
+    const { workspace, source, author, images } = this.state.hello;
+    document.title = `${workspace} · semviz annotate`;
+    byId("workspace").replaceChildren(workspace, el("span", { class: "dim", text: ` ${source}` }));
+    byId("author").textContent = author;
+    for (const side of SIDES) {
+      const size = images[side] ? `${images[side].width} × ${images[side].height}` : "none";
+      byId(`${side}-image`).querySelector(".about").textContent = size;
+    }
+  }
+
+  /** Says something for a few seconds, below the images. */
+  tell(text, kind = "") {
+    if (!text) return;
+    const message = byId("message");
+    message.textContent = text;
+    message.className = `toast ${kind}`;
+    message.hidden = false;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => { message.hidden = true; }, TOLD_MS);
+  }
+
+  #queue() {
+    if (this.queued) return;
+    this.queued = true;
+    requestAnimationFrame(() => {
+      this.queued = false;
+      if (this.state.labels) this.#show();
+    });
+  }
+
+  #show() {
+    const { state } = this;
+    this.#saved();
+    this.#top();
+    // lists are rebuilt only when what they show has changed: a click needs its row to stay
+    this.#list("classes", [state.classId, state.labels.counts], () => this.#classes());
+    this.#list("aids", state.aids, () => this.#aids());
+    this.#list("history", state.labels.history, () => this.#history());
+    this.#list("elements", [state.elements, state.expected, state.selected], () => this.#elements());
+    this.#list("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
+    this.#list("hints", hints(state), () => hints(state).map(hintItem));
+    this.#status();
+    this.strip.show();
+  }
+
+  #glyph(one) {
+    return classGlyph(one, this.state.colorOf(one));
+  }
+
+  #list(id, shown, build) {
+    const key = JSON.stringify([shown, this.state.theme]);
+    if (this.drawn[id] === key) return;
+    this.drawn[id] = key;
+    byId(id).replaceChildren(...build());
+  }
+
+  #saved() {
+    const { pending, connected, trouble, labels } = this.state;
+    const node = byId("saved");
+    const [kind, text] = trouble
+      ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
+      : !connected
+        ? ["offline", `Offline, ${pending.length} kept here`]
+        : pending.length
+          ? ["saving", `Saving ${pending.length} …`]
+          : ["saved", `Saved operation ${spaced(labels.operation)}`];
+    node.className = `chip ${kind}`;
+    node.textContent = text;
+  }
+
+  #top() {
+    const { labels, frame, order } = this.state;
+    const place = order.indexOf(frame);
+    byId("step").replaceChildren(
+      el("kbd", { text: "," }),
+      el("b", { text: `Frame ${frame}` }),
+      el("span", { class: "dim", text: `${place + 1} of ${order.length}` }),
+      el("kbd", { text: "." }));
+    const done = labels.frames.filter(({ state }) => state.startsWith("reviewed")).length;
+    const bar = svg("svg", { class: "bar", viewBox: "0 0 100 6", preserveAspectRatio: "none" },
+      svg("rect", { class: "track", width: 100, height: 6 }),
+      svg("rect", { class: "done", width: (100 * done) / order.length, height: 6 }));
+    byId("reviewed").replaceChildren("Reviewed ", bar, el("b", { text: ` ${done}` }), ` / ${order.length}`);
+    byId("undo").disabled = !labels.can_undo;
+    byId("redo").disabled = !labels.can_redo;
+  }
+
+  #classes() {
+    const { hello, classId, labels } = this.state;
+    return hello.classes.map((one, place) =>
+      row({ chosen: one.id === classId, onclick: () => this.edit.chooseClass(one.id) },
+        el("kbd", { text: place + 1 }), this.#glyph(one),
+        el("span", { class: "fill", text: capital(one.name) }),
+        el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
+  }
+
+  #aids() {
+    return AIDS.map(([aid, text, key]) => {
+      const on = this.state.aids[aid];
+      const toggle = () => this.state.set({ aids: { ...this.state.aids, [aid]: !on } });
+      return row({ onclick: toggle, role: "switch", "aria-checked": on },
+        el("i", { class: on ? "switch on" : "switch" }), el("span", { class: "fill", text }), el("kbd", { text: key }));
+    });
+  }
+
+  #history() {
+    return this.state.labels.history.map((one, place) =>
+      row({ chosen: place === 0, title: `${one.author}, frame ${one.frame ?? "none"}`, onclick: () => this.actions.go(one.frame) },
+        el("span", { class: "faint", text: spaced(one.number) }), el("span", { class: "fill", text: one.text })));
+  }
+
+  #elements() {
+    const { state } = this;
+    const line = (one, about) =>
+      row({ chosen: one.id === state.selected?.element, onclick: () => this.actions.select(one.id) },
+        this.#glyph(state.classOf(one.class)), el("span", { class: "fill", text: one.name }), ...about);
+    const seen = state.elements.map((one) => {
+      const sides = SIDES.filter((side) => one.observations[side]);
+      const lacks = state.hasRight && sides.length < 2;
+      return line(one, [
+        el("span", { class: lacks ? "warning" : "dim", text: lacks ? `${sides[0]} only` : "left, right" }),
+        el("span", { class: "views dim", text: one.views ? `${one.views}` : "" })]);
+    });
+    const expected = state.expected.map((one) =>
+      line(one, [el("span", { class: "faint", text: `expected · ${one.depth_m.toFixed(0)} m` })]));
+    byId("elements-about").textContent = `${seen.length} here, ${expected.length} expected`;
+    byId("map-about").textContent = `${state.labels.mapped} elements`;
+    return [...seen, ...expected];
+  }
+
+  #card() {
+    const { state } = this;
+    const { look, drawing, selectedElement: element } = state;
+    const card = look?.card;
+    const id = drawing?.class ?? element?.class ?? state.selectedGhost?.class;
+    if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
+    const name = drawing ? look?.joins ?? `New ${state.classOf(id).name}` : (element ?? state.selectedGhost).name;
+    const about = drawing ? "not saved yet" : element?.kept ? "kept here" : element ? state.classOf(id).name : "expected here";
+    const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
+    const title = header(name, about, this.#glyph(state.classOf(id)), views);
+    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side)), warning(card), this.#buttons(element)];
+  }
+
+  #buttons(element) {
+    if (!element || this.state.drawing) return "";
+    const observation = this.state.selectedObservation;
+    const { kind } = this.state.classOf(element.class);
+    const button = (text, key, run, pressed) =>
+      el("button", { class: "small", "aria-pressed": pressed, onclick: run }, text, el("kbd", { text: key }));
+    if (kind === "point") return el("div", { class: "buttons" }, ...this.#reclass(element), button("Delete", "Del", this.edit.remove));
+    return el("div", { class: "buttons" },
+      button("Hidden", "O", () => this.edit.flag("end_known"), String(observation?.end_known === false)),
+      button("Cut", "C", () => this.edit.flag("anchor_known"), String(observation?.anchor_known === false)),
+      button("Delete", "Del", this.edit.remove));
+  }
+
+  /** The other classes that a sign can be. */
+  #reclass(element) {
+    const others = this.state.hello.classes.filter((one) => one.kind === "point" && one.id !== element.class);
+    return others.map((one) => {
+      const title = `Make it a ${one.name} (Shift ${one.id + 1})`;
+      return el("button", { class: "small", title, "aria-label": title, onclick: () => this.edit.setClass(one.id) }, this.#glyph(one));
+    });
+  }
+
+  #status() {
+    const { state } = this;
+    for (const side of SIDES) {
+      const node = byId(`${side}-image`).querySelector(".status");
+      const { drawing } = state;
+      if (drawing?.side === side) {
+        const { name, kind } = state.classOf(drawing.class);
+        const next = kind === "line" ? "second click sets the bottom" : "release sets the middle";
+        const joins = state.look?.joins ? ` of ${state.look.joins}` : "";
+        node.textContent = `drawing ${name}${joins}: ${next}`;
+      } else {
+        const there = state.elements.filter((one) => one.observations[side]).length;
+        node.textContent = there === 1 ? "1 element" : `${there} elements`;
+      }
+    }
+  }
+}
+
+const capital = (text) => text[0].toUpperCase() + text.slice(1);
+
+function row({ chosen = false, ...properties }, ...children) {
+  return el("button", { class: chosen ? "row chosen" : "row", ...properties }, ...children);
+}
+
+function header(name, about, ...more) {
+  const [glyph, end] = more;
+  return el("header", {}, glyph ?? null, el("h2", { text: name }), el("span", { class: "about", text: about }), end ?? null);
+}
+
+function hintItem({ keys, text, push }) {
+  return el("span", { class: push ? "push dim" : "hint" }, ...keys.map((key) => el("kbd", { text: key })), text);
+}
+
+function numbers(card, side) {
+  const length = card?.length_px?.[side] ?? Object.values(card?.length_px ?? {})[0];
+  return [
+    number("Depth", card?.depth_m, "m", 1, card?.depth_sigma_m),
+    number("Height", card?.height_m, "m", 2, card?.height_sigma_m),
+    number("Ray angle", card?.angle_deg, "°", 2),
+    number("Length", length, "px", 1),
+    number("Epipolar error", card?.epipolar_px, "px", 2),
+    number("RMS", card?.rms_px, "px", 2),
+  ];
+}
+
+function number(name, value, unit, decimals, sigma) {
+  const known = value !== undefined && value !== null;
+  return el("div", {}, el("dt", { text: name }),
+    el("dd", {}, el("b", { text: known ? `${fixed(value, decimals)} ${unit}` : "—" }),
+      sigma !== undefined ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
+}
+
+function warning(card) {
+  if (card?.is_thin) {
+    return el("p", { class: "about-card" }, el("span", { class: "chip thin", text: "◆ Thin rays" }), " below 1°, add frames");
+  }
+  return el("p", { class: "about-card dim", text: card?.reason ? capital(card.reason) : "" });
+}

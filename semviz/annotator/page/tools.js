@@ -1,0 +1,210 @@
+// The pen: what presses, moves and releases on the images mean.
+import { pointerAt } from "/static/canvas.js";
+import { SIDES, uuid7 } from "./state.js";
+
+const DRAG_FROM = 4; // CSS pixels; a shorter way is a click
+
+export class Tools {
+  /** `submit(edit)` keeps and sends an edit; `look()` asks for guides and numbers. */
+  constructor(state, images, { submit, look }) {
+    this.state = state;
+    this.images = images;
+    this.submit = submit;
+    this.look = look;
+    this.press = null; // the button that is down: {side, from, moved, mode, ...}
+    for (const side of SIDES) {
+      const canvas = images.canvas(side);
+      const on = (name, handler) =>
+        canvas.addEventListener(name, (event) => handler.call(this, side, event), { passive: false });
+      on("pointerdown", this.#down);
+      on("pointermove", this.#move);
+      on("pointerup", this.#up);
+      on("pointercancel", this.#cancelPress);
+      on("pointerleave", this.#leave);
+      on("wheel", this.#wheel);
+      canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    }
+  }
+
+  /** Esc: leaves nothing behind. Returns whether there was something to leave. */
+  cancel() {
+    const had = this.state.drawing || this.press?.moved;
+    this.press = null;
+    this.state.set({ drawing: null, dragged: null });
+    if (had) this.look();
+    return Boolean(had);
+  }
+
+  #down(side, event) {
+    event.preventDefault();
+    this.images.canvas(side).focus({ preventScroll: true });
+    this.images.canvas(side).setPointerCapture(event.pointerId);
+    const point = pointerAt(event);
+    this.press = { side, button: event.button, start: point, last: point, moved: false };
+    if (event.button !== 0 || event.altKey) {
+      this.press.mode = "pan";
+    } else if (this.state.drawing) {
+      this.press.mode = "finish";
+    } else {
+      const hit = event.shiftKey ? null : this.images.hit(side, point);
+      if (hit) this.#take(side, hit, event);
+      else this.#begin(side, event);
+    }
+  }
+
+  /** Takes hold of an observation: a click selects it, a drag moves its vertex or all of it. */
+  #take(side, hit, event) {
+    const element = this.state.elements.find((one) => one.id === hit.element);
+    const { anchor, end } = element.observations[side];
+    const grab = this.images.view.toImage(pointerAt(event));
+    Object.assign(this.press, { mode: "drag", hit, grab, original: { anchor, end } });
+    const linked = event.ctrlKey || event.metaKey;
+    const also = linked && this.state.selected ? this.state.selected.element : null;
+    this.state.set({
+      selected: { element: hit.element, side, also: also === hit.element ? null : also },
+      vertex: hit.part === "end" ? "end" : "anchor",
+    });
+    this.look();
+  }
+
+  #begin(side, event) {
+    const anchor = this.images.view.toImage(pointerAt(event));
+    if (!this.images.bitmaps[side] || !this.#inside(side, anchor)) return;
+    const id = this.state.classId;
+    const kind = this.state.classOf(id).kind;
+    Object.assign(this.press, { mode: "draw", kind });
+    this.state.set({ drawing: {
+      side, class: id, anchor, end: kind === "line" ? anchor : null,
+      anchor_known: true, end_known: kind === "line",
+    } });
+    this.look();
+  }
+
+  #move(side, event) {
+    const point = pointerAt(event);
+    this.images.pointer = { side, point };
+    const { press } = this;
+    if (press && Math.hypot(point[0] - press.start[0], point[1] - press.start[1]) > DRAG_FROM) {
+      press.moved = true;
+    }
+    if (press?.mode === "pan") {
+      this.images.panBy(point[0] - press.last[0], point[1] - press.last[1]);
+      press.last = point;
+    } else if (press?.mode === "drag" && press.moved) {
+      this.#drag(side, event);
+    } else if (this.state.drawing?.side === side) {
+      this.#stretch(side, event);
+    } else {
+      this.#hover(side, point);
+    }
+    this.images.repaint();
+  }
+
+  /** The rubber band, or the sign's box. */
+  #stretch(side, event) {
+    const at = this.images.view.toImage(pointerAt(event));
+    const { drawing } = this.state;
+    if (drawing.end) {
+      this.state.set({ drawing: { ...drawing, end: at } });
+    } else if (this.press?.moved) {
+      const from = this.images.view.toImage(this.press.start);
+      this.state.set({ drawing: { ...drawing, box: [from, at], anchor: middle(from, at) } });
+    }
+    this.look();
+  }
+
+  #drag(side, event) {
+    const { hit, grab, original } = this.press;
+    const at = this.images.view.toImage(pointerAt(event));
+    const by = [at[0] - grab[0], at[1] - grab[1]];
+    const moved = {
+      anchor: hit.part === "end" ? original.anchor : shifted(original.anchor, by),
+      end: hit.part === "anchor" || !original.end ? original.end : shifted(original.end, by),
+    };
+    this.state.set({ dragged: { observation: hit.observation, ...moved } });
+    this.look();
+  }
+
+  #hover(side, point) {
+    const hit = this.images.hit(side, point);
+    this.images.hovered = hit;
+    this.images.canvas(side).style.cursor = hit ? "grab" : "crosshair";
+  }
+
+  #up(side, event) {
+    const { press } = this;
+    this.press = null;
+    if (!press) return;
+    if (press.mode === "drag" && this.state.dragged) this.#drop();
+    else if (press.mode === "draw") this.#released(press);
+    else if (press.mode === "finish" && this.state.drawing?.side === side) {
+      this.#finish(this.images.view.toImage(pointerAt(event)));
+    } else if (press.mode === "finish") {
+      this.cancel();
+    }
+  }
+
+  #drop() {
+    const { observation, anchor, end } = this.state.dragged;
+    this.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
+    this.state.set({ dragged: null });
+  }
+
+  /** A sign is done; a pole waits for its second click, unless it was drawn in one stroke. */
+  #released(press) {
+    const { drawing } = this.state;
+    if (!drawing) return;
+    if (press.kind === "point") this.#save(drawing.anchor, null);
+    else if (press.moved) this.#save(drawing.anchor, drawing.end);
+  }
+
+  #finish(end) {
+    this.#save(this.state.drawing.anchor, end);
+  }
+
+  #save(anchor, end) {
+    const { side, class: id, anchor_known, end_known } = this.state.drawing;
+    const [element, observation] = [uuid7(), uuid7()];
+    this.state.set({ drawing: null });
+    this.submit({
+      kind: "draw",
+      observation_id: observation,
+      element_id: element,
+      frame_index: this.state.frame,
+      side,
+      class_id: id,
+      anchor_px: anchor,
+      end_px: end,
+      anchor_known,
+      end_known,
+      selected_id: this.state.selected?.element ?? null,
+    });
+  }
+
+  #cancelPress() {
+    this.press = null;
+    this.state.set({ dragged: null });
+  }
+
+  #leave() {
+    if (this.press) return;
+    this.images.pointer = null;
+    this.images.hovered = null;
+    this.images.repaint();
+  }
+
+  #wheel(side, event) {
+    event.preventDefault();
+    const point = pointerAt(event);
+    if (event.shiftKey) this.images.panBy(-(event.deltaX || event.deltaY), 0);
+    else this.images.zoomAt(point, Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.002)));
+  }
+
+  #inside(side, [u, v]) {
+    const { width, height } = this.state.hello.images[side];
+    return u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5;
+  }
+}
+
+const shifted = ([u, v], [du, dv]) => [u + du, v + dv];
+const middle = ([a, b], [c, d]) => [(a + c) / 2, (b + d) / 2];

@@ -1,0 +1,117 @@
+"""Which element a new drawing belongs to: the selected one, an expected one, or none yet."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz.annotator.ghosts import Ghost
+from semviz.annotator.places import Places
+from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.triangulate import Failed, triangulate
+from semviz_core.classes import ClassSet
+
+CONSISTENT_PX = 3.0
+"""Largest reprojection error (rms over the views) for a drawing to join the selected element."""
+NEAR_GHOST_PX = 12.0
+"""Largest distance of a drawing's ends from those of a ghost for it to join that element."""
+
+
+@dataclass(frozen=True)
+class Partner:
+    """The element to which a drawing is added; None starts a new one. ``note`` tells people."""
+
+    element_id: str | None
+    note: str = ""
+
+
+def partner_of(
+    drawing: Observation,
+    class_id: int,
+    selected_id: str | None,
+    ghosts: Sequence[Ghost],
+    labels: Labels,
+    places: Places,
+    classes: ClassSet,
+) -> Partner:
+    """The selected element if it is free in this image and the rays agree; else a near ghost."""
+    note = ""
+    if selected_id is not None and _is_free(selected_id, drawing, class_id, labels):
+        misfit = misfit_px([*labels.of_element(selected_id), drawing], places)
+        if misfit <= CONSISTENT_PX:
+            return Partner(selected_id)
+        element = labels.element(selected_id)
+        name = classes.element_name(element.class_id, element.number)
+        note = f"{_off(misfit)} {name}, so this is a new element. Ctrl click both and P to link."
+    near = [
+        (_distance_px(ghost, drawing), ghost.element_id)
+        for ghost in ghosts
+        if ghost.side == drawing.side and labels.elements[ghost.element_id].class_id == class_id
+    ]
+    distance, element_id = min(near, default=(np.inf, ""))
+    return Partner(element_id) if distance <= NEAR_GHOST_PX else Partner(None, note)
+
+
+def misfit_px(observations: Sequence[Observation], places: Places) -> float:
+    """How badly observations fit one thing: reprojection error (rms) of the worse end.
+
+    Ends that are known in less than two views don't count; infinite where rays meet behind a camera
+    or frames lack poses. Both ends are triangulated as points: planes through poles in two views
+    always meet, so they alone would fit anything.
+    """
+    last = observations[-1]
+    if places.T_camera_map(last.frame_index) is None:
+        observations = [one for one in observations if one.frame_index == last.frame_index]
+    else:
+        observations = [
+            one for one in observations if places.T_camera_map(one.frame_index) is not None
+        ]
+    if len(observations) < 2:
+        return float("inf")
+    errors = [_rms_px(points, places) for points in _ends(observations) if len(points) > 1]
+    return max(errors, default=_rms_px(observations, places))
+
+
+def _is_free(element_id: str, drawing: Observation, class_id: int, labels: Labels) -> bool:
+    element = labels.elements.get(element_id)
+    return (
+        element is not None
+        and element.class_id == class_id
+        and labels.find(element_id, drawing.frame_index, drawing.side) is None
+    )
+
+
+def _ends(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
+    """Known peaks (or middles) and known bottoms, each as point observations."""
+    anchors = [replace(one, end_px=None) for one in observations if one.anchor_known]
+    ends = [
+        replace(one, anchor_px=one.end_px, end_px=None)
+        for one in observations
+        if one.end_px is not None and one.end_known
+    ]
+    return anchors, ends
+
+
+def _rms_px(observations: Sequence[Observation], places: Places) -> float:
+    views = [places.view(one) for one in observations]
+    place = triangulate(views, observations, min_angle_rad=0.0)
+    return float("inf") if isinstance(place, Failed) else place.rms_px
+
+
+def _distance_px(ghost: Ghost, drawing: Observation) -> float:
+    """Between signs' middles. Poles: across the ghost's line, and along it at the better end.
+
+    Either end of a pole may be hidden in one of the frames, so one end that agrees is enough.
+    """
+    gaps = [np.subtract(drawing.anchor_px, ghost.anchor_px)]
+    if ghost.end_px is None or drawing.end_px is None:
+        return float(np.hypot(*gaps[0]))
+    gaps.append(np.subtract(drawing.end_px, ghost.end_px))
+    u, v = np.subtract(ghost.end_px, ghost.anchor_px)
+    along = np.array([u, v]) / max(np.hypot(u, v), 1e-9)
+    across = np.array([-along[1], along[0]])
+    return float(max(*(abs(gap @ across) for gap in gaps), min(abs(gap @ along) for gap in gaps)))
+
+
+def _off(misfit: float) -> str:
+    return f"{misfit:.1f} px off" if np.isfinite(misfit) else "Does not fit"

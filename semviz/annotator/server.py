@@ -1,0 +1,95 @@
+"""The annotator behind the door: its page, its images, and its opened pages."""
+
+import asyncio
+import getpass
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from aiohttp import web
+
+from semviz.annotator.images import Images
+from semviz.annotator.opened_page import OpenedPage
+from semviz.annotator.session import LabelSession
+from semviz.web.scenes import Scenes
+from semviz.web.sessions import Send, Sessions
+from semviz.workspace import Workspace
+from semviz_core.errors import SemvizError
+from semviz_core.sources.source import Side
+
+PAGE = Path(__file__).parent / "page"
+KEEP_IMAGE = "private, max-age=3600"
+
+
+class Annotator:
+    """The labelling tool for one workspace, as a ``Tool`` of the door.
+
+    Raises SemvizError where the images or the label file cannot be opened.
+    """
+
+    def __init__(self, workspace: Workspace, author: str | None = None) -> None:
+        self.session = LabelSession(workspace, author or _login_name())
+        self.lock = threading.RLock()
+        self.images = Images(self.session.source)
+        self.scenes = Scenes()
+        self.painter = ThreadPoolExecutor(1, "semviz-scenes")
+        self._pages: list[OpenedPage] = []
+        self._sessions = Sessions(self._open)
+
+    @property
+    def title(self) -> str:
+        return f"semviz annotate, {self.session.workspace.name}"
+
+    @property
+    def pages(self) -> tuple[OpenedPage, ...]:
+        return tuple(self._pages)
+
+    def forget(self, page: OpenedPage) -> None:
+        self._pages.remove(page)
+
+    def close(self) -> None:
+        """Stops the threads and closes the label file."""
+        self.painter.shutdown(wait=True, cancel_futures=True)
+        self.images.close()
+        self.session.close()
+
+    def routes(self) -> list[web.AbstractRouteDef]:
+        return [
+            web.get("/", self._index),
+            web.static("/page/", PAGE),
+            web.get(r"/image/{frame:\d+}/{side:left|right}.png", self._image),
+            web.get(r"/thumbnail/{frame:\d+}.jpg", self._thumbnail),
+            *self._sessions.routes(),
+        ]
+
+    def _open(self, session_id: str, send: Send) -> OpenedPage:
+        page = OpenedPage(session_id, send, self)
+        self._pages.append(page)
+        return page
+
+    async def _index(self, request: web.Request) -> web.FileResponse:
+        return web.FileResponse(PAGE / "index.html")
+
+    async def _image(self, request: web.Request) -> web.Response:
+        side: Side = "left" if request.match_info["side"] == "left" else "right"
+        future = self.images.png(int(request.match_info["frame"]), side)
+        return await _picture(future, "image/png")
+
+    async def _thumbnail(self, request: web.Request) -> web.Response:
+        future = self.images.thumbnail(int(request.match_info["frame"]))
+        return await _picture(future, "image/jpeg")
+
+
+def _login_name() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"
+
+
+async def _picture(future: "Future[bytes]", kind: str) -> web.Response:
+    try:
+        data = await asyncio.shield(asyncio.wrap_future(future))  # others may wait for it too
+    except SemvizError as error:
+        raise web.HTTPNotFound(text=str(error)) from None
+    return web.Response(body=data, content_type=kind, headers={"Cache-Control": KEEP_IMAGE})
