@@ -22,6 +22,10 @@ from semviz_core.sources.source import Side
 
 MIN_ANGLE_RAD = float(np.deg2rad(0.2))
 """Below this, 1 px of a 720 px lens is nearly half of the angle: depth means nothing."""
+_PARALLEL_RAD = 1e-5
+"""Below this two directions are one, whatever the caller accepts: a hundredth of a pixel."""
+_HORIZON_M = 10_000.0
+"""An end further away than this comes from lines that do not belong together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +156,7 @@ def _point(
     pixels = np.array([one.anchor_px for one in observations])
     rays = np.array([view.rays(px[None])[0] for view, px in zip(views, pixels, strict=True)])
     angle = _widest_angle(rays @ rays.T)
-    if angle < min_angle_rad:
+    if angle < max(min_angle_rad, _PARALLEL_RAD):
         return _too_narrow("rays", angle)
     point = _intersect(views, rays)
     if point is None:
@@ -209,36 +213,24 @@ def _line(
         [view.rays(_ends_px(one)) for view, one in zip(views, observations, strict=True)]
     )
     normals = np.cross(rays[:, 0], rays[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    if lengths.min() < _PARALLEL_RAD:
+        return Failed("peak and bottom are the same point in one of the images")
+    normals /= lengths
     angle = _widest_angle(np.abs(normals @ normals.T))  # a normal's sign means nothing
-    if angle < min_angle_rad:
+    if angle < max(min_angle_rad, _PARALLEL_RAD):
         return _too_narrow("planes", angle)
-    origin, direction = _common_line(views, normals)
-    places_m = np.array(
-        [
-            _along(origin, direction, view.center_m, pair)
-            for view, pair in zip(views, rays, strict=True)
-        ]
-    )
-    if places_m[0, 1] < places_m[0, 0]:
-        direction, places_m = -direction, -places_m
-    if not (places_m[:, 0] < places_m[:, 1]).all():
-        return Failed("peak and bottom are swapped in one of the images: swap its ends")
-    anchor_known = np.array([one.anchor_known for one in observations])
-    end_known = np.array([one.end_known for one in observations])
-    anchor = origin + outermost(places_m[:, 0], anchor_known, "first") * direction
-    end = origin + outermost(places_m[:, 1], end_known, "last") * direction
-    points = np.stack([anchor, end])
-    if any((view.depth_m(points) < MIN_DEPTH_M).any() for view in views):
-        return Failed("the planes meet behind the camera: are these two different things?")
+    ends = _ends_m(views, observations, rays, *_common_line(views, normals))
+    if isinstance(ends, Failed):
+        return ends
     return Triangulated(
-        anchor_m=anchor,
-        end_m=end,
-        covariance_m2=covariance_m2(views, observations, anchor, end, sigma_px),
-        anchor_known=bool(anchor_known.any()),
-        end_known=bool(end_known.any()),
+        anchor_m=ends[0],
+        end_m=ends[1],
+        covariance_m2=covariance_m2(views, observations, ends[0], ends[1], sigma_px),
+        anchor_known=any(one.anchor_known for one in observations),
+        end_known=any(one.end_known for one in observations),
         angle_rad=angle,
-        rms_px=_across_rms_px(views, observations, points),
+        rms_px=_across_rms_px(views, observations, ends),
     )
 
 
@@ -253,13 +245,43 @@ def _common_line(views: Sequence[View], normals: FloatArray) -> tuple[FloatArray
     return point + middle, direction
 
 
+def _ends_m(
+    views: Sequence[View],
+    observations: Sequence[Observation],
+    rays: FloatArray,
+    origin: FloatArray,
+    direction: FloatArray,
+) -> FloatArray | Failed:
+    """(2, 3) m: anchor and end, where the rays (k, 2, 3) of the observed ones pass the line."""
+    places_m = np.array(
+        [
+            _along(origin, direction, view.center_m, pair)
+            for view, pair in zip(views, rays, strict=True)
+        ]
+    )
+    if places_m[0, 1] < places_m[0, 0]:
+        direction, places_m = -direction, -places_m
+    if not (places_m[:, 0] < places_m[:, 1]).all():
+        return Failed("peak and bottom are swapped in one of the images: swap its ends")
+    anchor_known = np.array([one.anchor_known for one in observations])
+    end_known = np.array([one.end_known for one in observations])
+    first = outermost(places_m[:, 0], anchor_known, "first")
+    last = outermost(places_m[:, 1], end_known, "last")
+    ends = origin + np.array([[first], [last]]) * direction
+    if not (np.abs(ends - views[0].center_m) < _HORIZON_M).all():  # NaN too
+        return Failed("an end would be at the horizon: are these two different things?")
+    if any((view.depth_m(ends) < MIN_DEPTH_M).any() for view in views):
+        return Failed("the planes meet behind the camera: are these two different things?")
+    return np.asarray(ends)
+
+
 def _along(
     origin: FloatArray, direction: FloatArray, center: FloatArray, rays: FloatArray
 ) -> FloatArray:
     """(n,) m along a line (unit direction) to where rays (n, 3) from ``center`` come nearest."""
     cosine = rays @ direction
     away = center - origin
-    with np.errstate(divide="ignore", invalid="ignore"):  # parallel: not below anything, so refused
+    with np.errstate(divide="ignore", invalid="ignore"):  # parallel to the line: at infinity
         return np.asarray((direction @ away - cosine * (rays @ away)) / (1.0 - cosine**2))
 
 

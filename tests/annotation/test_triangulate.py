@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from semviz_annotation.labels import Observation, new_id
 from semviz_annotation.triangulate import (
+    MIN_ANGLE_RAD,
     Failed,
     Triangulated,
     View,
@@ -161,6 +162,30 @@ def test_failures_have_reasons():
     )
     far = np.array([3.0, -10.0, 300.0])
     assert "0.10 deg" in reason(seen(PAIR[0], far), seen(PAIR[1], far))
+
+
+pixels = st.tuples(st.floats(0, 1240), st.floats(0, 375))
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.tuples(pixels, pixels), st.tuples(pixels, pixels), st.booleans(), st.booleans())
+def test_whatever_is_clicked_gives_a_place_ahead_or_a_reason(left, right, is_pole, is_level):
+    """Also mid-drag: points on each other, lines along the epipolar line, no angle asked for."""
+    if is_level:
+        right = ((right[0][0], left[0][1]), (right[1][0], left[1][1]))
+    clicked = [
+        Observation(new_id(), new_id(), 0, side, a, b if is_pole else None, True, is_pole)
+        for side, (a, b) in (("left", left), ("right", right))
+    ]
+    for min_angle_rad in (0.0, MIN_ANGLE_RAD):
+        result = triangulate(PAIR, clicked, min_angle_rad=min_angle_rad)
+        if isinstance(result, Failed):
+            assert result.reason
+            continue
+        assert result.angle_rad >= min_angle_rad
+        assert np.isfinite(result.covariance_m2).all()
+        assert result.anchor_m[2] > 0.0
+        assert not is_pole or result.end_m[2] > 0.0
 
 
 def test_calls_that_make_no_sense_are_errors():
