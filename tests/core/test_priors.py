@@ -19,7 +19,8 @@ def draws(options: PriorOptions) -> list[Prior]:
 def test_the_fix_is_off_by_a_uniform_distance_in_any_direction() -> None:
     offset = np.array([one.position_m for one in draws(PriorOptions())]) - POSE.translation
     distance = np.linalg.norm(offset[:, :2], axis=1)
-    assert distance.min() >= 5.0 and distance.max() <= 10.0
+    assert distance.min() >= 5.0
+    assert distance.max() <= 10.0
     assert np.allclose(np.quantile(distance, [0.25, 0.5, 0.75]), [6.25, 7.5, 8.75], atol=0.3)
     assert np.abs(offset[:, :2].mean(axis=0)).max() < 0.6
     assert offset[:, 2].std() == pytest.approx(0.3, rel=0.1)

@@ -64,9 +64,11 @@ def test_one_fault_touches_one_element(truth: SemanticMap) -> None:
     assert np.allclose(change[5], [3.0, -1.0, 0.0])
     assert not np.delete(change, 5, axis=0).any()
     gone = map_errors.without(truth, element_id).elements
-    assert element_id not in gone.id and len(gone) == len(truth) - 1
+    assert element_id not in gone.id
+    assert len(gone) == len(truth) - 1
     twice = map_errors.duplicated(truth, element_id, [0.5, 0.0, 0.0]).elements
-    assert len(twice) == len(truth) + 1 and twice.id[-1] == truth.elements.id.max() + 1
+    assert len(twice) == len(truth) + 1
+    assert twice.id[-1] == truth.elements.id.max() + 1
     assert np.allclose(twice.anchor_m[-1] - truth.elements.anchor_m[5], [0.5, 0.0, 0.0])
 
 

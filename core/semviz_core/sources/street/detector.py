@@ -23,7 +23,7 @@ RANGE_M = (3.0, 40.0)
 FALSE_RATE = 0.5
 """Mean number of false detections in an image."""
 FALSE_POLE_SHARE = 0.7
-HIDE_BOTTOM = 1.0 / 3.0
+HIDE_BOTTOM = 0.25
 """Of the bottoms that parked cars leave visible; with those the cars hide, about half are."""
 
 

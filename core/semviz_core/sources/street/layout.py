@@ -246,7 +246,7 @@ class _Builder:
 
     def park_cars(self, kind: SectionKind, side: int, begin: float, end: float) -> None:
         """Cars in the parking lane; none beside a row, whose poles must look alike."""
-        share = {"normal": 0.3, "sparse": 0.2, "row": 0.0}[kind]
+        share = {"normal": 0.24, "sparse": 0.2, "row": 0.0}[kind]
         for s in np.arange(begin + 3.5, end - 3.0, 6.4):
             if self.rng.random() > share:
                 continue

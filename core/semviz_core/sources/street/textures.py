@@ -3,10 +3,11 @@
 import cv2
 import numpy as np
 
+from semviz_core.arrays import FloatArray
 from semviz_core.sources.street.brushes import Texture, lit, mixed
 from semviz_core.sources.street.things import Color, FloatPicture
 
-SKY_ELEVATION_RAD = (-0.06, 0.75)
+SKY_ELEVATION_RAD = (-0.06, 0.36)
 """What the panorama shows, from its bottom to its top."""
 
 _WALLS: tuple[Color, ...] = (
@@ -48,10 +49,10 @@ def sky(rng: np.random.Generator, haze: Color) -> FloatPicture:
 
     Row 0 is its top; columns go with the heading from 0 to 2 pi.
     """
-    height, width = 420, 4096
+    height, width = 300, 4096
     low, high = SKY_ELEVATION_RAD
     elevation = np.linspace(high, low, height, dtype=np.float32)[:, None]
-    rise = np.clip(elevation / high, 0.0, 1.0)[..., None] ** 0.6
+    rise = np.clip(elevation / 0.75, 0.0, 1.0)[..., None] ** 0.6
     zenith = np.array(mixed((84, 138, 205), (110, 160, 212), rng.random()), np.float32)
     colors = np.array(haze, np.float32) * (1 - rise) + zenith * rise
     colors = np.broadcast_to(colors, (height, width, 3)).copy()
@@ -82,44 +83,43 @@ def _far_woods(
 
 def crown(rng: np.random.Generator, sun_left: bool) -> Texture:
     """A tree's crown: leaves in clumps, lit from above and from the sun's side."""
-    size = 224
-    base = np.array(_LEAVES[rng.integers(len(_LEAVES))], np.float32)
-    colors = np.tile(base * np.float32(0.42), (size, size, 1))
-    opacity = np.zeros((size, size), np.float32)
-    clumps = 46
-    angle, radius = rng.uniform(0, 2 * np.pi, clumps), np.sqrt(rng.uniform(0, 1, clumps))
-    order = np.argsort(-np.sin(angle) * radius * -1)[::-1]
-    for i in order:
-        x = size / 2 + 0.36 * size * radius[i] * np.cos(angle[i])
-        y = size / 2 + 0.36 * size * radius[i] * np.sin(angle[i])
-        reach = rng.uniform(0.07, 0.125) * size
-        _clump(rng, colors, opacity, (x, y, reach), base, sun_left)
-    soft = np.asarray(cv2.GaussianBlur(opacity, (0, 0), 0.7), dtype=np.float32)
-    return Texture.of(colors, soft)
+    size, clumps = 288, 46
+    base = np.array(_LEAVES[rng.integers(len(_LEAVES))])
+    canvas = np.zeros((size, size, 4), np.float32)  # red, green, blue, opacity
+    canvas[..., :3] = 0.42 * base
+    places = _disc(rng, clumps)
+    for x, y in size * (0.5 + 0.36 * places[np.argsort(-places[:, 1])]):  # the lowest first
+        _clump(rng, canvas, (x, y), rng.uniform(0.07, 0.125) * size, base, sun_left)
+    soft = np.asarray(cv2.GaussianBlur(canvas[..., 3], (0, 0), 0.8), dtype=np.float32)
+    return Texture.of(canvas[..., :3], soft)
 
 
 def _clump(
     rng: np.random.Generator,
-    colors: FloatPicture,
-    opacity: FloatPicture,
-    place: tuple[float, float, float],
-    base: FloatPicture,
+    canvas: FloatPicture,
+    middle: tuple[float, float],
+    reach: float,
+    base: FloatArray,
     sun_left: bool,
 ) -> None:
     """Dabs of colour within a disc; the shadow side first, lighter ones on the sun's side."""
-    x, y, reach = place
     count = 110
+    places = _disc(rng, count)
+    toward = places @ [-0.55 if sun_left else 0.55, -0.85]
+    places, toward = places[np.argsort(toward)], np.sort(toward)
+    height = 0.35 * (0.5 - middle[1] / len(canvas))
+    light = np.clip(0.72 + 0.42 * toward + height + rng.normal(0.0, 0.09, count), 0.25, 1.35)
+    colors = np.column_stack([light[:, None] * base, np.ones(count)]).tolist()
+    centers = np.round(16.0 * (np.array(middle) + reach * places)).astype(int).tolist()
+    radii = (16.0 * rng.uniform(0.0065, 0.0145, count) * len(canvas)).astype(int).tolist()
+    for center, radius, color in zip(centers, radii, colors, strict=True):
+        cv2.circle(canvas, center, radius, color, cv2.FILLED, cv2.LINE_8, 4)
+
+
+def _disc(rng: np.random.Generator, count: int) -> FloatArray:
+    """(count, 2) points spread evenly over the unit disc."""
     angle, radius = rng.uniform(0, 2 * np.pi, count), np.sqrt(rng.uniform(0, 1, count))
-    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
-    toward = (-0.55 if sun_left else 0.55) * dx - 0.85 * dy
-    height = (0.5 - y / colors.shape[0]) * 0.35
-    light = 0.72 + 0.42 * toward + height + rng.normal(0.0, 0.09, count)
-    for i in np.argsort(toward):
-        center = (int(16 * (x + reach * dx[i])), int(16 * (y + reach * dy[i])))
-        color = [float(one) for one in base * np.float32(np.clip(light[i], 0.25, 1.35))]
-        dab = int(16 * rng.uniform(1.4, 3.2))
-        cv2.circle(colors, center, dab, color, cv2.FILLED, cv2.LINE_8, 4)
-        cv2.circle(opacity, center, dab, 1.0, cv2.FILLED, cv2.LINE_8, 4)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
 def leaves(rng: np.random.Generator) -> Texture:
