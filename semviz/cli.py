@@ -40,7 +40,7 @@ Command = (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     command = tyro.cli(
-        Command,  # type: ignore[arg-type]  # a union of commands, which tyro takes
+        Command,
         args=arguments,
         prog="semviz",
         description="See and mend localization in sparse semantic maps of poles and traffic signs.",

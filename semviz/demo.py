@@ -24,17 +24,18 @@ from semviz_core.sources.street.map_errors import moved
 from semviz_core.sources.street.street import Street
 
 SEED = 7
-FRAMES = 150
+FRAMES = 120
+SPACING_M = 2.0
 SECTIONS = (
-    Section("normal", 30.0),
-    Section("sparse", 55.0),
-    Section("normal", 25.0),
-    Section("row", 65.0),
-    Section("normal", 40.0),
+    Section("normal", 80.0),
+    Section("sparse", 40.0),
+    Section("normal", 70.0),
+    Section("row", 60.0),
+    Section("normal", 60.0),
 )
 MOVED_IN_FRAMES = range(4, 22)
 MOVED_BY_M = (1.5, 0.8, 0.0)
-FAR_OFF_FRAMES = range(62, 67)
+FAR_OFF_FRAMES = range(72, 76)
 FAR_OFF_M = (70.0, 75.0)
 MAP = "demo"
 RUN = "demo"
@@ -58,19 +59,19 @@ def ensure_demo() -> Path:
 
 def make_demo(folder: Path) -> None:
     """A new workspace in ``folder`` with street, map and run."""
-    workspace = Workspace.create_street(folder, SEED, range(FRAMES), SECTIONS)
-    street = workspace.source
-    assert isinstance(street, Street)
+    workspace = Workspace.create_street(folder, SEED, range(FRAMES), SPACING_M, SECTIONS)
+    street = workspace.street
     faulty = moved(street.truth_map, _often_seen(street, MOVED_IN_FRAMES), MOVED_BY_M)
     save_map(faulty, workspace.map_path(MAP))
-    drive = _drive(workspace, street, faulty)
+    drive = _drive(workspace, faulty)
     record(drive, workspace.run_path(RUN), workspace="", map_name=MAP)
 
 
-def _drive(workspace: Workspace, street: Street, semantic_map: SemanticMap) -> Drive:
+def _drive(workspace: Workspace, semantic_map: SemanticMap) -> Drive:
     options = DriveOptions(observations="simulated", seed=SEED)
     observe = observe_simulated(workspace, options)
     know = _sometimes_far_off(simulated_prior(options))
+    street = workspace.street
     return Drive(street, semantic_map, street.frames, observe, know, options)
 
 

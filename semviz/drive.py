@@ -112,14 +112,8 @@ def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
 def observe_simulated(workspace: Workspace, options: DriveOptions) -> Observe:
     """What a detector as good as the paper's (or better) would see of a simulated street."""
     from semviz_core.sources.street.detector import SimulatedDetector
-    from semviz_core.sources.street.street import Street
 
-    if not isinstance(workspace.source, Street):
-        raise SemvizError(
-            f"{workspace.path}: only a simulated street has simulated observations; "
-            "label this workspace and take --observations labels"
-        )
-    detector = SimulatedDetector(workspace.source, options.noise, options.seed)
+    detector = SimulatedDetector(workspace.street, options.noise, options.seed)
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         detection = detector.detect(frame.index)
@@ -147,9 +141,7 @@ def simulated_prior(options: DriveOptions) -> Know:
 def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counter[str]:
     """Write the run to ``path`` with a progress bar; how many frames got which status."""
     options = drive.options
-    observations = options.observations
-    if observations == "simulated":
-        observations = f"simulated detector, noise {options.noise}"
+    simulated = f"simulated detector, noise {options.noise}"
     info = RunInfo(
         name=path.stem,
         workspace=workspace,
@@ -159,7 +151,7 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         rig=drive.source.rig,
         map_name=map_name,
-        observations=observations,
+        observations=simulated if options.observations == "simulated" else "labels",
         options=asdict(options),
     )
     counts: Counter[str] = Counter()

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
+from semviz_core.map_file import load_map, save_map
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
 from semviz_core.sources.street.things import SectionKind
@@ -28,10 +29,13 @@ if TYPE_CHECKING:
     from semviz_annotation.labels import Labels
     from semviz_annotation.store import LabelStore
     from semviz_core.sources.street.layout import Section
+    from semviz_core.sources.street.street import Street
 
 VERSION: Final = 1
 SETTINGS = "semviz.toml"
 STREET_FRAMES = 60
+TRUTH = "truth"
+"""Name of the map that a simulated street comes with."""
 
 
 class _Model(BaseModel):
@@ -79,6 +83,7 @@ class StreetSettings(_Model):
     kind: Literal["street"] = "street"
     seed: int = Field(ge=0)
     frames: int = Field(default=STREET_FRAMES, gt=0)
+    spacing_m: float = Field(default=1.0, gt=0)
     sections: tuple[SectionSettings, ...] = ()
 
 
@@ -115,7 +120,7 @@ class Workspace:
         cls,
         path: Path,
         root: Path,
-        sequence: str = "02",
+        sequence: str,
         cameras: tuple[int, ...] = (2, 3),
         frames: range | None = None,
     ) -> "Workspace":
@@ -137,11 +142,13 @@ class Workspace:
         path: Path,
         seed: int,
         frames: range | None = None,
+        spacing_m: float = 1.0,
         sections: Iterable["Section"] = (),
     ) -> "Workspace":
         """A new workspace over the simulated street of ``seed``, which has 60 frames if None.
 
-        ``sections`` are what the street leads past, an ordinary street if there are none.
+        ``sections`` are what the street leads past, an ordinary street if there are none. What
+        truly stands there is kept as the map ``truth``.
         """
         if seed < 0:
             raise SemvizError(f"seed {seed}: the seed of a street is 0 or more")
@@ -149,7 +156,10 @@ class Workspace:
             raise SemvizError("a simulated street has the frames from 0 on: write 0:END")
         stretches = tuple(SectionSettings(kind=s.kind, length_m=s.length_m) for s in sections)
         count = STREET_FRAMES if frames is None else len(frames)
-        return cls._create(path, StreetSettings(seed=seed, frames=count, sections=stretches))
+        source = StreetSettings(seed=seed, frames=count, spacing_m=spacing_m, sections=stretches)
+        made = cls._create(path, source)
+        save_map(made.street.truth_map, made.map_path(TRUTH))
+        return made
 
     @classmethod
     def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
@@ -180,6 +190,15 @@ class Workspace:
         return self._open_kitti(settings)
 
     @property
+    def street(self) -> "Street":
+        """The source, where it is a simulated street; SemvizError where it is not."""
+        from semviz_core.sources.street.street import Street
+
+        if not isinstance(self.source, Street):
+            raise SemvizError(f"{self.path}: only a simulated street knows what is truly there")
+        return self.source
+
+    @property
     def labels_path(self) -> Path:
         return self.path / "labels.db"
 
@@ -201,8 +220,6 @@ class Workspace:
 
     def read_map(self, name: str) -> SemanticMap:
         """The map called ``name``; SemvizError where it is missing or broken."""
-        from semviz_core.map_file import load_map
-
         path = self.map_path(name)
         if not path.is_file():
             there = ", ".join(self.maps())
@@ -251,7 +268,7 @@ class Workspace:
         from semviz_core.sources.street.street import Street
 
         sections = tuple(Section(one.kind, one.length_m) for one in settings.sections)
-        options = StreetOptions(frames=settings.frames)
+        options = StreetOptions(settings.frames, settings.spacing_m)
         return Street(settings.seed, replace(options, sections=sections) if sections else options)
 
 

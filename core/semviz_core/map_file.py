@@ -57,12 +57,11 @@ def load_map(path: Path) -> SemanticMap:
     raw = (table.schema.metadata or {}).get(FORMAT.encode())
     if raw is None:
         raise SemvizError(f"{path}: a Parquet file, but not a map of semviz")
-    metadata = json.loads(raw)
-    if metadata["version"] > VERSION:
-        raise SemvizError(
-            f"{path}: map version {metadata['version']}, this semviz reads up to {VERSION}; update"
-        )
     try:
+        metadata = json.loads(raw)
+        if metadata["version"] > VERSION:
+            newer = f"map version {metadata['version']}, this semviz reads up to {VERSION}"
+            raise SemvizError(f"{path}: {newer}; update semviz")
         return _assemble(table, metadata)
     except (KeyError, ValueError, TypeError) as error:
         raise SemvizError(f"{path}: broken map ({error!r}); rebuild it") from None
@@ -121,4 +120,4 @@ def _encode_points(points: FloatArray) -> str:
 
 
 def _decode_points(text: str) -> FloatArray:
-    return np.frombuffer(base64.b64decode(text), dtype="<f8").reshape(-1, 3)
+    return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").reshape(-1, 3)

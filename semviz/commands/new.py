@@ -23,7 +23,7 @@ class New:
     """The folder to make."""
     kitti: OptionalPath = None
     """Root of a KITTI odometry dataset: holds sequences/ and poses/."""
-    sequence: str = "00"
+    sequence: str = "02"
     """Sequence of the KITTI dataset."""
     cameras: str = "2,3"
     """Left and right camera, or one alone: 2,3 are the colour pair, 0,1 the grey one."""
@@ -44,7 +44,6 @@ class New:
         else:
             assert self.simulate is not None
             made = Workspace.create_street(self.folder, self.simulate, frames)
-            save_map(made.source.truth_map, made.map_path("truth"))
         print(f"{made.path}: {len(made.source.frames)} frames, {made.source.map_frame.name}")
         print(f"next: semviz annotate {self.folder}")
         return 0
