@@ -204,4 +204,4 @@ def test_fast_enough_to_follow_a_drag():
         start = time.perf_counter()
         triangulate_pair(RIG, *pair)
         times.append(time.perf_counter() - start)
-    assert min(times) < 1e-3
+    assert min(times) < 2e-3  # 0.7 ms where this was written; room for slower machines
