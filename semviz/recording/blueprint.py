@@ -16,11 +16,23 @@ def make_blueprint() -> Any:
         end=rrb.TimeRangeBoundary.infinite(),
     )
     paths: dict[Any, Any] = dict.fromkeys((scene.TRUE_PATH, scene.PATH), everything)
+    eye = rrb.EyeControls3D(
+        position=[-25.0, -12.0, 18.0], look_target=[0.0, 0.0, 0.0], tracking_entity=scene.HERE
+    )
+    columns = rrb.TextLogColumns(
+        timeline_columns=[rrb.encodings.TimelineColumn(FRAME)],
+        text_log_columns=["loglevel", "body"],
+    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
                 rrb.Vertical(
-                    rrb.Spatial3DView(name="Map and poses", origin="/map", overrides=paths),
+                    rrb.Spatial3DView(
+                        name="Map and poses",
+                        origin="/map",
+                        overrides=paths,
+                        eye_controls=eye,
+                    ),
                     rrb.Spatial2DView(name="Image", origin=layout.IMAGE),
                     row_shares=[3, 2],
                 ),
@@ -40,7 +52,7 @@ def make_blueprint() -> Any:
                     row_shares=[3, 1],
                 ),
                 rrb.TimeSeriesView(name="Elements", origin=scene.COUNTS),
-                rrb.TextLogView(name="Reasons", origin=scene.WHY),
+                rrb.TextLogView(name="Reasons", origin=scene.WHY, columns=columns),
                 column_shares=[3, 2, 2],
             ),
             row_shares=[5, 2],

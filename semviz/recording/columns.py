@@ -7,6 +7,7 @@ write, component by component.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ FRAME, TIME = "frame", "time"
 """The two timelines: the sequence's own frame number, and seconds."""
 _FLOAT32 = 34
 """rerun's ChannelDatatype.F32."""
+_VECTOR = {d: pa.list_(pa.field("item", pa.float32(), nullable=False), d) for d in (2, 3, 9)}
 _IMAGE_FORMAT = pa.struct(
     [
         pa.field("width", pa.uint32(), nullable=False),
@@ -76,12 +78,8 @@ class Columns:
 
     def add(self, entity: str, component: str, values: Any, kind: str = "") -> None:
         """One component: an Arrow array, and rerun's component type unless it is our own."""
-        metadata = {"rerun:entity_path": entity, "rerun:component": component}
-        if kind:
-            metadata["rerun:archetype"] = "rerun.archetypes." + component.partition(":")[0]
-            metadata["rerun:component_type"] = f"rerun.components.{kind}"
         row = pa.ListArray.from_arrays(pa.array([0, len(values)], pa.int32()), values)
-        self._fields.append(pa.field(f"{entity}:{component}", row.type, metadata=metadata))
+        self._fields.append(_field(entity, component, row.type, kind))
         self._arrays.append(row)
 
     def text(self, entity: str, component: str, text: str, kind: str = "Text") -> None:
@@ -122,16 +120,16 @@ class Columns:
 
     def pose(self, entity: str, pose: Pose) -> None:
         """The entity's pose in its parent: T_parent_entity."""
-        columns = np.ascontiguousarray(pose.rotation.T).reshape(1, 9)  # rerun: column-major
-        self.add(entity, "Transform3D:mat3x3", _vectors(columns), "TransformMat3x3")
-        shift = _vectors(pose.translation[None])
-        self.add(entity, "Transform3D:translation", shift, "Translation3D")
+        self._transform(entity, pose.rotation, pose.translation)
 
-    def pinhole(self, entity: str, K: FloatArray | None) -> None:
-        """The entity's intrinsics (3, 3); None takes its frustum away."""
-        columns = np.zeros((0, 9)) if K is None else np.ascontiguousarray(K.T).reshape(1, 9)
-        component = "Pinhole:image_from_camera"
-        self.add(entity, component, _vectors(columns), "PinholeProjection")
+    def hide(self, entity: str, place: FloatArray) -> None:
+        """Shrink an entity that has no pose to a point at ``place`` (3,): rerun has no switch."""
+        self._transform(entity, 1e-4 * np.eye(3), place)
+
+    def _transform(self, entity: str, matrix: FloatArray, shift: FloatArray) -> None:
+        columns = np.ascontiguousarray(matrix.T).reshape(1, 9)  # rerun: column-major
+        self.add(entity, "Transform3D:mat3x3", _vectors(columns), "TransformMat3x3")
+        self.add(entity, "Transform3D:translation", _vectors(shift[None]), "Translation3D")
 
     def jpeg(self, entity: str, image: bytes | None) -> None:
         data = np.frombuffer(image or b"", np.uint8)
@@ -150,12 +148,19 @@ class Columns:
         self.add(entity, "DepthImage:format", formats, "ImageFormat")
 
 
+@cache
+def _field(entity: str, component: str, arrow_type: Any, kind: str) -> Any:
+    metadata = {"rerun:entity_path": entity, "rerun:component": component}
+    if kind:
+        metadata["rerun:archetype"] = "rerun.archetypes." + component.partition(":")[0]
+        metadata["rerun:component_type"] = f"rerun.components.{kind}"
+    return pa.field(f"{entity}:{component}", arrow_type, metadata=metadata)
+
+
 def _vectors(vectors: NDArray[np.float64]) -> Any:
     """(k, d) as a fixed-size list array of float32."""
-    d = vectors.shape[1]
-    kind = pa.list_(pa.field("item", pa.float32(), nullable=False), d)
-    flat = pa.array(np.ascontiguousarray(vectors, dtype=np.float32).reshape(-1))
-    return pa.FixedSizeListArray.from_arrays(flat, type=kind)
+    flat = pa.array(vectors.astype(np.float32).reshape(-1))
+    return pa.FixedSizeListArray.from_arrays(flat, type=_VECTOR[vectors.shape[1]])
 
 
 def _list(lengths: Sequence[int] | IntArray, values: Any, *, nullable: bool = True) -> Any:

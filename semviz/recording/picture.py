@@ -83,11 +83,11 @@ def _names(record: FrameRecord, classes: ClassSet) -> list[str]:
     names = []
     for row, (chosen, true) in enumerate(zip(taken, record.element_id.tolist(), strict=True)):
         if chosen < 0:
-            names.append("unpaired" if true < 0 else f"{name(row, true)} unpaired")
+            names.append("?" if true < 0 else f"{name(row, true)} ?")
         elif true in (-1, chosen):
             names.append(name(row, chosen))
         else:
-            names.append(f"{name(row, chosen)}, is {name(row, true)}")
+            names.append(f"{name(row, chosen)} is {name(row, true)}")
     return names
 
 

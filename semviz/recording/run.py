@@ -1,6 +1,5 @@
 """A run: one localization of a sequence, with everything to redraw and measure it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,8 +70,13 @@ class Run:
         last = f"after frame {self.frames[-1].frame.index}" if self.frames else "before any frame"
         return f"This run was interrupted {last}; {len(self.frames)} frames are readable."
 
-    def localized(self) -> Iterator[tuple[Localization, Pose]]:
-        """The frames that can be measured: localization and true T_map_camera."""
-        for record in self.frames:
-            if record.frame.T_map_camera is not None:
-                yield record.localization, record.frame.T_map_camera
+    @property
+    def localizations(self) -> tuple[Localization, ...]:
+        """Of every frame, in order."""
+        return tuple(one.localization for one in self.frames)
+
+    @property
+    def truths(self) -> tuple[Pose | None, ...]:
+        """The true T_camera_map of every frame, in order; None where unknown."""
+        poses = (one.frame.T_map_camera for one in self.frames)
+        return tuple(None if pose is None else pose.inverse() for pose in poses)

@@ -11,13 +11,16 @@ from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.words import LEVELS, explain, readme
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.camera import Camera
+from semviz_core.evaluation.metrics import pose_error
 from semviz_core.localization import Localization
-from semviz_core.pose import Pose, so3_log
+from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
 
 ELEMENTS, ROAD = "/map/elements", "/map/road"
 CAMERA, TRUE_CAMERA = layout.CAMERA, "/map/camera_truth"
 TRUE_PATH, PATH = "/map/path/truth", "/map/path/estimate"
+HERE = "/map/here"
+"""Where the frame is, for the eye to follow: truth, else estimate, else prior."""
 PRIOR_CIRCLE, GHOSTS, RAYS = "/map/prior", "/map/alternatives", "/map/pairs"
 MATRIX = "/match/probability"
 ERRORS, COUNTS, TIME_MS = "/error", "/elements", "/time_ms"
@@ -28,8 +31,6 @@ FRUSTUM_M = 4.0
 LABELLED = 60
 """Maps with more elements than this show names only where the pointer is."""
 _CIRCLE = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 49)), np.sin(turn)], axis=1)
-_INVISIBLE = Pose(np.eye(3), np.array([0.0, 0.0, -1e4]))
-"""Where a camera goes that has no pose: out of sight. rerun cannot hide it frame by frame."""
 
 
 class Scene:
@@ -49,16 +50,14 @@ class Scene:
     def draw(self, columns: Columns, record: FrameRecord) -> None:
         result, truth = record.localization, record.frame.T_map_camera
         estimate = None if result.T_camera_map is None else result.T_camera_map.inverse()
-        columns.pinhole(TRUE_CAMERA, None if truth is None else result.camera.K)
-        columns.pose(TRUE_CAMERA, truth or _INVISIBLE)
-        columns.pose(CAMERA, estimate or _INVISIBLE)
+        _draw_cameras(columns, truth, estimate, result.prior.position_m)
         self._draw_paths(columns, record, estimate)
         _draw_prior(columns, result)
         _draw_alternatives(columns, result)
         _draw_rays(columns, result, estimate)
         picture.draw(columns, record, self._classes)
         _draw_matrix(columns, record)
-        _draw_numbers(columns, record, estimate)
+        _draw_numbers(columns, record)
 
     def _draw_paths(self, columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
         """Each frame adds its piece; the 3D view shows the pieces of all frames."""
@@ -102,13 +101,13 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     """What stays the same for all frames: sizes, cameras, names and colours of the plots."""
     for entity, color in ((TRUE_CAMERA, TRUTH), (layout.IMAGE, ESTIMATE)):
         pinhole = rr.Pinhole.from_fields(
+            image_from_camera=camera.K,
             resolution=[camera.width, camera.height],
             camera_xyz=rr.ViewCoordinates.RDF,
             image_plane_distance=FRUSTUM_M,
             color=rgba(color.dark),
         )
         stream.log(entity, pinhole, static=True)
-    stream.log(layout.IMAGE, rr.Pinhole.from_fields(image_from_camera=camera.K), static=True)
     stream.log(layout.IMAGE, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
     widths = {TRUE_PATH: 1.5, PATH: 1.5, PRIOR_CIRCLE: 1.0, GHOSTS: 1.0, RAYS: 1.0}
     for entity, width in widths.items():
@@ -123,12 +122,26 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     stream.log(ERRORS, rr.SeriesPoints(colors=colors, names=names, marker_sizes=3.0), static=True)
     names, colors = ["seen", "paired", "inliers"], _colors(TRUTH, PRIOR, STATUS["ok"])
     stream.log(COUNTS, rr.SeriesLines(colors=colors, names=names, widths=1.5), static=True)
+    stream.log(WHY, rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
     states = rr.StateConfiguration(values=list(STATUS), colors=_colors(*STATUS.values()))
     stream.log(STATE, states, static=True)
 
 
 def _colors(*tones: Tone) -> NDArray[np.uint32]:
     return np.array([rgba(one.dark) for one in tones], np.uint32)
+
+
+def _draw_cameras(
+    columns: Columns, truth: Pose | None, estimate: Pose | None, prior_m: FloatArray
+) -> None:
+    known = truth or estimate
+    here = prior_m if known is None else known.translation
+    columns.points(HERE, here[None], np.array([rgba(TRUTH.dark, 0.0)]))
+    for entity, pose in ((TRUE_CAMERA, truth), (CAMERA, estimate)):
+        if pose is None:
+            columns.hide(entity, here)
+        else:
+            columns.pose(entity, pose)
 
 
 def _draw_prior(columns: Columns, result: Localization) -> None:
@@ -164,7 +177,7 @@ def _draw_rays(columns: Columns, result: Localization, estimate: Pose | None) ->
         targets = result.submap.anchor_m[refinement.pairs[:, 1]]
         centers = np.broadcast_to(estimate.translation, targets.shape)
         rays = np.stack([centers, targets], axis=1)
-        colors = residual_colors(np.sqrt(np.nansum(refinement.residual_px**2, axis=1)))
+        colors = residual_colors(np.hypot(*np.nan_to_num(refinement.residual_px).T))
     columns.strips(RAYS, Strips.of(rays), colors)
 
 
@@ -193,9 +206,13 @@ def _true_pairs(element_id: IntArray, submap_id: IntArray) -> IntArray:
     return pairs
 
 
-def _draw_numbers(columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
+def _draw_numbers(columns: Columns, record: FrameRecord) -> None:
     result, truth = record.localization, record.frame.T_map_camera
-    errors = None if truth is None or estimate is None else pose_errors(estimate, truth)
+    errors = (
+        None
+        if truth is None or result.T_camera_map is None
+        else pose_error(result.T_camera_map, truth.inverse())
+    )
     pairs, inliers = np.nan, np.nan
     if result.refinement is not None:
         pairs, inliers = len(result.refinement.pairs), int(result.refinement.inlier.sum())
@@ -204,12 +221,5 @@ def _draw_numbers(columns: Columns, record: FrameRecord, estimate: Pose | None) 
     columns.scalars(TIME_MS, sum(result.time_ms.values()))
     columns.text(STATE, "StateChange:state", result.status)
     columns.text(WHY, "TextDocument:text", explain(record, errors))
-    columns.text(WHY, "TextLog:text", f"{record.frame.index}: {result.reason}")
+    columns.text(WHY, "TextLog:text", result.reason)
     columns.text(WHY, "TextLog:level", LEVELS[result.status], "TextLogLevel")
-
-
-def pose_errors(estimate: Pose, truth: Pose) -> tuple[float, float]:
-    """RTE (m) and RRE (deg) between two T_map_camera."""
-    turn = so3_log(estimate.rotation.T @ truth.rotation)
-    shift = estimate.translation - truth.translation
-    return float(np.linalg.norm(shift)), float(np.rad2deg(np.linalg.norm(turn)))

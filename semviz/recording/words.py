@@ -41,7 +41,7 @@ def explain(record: FrameRecord, errors: tuple[float, float] | None) -> str:
     if result.refinement is not None:
         rows += [("Pairs", _pairs(result))]
     if result.covariance is not None:
-        sigma = np.sqrt(np.diag(result.covariance))
+        sigma = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
         sigma_text = f"{sigma[0]:.2f} right, {sigma[1]:.2f} down, {sigma[2]:.2f} ahead (m)"
         rows += [("1 sigma", sigma_text)]
     rows += [("Other poses", _alternatives(result))]
