@@ -56,7 +56,7 @@ class Ground:
         self._road = road
         fine = textures.noise(rng, (_TEXELS, _TEXELS), 0.15)
         # blurred, not halved: every level keeps its coordinates
-        self._fine = [_blur_tile(fine, 0.6 * 2**level) for level in range(6)]
+        self._fine = [_blur_tile(fine, 0.6 * 4**level) for level in range(4)]
         self._coarse = textures.noise(rng, (_TEXELS, _TEXELS), 1.1)
         wear, markings, joints = self._wear(rng), self._markings(rng), self._joints()
         self._decals = [(_WEAR_SIGHT_M, wear), (_SIGHT_M, markings), (_JOINT_SIGHT_M, joints)]
@@ -119,7 +119,7 @@ class Ground:
         per_metre = np.float32(_TEXELS / _FINE_M)
         footprint = reach * np.float32(0.6 * per_metre / view.camera.K[0, 0])
         footprint *= np.sqrt(np.maximum(reach, 1.65) / np.float32(1.65))  # seen at a slant
-        level = np.clip(np.log2(np.maximum(footprint, 1.0)), 0.0, len(self._fine) - 1.0)
+        level = np.clip(0.5 * np.log2(np.maximum(footprint, 1.0)), 0.0, len(self._fine) - 1.0)
         grain = np.zeros_like(x)
         column, row = per_metre * x, per_metre * y
         for i, texture in enumerate(self._fine):

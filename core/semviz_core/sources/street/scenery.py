@@ -28,7 +28,7 @@ class Scenery:
         self._haze = haze
         self._sun = layout.sun
         sun_left = float(layout.road.left(0.0) @ layout.sun) > 0
-        self._crowns = [textures.crown(rng, sun_left) for _ in range(6)]
+        self._crowns = textures.crowns(rng, sun_left)
         self._leaves = [textures.leaves(rng) for _ in range(3)]
         self._stones = textures.stones(rng)
         self._walls = cache(_house_textures)
@@ -110,9 +110,10 @@ class Scenery:
         back = back if back @ view.T_map_camera.rotation[:, 2] > 0 else -back
         right = np.cross(back, UP)
         base = tree.root_m + tree.trunk_m * UP
+        kind = self._crowns[tree.sprite % len(self._crowns)]
         pieces = _CROWN if distance < _DETAIL_M else _CROWN[:1]
         for i, (offset, size, lift) in enumerate(pieces):
-            crown = self._crowns[(tree.sprite + i * (1 + tree.sprite // 7)) % len(self._crowns)]
+            crown = kind[(tree.sprite // 16 + i) % len(kind)]
             middle = base + offset * width * back + (0.5 + lift) * height * UP
             middle = middle + (0.12 * (i - 1)) * width * right
             corner = middle + 0.58 * size * (height * UP - width * right)

@@ -81,12 +81,18 @@ def _far_woods(
         colors += cover * (color * leaves - colors)
 
 
-def crown(rng: np.random.Generator, sun_left: bool) -> Texture:
+def crowns(rng: np.random.Generator, sun_left: bool) -> list[list[Texture]]:
+    """For each kind of tree, a few crowns."""
+    return [[_crown(rng, np.array(base), sun_left) for _ in range(2)] for base in _LEAVES]
+
+
+def _crown(rng: np.random.Generator, base: FloatArray, sun_left: bool) -> Texture:
     """A tree's crown: leaves in clumps, lit from above and from the sun's side."""
-    size, clumps = 288, 46
-    base = np.array(_LEAVES[rng.integers(len(_LEAVES))])
+    size, clumps = 256, 48
     canvas = np.zeros((size, size, 4), np.float32)  # red, green, blue, opacity
     canvas[..., :3] = 0.42 * base
+    core = (*(0.5 * base), 1.0)
+    cv2.circle(canvas, (size // 2, size // 2), int(0.27 * size), core, cv2.FILLED)
     places = _disc(rng, clumps)
     for x, y in size * (0.5 + 0.36 * places[np.argsort(-places[:, 1])]):  # the lowest first
         _clump(rng, canvas, (x, y), rng.uniform(0.07, 0.125) * size, base, sun_left)
