@@ -120,16 +120,15 @@ class Columns:
 
     def pose(self, entity: str, pose: Pose) -> None:
         """The entity's pose in its parent: T_parent_entity."""
-        self._transform(entity, pose.rotation, pose.translation)
-
-    def hide(self, entity: str, place: FloatArray) -> None:
-        """Shrink an entity that has no pose to a point at ``place`` (3,): rerun has no switch."""
-        self._transform(entity, 1e-4 * np.eye(3), place)
-
-    def _transform(self, entity: str, matrix: FloatArray, shift: FloatArray) -> None:
-        columns = np.ascontiguousarray(matrix.T).reshape(1, 9)  # rerun: column-major
+        columns = np.ascontiguousarray(pose.rotation.T).reshape(1, 9)  # rerun: column-major
         self.add(entity, "Transform3D:mat3x3", _vectors(columns), "TransformMat3x3")
-        self.add(entity, "Transform3D:translation", _vectors(shift[None]), "Translation3D")
+        shift = _vectors(pose.translation[None])
+        self.add(entity, "Transform3D:translation", shift, "Translation3D")
+
+    def picture_distance(self, entity: str, meters: float) -> None:
+        """How far from its camera a pinhole's image is drawn, and how large with it."""
+        component = "Pinhole:image_plane_distance"
+        self.add(entity, component, pa.array([meters], pa.float32()), "ImagePlaneDistance")
 
     def jpeg(self, entity: str, image: bytes | None) -> None:
         data = np.frombuffer(image or b"", np.uint8)

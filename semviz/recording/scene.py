@@ -17,7 +17,7 @@ from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
 
 ELEMENTS, ROAD = "/map/elements", "/map/road"
-CAMERA, TRUE_CAMERA = layout.CAMERA, "/map/camera_truth"
+TRUE_CAMERA = "/map/camera_truth"
 TRUE_PATH, PATH = "/map/path/truth", "/map/path/estimate"
 HERE = "/map/here"
 """Where the frame is, for the eye to follow: truth, else estimate, else prior."""
@@ -28,6 +28,8 @@ STATE, WHY, README = "/status", "/why", "/readme"
 
 FRUSTUM_M = 4.0
 """Depth at which a camera's image is drawn."""
+HIDDEN_M = 1e-4
+"""The same for a camera without a pose: rerun cannot hide it, so it becomes a dot."""
 LABELLED = 60
 """Maps with more elements than this show names only where the pointer is."""
 _CIRCLE = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 49)), np.sin(turn)], axis=1)
@@ -50,7 +52,7 @@ class Scene:
     def draw(self, columns: Columns, record: FrameRecord) -> None:
         result, truth = record.localization, record.frame.T_map_camera
         estimate = None if result.T_camera_map is None else result.T_camera_map.inverse()
-        _draw_cameras(columns, truth, estimate, result.prior.position_m)
+        _draw_cameras(columns, result, truth, estimate)
         self._draw_paths(columns, record, estimate)
         _draw_prior(columns, result)
         _draw_alternatives(columns, result)
@@ -101,10 +103,9 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     """What stays the same for all frames: sizes, cameras, names and colours of the plots."""
     for entity, color in ((TRUE_CAMERA, TRUTH), (layout.IMAGE, ESTIMATE)):
         pinhole = rr.Pinhole.from_fields(
+            camera_xyz=rr.ViewCoordinates.RDF,
             image_from_camera=camera.K,
             resolution=[camera.width, camera.height],
-            camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=FRUSTUM_M,
             color=rgba(color.dark),
         )
         stream.log(entity, pinhole, static=True)
@@ -132,16 +133,17 @@ def _colors(*tones: Tone) -> NDArray[np.uint32]:
 
 
 def _draw_cameras(
-    columns: Columns, truth: Pose | None, estimate: Pose | None, prior_m: FloatArray
+    columns: Columns, result: Localization, truth: Pose | None, estimate: Pose | None
 ) -> None:
     known = truth or estimate
-    here = prior_m if known is None else known.translation
+    here = result.prior.position_m if known is None else known.translation
     columns.points(HERE, here[None], np.array([rgba(TRUTH.dark, 0.0)]))
-    for entity, pose in ((TRUE_CAMERA, truth), (CAMERA, estimate)):
-        if pose is None:
-            columns.hide(entity, here)
-        else:
-            columns.pose(entity, pose)
+    for camera, picture_entity, pose in (
+        (TRUE_CAMERA, TRUE_CAMERA, truth),
+        (layout.CAMERA, layout.IMAGE, estimate),
+    ):
+        columns.pose(camera, pose or Pose(np.eye(3), here))
+        columns.picture_distance(picture_entity, HIDDEN_M if pose is None else FRUSTUM_M)
 
 
 def _draw_prior(columns: Columns, result: Localization) -> None:
