@@ -1,6 +1,7 @@
 """The tables of a label file, and rows in and out of them. SQL lives here only."""
 
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from semviz_core.errors import SemvizError
 APPLICATION_ID = 0x53564C42
 """Marks a SQLite file as ours ("SVLB")."""
 VERSION = 1
+WAIT_S = 10.0
+"""How long to wait for another program that is writing."""
 
 _SCHEMA = f"""
 CREATE TABLE operations (
@@ -55,11 +58,18 @@ PRAGMA user_version = {VERSION};
 
 def connect(path: Path) -> sqlite3.Connection:
     """Open or make a label file; SemvizError where ``path`` is another file or a newer version."""
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+    connection = sqlite3.connect(
+        path, isolation_level=None, check_same_thread=False, timeout=WAIT_S
+    )
     try:
-        if not _is_ours(connection, path):
-            connection.execute("PRAGMA journal_mode = WAL")
-            _create(connection)
+        connection.execute("BEGIN IMMEDIATE")  # looking and making are one: others may come too
+        try:
+            _make_or_check(connection, path)
+            connection.execute("COMMIT")
+        except BaseException:
+            connection.execute("ROLLBACK")
+            raise
+        _use_wal(connection)
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
     except BaseException:
@@ -68,30 +78,30 @@ def connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _is_ours(connection: sqlite3.Connection, path: Path) -> bool:
-    """Whether the file has our tables; False where it is new."""
+def _make_or_check(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] == APPLICATION_ID:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
         if version > VERSION:
             raise SemvizError(
                 f"{path}: labels of version {version}, this semviz reads up to {VERSION}; update"
             )
-        return True
-    if connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+    elif connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
         raise SemvizError(f"{path}: a SQLite file, but not labels of semviz")
-    return False
+    else:
+        for statement in _statements(_SCHEMA):
+            connection.execute(statement)
 
 
-def _create(connection: sqlite3.Connection) -> None:
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            for statement in _statements(_SCHEMA):
-                connection.execute(statement)
-        connection.execute("COMMIT")
-    except BaseException:
-        connection.execute("ROLLBACK")
-        raise
+def _use_wal(connection: sqlite3.Connection) -> None:
+    """SQLite does not wait for others when it changes the mode, so this does."""
+    deadline = time.monotonic() + WAIT_S
+    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+        except sqlite3.OperationalError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
 
 
 def _statements(script: str) -> Iterator[str]:

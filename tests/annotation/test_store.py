@@ -207,6 +207,27 @@ def test_threads_share_a_store(store):
     assert replayed(store) == reopened(store) == store.labels
 
 
+def test_many_open_the_same_new_file_at_once(tmp_path):
+    for round_ in range(20):
+        path, barrier = tmp_path / f"{round_}.db", threading.Barrier(4)
+        opened: list[LabelStore] = []
+
+        def work(path: Path, barrier: threading.Barrier, opened: list[LabelStore]) -> None:
+            barrier.wait()
+            opened.append(LabelStore.open(path))
+
+        threads = [threading.Thread(target=work, args=(path, barrier, opened)) for _ in range(4)]
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+        assert len(opened) == 4
+        opened[0].apply(pole(), "ann")
+        assert [len(one.labels.elements) for one in opened] == [1] * 4
+        for store in opened:
+            store.close()
+
+
 def start(path: Path, author: str, count: int) -> "subprocess.Popen[str]":
     return subprocess.Popen(
         [sys.executable, str(WORKER), str(path), author, str(count)],
