@@ -19,6 +19,7 @@ from semviz_core.solving.direct import pairs_by_class
 from semviz_core.solving.refine import Failure, refine
 from semviz_core.solving.residuals import Scene
 from semviz_core.solving.search import Modes, search
+from semviz_core.solving.upright import assumed_upright
 from semviz_core.solving.verdict import judge
 
 METHODS = ("search", "direct")
@@ -63,6 +64,7 @@ class Localizer:
             return replace(work, reason=pairs.reason)
 
         scene = Scene.of(camera, observed, submap)
+        prior = assumed_upright(prior)  # the result keeps the prior as given
         rng = np.random.default_rng(self.seed)
         modes = watch.time("search", lambda: search(scene, camera, prior, rng))
         work = replace(work, search=_search_value(modes))

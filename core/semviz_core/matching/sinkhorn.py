@@ -6,7 +6,6 @@ paper's eq. 3-4, would force mass onto false pairs wherever n > m.
 """
 
 import numpy as np
-from scipy.special import logsumexp
 
 from semviz_core.arrays import FloatArray
 
@@ -25,8 +24,8 @@ def sinkhorn_with_dustbin(log_kernel: FloatArray) -> FloatArray:
     extended[:m, :n] = log_kernel
     a, b = np.zeros(m + 1), np.zeros(n + 1)
     for _ in range(MOST_ITERATIONS):
-        row_error = logsumexp(extended[:m] + b, axis=1) + a[:m]
-        column_error = logsumexp(extended[:, :n] + a[:, None], axis=0) + b[:n]
+        row_error = _log_sum(extended[:m] + b, axis=1) + a[:m]
+        column_error = _log_sum(extended[:, :n] + a[:, None], axis=0) + b[:n]
         a[:m] -= 0.5 * row_error
         b[:n] -= 0.5 * column_error
         worst = max(np.abs(row_error).max(initial=0.0), np.abs(column_error).max(initial=0.0))
@@ -38,6 +37,13 @@ def sinkhorn_with_dustbin(log_kernel: FloatArray) -> FloatArray:
     inner /= np.maximum(inner.sum(axis=0, keepdims=True), 1.0)
     probability = np.zeros((m + 1, n + 1))
     probability[:m, :n] = inner
-    probability[:m, n] = 1.0 - inner.sum(axis=1)
-    probability[m, :n] = 1.0 - inner.sum(axis=0)
+    probability[:m, n] = np.maximum(1.0 - inner.sum(axis=1), 0.0)
+    probability[m, :n] = np.maximum(1.0 - inner.sum(axis=0), 0.0)
     return probability
+
+
+def _log_sum(values: FloatArray, axis: int) -> FloatArray:
+    """log(sum(exp)); scipy's is as exact and ten times slower on small arrays."""
+    top = values.max(axis=axis, keepdims=True)  # finite: the dustbin's entry always is
+    total: FloatArray = np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis=axis)
+    return total

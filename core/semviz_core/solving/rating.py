@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.frame import Prior
 from semviz_core.solving.hypotheses import Hypotheses
 from semviz_core.solving.residuals import Scene
@@ -10,7 +10,11 @@ from semviz_core.solving.upright import UprightView
 
 POSITION_DOUBT_M, HEIGHT_DOUBT_M, HEADING_DOUBT_RAD = 0.4, 0.15, float(np.deg2rad(1.0))
 """How far a hypothesis made from two noisy matches is off, one standard deviation."""
-CHUNK = 2048
+GATE_SIGMAS = 3.0
+"""Pairs further off in azimuth are not looked at again."""
+CHUNK = 1024
+_FALSE_TURN, _FALSE_SLOPE = np.log(0.25 * np.pi), np.log(0.2)
+"""A false detection is anywhere in a quarter turn and half a unit of slope."""
 
 
 def rate(scene: Scene, view: UprightView, prior: Prior, hypotheses: Hypotheses) -> FloatArray:
@@ -20,80 +24,70 @@ def rate(scene: Scene, view: UprightView, prior: Prior, hypotheses: Hypotheses) 
     element), which is enough to keep a row of equal poles from being matched to one pole.
     """
     parts = [
-        _rate_chunk(scene, view, prior, hypotheses, slice(start, start + CHUNK))
+        _rate_chunk(scene, view, hypotheses, slice(start, start + CHUNK))
         for start in range(0, len(hypotheses), CHUNK)
     ]
-    return np.concatenate(parts) if parts else np.zeros(0)
+    offset = (hypotheses.position_m[:, :2] - prior.position_m[:2]) / prior.horizontal_sigma_m
+    return np.concatenate([np.zeros(0), *parts]) - 0.5 * (offset**2).sum(axis=1)
 
 
 def _rate_chunk(
-    scene: Scene, view: UprightView, prior: Prior, hypotheses: Hypotheses, chunk: slice
+    scene: Scene, view: UprightView, hypotheses: Hypotheses, chunk: slice
 ) -> FloatArray:
-    position = hypotheses.position_m[chunk].astype(np.float32)
-    heading = hypotheses.heading_rad[chunk].astype(np.float32)
-    middle = (0.5 * (scene.anchor_m + scene.end_m)).astype(np.float32)
-    east = middle[:, 0] - position[:, :1]
-    north = middle[:, 1] - position[:, 1:2]
-    reach = np.maximum(np.hypot(east, north), np.float32(1.0))
-    azimuth = np.arctan2(north, east) - heading[:, None]
-    near = np.float32(1.0) / reach
-    ends = np.stack([scene.anchor_m[:, 2], scene.end_m[:, 2]]).astype(np.float32)
-    slopes = [(end - position[:, 2:]) * near for end in ends]
-    i, j = np.nonzero(scene.compatible)
-    far = near[:, j]
-    gain = _azimuth_gain(azimuth[:, j] - view.azimuth_rad[i].astype(np.float32), far)
-    for end in range(2):
+    position, heading = hypotheses.position_m[chunk], hypotheses.heading_rad[chunk, None]
+    middle = 0.5 * (scene.anchor_m + scene.end_m)
+    east = (middle[:, 0] - position[:, :1]).astype(np.float32)
+    north = (middle[:, 1] - position[:, 1:2]).astype(np.float32)
+    c, s = np.cos(heading).astype(np.float32), np.sin(heading).astype(np.float32)
+    azimuth = np.arctan2(c * north - s * east, c * east + s * north)
+    near = 1.0 / np.maximum(np.hypot(east, north), np.float32(1.0))
+    variance = np.float32(POSITION_DOUBT_M**2) * near**2 + np.float32(HEADING_DOUBT_RAD**2)
+    h, i, j = _in_line(scene, view, azimuth, np.float32(GATE_SIGMAS) * np.sqrt(variance))
+
+    far, turn_variance = near[h, j], variance[h, j]
+    off = azimuth[h, j] - view.azimuth_rad[i]
+    gain = _FALSE_TURN - 0.5 * (off**2 / turn_variance + np.log(turn_variance))
+    for end, ends_m in enumerate((scene.anchor_m, scene.end_m)):
         known = view.slope_known[i, end] & scene.mapped_known[j, end]
-        k = np.flatnonzero(known)
-        if len(k):
-            seen = view.slope[i[k], end].astype(np.float32)
-            sigma = np.hypot(view.sigma_rad[i[k], 1], view.up_sigma_rad).astype(np.float32)
-            off = slopes[end][:, j[k]] - seen
-            gain[:, k] += _slope_gain(off, seen, sigma, far[:, k])
-    np.maximum(gain, np.float32(0.0), out=gain)
-    best = np.minimum(_sum_of_best(gain, i), _sum_of_best(gain, j))
-    offset = (hypotheses.position_m[chunk, :2] - prior.position_m[:2]) / prior.horizontal_sigma_m
-    off_prior = np.maximum(np.linalg.norm(offset, axis=1), 0.0) ** 2
-    return np.asarray(best - 0.5 * off_prior, dtype=np.float64)
-
-
-def _azimuth_gain(
-    off: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-    near: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-) -> "np.ndarray[tuple[int, int], np.dtype[np.float32]]":
-    """Log density against a false detection anywhere in a quarter turn."""
-    turn = np.float32(2.0 * np.pi)
-    off = off - turn * np.rint(off / turn)
-    variance = (np.float32(POSITION_DOUBT_M) * near) ** 2 + np.float32(HEADING_DOUBT_RAD**2)
-    return np.asarray(
-        np.float32(-0.5) * (off**2 / variance + np.log(variance)) + np.float32(np.log(0.25 * np.pi))
+        seen = view.slope[i, end]
+        off = (ends_m[j, 2] - position[h, 2]) * far - seen
+        doubt = HEIGHT_DOUBT_M**2 + (POSITION_DOUBT_M * seen) ** 2
+        sigma2 = view.sigma_rad[i, 1] ** 2 + view.up_sigma_rad**2
+        slope_variance = doubt * far**2 + sigma2
+        nats = _FALSE_SLOPE - 0.5 * (off**2 / slope_variance + np.log(slope_variance))
+        gain += np.where(known, nats, 0.0)
+    kept = gain > 0.0
+    h, i, j, gain = h[kept], i[kept], j[kept], gain[kept]
+    shape = len(position), *scene.compatible.shape
+    return np.minimum(
+        _sum_of_best(gain, h, i, (shape[0], shape[1])),
+        _sum_of_best(gain, h, j, (shape[0], shape[2])),
     )
 
 
-def _slope_gain(
-    off: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-    seen: "np.ndarray[tuple[int], np.dtype[np.float32]]",
-    sigma: "np.ndarray[tuple[int], np.dtype[np.float32]]",
-    near: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-) -> "np.ndarray[tuple[int, int], np.dtype[np.float32]]":
-    """Log density against a false detection anywhere within half a unit of slope."""
-    doubt = np.float32(HEIGHT_DOUBT_M**2) + (np.float32(POSITION_DOUBT_M) * seen) ** 2
-    variance = doubt * near**2 + sigma**2
-    return np.asarray(
-        np.float32(-0.5) * (off**2 / variance + np.log(variance)) + np.float32(np.log(0.2))
-    )
+def _in_line(
+    scene: Scene,
+    view: UprightView,
+    azimuth: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
+    tolerance: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Rows of hypothesis, observed and mapped element whose azimuths agree; cameras don't look
+    backwards, so angles need no wrapping."""
+    found: list[tuple[IntArray, IntArray, IntArray]] = []
+    low, high = azimuth - tolerance, azimuth + tolerance
+    for i, seen in enumerate(view.azimuth_rad.astype(np.float32)):
+        columns = np.flatnonzero(scene.compatible[i])
+        h, column = np.nonzero((low[:, columns] < seen) & (high[:, columns] > seen))
+        found.append((h, np.full(len(h), i), columns[column]))
+    h, i_all, j = (np.concatenate(column) for column in zip(*found, strict=True))
+    return h, i_all, j
 
 
 def _sum_of_best(
-    gain: "np.ndarray[tuple[int, int], np.dtype[np.float32]]", groups: "np.ndarray"
-) -> "np.ndarray[tuple[int], np.dtype[np.float32]]":
-    """Sum over groups (of columns) of the largest gain in each."""
-    if not gain.shape[1]:
-        return np.zeros(len(gain), dtype=np.float32)
-    order = np.argsort(groups, kind="stable")
-    ordered = groups[order]
-    starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
-    best: np.ndarray[tuple[int], np.dtype[np.float32]] = np.maximum.reduceat(
-        gain[:, order], starts, axis=1
-    ).sum(axis=1)
-    return best
+    gain: FloatArray, rows: IntArray, groups: IntArray, shape: tuple[int, int]
+) -> FloatArray:
+    """(shape[0],) sum over groups of the largest gain in each row and group."""
+    best = np.zeros(shape)
+    np.maximum.at(best.reshape(-1), rows * shape[1] + groups, gain)
+    total: FloatArray = best.sum(axis=1)
+    return total

@@ -9,7 +9,7 @@ from semviz_core.camera import Camera
 from semviz_core.frame import Prior
 from semviz_core.localization import Refinement
 from semviz_core.pose import Pose, nearest_rotation
-from semviz_core.solving.association import associate
+from semviz_core.solving.association import Doubt, associate
 from semviz_core.solving.least_squares import Fit, fit
 from semviz_core.solving.residuals import Scene, scene_residuals
 
@@ -18,6 +18,8 @@ NEEDED_PAIRS = 3
 MOST_SIGMA_M = 2.0
 """A pose less certain than this along any direction is no answer."""
 MOST_SIGMA_RAD = float(np.deg2rad(5.0))
+START_DOUBT = Doubt(0.5, float(np.deg2rad(1.0)))
+"""How far off the pose may be that refinement starts from."""
 _ROUNDS = 6
 _ITERATIONS = 20
 
@@ -73,7 +75,7 @@ def _settled_match(
     scene: Scene, camera: Camera, prior: Prior, rotation: FloatArray, translation: FloatArray
 ) -> IntArray:
     """(1, m) one-to-one pairs that don't change when the pose is fitted to them."""
-    match, _, _ = associate(scene, camera, rotation, translation)
+    match, _, _ = associate(scene, camera, rotation, translation, START_DOUBT)
     for _ in range(_ROUNDS):
         nearer = fit(scene, prior, rotation, translation, match, _ITERATIONS)
         rotation, translation = nearer.rotation, nearer.translation

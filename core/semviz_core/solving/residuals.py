@@ -206,7 +206,7 @@ def prior_rows(
     jacobians = [np.concatenate([-back, zero], axis=-1) / sigma[:, None]]
     if prior.up_camera is not None:
         up = rotation[:, :, 2]
-        across = _basis(prior.up_camera)
+        across = perpendicular(prior.up_camera)
         residuals.append(up @ across.T / prior.up_sigma_rad)
         # d(up) = w x up, so the row e gives e . (w x up) = (up x e) . w
         turn = np.cross(up[:, None, :], across[None])
@@ -225,6 +225,14 @@ def prior_rows(
         residuals.append(error[:, None] / prior.heading_sigma_rad)
         jacobians.append(row / prior.heading_sigma_rad)
     return np.concatenate(residuals, axis=1), np.concatenate(jacobians, axis=1)
+
+
+def perpendicular(unit: FloatArray) -> FloatArray:
+    """(2, 3) two unit vectors perpendicular to ``unit`` and to each other."""
+    helper = np.eye(3)[int(np.argmin(np.abs(unit)))]
+    first = np.cross(unit, helper)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(unit, first)])
 
 
 def _ideal(camera: Camera, pixels_px: FloatArray) -> FloatArray:
@@ -278,11 +286,3 @@ def _beside(
     by_anchor = np.cross(ray, end_c[..., None, :])
     by_end = np.cross(anchor_c[..., None, :], ray)
     return beside, by_anchor, by_end
-
-
-def _basis(unit: FloatArray) -> FloatArray:
-    """(2, 3) two unit vectors perpendicular to ``unit`` and to each other."""
-    helper = np.eye(3)[int(np.argmin(np.abs(unit)))]
-    first = np.cross(unit, helper)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(unit, first)])

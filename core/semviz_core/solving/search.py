@@ -14,13 +14,15 @@ from semviz_core.camera import Camera
 from semviz_core.frame import Prior
 from semviz_core.solving.association import SURE, Doubt, associate, log_likelihood
 from semviz_core.solving.hypotheses import Hypotheses, upright_hypotheses
-from semviz_core.solving.least_squares import Fit, fit
+from semviz_core.solving.least_squares import fit
 from semviz_core.solving.rating import rate
 from semviz_core.solving.residuals import Scene
 from semviz_core.solving.upright import UprightView, upright_view
 
-POLISHED = 24
-"""Candidates that are fitted. Measured: the right mode is nearly always among the best dozen."""
+STARTED, FINISHED = 24, 10
+"""Candidates that are paired and fitted once, and those of them that are fitted to the end."""
+MOST_COMPARED = 1000
+"""Candidates, by rating, among which distinct ones are looked for."""
 APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
 """Poses further apart than either are different answers."""
 NARROWING = (Doubt(0.5, float(np.deg2rad(1.5))), Doubt(0.15, float(np.deg2rad(0.3))), SURE, SURE)
@@ -46,7 +48,8 @@ def search(scene: Scene, camera: Camera, prior: Prior, rng: np.random.Generator)
     hypotheses, tried = upright_hypotheses(scene, view, prior, rng)
     best = _distinct_best(hypotheses, rate(scene, view, prior, hypotheses))
     rotation, translation = camera_poses(view, best)
-    rotation, translation = polish(scene, camera, prior, rotation, translation)
+    if len(best):
+        rotation, translation = polish(scene, camera, prior, rotation, translation)
     return _modes(scene, camera, prior, rotation, translation, tried, len(hypotheses))
 
 
@@ -63,10 +66,12 @@ def camera_poses(view: UprightView, hypotheses: Hypotheses) -> tuple[FloatArray,
 def polish(
     scene: Scene, camera: Camera, prior: Prior, rotation: FloatArray, translation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Pair and fit in turns while the gates narrow."""
+    """Pair and fit in turns while the gates narrow; the least promising are dropped on the way."""
     for doubt in NARROWING:
-        match, _, _ = associate(scene, camera, rotation, translation, doubt)
-        settled: Fit = fit(scene, prior, rotation, translation, match, iterations=4)
+        match, gain, _ = associate(scene, camera, rotation, translation, doubt)
+        best = np.sort(np.argsort(-gain.sum(axis=1), kind="stable")[:FINISHED])
+        kept = best if doubt == NARROWING[1] else slice(None)
+        settled = fit(scene, prior, rotation[kept], translation[kept], match[kept], iterations=4)
         rotation, translation = settled.rotation, settled.translation
     return rotation, translation
 
@@ -83,12 +88,12 @@ def apart(
 
 
 def _distinct_best(hypotheses: Hypotheses, rating: FloatArray) -> Hypotheses:
-    """The best POLISHED candidates of which no two are close."""
-    order = np.argsort(-rating, kind="stable")
+    """The best STARTED candidates of which no two are close."""
+    order = np.argsort(-rating, kind="stable")[:MOST_COMPARED]
     position, heading = hypotheses.position_m[order], hypotheses.heading_rad[order]
     kept: list[int] = []
     free = np.ones(len(order), dtype=bool)
-    while len(kept) < POLISHED and free.any():
+    while len(kept) < STARTED and free.any():
         row = int(free.argmax())
         kept.append(row)
         near = np.linalg.norm(position[:, :2] - position[row, :2], axis=1) < APART_M

@@ -4,19 +4,21 @@ In the level frame z is up and x is the optical axis laid flat, so the one unkno
 heading, and an observed element is an azimuth and, where an end is known, a slope (tangent of elevation).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.frame import Prior
-from semviz_core.solving.residuals import Scene
+from semviz_core.solving.residuals import Scene, perpendicular
 
 ASSUMED_UP = np.array([0.0, -1.0, 0.0])
-"""Cameras on vehicles look about level: where to start without an IMU."""
+"""Cameras on vehicles look about level: what is known without an IMU."""
 ASSUMED_UP_SIGMA_RAD = float(np.deg2rad(4.0))
 POLE_LEAN_RAD = float(np.deg2rad(1.0))
 """How far poles lean, one standard deviation: limits gravity taken from them."""
+CAUCHY_SIGMAS = 2.0
+"""Poles that lean by more count less (Cauchy weights)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,30 +57,33 @@ def upright_view(scene: Scene, prior: Prior) -> UprightView:
     )
 
 
+def assumed_upright(prior: Prior) -> Prior:
+    """The prior, with cameras taken to look about level where no IMU says more."""
+    if prior.up_camera is not None:
+        return prior
+    return replace(prior, up_camera=ASSUMED_UP, up_sigma_rad=ASSUMED_UP_SIGMA_RAD)
+
+
 def gravity(scene: Scene, prior: Prior) -> tuple[FloatArray, float]:
     """Unit (3,) up in camera coordinates and its sigma (rad).
 
-    Without an IMU: the vertical vanishing point of the observed poles, each of whose planes holds it,
-    least squares from an upright camera.
+    The vertical vanishing point of the observed poles, each of whose planes holds it, with the
+    prior's up: least squares, reweighted since a false pole may lean anyhow.
     """
-    if prior.up_camera is not None:
-        return prior.up_camera, prior.up_sigma_rad
+    start = assumed_upright(prior)
+    assert start.up_camera is not None
     line = scene.is_line
     normal = np.cross(_rays(scene, scene.anchor_px[line]), _rays(scene, scene.end_px[line]))
-    length = np.linalg.norm(normal, axis=1)
-    seen = length > 1e-3
-    normal = normal[seen] / length[seen, None]
-    lean = np.sqrt(scene.variance_px2[line][seen, 0]) / scene.K[0, 0] / length[seen]
-    weight = 1.0 / (lean**2 + POLE_LEAN_RAD**2)
-    across = np.eye(3)[[0, 2]]  # perpendicular to the assumed up
-    J = normal @ across.T
-    offset = normal @ ASSUMED_UP
-    for _ in range(3):  # reweighted: a false pole may lean anyhow
-        information = J.T @ (weight[:, None] * J) + np.eye(2) / ASSUMED_UP_SIGMA_RAD**2
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-4)
+    normal = normal / length[:, None]
+    variance = scene.variance_px2[line, 0] / (scene.K[0, 0] * length) ** 2 + POLE_LEAN_RAD**2
+    across = perpendicular(start.up_camera)
+    J, offset, tilt = normal @ across.T, normal @ start.up_camera, np.zeros(2)
+    for _ in range(3):
+        weight = 1.0 / (variance + (offset + J @ tilt) ** 2 / CAUCHY_SIGMAS**2)
+        information = J.T @ (weight[:, None] * J) + np.eye(2) / start.up_sigma_rad**2
         tilt = -np.linalg.solve(information, J.T @ (weight * offset))
-        error2 = (offset + J @ tilt) ** 2 / (lean**2 + POLE_LEAN_RAD**2)
-        weight = 1.0 / (lean**2 + POLE_LEAN_RAD**2) / (1.0 + error2 / 4.0)
-    up = ASSUMED_UP + tilt @ across
+    up = start.up_camera + tilt @ across
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(information))[-1]))
     return up / np.linalg.norm(up), sigma
 

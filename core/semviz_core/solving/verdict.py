@@ -8,7 +8,7 @@ from semviz_core.localization import Status
 from semviz_core.solving.refine import NEEDED_PAIRS, Refined
 from semviz_core.solving.search import Modes, apart
 
-AMBIGUOUS_NATS = 6.0
+AMBIGUOUS_NATS = 12.0
 """Another pose within this of the best makes the answer ambiguous. See bench/localize.py."""
 LEAST_SHARE = 0.5
 """Share of the elements seen that must fit: a wrong place explains a few by chance, seldom half."""
