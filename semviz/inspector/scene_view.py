@@ -25,8 +25,10 @@ class SceneView:
 
     def __init__(self, server: "viser.ViserServer", on_click: Callable[[int], None]) -> None:
         self._scene = Scene(server)
+        self._viewer = viewpoint.Viewer(server)
         self._on_click = on_click
         self._facing = np.zeros(0)
+        self._path = np.zeros((0, 3))
         self._shown: tuple[Pose, View] | None = None
 
     def show_run(self, run: Run, state: State) -> None:
@@ -36,11 +38,11 @@ class SceneView:
         with scene.server.atomic():
             scene.set_theme(state.theme)
             elements = semantic_map.elements
+            self._path = path
             self._facing = shapes.facing(elements.anchor_m, path)
             scene.draw_elements(
                 "/map", elements, semantic_map.classes, self._facing, strength=0.45, width_px=1.2
             )
-            scene.draw_road(path)
             scene.make_clickable(elements, _vehicle(run.frames[0]).translation, self._on_click)
         self._shown = None
         self.show_frame(run, state)
@@ -50,7 +52,7 @@ class SceneView:
         record = run.frames[state.position]
         one = record.localization
         with self._scene.server.atomic():
-            self._scene.draw_grid(_vehicle(record).translation)
+            self._draw_ground(record, state)
             self._draw_submap(run, record)
             self._draw_prior(one.prior, run)
             self._draw_poses(record, state)
@@ -67,6 +69,16 @@ class SceneView:
         """Turns to the state's viewpoint, again where it is the same."""
         self._shown = None
         self.show_frame(run, state)
+
+    def _draw_ground(self, record: FrameRecord, state: State) -> None:
+        """Grid and road; through the camera they would hide its image."""
+        if state.view == "camera":
+            self._scene.clear("/grid")
+            self._scene.clear("/road")
+            return
+        self._scene.draw_grid(_vehicle(record).translation)
+        if self._shown is None or self._shown[1] == "camera":
+            self._scene.draw_road(self._path)
 
     def _draw_submap(self, run: Run, record: FrameRecord) -> None:
         submap, scene = record.localization.submap, self._scene
@@ -142,15 +154,14 @@ class SceneView:
 
     def _follow(self, record: FrameRecord, state: State) -> None:
         """A new viewpoint is taken; otherwise the viewer is carried along with the vehicle."""
-        server, pose, before = self._scene.server, _vehicle(record), self._shown
+        viewer, pose, before = self._viewer, _vehicle(record), self._shown
         self._shown = (pose, state.view)
         if state.view == "camera":
-            viewpoint.show(server, viewpoint.through(pose, record.localization.camera))
+            viewer.show(viewpoint.through(pose, record.localization.camera))
         elif before is None or before[1] != state.view:
-            view = viewpoint.above(pose) if state.view == "above" else viewpoint.behind(pose)
-            viewpoint.show(server, view)
+            viewer.show(viewpoint.above(pose) if state.view == "above" else viewpoint.behind(pose))
         elif before[0] is not pose:
-            viewpoint.move_along(server, before[0], pose)
+            viewer.move_along(before[0], pose)
 
 
 _ALTERNATIVES = tuple(f"/alternative-{letter}" for letter in "bcdefgh")

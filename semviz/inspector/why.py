@@ -10,7 +10,7 @@ from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 
 SURE_AND_WRONG_M = 1.0
-LISTED = 3
+LISTED = 2
 """So many alternatives are listed; the card must not scroll."""
 
 
@@ -61,8 +61,9 @@ def why_card(record: FrameRecord) -> dict[str, Any]:
         "sentence": one.reason,
         "rows": [row for row in _rows(record, errors) if row[1]],
         "alternatives": _alternatives(one)[:LISTED],
-        "alternativesLeft": max(0, len(one.alternatives) - LISTED),
+        "alternativesLeft": max(0, len(_alternatives(one)) - LISTED),
         "times": [[stage, ms] for stage, ms in one.time_ms.items()],
+        "hypotheses": None if one.search is None else one.search.hypotheses,
     }
 
 
@@ -81,18 +82,19 @@ def _rows(record: FrameRecord, errors: Errors | None) -> list[tuple[str, str]]:
     error = "" if errors is None else f"{errors.distance_m:.2f} m · {errors.angle_deg:.2f}°"
     return [
         ("Error against the truth", error),
-        ("Seen / in the submap", f"{len(one.observed)} / {len(one.submap)}"),
-        ("Matched / of them fit", _pairs(one)),
+        ("Seen / matched / fit", _counts(one)),
         ("χ² of the pairs that fit", _chi2(one)),
         ("Uncertainty, 1σ", _sigma(one)),
         ("Prior off by", _prior(record)),
-        ("Hypotheses tried", "" if one.search is None else f"{one.search.hypotheses:,}"),
     ]
 
 
-def _pairs(localization: Localization) -> str:
+def _counts(localization: Localization) -> str:
     fine = localization.refinement
-    return "" if fine is None else f"{len(fine.pairs)} / {int(fine.inlier.sum())}"
+    seen = len(localization.observed)
+    if fine is None:
+        return f"{seen} / none / none"
+    return f"{seen} / {len(fine.pairs)} / {int(fine.inlier.sum())}"
 
 
 def _chi2(localization: Localization) -> str:

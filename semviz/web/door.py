@@ -62,8 +62,7 @@ class Door:
     def run(self, open_browser: bool = True) -> None:
         """Serves until Ctrl-C (or SIGTERM); prints the address, and opens it where it can."""
         with self.running() as url, _until_told() as told:
-            print(f"{self._tool.title}: {url}", flush=True)
-            print("Ctrl-C stops it.", flush=True)
+            print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
             if open_browser:
                 _open_browser(url)
             told.wait()

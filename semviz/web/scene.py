@@ -7,7 +7,7 @@ invisible boxes around the elements take the clicks.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -44,10 +44,12 @@ class PoseLook:
     width_px: float
     dash_m: tuple[float, float] | None = None
     fill: float = 0.0
+    label_side: Literal["left", "middle", "right"] = "middle"
+    """Truth and estimate nearly coincide when all is well; their labels must not."""
 
 
-TRUTH = PoseLook("truth", 1.5)
-ESTIMATE = PoseLook("estimate", 2.2, fill=0.18)
+TRUTH = PoseLook("truth", 1.5, label_side="left")
+ESTIMATE = PoseLook("estimate", 2.2, fill=0.18, label_side="right")
 PRIOR = PoseLook("prior", 1.5, dash_m=(0.25, 0.18))
 ALTERNATIVE = PoseLook("alternative", 1.8, dash_m=(0.08, 0.14))
 
@@ -216,7 +218,7 @@ class Scene:
             faces = np.array([[0, 1, 2], [0, 2, 3]])
             self._mesh(name, corners, faces, color, opacity=look.fill, path=f"{name}/fill")
         if label:
-            self._label(name, f"{name}/label", label, corners[:2].mean(axis=0) + ABOVE)
+            self._pose_label(f"{name}/label", label, name, corners, look)
 
     def draw_backdrop(
         self, name: str, T_map_camera: Pose, camera: Camera, image: ByteImage
@@ -283,9 +285,26 @@ class Scene:
         )
         self._keep(group, node)
 
-    def _label(self, group: str, path: str, text: str, position_m: FloatArray) -> None:
+    def _pose_label(
+        self, path: str, text: str, group: str, corners: FloatArray, look: PoseLook
+    ) -> None:
+        if look.label_side == "left":
+            self._label(group, path, text, corners[0], "bottom-right")
+        elif look.label_side == "right":
+            self._label(group, path, text, corners[1], "bottom-left")
+        else:
+            self._label(group, path, text, corners[:2].mean(axis=0) + ABOVE)
+
+    def _label(
+        self,
+        group: str,
+        path: str,
+        text: str,
+        position_m: FloatArray,
+        anchor: Literal["bottom-left", "bottom-center", "bottom-right"] = "bottom-center",
+    ) -> None:
         node = self.server.scene.add_label(
-            path, text, position=position_m, anchor="bottom-center", font_screen_scale=0.85
+            path, text, position=position_m, anchor=anchor, font_screen_scale=0.85
         )
         self._keep(group, node)
 

@@ -54,26 +54,44 @@ def through(T_map_camera: Pose, camera: Camera) -> Viewpoint:
     return Viewpoint(center - 0.01 * axis, center + 5.0 * axis, tangents)
 
 
-def show(server: "viser.ViserServer", view: Viewpoint) -> None:
-    """Turns every camera of the scene to ``view``, and those that connect later."""
-    initial = server.initial_camera
-    initial.position, initial.look_at = _triple(view.eye_m), _triple(view.target_m)
-    for client in server.get_clients().values():
+class Viewer:
+    """Moves the cameras of everybody who looks at a scene, and of those who come later."""
+
+    def __init__(self, server: "viser.ViserServer") -> None:
+        self._server = server
+        self._view = Viewpoint(np.array([-10.0, 0.0, 8.0]), np.zeros(3))
+        server.on_client_connect(self._turn)
+
+    def show(self, view: Viewpoint) -> None:
+        """Takes a viewpoint."""
+        self._view = view
+        initial = self._server.initial_camera
+        initial.position, initial.look_at = _triple(view.eye_m), _triple(view.target_m)
+        for client in self._server.get_clients().values():
+            self._turn(client)
+
+    def move_along(self, before: Pose, after: Pose) -> None:
+        """Carries the cameras along with the vehicle: each one's view relative to it stays."""
+        self._view = _carried(self._view, before, after)
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            now = Viewpoint(np.array(camera.position), np.array(camera.look_at))
+            moved = _carried(now, before, after)
+            with client.atomic():
+                camera.position, camera.look_at = moved.eye_m, moved.target_m
+
+    def _turn(self, client: "viser.ClientHandle") -> None:
         with client.atomic():
-            client.camera.position = view.eye_m
-            client.camera.look_at = view.target_m
-            client.camera.fov = view.fov_rad(client.camera.aspect)
+            client.camera.position = self._view.eye_m
+            client.camera.look_at = self._view.target_m
+            client.camera.fov = self._view.fov_rad(client.camera.aspect)
 
 
-def move_along(server: "viser.ViserServer", before: Pose, after: Pose) -> None:
-    """Carries every camera along with the vehicle: the view relative to it stays."""
-    turn = _heading(after) - _heading(before)
-    rotation = Pose.from_rotvec(turn * UP, np.zeros(3))
-    for client in server.get_clients().values():
-        eye, target = np.array(client.camera.position), np.array(client.camera.look_at)
-        with client.atomic():
-            client.camera.position = after.translation + rotation.apply(eye - before.translation)
-            client.camera.look_at = after.translation + rotation.apply(target - before.translation)
+def _carried(view: Viewpoint, before: Pose, after: Pose) -> Viewpoint:
+    turn = Pose.from_rotvec((_heading(after) - _heading(before)) * UP, np.zeros(3))
+    start, end = before.translation, after.translation
+    eye, target = turn.apply(view.eye_m - start), turn.apply(view.target_m - start)
+    return Viewpoint(end + eye, end + target, view.tangents)
 
 
 def _ahead(T_map_camera: Pose) -> FloatArray:

@@ -212,8 +212,10 @@ export class ImagePanel {
     const seen = this.frame.observed[observed];
     const mapped = this.frame.mapped.find((one) => one.id === element);
     const place = mapped && this.placeOf(mapped);
-    if (place) this.ring(context, ...place);
-    if (!seen) return;
+    if (!seen) {
+      if (place) this.ring(context, ...place);
+      return;
+    }
     this.ring(context, seen.anchor, seen.end);
     const pair = this.pairOf.get(observed);
     const probability = this.probability(observed, pair);

@@ -12,8 +12,10 @@ export class Labels {
     this.wanted = [];
   }
 
-  /** A label beside a point; `first` ones always stay, `second` is a second line. */
+  /** A label beside a point that is on the canvas; `first` ones always stay, `second` is a second
+   * line. */
   add(text, [x, y], { color = "#FFFFFF", weight = 600, first = false, second = "" } = {}) {
+    if (!first && (x < 0 || x > this.width)) return;
     this.wanted.push({ text, x, y, color, weight, first, second });
   }
 

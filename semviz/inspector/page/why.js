@@ -5,20 +5,22 @@ import { statusMark } from "/static/glyphs.js";
 
 export class WhyCard {
   showFrame(frame) {
-    const { title, sentence, rows, alternatives, alternativesLeft, times } = frame.why;
+    const { title, sentence, rows, alternatives, alternativesLeft, times, hypotheses } = frame.why;
     const numbers = [...rows, ...alternatives.map(alternativeRow)];
     if (alternativesLeft) numbers.push(["More alternatives", `${alternativesLeft}`]);
+    const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
+    if (hypotheses !== null) costs.push(`${hypotheses} poses tried`);
     byId("why-frame").textContent = `frame ${frame.index}`;
     byId("why-truth").textContent = frame.hasTruth ? "with truth" : "without truth";
     byId("why-body").replaceChildren(
       el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
       el("p", { class: "sentence", text: sentence }),
       el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
-      el("div", { class: "times" }, ...times.map(([stage, ms]) => el("span", { text: `${stage} ${fixed(ms, 1)} ms` }))));
+      el("div", { class: "times" }, ...costs.map((text) => el("span", { text }))));
   }
 }
 
 function alternativeRow({ name, distanceM, angleDeg, gapNats }) {
-  const gap = gapNats === null ? "" : `, ${fixed(gapNats, 1)} nats worse`;
-  return [`Alternative ${name}`, `${fixed(distanceM, 1)} m, ${fixed(angleDeg, 1)}° away${gap}`];
+  const gap = gapNats === null ? "" : ` · ${fixed(gapNats, 1)} nats worse`;
+  return [`Alternative ${name}`, `${fixed(distanceM, 1)} m · ${fixed(angleDeg, 1)}°${gap}`];
 }
