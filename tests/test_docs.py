@@ -87,3 +87,21 @@ def test_every_documented_line_is_known() -> None:
         for command in line.split("&&")
     }
     assert first_words <= {"semviz", "python", ".", "pip", "pytest"}
+
+
+def python_of(page: Path) -> str:
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S))
+
+
+def test_python_of_the_docs(tmp_path: Path, environment: dict[str, str]) -> None:
+    """The blocks of a page are one script; its first example finds the camera where it is."""
+    done = subprocess.run(
+        [sys.executable, "-c", python_of(REPOSITORY / "docs" / "python.md")],
+        cwd=tmp_path, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    status, centre, _, *frames = done.stdout.splitlines()
+    assert status.startswith("ok ")
+    numbers = [float(number) for number in re.findall(r"-?\d+\.?\d*", centre)]
+    assert all(abs(have - want) < 0.01 for have, want in zip(numbers, (0, 0, 1.65), strict=True))
+    assert len(frames) == 3

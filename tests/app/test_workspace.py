@@ -59,7 +59,7 @@ def test_a_street_is_opened_as_it_was_made(tmp_path: Path) -> None:
     from semviz_core.sources.street.layout import Section
 
     sections = (Section("normal", 50.0), Section("row", 80.0))
-    made = Workspace.create_street(tmp_path / "street", 7, range(12), sections)
+    made = Workspace.create_street(tmp_path / "street", 7, range(12), 2.0, sections)
     opened = Workspace.open(tmp_path / "street")
     assert opened.settings == made.settings
     assert len(opened.source.frames) == 12
