@@ -28,9 +28,9 @@ class BuildOptions:
     """How labels become a map."""
 
     eps_m: float = 1.0
-    """DBSCAN's radius. Ten stereo pairs of one thing, fused, are good to about 0.1 m (simulated clicks
-    of 1 px in KITTI's geometry), so 1 m is well above two estimates of one thing. Single far pairs
-    scatter by metres: they need the annotator's identity, not a larger radius."""
+    """DBSCAN's radius. Ten stereo pairs of one thing, fused, are good to about 0.1 m (simulated
+    clicks of 1 px in KITTI's geometry), so 1 m is well above two estimates of one thing. Single far
+    pairs scatter by metres: they need the annotator's identity, not a larger radius."""
     min_points: int = 1
     """DBSCAN's core size, in stereo pairs. A pair that a person drew is no noise, so 1; labels from
     a detector want 2 or 3."""
