@@ -68,8 +68,8 @@ def misfit_px(observations: Sequence[Observation], places: Places) -> float:
         ]
     if len(observations) < 2:
         return float("inf")
-    errors = [_rms_px(points, places) for points in _ends(observations) if len(points) > 1]
-    return max(errors, default=_rms_px(observations, places))
+    shared = [points for points in _ends(observations) if len(points) > 1]
+    return max(_rms_px(points, places) for points in shared or [observations])
 
 
 def _is_free(element_id: str, drawing: Observation, class_id: int, labels: Labels) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from semviz.web.colors import Theme
 from semviz.web.scene import TRUTH, Scene
 from semviz.web.shapes import facing
-from semviz.web.viewpoint import behind, move_along, show
+from semviz.web.viewpoint import Viewer, behind
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet
@@ -47,6 +47,7 @@ class SceneView:
         on_click: Callable[[int], None],
     ) -> None:
         self._scene = Scene(server)
+        self._viewer = Viewer(server)
         self._trajectory_m = trajectory_m
         self._camera = camera
         self._classes = classes
@@ -77,14 +78,14 @@ class SceneView:
     def _start(self, shown: Shown) -> None:
         self._draw_path()
         self._draw_frame(shown)
-        show(self._scene.server, behind(shown.T_map_camera or NOWHERE))
+        self._viewer.show(behind(shown.T_map_camera or NOWHERE))
 
     def _follow(self, before: Shown, shown: Shown) -> None:
         if before.T_map_camera is shown.T_map_camera:
             return
         self._draw_frame(shown)
         if before.T_map_camera is not None and shown.T_map_camera is not None:
-            move_along(self._scene.server, before.T_map_camera, shown.T_map_camera)
+            self._viewer.move_along(before.T_map_camera, shown.T_map_camera)
 
     def _draw_path(self) -> None:
         self._scene.draw_road(self._trajectory_m)

@@ -1,5 +1,6 @@
 """Labels through the page as a person would: by mouse and keys, but to a hundredth of a pixel."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +13,8 @@ Pixel = tuple[float, float]
 POLE, TRIANGULAR, RECTANGULAR, ROUNDED = range(4)
 CLICK_SCALE = 12.0
 """CSS pixels to the image pixel before a click: it lands within 0.05 px even if rounded."""
+ZOOM_PER_WHEEL = 0.002
+"""Logarithm of the zoom by one unit of the wheel."""
 WAIT_MS = 30_000
 
 
@@ -40,10 +43,15 @@ class LabelDriver:
     def __init__(self, page: "Page") -> None:
         self.page = page
 
-    def open(self, url: str) -> None:
-        """Goes to the address that the terminal printed, and waits for the first image."""
+    def open(self, url: str, with_map: bool = False) -> None:
+        """Goes to the address that the terminal printed, and waits for the first image.
+
+        The 3D map is switched off unless asked for: without a graphics card it slows all down.
+        """
         self.page.goto(url)
         self.page.wait_for_selector("#saved.saved", timeout=WAIT_MS)
+        if not with_map:
+            self.page.keyboard.press("f")
         self._wait_for_images(self.frame)
 
     @property
@@ -160,7 +168,7 @@ class LabelDriver:
 
     def view(self, side: Side) -> View:
         """Where the image of ``side`` lies now."""
-        canvas = self.page.locator(f"#{side}-image canvas")
+        canvas = self.page.locator(f"#{side}-image canvas.marks")
         box = canvas.bounding_box()
         scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
         assert box is not None
@@ -169,13 +177,12 @@ class LabelDriver:
     def zoom_to(self, side: Side, pixel: Pixel, scale: float = CLICK_SCALE) -> None:
         """Zooms by the wheel with the pointer on ``pixel`` until ``scale`` is reached."""
         self.press("0")
-        self.page.mouse.move(*self.view(side).screen(pixel))
-        for _ in range(40):
-            if self.view(side).scale >= scale:
-                return
-            self.page.mouse.wheel(0, -400)
-            self.settle()
-        raise AssertionError(f"the wheel does not zoom: {self.view(side)}")
+        whole = self.view(side)
+        self.page.mouse.move(*whole.screen(pixel))
+        self.page.mouse.wheel(0, -math.log(1.01 * scale / whole.scale) / ZOOM_PER_WHEEL)
+        zoomed = f"""scale => Number(document.querySelector("#{side}-image canvas.marks")
+            .dataset.view.split(" ")[0]) >= scale"""
+        self.page.wait_for_function(zoomed, arg=scale, timeout=WAIT_MS)
 
     def click_at(self, side: Side, pixel: Pixel) -> None:
         """A click on ``pixel`` at the zoom there is."""
@@ -217,7 +224,7 @@ class LabelDriver:
 
     def _wait_for_images(self, frame: int) -> None:
         shown = """frame => ["left", "right"].every(side => {
-            const canvas = document.querySelector(`#${side}-image canvas`);
+            const canvas = document.querySelector(`#${side}-image canvas.marks`);
             return canvas.dataset.frame === String(frame) && canvas.dataset.view;
         })"""
         self.page.wait_for_function(shown, arg=frame, timeout=WAIT_MS)

@@ -47,6 +47,7 @@ export function commands(state, images, tools, actions) {
     { key: "i", group: "See", title: "Epipolar line", run: toggle("guides") },
     { key: "g", group: "See", title: "Ghosts of mapped elements", run: toggle("ghosts") },
     { key: "b", group: "See", title: "Brightness", run: toggle("bright") },
+    { key: "f", group: "See", title: "3D map; off is faster on slow machines", run: toggle("map") },
 
     { key: ",", group: "Frames", title: "Frame before", run: () => step(-1) },
     { key: ".", group: "Frames", title: "Frame after", run: () => step(1) },

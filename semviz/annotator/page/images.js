@@ -7,7 +7,8 @@ const MOST = 64; // CSS pixels to the image pixel
 const LOUPE = { zoom: 8, size: 152, height: 172, gap: 12 };
 
 export class Images {
-  /** `panels`: {left, right} sections with a canvas and a message. */
+  /** `panels`: {left, right} sections with two canvases, for the picture and for the marks on it,
+   * and a message. Marks change with every move of the pointer, the picture only with the view. */
   constructor(state, panels) {
     this.state = state;
     this.panels = panels;
@@ -16,9 +17,11 @@ export class Images {
     this.pointer = null; // {side, point} while it is over an image
     this.hovered = null; // what a press would take hold of
     this.surfaces = {};
+    this.backgrounds = {};
     for (const side of SIDES) {
-      const draw = (context) => this.#paint(side, context);
-      this.surfaces[side] = new Surface(this.canvas(side), draw);
+      const background = panels[side].querySelector("canvas.picture");
+      this.backgrounds[side] = new Surface(background, (context) => this.#paintPicture(side, context));
+      this.surfaces[side] = new Surface(this.canvas(side), (context) => this.#paintMarks(side, context));
     }
     this.stage = this.#stage();
     this.surfaces.left.onresize = () => this.#resized();
@@ -26,7 +29,7 @@ export class Images {
   }
 
   canvas(side) {
-    return this.panels[side].querySelector("canvas");
+    return this.panels[side].querySelector("canvas.marks");
   }
 
   /** Shows `bitmap` of `frame` or, where there is none, `message` on one side. */
@@ -36,11 +39,17 @@ export class Images {
     const note = this.panels[side].querySelector(".message");
     note.hidden = bitmap !== null;
     note.textContent = message;
-    this.repaint();
+    this.#moved();
   }
 
+  /** The marks; `#moved` repaints everything. */
   repaint() {
     SIDES.forEach((side) => this.surfaces[side].redraw());
+  }
+
+  #moved() {
+    SIDES.forEach((side) => this.backgrounds[side].redraw());
+    this.repaint();
   }
 
   // -- zoom and pan
@@ -48,7 +57,7 @@ export class Images {
   /** The whole image. */
   fit() {
     this.view.fit(...this.#size(), ...this.stage);
-    this.repaint();
+    this.#moved();
   }
 
   zoomAt(point, factor) {
@@ -83,7 +92,7 @@ export class Images {
       Math.min(this.stage[axis] / 2, Math.max(this.stage[axis] / 2 - size[axis], offset));
     this.view.x = clamp(this.view.x, 0);
     this.view.y = clamp(this.view.y, 1);
-    this.repaint();
+    this.#moved();
   }
 
   /** What was in the middle stays there; a whole image stays whole. */
@@ -126,17 +135,21 @@ export class Images {
 
   // -- painting
 
-  #paint(side, context) {
+  #paintPicture(side, context) {
+    if (this.bitmaps[side]) paint.picture(context, this.bitmaps[side], this.view);
+  }
+
+  #paintMarks(side, context) {
     const { scale, x, y } = this.view;
     this.canvas(side).dataset.view = `${scale} ${x} ${y}`;
+    this.panels[side].classList.toggle("bright", this.state.aids.bright);
     const bitmap = this.bitmaps[side];
     if (!bitmap || !this.state.labels) return;
-    paint.picture(context, bitmap, this.view, this.state.aids.bright);
-    this.#paintOverlay(side, context);
+    this.#paintElements(side, context);
     if (this.state.aids.loupe && this.pointer?.side === side) this.#paintLoupe(side, context, bitmap);
   }
 
-  #paintOverlay(side, context) {
+  #paintElements(side, context) {
     const { state } = this;
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id));
     const isSelected = (one) => one.id === state.selected?.element || one.id === state.selected?.also;

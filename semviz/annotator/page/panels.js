@@ -13,6 +13,7 @@ const AIDS = [
   ["guides", "Epipolar line", "I"],
   ["ghosts", "Ghosts", "G"],
   ["bright", "Brightness", "B"],
+  ["map", "3D map", "F"],
 ];
 
 export class Panels {
@@ -71,6 +72,7 @@ export class Panels {
     const { state } = this;
     this.#saved();
     this.#top();
+    byId("scene").hidden = !state.aids.map; // a hidden scene costs no time
     // lists are rebuilt only when what they show has changed: a click needs its row to stay
     this.#list("classes", [state.classId, state.labels.counts], () => this.#classes());
     this.#list("aids", state.aids, () => this.#aids());

@@ -12,7 +12,7 @@ export class State {
     this.classId = 0; // for the next element
     this.selected = null; // {element, side} or null; side of the observation in hand
     this.vertex = "anchor"; // which end of the selected pole the arrows move
-    this.aids = { loupe: true, guides: true, ghosts: true, bright: false };
+    this.aids = { loupe: true, guides: true, ghosts: true, bright: false, map: true };
     this.drawing = null; // {side, class, anchor, end, box}: the element under the pen
     this.dragged = null; // {observation, anchor, end}: what the pen moves
     this.look = null; // guides and card of what is in hand, from the server

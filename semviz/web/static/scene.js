@@ -1,7 +1,7 @@
 /* The 3D pane: viser in an iframe, without its own panels, with the page's keys. */
 
 const HIDE = `[data-floating-window], .mantine-Notifications-root,
-  :has(> [data-dock-root]) ~ .mantine-Paper-root { display: none !important; }`; // the last: in narrow panes
+  :has([data-dock-root]) ~ .mantine-Paper-root { display: none !important; }`; // the last: in narrow panes
 
 /** Shows `session`'s scene in `frame` (an iframe) and hands `keys` its key presses. The frame gets
  * the class "ready" when viser's own panels are out of sight. */

@@ -1,0 +1,238 @@
+"""What labelling does, without a browser: pairing, ghosts, undo, and what the page is told."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from semviz.annotator.session import Drawing, LabelSession, Look
+from semviz.workspace import Workspace
+from semviz_annotation.labels import new_id
+from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+
+PEAK, BOTTOM = np.array([[3.0, -3.0, 14.0]]), np.array([[3.0, 1.6, 14.0]])
+"""A pole in the coordinates of frame 0's left camera."""
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[LabelSession]:
+    workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 6))
+    session = LabelSession(workspace, "tester")
+    yield session
+    session.close()
+
+
+def pixel(session: LabelSession, point: np.ndarray, frame: int, side: str) -> tuple[float, float]:
+    """Where a point of frame 0's left camera is in any image."""
+    rig = session.rig
+    first, now = (session.frames[index].T_map_camera for index in (0, frame))
+    assert first is not None
+    assert now is not None
+    assert rig.T_right_left is not None
+    T_camera_left = Pose.identity() if side == "left" else rig.T_right_left
+    u, v = rig.left.project((T_camera_left @ now.inverse() @ first).apply(point))[0]
+    return float(u), float(v)
+
+
+def pole(
+    session: LabelSession,
+    frame: int,
+    side: str,
+    selected: str | None = None,
+    shift_px: tuple[float, float] = (0.0, 0.0),
+    **more: Any,
+) -> dict[str, Any]:
+    def place(point: np.ndarray) -> list[float]:
+        u, v = pixel(session, point, frame, side)
+        return [u + shift_px[0], v + shift_px[1]]
+
+    return {
+        "kind": "draw",
+        "observation_id": new_id(),
+        "element_id": new_id(),
+        "frame_index": frame,
+        "side": side,
+        "class_id": POLE,
+        "anchor_px": place(PEAK),
+        "end_px": place(BOTTOM),
+        "anchor_known": True,
+        "end_known": True,
+        "selected_id": selected,
+    } | more
+
+
+def sign(frame: int, side: str, middle: tuple[float, float], **more: Any) -> dict[str, Any]:
+    return {
+        "kind": "draw",
+        "observation_id": new_id(),
+        "element_id": new_id(),
+        "frame_index": frame,
+        "side": side,
+        "class_id": ROUNDED,
+        "anchor_px": list(middle),
+        "end_px": None,
+        "anchor_known": True,
+        "end_known": False,
+        "selected_id": None,
+    } | more
+
+
+def draw(session: LabelSession, edit: dict[str, Any]) -> str:
+    done = session.do(new_id(), edit)
+    assert done.element_id is not None
+    return done.element_id
+
+
+def test_left_then_right_become_one_element_in_its_true_place(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    second = draw(session, pole(session, 0, "right", selected=first))
+    assert second == first
+    place, T_map_camera = session.place(first), session.frames[0].T_map_camera
+    assert place is not None
+    assert T_map_camera is not None
+    np.testing.assert_allclose(place.anchor_m, T_map_camera.apply(PEAK)[0], atol=1e-6)
+    np.testing.assert_allclose(place.end_m, T_map_camera.apply(BOTTOM)[0], atol=1e-6)
+
+
+def test_a_drawing_off_the_epipolar_line_starts_a_new_element_and_says_so(
+    session: LabelSession,
+) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    done = session.do(new_id(), pole(session, 0, "right", first, shift_px=(0.0, 14.0)))
+    assert done.element_id != first
+    assert "7.0 px off P-01" in done.note
+
+
+def test_another_class_never_pairs(session: LabelSession) -> None:
+    first = draw(session, sign(0, "left", (700.0, 120.0)))
+    right = sign(0, "right", (680.0, 120.0), selected_id=first, class_id=TRIANGULAR)
+    assert draw(session, right) != first
+
+
+def test_a_hidden_bottom_does_not_hinder_pairing(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    u, v = pixel(session, BOTTOM, 0, "right")
+    short = pole(session, 0, "right", first, end_px=[u, v - 20.0], end_known=False)
+    assert draw(session, short) == first
+
+
+def test_ghosts_lie_where_the_element_is_in_other_frames(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    (ghost,) = session.frame(2)["ghosts"]
+    assert ghost["id"] == first
+    for side in ("left", "right"):
+        np.testing.assert_allclose(ghost[side]["anchor"], pixel(session, PEAK, 2, side), atol=1e-4)
+        np.testing.assert_allclose(ghost[side]["end"], pixel(session, BOTTOM, 2, side), atol=1e-4)
+    assert session.frame(0)["ghosts"] == []
+
+
+@pytest.mark.parametrize(("shift", "joins"), [((4.0, -3.0), True), ((40.0, 0.0), False)])
+def test_drawing_near_a_ghost_continues_its_element(
+    session: LabelSession, shift: tuple[float, float], joins: bool
+) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    assert (draw(session, pole(session, 2, "left", shift_px=shift)) == first) is joins
+
+
+def test_one_camera_and_two_frames_make_an_element(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    assert session.place(first) is None
+    assert draw(session, pole(session, 5, "left", selected=first)) == first
+    place, T_map_camera = session.place(first), session.frames[0].T_map_camera
+    assert place is not None
+    assert T_map_camera is not None
+    np.testing.assert_allclose(place.anchor_m, T_map_camera.apply(PEAK)[0], atol=1e-4)
+
+
+def test_the_same_request_is_done_once(session: LabelSession) -> None:
+    request, edit = new_id(), pole(session, 0, "left")
+    numbers = {session.do(request, edit).operation.number for _ in range(3)}
+    assert numbers == {1}
+    assert len(session.labels.observations) == 1
+
+
+def test_undo_goes_to_the_frame_it_changes(session: LabelSession) -> None:
+    draw(session, pole(session, 3, "left"))
+    draw(session, pole(session, 0, "left"))
+    assert session.do(new_id(), {"kind": "undo"}).frame == 0
+    assert session.do(new_id(), {"kind": "undo"}).frame == 3
+    assert session.labels.observations == {}
+    assert session.do(new_id(), {"kind": "redo"}).frame == 3
+
+
+def test_deleting_says_what_falls(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    left = session.labels.in_frame(0, "left")[0]
+    note = session.do(new_id(), {"kind": "delete", "observation_id": left.id}).note
+    assert note == "Deleted P-01 left. 1 view left. Ctrl Z brings it back."
+    session.do(new_id(), {"kind": "undo"})
+    note = session.do(new_id(), {"kind": "delete element", "element_id": first}).note
+    assert note == "Deleted P-01 with 2 views in 1 frame. Ctrl Z brings all back."
+
+
+def test_the_card_knows_depth_height_and_errors_before_anything_is_saved(
+    session: LabelSession,
+) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    drawing = Drawing(
+        side="right",
+        class_id=POLE,
+        anchor_px=pixel(session, PEAK, 0, "right"),
+        end_px=pixel(session, BOTTOM, 0, "right"),
+    )
+    seen = session.look(Look(frame_index=0, selected_id=first, drawing=drawing))
+    assert seen["joins"] == "P-01"
+    card = seen["card"]
+    assert card["depth_m"] == pytest.approx(14.0, abs=1e-6)
+    assert card["height_m"] == pytest.approx(4.6, abs=1e-6)
+    assert card["epipolar_px"] == pytest.approx(0.0, abs=1e-6)
+    assert card["views"] == 2
+    assert card["depth_sigma_m"] > 0.0
+    assert len(session.labels.observations) == 1
+
+
+def test_guides_run_through_the_partner(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    guides = session.look(Look(frame_index=0, selected_id=first, side="left"))["guides"]
+    assert guides["left"] == []
+    for guide, point in zip(guides["right"], (PEAK, BOTTOM), strict=True):
+        (near, far), partner = np.array(guide["plausible"]), pixel(session, point, 0, "right")
+        along = (partner - near) @ (far - near) / ((far - near) @ (far - near))
+        assert 0.0 < along < 1.0
+        np.testing.assert_allclose(near + along * (far - near), partner, atol=1e-6)
+
+
+def test_history_reads_like_what_was_done(session: LabelSession) -> None:
+    draw(session, pole(session, 0, "left"))
+    session.do(new_id(), {"kind": "review", "frame_index": 0, "state": "reviewed"})
+    session.do(new_id(), {"kind": "undo"})
+    summary = session.summary()
+    texts = [entry["text"] for entry in summary["history"]]
+    assert texts == ["Undo 2", "Frame 0 reviewed", "Draw P-01 left"]
+    assert summary["operation"] == 3
+    assert summary["frames"][0] == {"index": 0, "state": "in work", "elements": 1}
+
+
+@pytest.mark.parametrize(
+    ("edit", "reason"),
+    [
+        ({"kind": "paint"}, "not an edit"),
+        (sign(0, "left", (5000.0, 10.0)), "outside the left image"),
+        (sign(77, "left", (50.0, 10.0)), "frame 77 is not in this sequence"),
+        (sign(0, "left", (50.0, 10.0)) | {"end_px": [1.0, 2.0]}, "has one point"),
+        ({"kind": "delete", "observation_id": new_id()}, "no observation"),
+    ],
+)
+def test_nonsense_is_refused_and_leaves_nothing(
+    session: LabelSession, edit: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(SemvizError, match=reason):
+        session.do(new_id(), edit)
+    assert session.summary()["operation"] == 0
