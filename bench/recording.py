@@ -131,22 +131,26 @@ def make_jpeg() -> bytes:
 def main() -> None:
     frames = int(sys.argv[1]) if len(sys.argv) > 1 else 300
     semantic_map = make_map()
-    print(f"{'':14}{'write':>10}{'p95':>10}{'size':>14}{'open':>10}")
+    print(f"{'':14}{'write':>10}{'p95':>10}{'CPU':>10}{'size':>14}{'open':>10}")
     for name, image in (("without image", None), ("with image", make_jpeg())):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "run.rrd")
-            took = []
+            took, cpu = [], 0.0
             with RunWriter(path, make_info("bench"), semantic_map) as writer:
                 for record in make_records(semantic_map, frames, image):
-                    start = time.perf_counter()
+                    start, busy = time.perf_counter(), time.process_time()
                     writer.write(record)
+                    cpu += 1e3 * (time.process_time() - busy)
                     took.append(1e3 * (time.perf_counter() - start))
             start = time.perf_counter()
             load_run(path)
             opened = time.perf_counter() - start
             kilobytes = path.stat().st_size / frames / 1e3
         median, p95 = np.percentile(took, [50, 95])
-        print(f"{name:14}{median:7.2f} ms{p95:7.2f} ms{kilobytes:8.1f} kB/fr{opened:8.2f} s")
+        print(
+            f"{name:14}{median:7.2f} ms{p95:7.2f} ms{cpu / frames:7.2f} ms"
+            f"{kilobytes:8.1f} kB/fr{opened:8.2f} s"
+        )
 
 
 if __name__ == "__main__":

@@ -2,13 +2,16 @@
 
 from typing import Any
 
+import numpy as np
 import rerun.blueprint as rrb
 
 from semviz.recording import layout, scene
 from semviz.recording.columns import FRAME
+from semviz_core.arrays import FloatArray
+from semviz_core.semantic_map import SemanticMap
 
 
-def make_blueprint() -> Any:
+def make_blueprint(semantic_map: SemanticMap) -> Any:
     """3D beside image and matrix, texts on the right, plots over the frames below."""
     everything = rrb.VisibleTimeRanges(
         timeline=FRAME,
@@ -16,9 +19,8 @@ def make_blueprint() -> Any:
         end=rrb.TimeRangeBoundary.infinite(),
     )
     paths: dict[Any, Any] = dict.fromkeys((scene.TRUE_PATH, scene.PATH), everything)
-    eye = rrb.EyeControls3D(
-        position=[-25.0, -12.0, 18.0], look_target=[0.0, 0.0, 0.0], tracking_entity=scene.HERE
-    )
+    start, behind = _behind(semantic_map.trajectory_m)
+    eye = rrb.EyeControls3D(position=behind, look_target=start, tracking_entity=scene.HERE)
     columns = rrb.TextLogColumns(
         timeline_columns=[rrb.encodings.TimelineColumn(FRAME)],
         text_log_columns=["loglevel", "body"],
@@ -34,7 +36,7 @@ def make_blueprint() -> Any:
                         eye_controls=eye,
                     ),
                     rrb.Spatial2DView(name="Image", origin=layout.IMAGE),
-                    row_shares=[3, 2],
+                    row_shares=[6, 5],
                 ),
                 rrb.Vertical(
                     rrb.Tabs(
@@ -63,3 +65,12 @@ def make_blueprint() -> Any:
         auto_layout=False,
         auto_views=False,
     )
+
+
+def _behind(road_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the drive starts (3,), and a place (3,) behind and above it."""
+    if len(road_m) < 2:
+        return np.zeros(3), np.array([-25.0, -8.0, 15.0])
+    ahead = road_m[min(len(road_m) - 1, 10)] - road_m[0]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    return road_m[0], road_m[0] - 25.0 * ahead + np.array([0.0, 0.0, 15.0])

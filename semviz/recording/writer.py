@@ -32,7 +32,7 @@ class RunWriter:
         self._frames = 0
         self._last_index: int | None = None
         self._stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
-        self._stream.save(path, default_blueprint=make_blueprint())
+        self._stream.save(path, default_blueprint=make_blueprint(semantic_map))
         self._stream.send_recording_name(info.name)
         columns = Columns()
         columns.add(layout.INFO, "version", pa.array([layout.FORMAT_VERSION]))
