@@ -8,9 +8,11 @@ import pytest
 
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.elements import Elements3D
 from semviz_core.pose import Pose
 from semviz_core.sources.street.furniture import paint_standing, standing_in_order
 from semviz_core.sources.street.layout import Layout
+from semviz_core.sources.street.painter import Painter
 from semviz_core.sources.street.street import Street
 from semviz_core.sources.street.things import UP, Car, Pole, Sign
 from semviz_core.sources.street.trajectory import camera_axes
@@ -154,14 +156,10 @@ def test_left_and_right_labels_lie_on_the_same_rows(street: Street) -> None:
 
 def test_left_and_right_pictures_agree_in_3d(street: Street) -> None:
     """The road's texture shows the same at one place in both, and another one beside it."""
-    bare = Street(11)
-    bare.layout = empty(street.layout)
     road = street.layout.road
+    painter = Painter(empty(street.layout), 11)
     s, d = (one.ravel() for one in np.meshgrid(np.arange(17.0, 24.0, 0.05), np.arange(-3, -1, 0.1)))
     points = road.at(s, d)
-    from semviz_core.sources.street.painter import Painter
-
-    painter = Painter(bare.layout, 11)
     samples = []
     for side, shift in (("left", 0.0), ("right", 0.0), ("right", 4.0)):
         view = street.view(10, side)
@@ -181,16 +179,7 @@ def test_a_parked_car_hides_the_bottom_of_the_pole_behind_it(street: Street) -> 
     pole = pole_at(bottom, 2.8, 0.05, tilt=0.0)
     car_place = in_view(view, 2.0, 1.65, 10.0)
     car = Car(car_place, 0.3, (1.0, 1.0, 1.0), True, (150.0, 30.0, 30.0))
-    truth = street.truth_map.elements[[0]]
-    truth = replace(
-        truth,
-        id=np.array([1]),
-        class_id=np.array([POLE]),
-        anchor_m=pole.peak_m[None],
-        end_m=pole.bottom_m[None],
-        anchor_known=np.array([True]),
-        end_known=np.array([True]),
-    )
+    truth = Elements3D.from_ends([1], [pole.peak_m], [pole.bottom_m], [POLE])
     alone = replace(empty(street.layout), poles=(pole,))
     free, _ = visible_elements(alone, truth, view)
     hidden, _ = visible_elements(replace(alone, cars=(car,)), truth, view)
@@ -226,17 +215,22 @@ def test_labels_end_where_the_picture_does(street: Street) -> None:
     assert hidden > 0
 
 
-def test_elements_without_a_label_are_out_of_sight(street: Street) -> None:
-    for index in (0, 17, 44):
-        view = street.view(index, "left")
-        _, ids = street.labels(index, "left")
-        full = furniture(street.layout, view).astype(int)
-        for sign in street.layout.signs:
-            near = view.distance(sign.middle_m) < 58.0
-            if not near or sign.id in ids or view.depth(sign.middle_m) < 1.0:
-                continue
-            signs = tuple(one for one in street.layout.signs if one is not sign)
-            u, v = np.round(view.project(sign.middle_m)[0]).astype(int)
-            if 0 <= u < 1241 and 0 <= v < 376:
-                without = furniture(replace(street.layout, signs=signs), view)
-                assert (full[v, u] == without[v, u]).all()
+def test_a_sign_behind_a_nearer_one_has_no_label(street: Street) -> None:
+    """Neither in the labels nor in the picture; and without the nearer one in both."""
+    view = view_at(street)
+    right, up = 0.35 * view.T_map_camera.rotation[:, 0], 0.35 * UP
+    near = Sign(1, ROUNDED, in_view(view, 0.5, -0.4, 10.0), right, up, 4, 3)
+    far = Sign(2, RECTANGULAR, in_view(view, 0.9, -0.72, 18.0), right, up, 4, 4)
+    truth = Elements3D.from_ends(
+        [1, 2],
+        [near.middle_m, far.middle_m],
+        np.full((2, 3), np.nan),
+        [near.class_id, far.class_id],
+    )
+    both, alone = (replace(empty(street.layout), signs=one) for one in ((near, far), (far,)))
+    assert visible_elements(both, truth, view)[1].tolist() == [1]
+    assert visible_elements(alone, truth, view)[1].tolist() == [2]
+    u, v = np.round(view.project(far.middle_m)[0]).astype(int)
+    only_near = furniture(replace(both, signs=(near,)), view)
+    assert (furniture(both, view)[v, u] == only_near[v, u]).all()
+    assert (furniture(alone, view)[v, u] != only_near[v, u]).any()

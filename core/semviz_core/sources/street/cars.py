@@ -62,8 +62,7 @@ _DETAIL_M = 35.0
 
 def patches(car: Car, center_m: FloatArray, sun: FloatArray) -> list[Patch]:
     """What a camera at ``center_m`` (3,) sees of a car, in the order to paint it."""
-    sin, cos = np.sin(car.heading_rad), np.cos(car.heading_rad)
-    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    R = car.rotation
     eye, light = R.T @ (center_m - car.middle_m) / car.scale, R.T @ sun
     side = 1.0 if eye[1] > 0 else -1.0
     near = float(np.linalg.norm(eye)) < _DETAIL_M
@@ -75,14 +74,6 @@ def patches(car: Car, center_m: FloatArray, sun: FloatArray) -> list[Patch]:
     corners = np.concatenate([one.corners_m for one in model]) * car.scale @ R.T + car.middle_m
     parts = np.split(corners, np.cumsum([len(one.corners_m) for one in model])[:-1])
     return [Patch(part, one.color) for part, one in zip(parts, model, strict=True)]
-
-
-def footprint(car: Car) -> FloatArray:
-    """(4, 3) where it stands, in the map frame."""
-    sin, cos = np.sin(car.heading_rad), np.cos(car.heading_rad)
-    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    corners = np.array([(-2.1, -0.8, 0.0), (2.1, -0.8, 0.0), (2.1, 0.8, 0.0), (-2.1, 0.8, 0.0)])
-    return np.asarray(car.middle_m + corners * car.scale @ R.T)
 
 
 def _profile(car: Car) -> FloatArray:

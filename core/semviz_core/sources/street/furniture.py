@@ -1,18 +1,13 @@
 """What stands beside the road and can hide one another: cars, poles, signs."""
 
-import math
-from typing import TypeAlias
-
 import numpy as np
 
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street import cars, sign_faces
 from semviz_core.sources.street.brushes import Air, fill, mixed, rod, stamp
 from semviz_core.sources.street.layout import Layout
-from semviz_core.sources.street.things import Car, Color, Pole, Sign
+from semviz_core.sources.street.things import Car, Color, Pole, Sign, Standing
 from semviz_core.sources.street.view import NEAR_M, View
-
-Standing: TypeAlias = Car | Pole | Sign
 
 SIGHT_M = 75.0
 _HAZE_M = 260.0
@@ -22,23 +17,20 @@ _LAMP: Color = (206, 210, 212)
 def standing_in_order(layout: Layout, view: View) -> list[Standing]:
     """Everything in front of the camera within sight, the far ones first.
 
-    A car counts with its nearest corner, since what stands beside it stands behind it; a sign is
-    just in front of its pole.
+    A car counts with its nearest corner, since what stands beside it stands behind it.
     """
-    keyed: list[tuple[float, Standing]] = []
-    for pole in layout.poles:
-        distance = math.dist(pole.bottom_m[:2], view.center_m[:2])
-        if distance < SIGHT_M and view.depth(pole.bottom_m) > NEAR_M < view.depth(pole.peak_m):
-            keyed.append((distance, pole))
-    for sign in layout.signs:
-        distance = math.dist(sign.middle_m[:2], view.center_m[:2]) - 0.05
-        if distance < SIGHT_M and view.depth(sign.middle_m) > 2 * NEAR_M:
-            keyed.append((distance, sign))
-    for car in layout.cars:
-        distance = float(np.linalg.norm((cars.footprint(car) - view.center_m)[:, :2], axis=1).min())
-        if distance < SIGHT_M:
-            keyed.append((distance, car))
-    return [thing for _, thing in sorted(keyed, key=lambda one: -one[0])]
+    things, corners = layout.standing
+    distance = np.linalg.norm(corners - view.center_m[:2], axis=2).min(axis=1)
+    rows = np.flatnonzero(distance < SIGHT_M)
+    near = rows[np.argsort(-distance[rows], kind="stable")]  # signs come after their poles
+    return [things[row] for row in near if _is_ahead(things[row], view)]
+
+
+def _is_ahead(thing: Standing, view: View) -> bool:
+    """Cars are cut at the near plane; the others are too far aside to reach it in sight."""
+    if isinstance(thing, Pole):
+        return bool((view.depth(np.array([thing.bottom_m, thing.peak_m])) > NEAR_M).all())
+    return isinstance(thing, Car) or bool(view.depth(thing.middle_m) > 2 * NEAR_M)
 
 
 def paint_standing(

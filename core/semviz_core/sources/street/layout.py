@@ -5,6 +5,7 @@ Figures of poles and signs after the benchmark: 40 % posts of 2.2-3.3 m, 40 % la
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +32,7 @@ from semviz_core.sources.street.things import (
     PoleKind,
     SectionKind,
     Sign,
+    Standing,
     Tree,
 )
 
@@ -106,6 +108,15 @@ class Layout:
     trees: tuple[Tree, ...]
     hedges: tuple[Hedge, ...]
     houses: tuple[House, ...]
+
+    @cached_property
+    def standing(self) -> tuple[tuple[Standing, ...], FloatArray]:
+        """The n cars, poles and signs, and where each stands: (n, 4, 2) corners on the ground."""
+        things: tuple[Standing, ...] = (*self.cars, *self.poles, *self.signs)
+        corners = [one.corners_m[:, :2] for one in self.cars]
+        corners += [np.tile(one.bottom_m[:2], (4, 1)) for one in self.poles]
+        corners += [np.tile(one.middle_m[:2], (4, 1)) for one in self.signs]
+        return things, np.array(corners).reshape(-1, 4, 2)
 
 
 def lay_out(seed: int, options: StreetOptions) -> Layout:

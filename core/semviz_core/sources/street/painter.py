@@ -16,6 +16,7 @@ from semviz_core.sources.street.things import Color, FloatPicture
 from semviz_core.sources.street.view import View
 
 HAZE: Color = (206, 220, 232)
+SHADOW_SIGHT_M = 80.0
 
 
 class Painter:
@@ -28,7 +29,7 @@ class Painter:
     def paint(self, view: View) -> ByteImage:
         """(height, width, 3) sRGB."""
         picture = self._paint_sky(view)
-        self._ground.paint(picture, view, self._shadows, HAZE)
+        self._ground.paint(picture, view, self._shadows_near(view), HAZE)
         self._scenery.paint(picture, view)
         for thing in standing_in_order(self._layout, view):
             paint_standing(picture, view, thing, self._layout.sun, HAZE)
@@ -37,6 +38,14 @@ class Painter:
     @cached_property
     def _shadows(self) -> list[FloatArray]:
         return shadows(self._layout)
+
+    @cached_property
+    def _shadow_middles(self) -> FloatArray:
+        return np.array([one.mean(axis=0) for one in self._shadows]).reshape(-1, 3)
+
+    def _shadows_near(self, view: View) -> list[FloatArray]:
+        distance = np.linalg.norm(self._shadow_middles - view.center_m, axis=1)
+        return [self._shadows[row] for row in np.flatnonzero(distance < SHADOW_SIGHT_M)]
 
     @cached_property
     def _sky(self) -> FloatPicture:

@@ -24,7 +24,8 @@ class Scenery:
     """Houses, hedges and trees of one street."""
 
     def __init__(self, layout: Layout, rng: np.random.Generator, haze: Color) -> None:
-        self._layout = layout
+        self._things: list[House | Hedge | Tree] = [*layout.houses, *layout.hedges, *layout.trees]
+        self._middles = np.array([_middle(one) for one in self._things]).reshape(-1, 3)
         self._haze = haze
         self._sun = layout.sun
         sun_left = float(layout.road.left(0.0) @ layout.sun) > 0
@@ -35,14 +36,10 @@ class Scenery:
 
     def paint(self, picture: ByteImage, view: View) -> None:
         """Far ones first."""
-        layout = self._layout
-        placed: list[tuple[float, House | Hedge | Tree]] = []
-        placed += [(view.distance(_middle(one)), one) for one in layout.houses]
-        placed += [(view.distance((one.begin_m + one.end_m) / 2), one) for one in layout.hedges]
-        placed += [(view.distance(one.root_m), one) for one in layout.trees]
-        for distance, thing in sorted(placed, key=lambda one: -one[0]):
-            if distance > _SIGHT_M:
-                continue
+        distance = np.linalg.norm(self._middles - view.center_m, axis=1)
+        rows = np.flatnonzero(distance < _SIGHT_M)
+        for row in rows[np.argsort(-distance[rows], kind="stable")]:
+            thing = self._things[row]
             if isinstance(thing, House):
                 self._paint_house(picture, view, thing)
             elif isinstance(thing, Hedge):
@@ -83,7 +80,7 @@ class Scenery:
         if hedge.leafy:
             texture = self._leaves[int(hedge.height_m * 100) % len(self._leaves)]
         rise, along = hedge.height_m * UP, hedge.end_m - hedge.begin_m
-        distance = view.distance((hedge.begin_m + hedge.end_m) / 2)
+        distance = view.distance(_middle(hedge))
         if distance < _DETAIL_M and along @ (hedge.begin_m - view.center_m) > 0:
             air = air_at(distance, self._haze, 0.85 * self._light(-along))
             stamp(picture, view, texture, hedge.begin_m + rise, hedge.depth_m, -rise, air)
@@ -126,8 +123,11 @@ class Scenery:
         return 0.68 + 0.42 * max(0.0, facing)
 
 
-def _middle(house: House) -> FloatArray:
-    return house.corner_m + 0.5 * (house.front_m + house.depth_m)
+def _middle(thing: House | Hedge | Tree) -> FloatArray:
+    """(3,) of the ground it stands on."""
+    if isinstance(thing, House):
+        return thing.corner_m + 0.5 * (thing.front_m + thing.depth_m)
+    return 0.5 * (thing.begin_m + thing.end_m) if isinstance(thing, Hedge) else thing.root_m
 
 
 def _house_textures(house: House) -> tuple[Texture, Texture, Texture, Color]:

@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 
 from semviz_core.arrays import FloatArray
-from semviz_core.sources.street import cars
 from semviz_core.sources.street.layout import Layout
 from semviz_core.sources.street.road import Road
 from semviz_core.sources.street.things import UP, Tree
@@ -22,7 +21,7 @@ def shadows(layout: Layout) -> list[FloatArray]:
         corners = np.array([-right - up, right - up, right + up, up - right])
         solids.append(sign.middle_m + corners)
     for car in layout.cars:
-        low = cars.footprint(car)
+        low = car.corners_m
         roof = 0.75 * low + 0.25 * car.middle_m + 1.4 * UP
         solids.append(np.concatenate([low, low + 0.8 * UP, roof]))
     solids += [_crown(tree) for tree in layout.trees]

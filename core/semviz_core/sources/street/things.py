@@ -1,7 +1,7 @@
 """What stands on a simulated street, as plain values in the map frame (metres, z up)."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,18 @@ class Car:
     hatchback: bool
     color: Color
 
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) from the car's axes: x forward, y left, z up."""
+        sin, cos = np.sin(self.heading_rad), np.cos(self.heading_rad)
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def corners_m(self) -> FloatArray:
+        """(4, 3) of the ground it stands on."""
+        corners = np.array([(-2.1, -0.8, 0.0), (2.1, -0.8, 0.0), (2.1, 0.8, 0.0), (-2.1, 0.8, 0.0)])
+        return np.asarray(self.middle_m + corners * self.scale @ self.rotation.T)
+
 
 @dataclass(frozen=True, eq=False)
 class Tree:
@@ -106,3 +118,7 @@ class House:
     """Of the ridge above the eaves."""
     style: int
     """Seed of its walls, windows and colours."""
+
+
+Standing: TypeAlias = Car | Pole | Sign
+"""What stands beside the road and can hide one another."""
