@@ -9,7 +9,6 @@ from semviz.recording.columns import Columns, Strips
 from semviz.recording.run import FrameRecord
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.classes import ClassSet
-from semviz_core.elements import Elements3D
 from semviz_core.localization import Localization, Refinement
 from semviz_core.pose import Pose
 
@@ -103,7 +102,7 @@ def _draw_projected(
     anchor = end = np.zeros((0, 2))
     class_id = np.zeros(0, np.int64)
     if T_camera_map is not None:
-        anchor, end = project(result, T_camera_map, result.submap)
+        anchor, end = _project(result, T_camera_map, slice(None))
         shown = result.camera.contains(anchor) | result.camera.contains(end)
         shown &= np.isfinite(anchor).all(axis=1)
         shown &= np.isfinite(end).all(axis=1) | ~result.submap.is_line
@@ -112,12 +111,12 @@ def _draw_projected(
     columns.strips(entity, outlines, np.full(len(row), color))
 
 
-def project(
-    result: Localization, T_camera_map: Pose, elements: Elements3D
+def _project(
+    result: Localization, T_camera_map: Pose, rows: IntArray | slice
 ) -> tuple[FloatArray, FloatArray]:
-    """Anchors and ends (n, 2) in pixels; NaN for what is behind the camera or has no end."""
-    anchor = result.camera.project(T_camera_map.apply(elements.anchor_m))
-    end = result.camera.project(T_camera_map.apply(elements.end_m))
+    """Anchors and ends (k, 2) in pixels of rows of the submap; NaN for what is behind."""
+    anchor = result.camera.project(T_camera_map.apply(result.submap.anchor_m[rows]))
+    end = result.camera.project(T_camera_map.apply(result.submap.end_m[rows]))
     return anchor, end
 
 
@@ -159,17 +158,18 @@ def _image_residuals(
     A pole counts at both its ends, across its projected line only.
     """
     rows, picked = refinement.pairs.T
-    seen = result.observed[rows]
-    anchor, end = project(result, T_camera_map, result.submap[picked])
+    seen = result.observed
+    is_line = seen.is_line[rows, None]
+    anchor, end = _project(result, T_camera_map, picked)
     along = end - anchor
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
 
     def miss(points_px: FloatArray) -> FloatArray:
         gap = points_px - anchor
         across = gap - (gap * along).sum(axis=1, keepdims=True) * along
-        return np.where(seen.is_line[:, None], across, gap)
+        return np.where(is_line, across, gap)
 
-    start = np.concatenate([seen.anchor_px, seen.end_px])
-    residual = np.concatenate([miss(seen.anchor_px), miss(seen.end_px)])
+    start = np.concatenate([seen.anchor_px[rows], seen.end_px[rows]])
+    residual = np.concatenate([miss(seen.anchor_px[rows]), miss(seen.end_px[rows])])
     known = np.isfinite(start).all(axis=1) & np.isfinite(residual).all(axis=1)
     return start[known], residual[known]

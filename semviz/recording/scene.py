@@ -154,10 +154,12 @@ def _draw_prior(columns: Columns, result: Localization) -> None:
 
 
 def _draw_alternatives(columns: Columns, result: Localization) -> None:
-    outline = _frustum(result.camera, FRUSTUM_M / 2)
-    ghosts = [one.T_camera_map.inverse().apply(outline) for one in result.alternatives]
-    strips = np.array(ghosts).reshape(-1, *outline.shape)
-    columns.strips(GHOSTS, Strips.of(strips), np.full(len(ghosts), rgba(ALTERNATIVE.dark)))
+    ghosts = np.zeros((0, 1, 3))
+    if result.alternatives:
+        outline = _frustum(result.camera, FRUSTUM_M / 2)
+        poses = [one.T_camera_map.inverse() for one in result.alternatives]
+        ghosts = np.stack([pose.apply(outline) for pose in poses])
+    columns.strips(GHOSTS, Strips.of(ghosts), np.full(len(ghosts), rgba(ALTERNATIVE.dark)))
 
 
 def _frustum(camera: Camera, depth_m: float) -> FloatArray:
