@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from semviz_annotation.fuse import Sighting, Thing, fuse
-from semviz_annotation.labels import LabelElement, Labels
-from semviz_annotation.triangulate import Failed, rig_view, triangulate
+from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz_annotation.triangulate import Failed, Triangulated, View, rig_view, triangulate
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements3D
@@ -37,12 +37,27 @@ class BuildOptions:
     sigma_px: float = 1.0
     """How well labels are placed."""
     min_angle_deg: float = 0.5
-    """Pairs under this ray angle are left out: 62 m with KITTI's baseline, where 1 px is 10 m."""
+    """Pairs under this ray angle are left out: 62 m with KITTI's baseline, where 1 px is 10 m.
+    An element with no other pairs is placed by the motion between its frames."""
 
     def __post_init__(self) -> None:
         for name in ("eps_m", "min_points", "sigma_px", "min_angle_deg"):
             if not getattr(self, name) > 0:
                 raise SemvizError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A label element that is not in the map, or one of its pairs, and why."""
+
+    name: str
+    reason: str
+    frame_index: int | None = None
+    """The pair's frame; None for the whole element."""
+
+    def __str__(self) -> str:
+        where = "" if self.frame_index is None else f" in frame {self.frame_index}"
+        return f"{self.name}{where}: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -55,12 +70,17 @@ class BuildReport:
     """Names of label elements that became one map element, two or more each."""
     kept_apart: tuple[tuple[str, str], ...]
     """Near each other and of one class, but seen together in an image."""
-    rejected: tuple[str, ...]
-    """What is not in the map, and why, a line each."""
+    rejected: tuple[Rejection, ...]
 
     def __str__(self) -> str:
-        lines = [f"{self.pairs} stereo pairs triangulated, {len(self.rejected)} rejected"]
-        lines += [f"rejected: {line}" for line in self.rejected]
+        """A line for each element that was rejected or merged."""
+        by_name: dict[str, list[Rejection]] = {}
+        for one in self.rejected:
+            by_name.setdefault(one.name, []).append(one)
+        lines = [f"{self.pairs} stereo pairs triangulated, {len(self.rejected)} left out"]
+        for name in sorted(by_name):
+            first, *more = by_name[name]
+            lines.append(f"left out: {first}" + (f" (and {len(more)} more pairs)" if more else ""))
         lines += [f"merged: {', '.join(names)}" for names in self.merged]
         lines += [
             f"kept apart: {one} and {two} are seen in the same image"
@@ -76,10 +96,13 @@ class _Notes:
     classes: ClassSet
     merged: list[tuple[str, ...]] = field(default_factory=list)
     kept_apart: list[tuple[str, str]] = field(default_factory=list)
-    rejected: list[str] = field(default_factory=list)
+    rejected: list[Rejection] = field(default_factory=list)
 
     def name(self, element: LabelElement) -> str:
         return self.classes.element_name(element.class_id, element.number)
+
+    def reject(self, element: LabelElement, reason: str, frame_index: int | None = None) -> None:
+        self.rejected.append(Rejection(self.name(element), reason, frame_index))
 
 
 def build_map(
@@ -96,7 +119,7 @@ def build_map(
     """
     notes = _Notes(classes)
     posed = _posed_frames(labels, source, frames)
-    sightings = list(_triangulate_pairs(labels, source, posed, options, notes))
+    sightings = list(_triangulate(_pairs(labels, source, posed), options, notes))
     _note_unpaired(labels, posed, notes)
     alone = [fuse(group, options.sigma_px) for group in _by_element(sightings)]
     things = [
@@ -133,23 +156,61 @@ def _posed_frames(
     return {index: pose for index, pose in poses.items() if index in chosen and pose is not None}
 
 
-def _triangulate_pairs(
-    labels: Labels, source: Source, posed: dict[int, Pose], options: BuildOptions, notes: _Notes
-) -> Iterator[Sighting]:
-    """Every element of every stereo pair, in the map frame by the true pose."""
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """An element in several views, not yet triangulated."""
+
+    element: LabelElement
+    views: tuple[View, ...]
+    observations: tuple[Observation, ...]
+
+
+def _pairs(labels: Labels, source: Source, posed: dict[int, Pose]) -> Iterator[_Seen]:
+    """Every element of every stereo pair, its views in the map frame by the true pose."""
     for index, T_map_camera in posed.items():
         T_left_map = T_map_camera.inverse()
+        left_view = rig_view(source.rig, "left", T_left_map)
+        right_view = rig_view(source.rig, "right", T_left_map)
         for element, left, right in labels.pairs(index):
-            views = (
-                rig_view(source.rig, "left", T_left_map),
-                rig_view(source.rig, "right", T_left_map),
-            )
-            angle = float(np.deg2rad(options.min_angle_deg))
-            result = triangulate(views, (left, right), options.sigma_px, angle)
-            if isinstance(result, Failed):
-                notes.rejected.append(f"{notes.name(element)} in frame {index}: {result.reason}")
-            else:
-                yield Sighting(element, views, (left, right), result)
+            yield _Seen(element, (left_view, right_view), (left, right))
+
+
+def _triangulate(
+    pairs: Iterable[_Seen], options: BuildOptions, notes: _Notes
+) -> Iterator[Sighting]:
+    """The pairs one by one; those of an element that is too far for each of its pairs, together."""
+    placed: set[LabelElement] = set()
+    failed: dict[LabelElement, list[tuple[_Seen, Failed]]] = {}
+    for pair in pairs:
+        result = _place(pair, options)
+        if isinstance(result, Failed):
+            failed.setdefault(pair.element, []).append((pair, result))
+        else:
+            placed.add(pair.element)
+            yield Sighting(pair.element, pair.views, pair.observations, result)
+    for element, tries in failed.items():
+        far = [seen for seen, failure in tries if failure.too_narrow]
+        if element not in placed and far:
+            together = _together(far)
+            result = _place(together, options)
+            if not isinstance(result, Failed):
+                yield Sighting(element, together.views, together.observations, result)
+                continue
+        for seen, failure in tries:
+            notes.reject(element, failure.reason, seen.observations[0].frame_index)
+
+
+def _place(seen: _Seen, options: BuildOptions) -> Triangulated | Failed:
+    angle = float(np.deg2rad(options.min_angle_deg))
+    return triangulate(seen.views, seen.observations, options.sigma_px, angle)
+
+
+def _together(pairs: Sequence[_Seen]) -> _Seen:
+    return _Seen(
+        pairs[0].element,
+        tuple(view for pair in pairs for view in pair.views),
+        tuple(row for pair in pairs for row in pair.observations),
+    )
 
 
 def _note_unpaired(labels: Labels, posed: dict[int, Pose], notes: _Notes) -> None:
@@ -157,7 +218,7 @@ def _note_unpaired(labels: Labels, posed: dict[int, Pose], notes: _Notes) -> Non
     paired = {pair.element.id for index in posed for pair in labels.pairs(index)}
     unpaired = (labels.element(element_id) for element_id in seen - paired)
     for element in sorted(unpaired, key=lambda one: one.number):
-        notes.rejected.append(f"{notes.name(element)}: never labelled in both images of a frame")
+        notes.reject(element, "never labelled in both images of a frame")
 
 
 def _by_element(sightings: Iterable[Sighting]) -> list[list[Sighting]]:
@@ -181,11 +242,9 @@ def _merge(
             if number >= 0:
                 groups += _split_covisible(members, labels, options, notes)
                 continue
-            notes.rejected += [
-                f"{notes.name(one.elements[0])}: fewer than {options.min_points} stereo pairs "
-                f"within {options.eps_m} m"
-                for one in members
-            ]
+            for one in members:
+                few = f"fewer than {options.min_points} stereo pairs within {options.eps_m} m"
+                notes.reject(one.elements[0], few)
     notes.merged += [
         tuple(notes.name(thing.elements[0]) for thing in group)
         for group in groups

@@ -15,11 +15,11 @@ _UNSEEN_SIGMA_M = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One label element in one stereo pair, in the map frame."""
+    """One label element triangulated from one stereo pair (or more views), in the map frame."""
 
     element: LabelElement
-    views: tuple[View, View]
-    observations: tuple[Observation, Observation]
+    views: tuple[View, ...]
+    observations: tuple[Observation, ...]
     result: Triangulated
 
 

@@ -87,6 +87,8 @@ class Failed:
     """Why there is no place."""
 
     reason: str
+    too_narrow: bool = False
+    """The rays are sound but nearly parallel: views from elsewhere can help."""
 
 
 def rig_view(rig: Rig, side: Side, T_left_map: Pose | None = None) -> View:
@@ -360,5 +362,6 @@ def _widest_angle(cosines: FloatArray) -> float:
 def _too_narrow(what: str, angle_rad: float) -> Failed:
     return Failed(
         f"the {what} are nearly parallel ({np.rad2deg(angle_rad):.2f} deg apart): too far away, "
-        "or along the line between the cameras"
+        "or along the line between the cameras",
+        too_narrow=True,
     )

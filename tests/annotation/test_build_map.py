@@ -182,7 +182,7 @@ def test_min_points_drops_what_too_few_pairs_show(world):
     assert len(build_map(both, world)[0]) == 5
     semantic_map, report = build_map(both, world, BuildOptions(min_points=2))
     assert len(semantic_map) == 4
-    assert report.rejected == ("R-01: fewer than 2 stereo pairs within 1.0 m",)
+    assert [str(one) for one in report.rejected] == ["R-01: fewer than 2 stereo pairs within 1.0 m"]
 
 
 def test_what_cannot_be_placed_is_reported_by_name(world):
@@ -196,9 +196,21 @@ def test_what_cannot_be_placed_is_reported_by_name(world):
             rows.append(row)
     semantic_map, report = build_map(rebuilt(labels, rows), world)
     assert list(semantic_map.elements.id) == [3, 4]
-    assert report.rejected[0].startswith("T-07 in frame 0: the rays meet behind the camera")
-    assert report.rejected[-1] == "O-09: never labelled in both images of a frame"
+    lines = [str(one) for one in report.rejected]
+    assert lines[0].startswith("T-07 in frame 0: the rays meet behind the camera")
+    assert lines[-1] == "O-09: never labelled in both images of a frame"
     assert len(report.rejected) == world.count + 1
+
+
+def test_what_is_too_far_for_stereo_is_placed_by_motion(make_world):
+    place = np.array([80.0, -9.0, 3.0])
+    world = make_world({1: (2, place, None)})
+    semantic_map, report = build_map(world.labels(), world)
+    assert report.rejected == ()
+    assert np.allclose(semantic_map.elements.anchor_m[0], place, atol=1e-3)
+    noisy = build_map(world.labels(sigma_px=0.3), world)[0].elements
+    sigma_m = np.sqrt(np.linalg.eigvalsh(noisy.covariance_m2[0, :3, :3]).max())
+    assert np.linalg.norm(noisy.anchor_m[0] - place) < 4.0 * sigma_m
 
 
 def test_bad_input_is_one_line(world):
