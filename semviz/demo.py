@@ -12,7 +12,15 @@ from pathlib import Path
 
 import platformdirs
 
-from semviz.drive import Drive, DriveOptions, Know, observe_simulated, record, simulated_prior
+from semviz.drive import (
+    CROP_RADIUS_M,
+    Drive,
+    DriveOptions,
+    Know,
+    observe_simulated,
+    record,
+    simulated_prior,
+)
 from semviz.workspace import Workspace
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame, Prior
@@ -68,7 +76,9 @@ def make_demo(folder: Path) -> None:
 
 
 def _drive(workspace: Workspace, semantic_map: SemanticMap) -> Drive:
-    options = DriveOptions(observations="simulated", seed=SEED)
+    options = DriveOptions(
+        observations="simulated", crop_radius_m=CROP_RADIUS_M["simulated"], seed=SEED
+    )
     observe = observe_simulated(workspace, options)
     know = _sometimes_far_off(simulated_prior(options))
     street = workspace.street

@@ -27,6 +27,9 @@ Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
 """What is seen in a frame's left image, and the true map element (m,) of each, or -1."""
 Know = Callable[[Frame], Prior]
 """What is known of a frame's pose beforehand."""
+Observations = Literal["labels", "simulated"]
+CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "simulated": 50.0}
+"""The simulated detector sees 40 m far; people label as far as they can see."""
 JPEG_QUALITY = 90
 
 
@@ -35,11 +38,11 @@ class DriveOptions:
     """Settings of a drive; they are stored in its run."""
 
     method: str = "search"
-    observations: Literal["labels", "simulated"] = "labels"
+    observations: Observations = "labels"
     noise: Literal["paper", "low"] = "low"
     prior_distance_m: tuple[float, float] = (5.0, 10.0)
     heading_sigma_deg: float | None = None
-    crop_radius_m: float = 50.0
+    crop_radius_m: float = CROP_RADIUS_M["labels"]
     seed: int = 0
     images: bool = True
 

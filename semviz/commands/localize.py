@@ -41,25 +41,27 @@ class Localize:
     """How far the simulated GPS fix is off, in metres."""
     heading_sigma_deg: OptionalFloat = None
     """Standard deviation of a simulated compass; the heading is unknown if not given."""
-    crop_radius: float = 50.0
-    """Radius of the submap round the GPS fix, in metres."""
+    crop_radius: OptionalFloat = None
+    """Radius of the submap round the GPS fix, in metres; 50 for the simulated detector, which
+    sees 40 m far, and 120 for labels, which people draw as far as they can see."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
     images: bool = True
     """Embed the images in the run (about 130 kB a frame)."""
 
     def run(self) -> int:
-        from semviz.drive import DriveOptions, drive_workspace, record
+        from semviz.drive import CROP_RADIUS_M, DriveOptions, drive_workspace, record
         from semviz.workspace import Workspace
 
         workspace = Workspace.open(self.workspace)
+        observations = self.observations or workspace.default_observations
         options = DriveOptions(
             method=self.method,
-            observations=self.observations or workspace.default_observations,
+            observations=observations,
             noise=self.noise,
             prior_distance_m=parse_interval(self.prior_distance, "--prior-distance"),
             heading_sigma_deg=self.heading_sigma_deg,
-            crop_radius_m=self.crop_radius,
+            crop_radius_m=self.crop_radius or CROP_RADIUS_M[observations],
             seed=self.seed,
             images=self.images,
         )
