@@ -1,12 +1,13 @@
 """Localize seeded problems: accuracy, honesty and time, as a table.
 
-    python bench/localize.py --frames 200 --seed 1000
+python bench/localize.py --frames 200 --seed 1000
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import tyro
+
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Difficulty, Problem, make_problem
 from semviz_core.localization import Localization
@@ -86,7 +87,8 @@ def report(name: str, outcomes: list[Outcome | None]) -> None:
             f"{name:<16}{'all' if not least else f'>= {least}':<10}{len(some):>7}{median:>8.3f}"
             f"{turn:>8.3f}{np.mean(rte < 1.0):>8.1%}{ok.mean():>10.1%}"
             f"{np.mean(ok & (rte > 1.0)):>10.1%}{np.mean(status == 'ambiguous'):>8.1%}"
-            f"{np.mean(status == 'cannot'):>8.1%}{np.median(ms):>8.1f}{np.percentile(ms, 95):>7.0f}",
+            f"{np.mean(status == 'cannot'):>8.1%}"
+            f"{np.median(ms):>8.1f}{np.percentile(ms, 95):>7.0f}",
             flush=True,
         )
 

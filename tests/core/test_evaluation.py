@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.metrics import pose_error, summarize

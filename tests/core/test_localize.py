@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.metrics import pose_error
@@ -62,9 +63,7 @@ def test_same_seed_same_answer() -> None:
     first, second = localized(problem), localized(problem)
     assert first.T_camera_map is not None
     assert second.T_camera_map is not None
-    np.testing.assert_array_equal(
-        first.T_camera_map.as_matrix(), second.T_camera_map.as_matrix()
-    )
+    np.testing.assert_array_equal(first.T_camera_map.as_matrix(), second.T_camera_map.as_matrix())
 
 
 def test_without_gravity_and_with_heading() -> None:
@@ -105,7 +104,7 @@ def row_of_poles() -> tuple[Elements2D, Elements3D, Prior, Pose]:
     x = np.repeat(np.arange(-48.0, 61.0, 6.0), 2)
     y = np.tile([-4.0, 4.0], len(x) // 2)
     foot = np.column_stack([x, y, np.zeros(len(x))])
-    peak = foot + [0.0, 0.0, 4.0]
+    peak = foot + np.array([0.0, 0.0, 4.0])
     submap = Elements3D.from_ends(np.arange(len(x)), peak, foot, np.zeros(len(x), dtype=int))
     axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     pose = Pose(axes, -axes @ np.array([0.7, 0.3, 1.65]))
@@ -137,7 +136,7 @@ def test_a_prior_far_off_is_never_confidently_wrong(seed: int) -> None:
 
 def test_too_few_elements() -> None:
     problem = make_problem(1)
-    found = localized(replace(problem, observed=problem.observed[:3]))
+    found = localized(replace(problem, observed=problem.observed[[0, 1, 2]]))
     assert found.status == "cannot"
     assert found.reason == "3 elements seen, 4 needed."
     assert found.T_camera_map is None

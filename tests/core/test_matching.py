@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from semviz_core.matching.posterior import posterior_match
 from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Difficulty, Problem, make_problem
 from semviz_core.pose import Pose

@@ -1,4 +1,4 @@
-"""The one definition of residual: exact derivatives, stated noise, and what is not known does not count."""
+"""Residuals: exact derivatives, stated noise, and what is not known does not count."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from semviz_core.camera import Camera
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.evaluation.problems import CAMERA, Difficulty, Problem, make_problem
@@ -121,8 +122,9 @@ def test_a_hidden_bottom_says_nothing_along_the_pole() -> None:
 
 def test_a_pole_without_known_ends_is_still_a_line() -> None:
     seen, mapped = pole(end_known=False)
-    seen = replace(seen, anchor_known=np.array([False]), anchor_px=seen.anchor_px + [5.0, 0.0])
-    seen = replace(seen, end_px=seen.end_px + [5.0, 0.0])
+    shifted = seen.anchor_px + np.array([5.0, 0.0])
+    seen = replace(seen, anchor_known=np.array([False]), anchor_px=shifted)
+    seen = replace(seen, end_px=seen.end_px + np.array([5.0, 0.0]))
 
     found = pair_residuals(Pose.identity(), CAMERA, seen, mapped, PAIR)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.errors import SemvizError
 from semviz_core.localization import Localization, Status
 from semviz_core.pose import Pose
@@ -84,7 +84,8 @@ class Summary:
         lines += [_text_row(row) for row in self.rows()]
         if self.time_ms_median is not None and self.time_ms_p95 is not None:
             lines.append(
-                f"time per frame: median {self.time_ms_median:.0f} ms, p95 {self.time_ms_p95:.0f} ms"
+                f"time per frame: median {self.time_ms_median:.0f} ms, "
+                f"p95 {self.time_ms_p95:.0f} ms"
             )
         return "\n".join(lines)
 
@@ -97,10 +98,8 @@ def pose_error(T_est_camera_map: Pose, T_true_camera_map: Pose) -> tuple[float, 
     return float(np.linalg.norm(centers[0] - centers[1])), float(np.rad2deg(angle))
 
 
-def summarize(
-    localizations: Sequence[Localization], truths: Sequence[Pose | None]
-) -> Summary:
-    """Summary of a run; ``truths`` holds the true T_camera_map of each frame, None where unknown."""
+def summarize(localizations: Sequence[Localization], truths: Sequence[Pose | None]) -> Summary:
+    """Summary of a run; ``truths`` holds each frame's true T_camera_map, None where unknown."""
     if len(localizations) != len(truths):
         raise SemvizError(f"{len(localizations)} localizations but {len(truths)} true poses")
     status = np.array([one.status for one in localizations], dtype="U9")
@@ -114,7 +113,7 @@ def summarize(
     known = np.array([true is not None for true in truths], dtype=bool)
     times = np.array([sum(one.time_ms.values()) for one in localizations if one.time_ms])
 
-    def accuracy(rows: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -> Accuracy:
+    def accuracy(rows: BoolArray) -> Accuracy:
         found = errors[rows & np.isfinite(errors[:, 0])]
         return Accuracy.of(found[:, 0], found[:, 1], int((rows & known).sum()), int(rows.sum()))
 

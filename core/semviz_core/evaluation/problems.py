@@ -1,4 +1,4 @@
-"""Localization problems with known answers: poles and signs along a road, seen and mapped with errors.
+"""Localization problems with known answers: poles and signs along a road, seen and mapped.
 
 Figures follow the published error tables of the method and its map (per class recall, map sigmas).
 No pictures; the simulated street has those.
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.elements import Elements2D, Elements3D
@@ -120,7 +120,7 @@ def _street(level: Difficulty, rng: np.random.Generator) -> Elements3D:
 
 def _mapped(
     world: Elements3D, level: Difficulty, rng: np.random.Generator
-) -> tuple[Elements3D, "np.ndarray[tuple[int], np.dtype[np.bool_]]"]:
+) -> tuple[Elements3D, BoolArray]:
     """The map of the world, with its errors; and (n,) which elements stand elsewhere now."""
     present = np.flatnonzero(rng.random(len(world)) >= level.missing)
     kept = world[present]
@@ -151,7 +151,9 @@ def _observed(
     anchor, end = CAMERA.project(anchor_c[rows]), CAMERA.project(end_c[rows])
     line = world.is_line[rows]
     hidden = line & (rng.random(len(rows)) < level.hidden_bottoms)
-    end = np.where(hidden[:, None], end + (anchor - end) * rng.uniform(0.15, 0.5, (len(rows), 1)), end)
+    end = np.where(
+        hidden[:, None], end + (anchor - end) * rng.uniform(0.15, 0.5, (len(rows), 1)), end
+    )
     top, anchor_cut = _clip_rows(anchor, end)
     bottom, end_cut = _clip_rows(end, anchor)
     anchor, end = np.where(line[:, None], top, anchor), np.where(line[:, None], bottom, end)
@@ -171,12 +173,10 @@ def _observed(
         anchor_known=~(line & np.concatenate([anchor_cut[inside], grown])),
         end_known=line & ~np.concatenate([(end_cut | hidden)[inside], grown]),
     )
-    return observed, np.concatenate([world.id[rows][inside], np.full(len(clutter_class), -1)])
+    return observed, np.append(world.id[rows][inside], np.full(len(clutter_class), -1))
 
 
-def _clip_rows(
-    point: FloatArray, other: FloatArray
-) -> tuple[FloatArray, "np.ndarray[tuple[int], np.dtype[np.bool_]]"]:
+def _clip_rows(point: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Points moved along the line to ``other`` until inside the image's top and bottom rows."""
     limit = np.clip(point[:, 1], 0.0, CAMERA.height - 1.0)
     cut = np.asarray(limit != point[:, 1]) & np.isfinite(point[:, 1])
@@ -204,7 +204,7 @@ def _prior(T_camera_map: Pose, level: Difficulty, rng: np.random.Generator) -> P
     shake = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, 0.5, 3)), np.zeros(3))
     up = shake.rotation @ T_camera_map.rotation[:, 2]
     return Prior(
-        position_m=T_camera_map.inverse().translation + [*offset, height],
+        position_m=T_camera_map.inverse().translation + np.append(offset, height),
         horizontal_sigma_m=max(level.gps_sigma_m, 0.1),
         vertical_sigma_m=0.15,
         up_camera=up / np.linalg.norm(up) if level.with_gravity else None,

@@ -3,12 +3,13 @@
 import numpy as np
 from scipy.special import logsumexp
 
-from semviz_core.arrays import BoolArray, FloatArray
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.localization import Match
 from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
 
 LEAST_PROBABILITY = 0.01
 """Less likely pairs are not listed in the order."""
+_WORST_COST = 30.0  # nats; of a pair beyond every gate
 NEGLIGIBLE_NATS = 20.0
 """Modes further below the best add nothing that could be seen."""
 
@@ -30,10 +31,7 @@ def posterior_match(score: FloatArray, gain: FloatArray, compatible: BoolArray) 
     return Match(cost, probability, _order(probability[:-1, :-1]))
 
 
-_WORST_COST = 30.0  # nats; a pair beyond every gate
-
-
-def _order(probability: FloatArray) -> "np.ndarray[tuple[int, int], np.dtype[np.int64]]":
+def _order(probability: FloatArray) -> IntArray:
     """(k, 2) likely pairs, likeliest first."""
     pairs = np.argwhere(probability >= LEAST_PROBABILITY)
     likely = probability[pairs[:, 0], pairs[:, 1]]

@@ -1,8 +1,8 @@
 """Doubly normalized correspondence probabilities by matrix scaling (Sinkhorn & Knopp 1967).
 
 With a dustbin row and column: a scaled kernel P_ij = a_i K_ij b_j whose rows and columns sum to 1
-together with what falls into the dustbins, a_i and b_j. Uniform marginals without dustbins, as in the
-paper's eq. 3-4, would force mass onto false pairs wherever n > m.
+together with what falls into the dustbins, a_i and b_j. Uniform marginals without dustbins, as in
+the paper's eq. 3-4, would force mass onto false pairs wherever n > m.
 """
 
 import numpy as np

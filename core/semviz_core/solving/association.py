@@ -1,4 +1,4 @@
-"""Which observed element is which mapped one under a pose, and how well the pose explains the image.
+"""Which observed element is which mapped one under a pose, and how well that explains the image.
 
 A log-likelihood in nats: each pair against a false detection, each mapped element in view without a
 pair against a missed one, and the prior. One-to-one: two detections never share a mapped element.

@@ -9,13 +9,17 @@ Planar geometry is in complex numbers: P1 - c = r1 e^(i t), P2 - c = r2 e^(i (t 
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.frame import Prior
 from semviz_core.solving.residuals import Scene
 from semviz_core.solving.upright import UprightView
+
+ComplexArray: TypeAlias = NDArray[np.complex128]
 
 GATE_WIDER_M, GATE_WIDER_RAD, GATE_WIDER_HEIGHT_M = 3.5, float(np.deg2rad(8.0)), 0.5
 """Two matches place a camera with errors of their own: gates are wider than the prior by these."""
@@ -136,7 +140,7 @@ def _ranges(
     matches: _Matches,
     first: IntArray,
     second: IntArray,
-    base: "np.ndarray[tuple[int], np.dtype[np.complex128]]",
+    base: ComplexArray,
     turn: FloatArray,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Ranges to try for the first match of pairs: rows of pairs, range, camera height."""
@@ -166,7 +170,7 @@ def _two_point_heights(
     matches: _Matches,
     first: IntArray,
     second: IntArray,
-    base: "np.ndarray[tuple[int], np.dtype[np.complex128]]",
+    base: ComplexArray,
     turn: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Camera heights (k,), (k,) from which both anchors have their slopes; NaN where none.
@@ -192,9 +196,7 @@ def _two_point_heights(
         )
 
 
-def _planar(
-    scene: Scene, rows: IntArray
-) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
+def _planar(scene: Scene, rows: IntArray) -> ComplexArray:
     middle = 0.5 * (scene.anchor_m[rows] + scene.end_m[rows])
     return np.asarray(middle[:, 0] + 1j * middle[:, 1])
 
@@ -205,10 +207,10 @@ def _position_gate(prior: Prior) -> float:
 
 def _allowed(
     prior: Prior,
-    place: "np.ndarray[tuple[int], np.dtype[np.complex128]]",
+    place: ComplexArray,
     heading: FloatArray,
     height: FloatArray,
-) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+) -> BoolArray:
     center = prior.position_m[0] + 1j * prior.position_m[1]
     allowed = np.abs(place - center) <= _position_gate(prior)
     allowed &= (

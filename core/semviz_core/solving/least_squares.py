@@ -99,12 +99,12 @@ def _linearize(
     white: FloatArray,
 ) -> _Linear:
     rows = residual_rows(scene, rotation, translation, seen, mapped)
-    residual = (white @ rows.residual[..., None])[..., 0]
+    residual: FloatArray = (white @ rows.residual[..., None])[..., 0]
     chi2 = (residual**2).sum(axis=-1)
-    far = np.sqrt(np.maximum(chi2, HUBER_SIGMAS**2))
+    far = np.maximum(np.sqrt(chi2), HUBER_SIGMAS)
     weight = HUBER_SIGMAS / far
     jacobian = (white @ rows.jacobian()) * np.sqrt(weight)[..., None, None]
-    residual = residual * np.sqrt(weight)[..., None]
+    residual *= np.sqrt(weight)[..., None]
     flat = jacobian.reshape(len(rotation), -1, 6)
     prior_residual, prior_jacobian = prior_rows(prior, rotation, translation)
     stacked = np.concatenate([flat, prior_jacobian], axis=1)

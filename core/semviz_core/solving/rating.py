@@ -1,12 +1,17 @@
-"""A quick rating of many upright hypotheses by azimuths and slopes, before any pixel is compared."""
+"""A quick rating of many upright hypotheses by azimuth and slope, before pixels are compared."""
+
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.frame import Prior
 from semviz_core.solving.hypotheses import Hypotheses
 from semviz_core.solving.residuals import Scene
 from semviz_core.solving.upright import UprightView
+
+SingleArray: TypeAlias = NDArray[np.float32]
 
 POSITION_DOUBT_M, HEIGHT_DOUBT_M, HEADING_DOUBT_RAD = 0.4, 0.15, float(np.deg2rad(1.0))
 """How far a hypothesis made from two noisy matches is off, one standard deviation."""
@@ -28,7 +33,8 @@ def rate(scene: Scene, view: UprightView, prior: Prior, hypotheses: Hypotheses) 
         for start in range(0, len(hypotheses), CHUNK)
     ]
     offset = (hypotheses.position_m[:, :2] - prior.position_m[:2]) / prior.horizontal_sigma_m
-    return np.concatenate([np.zeros(0), *parts]) - 0.5 * (offset**2).sum(axis=1)
+    rating: FloatArray = np.concatenate([np.zeros(0), *parts]) - 0.5 * (offset**2).sum(axis=1)
+    return rating
 
 
 def _rate_chunk(
@@ -68,8 +74,8 @@ def _rate_chunk(
 def _in_line(
     scene: Scene,
     view: UprightView,
-    azimuth: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-    tolerance: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
+    azimuth: SingleArray,
+    tolerance: SingleArray,
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Rows of hypothesis, observed and mapped element whose azimuths agree; cameras don't look
     backwards, so angles need no wrapping."""

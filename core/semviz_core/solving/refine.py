@@ -18,7 +18,7 @@ NEEDED_PAIRS = 3
 MOST_SIGMA_M = 2.0
 """A pose less certain than this along any direction is no answer."""
 MOST_SIGMA_RAD = float(np.deg2rad(5.0))
-START_DOUBT = Doubt(0.5, float(np.deg2rad(1.0)))
+START_DOUBT = Doubt(0.15, float(np.deg2rad(0.3)))
 """How far off the pose may be that refinement starts from."""
 _ROUNDS = 6
 _ITERATIONS = 20

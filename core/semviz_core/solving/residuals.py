@@ -1,12 +1,13 @@
-"""The one definition of residual, chi2 and inlier of pairs under a pose, and of the prior's residuals.
+"""The one definition of residual, chi2 and inlier of pairs under a pose, and the prior's residuals.
 
 A point gives two rows, u and v. A pole gives up to four: how far each observed end lies beside the
 projected line, and how far the peak and the bottom lie along it, where known on both sides. The
 OBSERVED ends are measured against the PROJECTED infinite line, not the other way round: they
 lie in the image with noise that is stated, while mapped ends can be behind the camera or far beyond
-what was seen, where the observed line extrapolates badly. So a pole counts whatever its bottom does.
+what was seen, where the observed line extrapolates badly. So a pole counts whatever its bottom
+does.
 
-Every row has the covariance of the detection plus the map's, projected into the image. All functions
+Every row has the covariance of the detection plus the map's, projected into the image. Functions
 take a batch of poses: (b, 3, 3) and (b, 3), and pairs (b, k). Pixels are undistorted ones.
 """
 
@@ -210,9 +211,7 @@ def prior_rows(
         residuals.append(up @ across.T / prior.up_sigma_rad)
         # d(up) = w x up, so the row e gives e . (w x up) = (up x e) . w
         turn = np.cross(up[:, None, :], across[None])
-        jacobians.append(
-            np.concatenate([np.zeros_like(turn), turn], axis=-1) / prior.up_sigma_rad
-        )
+        jacobians.append(np.concatenate([np.zeros_like(turn), turn], axis=-1) / prior.up_sigma_rad)
     if prior.heading_rad is not None:
         ahead = rotation[:, 2, :]
         flat = np.maximum(ahead[:, 0] ** 2 + ahead[:, 1] ** 2, _TINY)
@@ -250,7 +249,7 @@ def _moved(rotation: FloatArray, translation: FloatArray, points_m: FloatArray) 
 def _offset(
     K: FloatArray, pixels_px: FloatArray, points_c: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Detection minus projection (..., 2), its derivative by the point (..., 2, 3), whether ahead."""
+    """Detection minus projection (..., 2), its derivative by the point (..., 2, 3), if ahead."""
     ahead = points_c[..., 2] > MIN_DEPTH_M
     depth = np.where(ahead, points_c[..., 2], 1.0)[..., None]
     offset = pixels_px - (points_c / depth) @ K[:2].T

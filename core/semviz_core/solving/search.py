@@ -1,7 +1,7 @@
-"""Prior-guided upright search: from classes and a rough position to the poses that explain the image.
+"""Prior-guided upright search: from classes and a rough position to poses that explain the image.
 
-Every class-consistent pair of matches gives upright candidates (``hypotheses``); azimuths and slopes
-rate them quickly (``rating``); the best distinct ones are paired one-to-one and fitted together, with
+Class-consistent pairs of matches give upright candidates (``hypotheses``); azimuths and slopes rate
+them quickly (``rating``); the best distinct ones are paired one-to-one and fitted together, with
 gates that narrow as they settle; what remains are the modes, best first.
 """
 
@@ -19,7 +19,7 @@ from semviz_core.solving.rating import rate
 from semviz_core.solving.residuals import Scene
 from semviz_core.solving.upright import UprightView, upright_view
 
-STARTED, FINISHED = 24, 10
+STARTED, FINISHED = 32, 10
 """Candidates that are paired and fitted once, and those of them that are fitted to the end."""
 MOST_COMPARED = 1000
 """Candidates, by rating, among which distinct ones are looked for."""
@@ -66,13 +66,18 @@ def camera_poses(view: UprightView, hypotheses: Hypotheses) -> tuple[FloatArray,
 def polish(
     scene: Scene, camera: Camera, prior: Prior, rotation: FloatArray, translation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Pair and fit in turns while the gates narrow; the least promising are dropped on the way."""
-    for doubt in NARROWING:
+    """Pair and fit in turns while the gates narrow.
+
+    After the first turn candidates that ran together are merged, so that rivals of a good pose
+    are not crowded out by its own copies.
+    """
+    for turn, doubt in enumerate(NARROWING):
         match, gain, _ = associate(scene, camera, rotation, translation, doubt)
-        best = np.sort(np.argsort(-gain.sum(axis=1), kind="stable")[:FINISHED])
-        kept = best if doubt == NARROWING[1] else slice(None)
-        settled = fit(scene, prior, rotation[kept], translation[kept], match[kept], iterations=4)
+        settled = fit(scene, prior, rotation, translation, match, iterations=4)
         rotation, translation = settled.rotation, settled.translation
+        if turn == 0:
+            kept = _distinct(rotation, translation, gain.sum(axis=1))[:FINISHED]
+            rotation, translation = rotation[kept], translation[kept]
     return rotation, translation
 
 
@@ -114,14 +119,20 @@ def _modes(
     """Poses scored, sorted, and those that ran into a better one left out."""
     match, chosen, gain = associate(scene, camera, rotation, translation)
     score = log_likelihood(scene, camera, prior, rotation, translation, match, chosen)
-    left = list(np.argsort(-score, kind="stable"))
+    kept = _distinct(rotation, translation, score)
+    return Modes(
+        tried, passed, rotation[kept], translation[kept], score[kept], match[kept], gain[kept]
+    )
+
+
+def _distinct(rotation: FloatArray, translation: FloatArray, score: FloatArray) -> list[int]:
+    """Rows of poses, best first, without those close to a better one."""
+    left = [int(row) for row in np.argsort(-score, kind="stable")]
     kept: list[int] = []
     while left:
         row = left.pop(0)
         kept.append(row)
         away, angle = apart(rotation[row], translation[row], rotation[left], translation[left])
-        distinct = (away > APART_M) | (angle > APART_RAD)
-        left = [one for one, differs in zip(left, distinct, strict=True) if differs]
-    return Modes(
-        tried, passed, rotation[kept], translation[kept], score[kept], match[kept], gain[kept]
-    )
+        differs = (away > APART_M) | (angle > APART_RAD)
+        left = [one for one, different in zip(left, differs, strict=True) if different]
+    return kept

@@ -1,7 +1,8 @@
 """The upright view: what a camera with known gravity sees, as azimuths and slopes.
 
 In the level frame z is up and x is the optical axis laid flat, so the one unknown angle left is the
-heading, and an observed element is an azimuth and, where an end is known, a slope (tangent of elevation).
+heading, and an observed element is an azimuth and, where an end is known, a slope (tangent of
+elevation).
 """
 
 from dataclasses import dataclass, replace
