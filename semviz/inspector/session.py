@@ -40,8 +40,8 @@ class State:
     def at(self, position: int, run: Run) -> "State":
         """At another position, cut to the run; a selected map element stays selected."""
         last = len(run.frames) - 1
-        kept = Selection(element=self.selection.element)
-        return replace(self, position=min(max(position, 0), last), selection=kept)
+        there = replace(self, position=min(max(position, 0), last), selection=Selection())
+        return there.selecting(None, self.selection.element, run)
 
     def selecting(self, observed: int | None, element: int | None, run: Run) -> "State":
         """With an observed row, an element or a pair selected; of one alone, its partner too."""

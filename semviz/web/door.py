@@ -13,11 +13,13 @@ import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
+from weakref import WeakSet
 
 from aiohttp import web
 
 from semviz.web.guard import Guard, add_headers, is_loopback
 from semviz.web.scenes import Proxy, Scenes
+from semviz.web.sockets import OPEN_SOCKETS, close_sockets
 from semviz_core.errors import SemvizError
 
 STATIC = Path(__file__).parent / "static"
@@ -92,6 +94,8 @@ class Door:
         app.add_routes(Proxy(self._tool.scenes).routes())
         app.router.add_static("/static/", STATIC)
         app.on_response_prepare.append(add_headers)
+        app[OPEN_SOCKETS] = WeakSet()
+        app.on_shutdown.append(close_sockets)
         return app
 
     def _url(self, port: int) -> str:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import rich
 from aiohttp import ClientError, ClientSession, ClientWebSocketResponse, WSMsgType, web
 
+from semviz.web.sockets import accept_socket
+
 if TYPE_CHECKING:
     import viser
 
@@ -99,8 +101,7 @@ async def _forward_socket(
 ) -> web.WebSocketResponse:
     names = request.headers.get("Sec-WebSocket-Protocol", "")
     protocols = [name.strip() for name in names.split(",") if name.strip()]
-    front = web.WebSocketResponse(protocols=protocols, max_msg_size=0, compress=False)
-    await front.prepare(request)
+    front = await accept_socket(request, protocols=protocols, max_msg_size=0, compress=False)
     async with client.ws_connect(url, protocols=protocols, max_msg_size=0, compress=0) as back:
         pumps = {asyncio.create_task(_pump(front, back)), asyncio.create_task(_pump(back, front))}
         try:

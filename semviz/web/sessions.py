@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from aiohttp import WSMsgType, web
 
+from semviz.web.sockets import accept_socket
 from semviz_core.errors import SemvizError
 
 LINGER_S = 30.0
@@ -50,8 +51,7 @@ class Sessions:
         return [web.get("/socket", self._serve)]
 
     async def _serve(self, request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=4 * 2**20)
-        await socket.prepare(request)
+        socket = await accept_socket(request, heartbeat=20.0, max_msg_size=4 * 2**20)
         held = await self._find(request.query.get("session", ""))
         outbox: asyncio.Queue[str] = asyncio.Queue()
         held.outbox = outbox

@@ -29,6 +29,11 @@ export class Bar {
     byId("method").textContent = `${run.method} in ${run.map}`;
   }
 
+  /** What was asked for did not come; the bar says what is shown all the same. */
+  showRefusal() {
+    if (this.page.run) byId("run").value = this.page.run.name;
+  }
+
   showFrame(frame) {
     this.pointAt(frame.position);
     byId("status").replaceChildren(statusMark(frame.status), STATUS[frame.status]);

@@ -50,12 +50,19 @@ class Page {
   }
 
   receive(message) {
-    if (message.type === "error") this.notice(message.text);
+    if (message.type === "error") this.refused(message.text);
     else if (message.type === "runs") this.each("showRuns", message.names);
     else if (message.type === "run") this.showRun(message.run);
     else if (message.type === "frame") this.showFrame(message.frame, message.state);
     else if (message.type === "state") this.showState(message.state);
     else if (message.type === "scene") this.showScene();
+  }
+
+  refused(text) {
+    this.notice(text);
+    this.waiting = false;
+    this.wanted = this.frame?.position ?? 0;
+    this.each("showRefusal");
   }
 
   showScene() {

@@ -1,0 +1,309 @@
+"""The inspector's page in a real browser: what people do, and what they then see."""
+
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+
+from semviz.inspector.server import Inspector
+from semviz.recording.reader import load_run
+from semviz.recording.run import FrameRecord, Run, RunInfo
+from semviz.recording.writer import RunWriter
+from semviz.web.door import Door
+from semviz_core.localize import Localizer
+from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.sources.street.street import Street
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = pytest.mark.browser
+
+FRAMES = (10, 12, 14, 16, 18)
+FAILED = 14
+"""The frame in which only two elements are seen."""
+MARKUP = "<img src=x onerror=document.title='taken'>"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run through the simulated street, with images, one failure and hostile words."""
+    import cv2
+
+    street = Street(7)
+    info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", street.rig, "street")
+    path = tmp_path_factory.mktemp("runs") / "first.rrd"
+    with RunWriter(path, info, street.truth_map) as writer:
+        for index in FRAMES:
+            frame = street.frames[index]
+            observed, ids = street.labels(index, "left")
+            if index == FAILED:
+                observed, ids = observed[[0, 1]], ids[:2]
+            assert frame.T_map_camera is not None
+            prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
+            submap = street.truth_map.crop(prior.position_m, 50.0)
+            found = Localizer().localize(observed, submap, street.rig.left, prior)
+            if index == FAILED:
+                found = replace(found, reason=f"{found.reason} {MARKUP}")
+            picture = street.image(index, "left")[:, :, ::-1]
+            jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+            writer.write(FrameRecord(frame, found, ids, jpeg))
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(recorded: Path) -> Run:
+    return load_run(recorded)
+
+
+@pytest.fixture
+def tool(recorded: Path) -> Inspector:
+    broken = recorded.with_name("broken.rrd")
+    broken.write_bytes(b"RRF2 and then nothing that makes sense")
+    return Inspector([recorded, broken])
+
+
+@pytest.fixture  # tests ask for it before the page, so that the page closes first
+def url(tool: Inspector) -> Iterator[str]:
+    with Door(tool).running() as url:
+        yield url
+
+
+def open_page(page: "Page", url: str, query: str = "") -> None:
+    page.goto(f"{url}?{query}")
+    page.wait_for_selector("#frame-list li")
+    page.wait_for_function("document.getElementById('frame-number').textContent !== ''")
+    page.wait_for_timeout(500)
+
+
+def wait_for(page: "Page", said: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+    for _ in range(int(timeout_s * 20)):
+        if said():
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never came: {what}")
+
+
+def in_url(page: "Page", name: str) -> str | None:
+    return parse_qs(urlsplit(page.url).query).get(name, [None])[0]
+
+
+def pixels(page: "Page", selector: str) -> np.ndarray:
+    from PIL import Image
+
+    shot = page.locator(selector).screenshot()
+    return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def near(image: np.ndarray, color: str) -> int:
+    """How many pixels look like ``color``."""
+    wanted = [int(color[at : at + 2], 16) for at in (1, 3, 5)]
+    return int((np.abs(image - wanted).max(axis=2) < 24).sum())
+
+
+def test_page_shows_the_run_and_its_worst_frame_first(url: str, page: "Page", run: Run) -> None:
+    open_page(page, url)
+    rows = page.locator("#frame-list li")
+    assert rows.count() == len(FRAMES)
+    assert rows.first.locator(".index").text_content() == str(FAILED)
+    assert page.locator("#frame-number").text_content() == "Frame 10 of 18"
+    assert page.locator("#status").text_content() == "Ok"
+    matrix = page.locator("#matrix-about").text_content()
+    seen, mapped = len(run.frames[0].localization.observed), len(run.frames[0].localization.submap)
+    assert matrix == f"{seen} seen × {mapped} mapped"
+    image = pixels(page, "#image-canvas")
+    assert image.std() > 20
+    assert near(image, "#EFE154") > 50
+
+
+def test_stepping_changes_numbers_picture_and_address(url: str, page: "Page") -> None:
+    open_page(page, url)
+    numbers = page.locator("#numbers").text_content()
+    before = pixels(page, "#image-canvas")
+    page.keyboard.press(".")
+    wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
+    page.wait_for_timeout(300)
+    assert page.locator("#frame-number").text_content() == "Frame 12 of 18"
+    assert page.locator("#numbers").text_content() != numbers
+    after = pixels(page, "#image-canvas")
+    assert (np.abs(after - before).max(axis=2) > 30).mean() > 0.2
+    page.keyboard.press(",")
+    wait_for(page, lambda: in_url(page, "frame") == "10", "back at frame 10")
+    page.wait_for_timeout(300)
+    assert np.abs(pixels(page, "#image-canvas") - before).mean() < 1
+
+
+def test_timeline_click_goes_to_its_frame(url: str, page: "Page") -> None:
+    open_page(page, url)
+    box = page.locator("#timeline-canvas").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] - 20, box["y"] + 30)
+    wait_for(page, lambda: in_url(page, "frame") == "18", "the last frame")
+    assert page.locator("#frame-list li[aria-current=true] .index").text_content() == "18"
+
+
+def test_list_click_goes_to_the_failure_and_says_why(url: str, page: "Page") -> None:
+    open_page(page, url)
+    page.locator("#frame-list li").first.click()
+    wait_for(page, lambda: in_url(page, "frame") == str(FAILED), "the failed frame")
+    wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
+    assert page.locator("#why h3").text_content() == "No answer"
+    assert "2 elements seen" in (page.locator("#why .sentence").text_content() or "")
+    assert "no error" in (page.locator("#numbers").text_content() or "")
+
+
+def test_words_from_the_run_are_never_markup(url: str, page: "Page") -> None:
+    open_page(page, url, f"frame={FAILED}")
+    wait_for(page, lambda: page.locator("#why .sentence").count() == 1, "the sentence")
+    assert MARKUP in (page.locator("#why .sentence").text_content() or "")
+    assert page.locator("#why img, #frame-list img").count() == 0
+    assert page.title() != "taken"
+
+
+def test_matrix_cell_selects_the_pair_everywhere(url: str, page: "Page", run: Run) -> None:
+    open_page(page, url)
+    before = near(pixels(page, "#image-canvas"), "#4DABF7")
+    fine = run.frames[0].localization.refinement
+    assert fine is not None
+    observed, mapped = (int(one) for one in fine.pairs[0])
+    box = page.locator("#matrix-canvas").bounding_box()
+    assert box is not None
+    submap = run.frames[0].localization.submap
+    wanted = f"#{observed} × "
+    for x in range(36, int(box["width"]) - 40, 3):  # along the first row, until over the pair
+        page.mouse.move(box["x"] + x, box["y"] + 30)
+        said = page.locator("#matrix-value").text_content() or ""
+        if said.startswith(wanted) and said.endswith("true"):
+            break
+    page.mouse.click(box["x"] + x, box["y"] + 30)
+    wait_for(page, lambda: in_url(page, "element") == str(submap.id[mapped]), "the element")
+    page.wait_for_timeout(300)
+    assert near(pixels(page, "#image-canvas"), "#4DABF7") > before + 60
+    page.keyboard.press("Escape")
+    wait_for(page, lambda: in_url(page, "element") is None, "nothing selected")
+
+
+def test_click_on_a_detection_selects_it(url: str, page: "Page", run: Run) -> None:
+    open_page(page, url)
+    one = run.frames[0].localization
+    assert one.refinement is not None
+    observed, mapped = (int(row) for row in one.refinement.pairs[-1])
+    box = page.locator("#image-canvas").bounding_box()
+    assert box is not None
+    scale = min(box["width"] / one.camera.width, box["height"] / one.camera.height)
+    left = (box["width"] - scale * one.camera.width) / 2
+    top = (box["height"] - scale * one.camera.height) / 2
+    u, v = one.observed.anchor_px[observed] + 0.5
+    page.mouse.click(box["x"] + left + scale * u, box["y"] + top + scale * v)
+    wait_for(page, lambda: in_url(page, "element") == str(one.submap.id[mapped]), "the element")
+
+
+def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool: Inspector) -> None:
+    open_page(page, url)
+    page.wait_for_selector("#scene.ready")
+    frame = page.locator("#scene")
+    servers = list(tool.scenes._servers.values())
+    wait_for(page, lambda: bool(servers[0].get_clients()), "the 3D client", 60)
+    page.wait_for_timeout(1000)
+    (client,) = servers[0].get_clients().values()
+    box = frame.bounding_box()
+    assert box is not None
+    one = run.frames[0].localization
+    assert one.refinement is not None
+    eye, target = np.array(client.camera.position), np.array(client.camera.look_at)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    focal = box["height"] / 2 / np.tan(client.camera.fov / 2)
+    middles = np.where(
+        one.submap.is_line[:, None],
+        (one.submap.anchor_m + one.submap.end_m) / 2,
+        one.submap.anchor_m,
+    )
+    offset = middles - eye
+    depth = offset @ forward
+    x = box["width"] / 2 + focal * (offset @ right) / depth
+    y = box["height"] / 2 + focal * (offset @ down) / depth
+    inside = (depth > 2) & (x > 10) & (x < box["width"] - 10) & (y > 10) & (y < box["height"] - 60)
+    nearest = int(np.flatnonzero(inside)[np.argmin(depth[inside])])
+    page.mouse.click(box["x"] + x[nearest], box["y"] + y[nearest])
+    wait_for(page, lambda: in_url(page, "element") == str(one.submap.id[nearest]), "the element")
+    page.keyboard.press(".")  # the 3D pane has the focus, and the page its keys all the same
+    wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
+
+
+def test_address_brings_back_run_frame_and_selection(url: str, page: "Page", run: Run) -> None:
+    element = int(run.frames[1].localization.submap.id[0])
+    open_page(page, url, f"run=first&frame=12&element={element}")
+    assert page.locator("#frame-number").text_content() == "Frame 12 of 18"
+    wait_for(page, lambda: in_url(page, "element") == str(element), "the element")
+
+
+def test_two_pages_do_not_disturb_each_other(url: str, page: "Page", chromium: "Browser") -> None:
+    open_page(page, url)
+    context = chromium.new_context(viewport={"width": 1280, "height": 720})
+    other = context.new_page()
+    open_page(other, url)
+    other.keyboard.press(".")
+    other.keyboard.press(".")
+    wait_for(other, lambda: in_url(other, "frame") == "14", "frame 14 in the other page")
+    page.wait_for_timeout(300)
+    assert in_url(page, "frame") == "10"
+    assert page.locator("#frame-number").text_content() == "Frame 10 of 18"
+    context.close()
+
+
+def test_keys_faster_than_the_server_end_at_the_right_frame(url: str, page: "Page") -> None:
+    open_page(page, url)
+    for _ in range(3):
+        page.keyboard.press(".")
+    page.keyboard.press(",")
+    wait_for(page, lambda: in_url(page, "frame") == "14", "frame 14")
+    wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
+
+
+def test_a_broken_run_is_said_in_one_line_and_the_page_lives_on(url: str, page: "Page") -> None:
+    open_page(page, url)
+    page.select_option("#run", "broken")
+    notice = page.locator("#notice")
+    wait_for(page, lambda: "broken.rrd" in (notice.text_content() or ""), "the notice")
+    assert notice.is_visible()
+    assert "\n" not in (notice.text_content() or "")
+    page.keyboard.press(".")
+    wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12 of the run before")
+    assert page.locator("#run").input_value() == "first"
+
+
+def test_theme_and_help(url: str, page: "Page") -> None:
+    open_page(page, url)
+    before = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.keyboard.press("t")
+    after = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert before != after
+    page.keyboard.press("?")
+    help_text = page.locator("dialog.help").text_content() or ""
+    for said in ("Frame before", "Pairs with outliers", "From above", "Dark or light"):
+        assert said in help_text
+    page.keyboard.press("Escape")
+    wait_for(page, lambda: page.locator("dialog").count() == 0, "the help closed")
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1600, 950)])
+def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[int, int]) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    open_page(page, url)
+    out = page.evaluate(
+        """() => [...document.querySelectorAll(".panel, .topbar > *, #timeline > *")]
+        .map((one) => [one.id || one.className, one.getBoundingClientRect()])
+        .filter(([, box]) => box.width && (box.right > innerWidth + 1
+            || box.bottom > innerHeight + 1 || box.left < -1 || box.height < 8))
+        .map(([name]) => name)"""
+    )
+    assert out == []
+    assert page.locator("#why dl").evaluate("e => e.getBoundingClientRect().bottom") <= size[1]

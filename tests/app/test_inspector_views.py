@@ -1,0 +1,193 @@
+"""What the inspector says about a run: state, words, numbers; no browser."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from semviz.inspector.projection import offsets, project_elements
+from semviz.inspector.session import State
+from semviz.inspector.shelf import Shelf
+from semviz.inspector.views import frame_view, run_view
+from semviz.inspector.why import verdict, why_card
+from semviz.recording.run import FrameRecord, Run, RunInfo
+from semviz_core.camera import Camera, Rig
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Frame, Prior
+from semviz_core.localization import Alternative, Localization, Match, Refinement, Search
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import MapFrame, SemanticMap
+
+K = np.array([[700.0, 0.0, 620.0], [0.0, 700.0, 188.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(1241, 376, K)
+LEVEL = Pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.0, 0.0, 1.65]))
+NOWHERE = [np.nan] * 3
+ELEMENTS = Elements3D.from_ends(
+    [4, 7, 9, 12],
+    [[20, 4, 6], [15, -4, 2.5], [25, -5, 7], [12, 3, 2.2]],
+    [[20, 4, 0], NOWHERE, [25, -5, 0], NOWHERE],
+    [0, 2, 0, 1],
+)
+MAP = SemanticMap(ELEMENTS, MapFrame("street-0"))
+
+
+def seen_from(pose: Pose) -> Elements2D:
+    projected = project_elements(ELEMENTS, pose.inverse(), CAMERA)
+    return Elements2D.from_ends(projected.anchor_px, projected.end_px, ELEMENTS.class_id)
+
+
+def localized(pose: Pose | None = LEVEL, status: str = "ok", reason: str = "Fine.") -> Localization:
+    diagonal = np.column_stack([np.arange(4), np.arange(4)])
+    probability = np.zeros((5, 5))
+    probability[:4, :4] = np.eye(4)
+    return Localization(
+        method="search",
+        camera=CAMERA,
+        prior=Prior(np.array([3.0, 4.0, 1.65])),
+        observed=seen_from(LEVEL),
+        submap=ELEMENTS,
+        status=status,  # type: ignore[arg-type]
+        reason=reason,
+        T_camera_map=None if pose is None else pose.inverse(),
+        covariance=None if pose is None else np.eye(6) * 1e-4,
+        match=Match(np.zeros((4, 4)), probability, diagonal),
+        search=Search(100, (LEVEL.inverse(),), np.array([20.0])),
+        refinement=Refinement(
+            diagonal,
+            np.array([[0.5, np.nan], [1.0, 1.0], [4.0, 0.1], [9.0, 0.0]]),
+            np.array([0.1, 0.2, 3.0, 80.0]),
+            np.array([True, True, True, False]),
+            np.array([5.0, 1.0]),
+        ),
+        alternatives=(Alternative(LEVEL.inverse(), 18.5),),
+        time_ms={"match": 1.0, "search": 5.0},
+    )
+
+
+def run_of(*localizations: Localization, truth: Pose | None = LEVEL) -> Run:
+    info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", Rig(CAMERA), "street")
+    frames = tuple(
+        FrameRecord(Frame(10 + k, 0.1 * k, truth), one, np.array([4, 7, 99, -1]))
+        for k, one in enumerate(localizations)
+    )
+    return Run(info, MAP, frames)
+
+
+def test_frame_is_plain_json_with_null_for_nan() -> None:
+    view = frame_view(run_of(localized()), 0)
+    again = json.loads(json.dumps(view, allow_nan=False))
+    assert again["observed"][1]["end"] is None
+    assert again["pairs"][0]["residualPx"] == 0.5
+    assert [one["truth"] for one in again["observed"]] == [0, 1, None, None]
+
+
+def test_frame_without_any_stage_is_drawable() -> None:
+    bare = replace(
+        localized(None, "cannot", "3 elements seen, 4 needed."),
+        match=None, search=None, refinement=None, alternatives=(), time_ms={},
+    )  # fmt: skip
+    view = json.loads(json.dumps(frame_view(run_of(bare, truth=None), 0), allow_nan=False))
+    assert (view["matrix"], view["pairs"], view["errorM"]) == (None, [], None)
+    assert all(one["estimate"] is None and one["truth"] is None for one in view["mapped"])
+    assert view["why"]["title"] == "No answer"
+
+
+def test_matrix_orders_rows_and_columns_into_class_blocks() -> None:
+    matrix = frame_view(run_of(localized()), 0)["matrix"]
+    for order in (matrix["rows"], matrix["columns"]):
+        assert sorted(order) == [0, 1, 2, 3]
+        assert (np.diff(ELEMENTS.class_id[order]) >= 0).all()
+
+
+def test_sure_and_wrong_is_marked_and_named() -> None:
+    far = Pose(LEVEL.rotation, LEVEL.translation + np.array([0.0, 3.2, 0.0]))
+    run = run_of(localized(), localized(far), localized(far, "ambiguous", "Two poses fit."))
+    rows = run_view("first", run)["frames"]
+    assert [row["sureAndWrong"] for row in rows] == [False, True, False]
+    assert rows[1]["verdict"] == "sure, but 3.2 m off"
+    assert rows[1]["errorM"] == pytest.approx(3.2)
+    assert why_card(run.frames[1])["title"] == "Sure and wrong"
+    assert verdict(localized(), None) == "healthy"
+
+
+def test_median_is_over_frames_with_an_answer_and_a_truth() -> None:
+    near = Pose(LEVEL.rotation, LEVEL.translation + np.array([0.0, 0.5, 0.0]))
+    view = run_view("first", run_of(localized(), localized(near), localized(None, "cannot", "No.")))
+    assert view["medianM"] == pytest.approx(0.25)
+    assert view["okShare"] == pytest.approx(2 / 3)
+    assert run_view("first", run_of(localized(), truth=None))["medianM"] is None
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-0.1, 0.1))
+def test_residual_vectors_end_on_the_projected_element(x: float, y: float, turn: float) -> None:
+    other = Pose.from_rotvec([0, 0, turn], [x, y, 0.0]) @ LEVEL
+    observed, seen = seen_from(LEVEL), project_elements(ELEMENTS, other.inverse(), CAMERA)
+    start, vector = offsets(observed, seen, np.column_stack([np.arange(4), np.arange(4)]))
+    reached = start + vector
+    for row, is_line in enumerate(observed.is_line):
+        if is_line:
+            along = seen.end_px[row] - seen.anchor_px[row]
+            across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+            assert abs((reached[row] - seen.anchor_px[row]) @ across) < 1e-6
+            assert abs(vector[row] @ along) < 1e-6 * np.linalg.norm(along)
+        else:
+            assert np.allclose(reached[row], seen.anchor_px[row])
+
+
+def test_poles_are_cut_at_the_camera_and_elements_behind_it_are_not_shown() -> None:
+    # looking down, so that the foot of a near pole is ahead and its peak behind
+    down = Pose(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]).T, np.array([0.0, 0.0, 3.0]))
+    pole = Elements3D.from_ends(
+        [1, 2], [[0.4, 0, 9], [0.4, 0, 9]], [[0.4, 0, 0], [0.4, 0, 8]], [0, 0]
+    )
+    projected = project_elements(pole, down.inverse(), CAMERA)
+    assert projected.shown.tolist() == [True, False]
+    assert np.isfinite(projected.anchor_px[0]).all()
+
+
+def test_state_moves_within_the_run() -> None:
+    run = run_of(localized(), localized(), localized())
+    state = State().opened("first", run, 11)
+    assert state.position == 1
+    assert State().opened("first", run, 99).position == 0
+    assert state.at(-5, run).position == 0
+    assert state.at(99, run).position == 2
+
+
+def test_selecting_one_of_a_pair_selects_the_pair() -> None:
+    run = run_of(localized())
+    state = State().opened("first", run, None)
+    assert state.selecting(1, None, run).selection == state.selecting(None, 7, run).selection
+    assert state.selecting(1, 12, run).selection.element == 12
+    cleared = state.selecting(1, None, run).selecting(None, None, run).selection
+    assert (cleared.observed, cleared.element) == (None, None)
+    with pytest.raises(SemvizError, match="observation 4 does not exist"):
+        state.selecting(4, None, run)
+
+
+def test_selected_element_stays_selected_in_the_next_frame() -> None:
+    run = run_of(localized(), localized())
+    state = State().opened("first", run, None).selecting(1, None, run).at(1, run)
+    assert (state.selection.observed, state.selection.element) == (1, 7)
+
+
+def test_wrong_wishes_are_refused_in_words() -> None:
+    with pytest.raises(SemvizError, match="no viewpoint 'sideways'"):
+        State().looking("sideways")
+    with pytest.raises(SemvizError, match="no frame in it"):
+        State().opened("first", run_of(), None)
+
+
+def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    paths = [tmp_path / "a" / "runs" / "x.rrd", tmp_path / "b" / "runs" / "x.rrd"]
+    assert Shelf(paths).names == ("a/runs/x", "b/runs/x")
+    assert Shelf(paths[:1]).names == ("x",)
+    with pytest.raises(SemvizError, match="no run 'y' here"):
+        Shelf(paths).run("y")
+    with pytest.raises(SemvizError, match="no run to show"):
+        Shelf([])
