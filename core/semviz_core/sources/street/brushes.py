@@ -12,7 +12,7 @@ from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street.things import Color, FloatPicture
 from semviz_core.sources.street.view import View
 
-_EDGE_ON_PX = 0.4
+_EDGE_ON_PX = 0.8  # thinner than this a texture is not to be seen
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 
 
@@ -112,7 +112,8 @@ def stamp(
         return
     x0, y0, x1, y1 = window
     width_px, height_px = _extent(outline)
-    if min(width_px, height_px) < _EDGE_ON_PX:
+    area_px2 = cv2.contourArea(outline.astype(np.float32))
+    if area_px2 < _EDGE_ON_PX * max(width_px, height_px):
         return
     colors, opacity = texture.level_for(width_px, height_px)
     rows, columns = opacity.shape

@@ -127,9 +127,13 @@ class Ground:
             if len(used):
                 band = slice(used[0], used[-1] + 1)
                 weight = np.maximum(1.0 - np.abs(level[band] - i), 0.0)
-                grain[band] += 0.1 * weight * _look_up(texture, column[band], row[band])
+                # a blurred texture needs no interpolation
+                how = cv2.INTER_LINEAR if i == 0 else cv2.INTER_NEAREST
+                grain[band] += 0.1 * weight * _look_up(texture, column[band], row[band], how)
         scale = np.float32(_TEXELS / _COARSE_M)
-        return np.asarray(grain + 0.05 * _look_up(self._coarse, scale * x, scale * y), np.float32)
+        sparse = (slice(None, None, 3), slice(None, None, 3))
+        coarse = _look_up(self._coarse, scale * x[sparse], scale * y[sparse], cv2.INTER_LINEAR)
+        return np.asarray(grain + 0.05 * cv2.resize(coarse, x.shape[::-1]), dtype=np.float32)
 
     def _height(self, view: View) -> float:
         """Of the camera above the road's plane, vertically."""
@@ -224,8 +228,10 @@ def _green(colors: ByteImage) -> FloatPicture:
     return np.asarray(np.clip(green, 0, 60) / np.float32(60.0), dtype=np.float32)
 
 
-def _look_up(texture: FloatPicture, column: FloatPicture, row: FloatPicture) -> FloatPicture:
-    found = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+def _look_up(
+    texture: FloatPicture, column: FloatPicture, row: FloatPicture, interpolation: int
+) -> FloatPicture:
+    found = cv2.remap(texture, column, row, interpolation, borderMode=cv2.BORDER_WRAP)
     return np.asarray(found, dtype=np.float32)
 
 

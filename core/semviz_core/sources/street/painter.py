@@ -12,7 +12,7 @@ from semviz_core.sources.street.ground import Ground
 from semviz_core.sources.street.layout import Layout
 from semviz_core.sources.street.scenery import Scenery
 from semviz_core.sources.street.shadows import shadows
-from semviz_core.sources.street.things import Color, FloatPicture
+from semviz_core.sources.street.things import Color
 from semviz_core.sources.street.view import View
 
 HAZE: Color = (206, 220, 232)
@@ -48,7 +48,7 @@ class Painter:
         return [self._shadows[row] for row in np.flatnonzero(distance < SHADOW_SIGHT_M)]
 
     @cached_property
-    def _sky(self) -> FloatPicture:
+    def _sky(self) -> ByteImage:
         return textures.sky(np.random.default_rng([self._seed, 2]), HAZE)
 
     @cached_property
@@ -69,4 +69,4 @@ class Painter:
         row = (np.float32(high) - np.arctan(z / level)) * np.float32((height - 1) / (high - low))
         row = np.clip(row, 0.0, height - 1.0)
         sky = cv2.remap(self._sky, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        return np.asarray(cv2.convertScaleAbs(sky), dtype=np.uint8)
+        return np.asarray(sky, dtype=np.uint8)

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.sources.street.brushes import Texture, lit, mixed
 from semviz_core.sources.street.things import Color, FloatPicture
 
@@ -44,7 +44,7 @@ def noise(
     return np.asarray(field / field.std(), dtype=np.float32)
 
 
-def sky(rng: np.random.Generator, haze: Color) -> FloatPicture:
+def sky(rng: np.random.Generator, haze: Color) -> ByteImage:
     """Panorama (height, width, 3) of sky, clouds and far woods; all headings by elevation.
 
     Row 0 is its top; columns go with the heading from 0 to 2 pi.
@@ -64,7 +64,7 @@ def sky(rng: np.random.Generator, haze: Color) -> FloatPicture:
     opacity = 0.92 * clouds * (3.0 - 2.0 * clouds) * np.clip(elevation / 0.1, 0.15, 1.0)[..., None]
     colors += np.clip(opacity, 0, 1) * (white - colors)
     _far_woods(rng, colors, elevation, haze)
-    return colors
+    return np.asarray(cv2.convertScaleAbs(colors), dtype=np.uint8)
 
 
 def _far_woods(
