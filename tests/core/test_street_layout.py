@@ -1,5 +1,7 @@
 """The simulated street stands where it should, and sections are furnished as they say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -134,9 +136,9 @@ def test_signs_stand_in_front_of_their_poles_and_face_the_traffic() -> None:
         ({"sections": ()}, "section"),
     ],
 )
-def test_impossible_streets_are_refused(values: dict[str, object], words: str) -> None:
+def test_impossible_streets_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(SemvizError, match=words):
-        StreetOptions(**values)  # type: ignore[arg-type]
+        StreetOptions(**values)
 
 
 def test_frames_that_do_not_exist_are_named() -> None:

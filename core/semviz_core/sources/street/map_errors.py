@@ -133,7 +133,7 @@ def _displaced(elements: Elements3D, rows: BoolArray, rng: np.random.Generator) 
 
 
 def _with(elements: Elements3D, **values: FloatArray | IntArray) -> Elements3D:
-    return replace(elements, **values)  # type: ignore[arg-type]
+    return Elements3D(**{**vars(elements), **values})
 
 
 def _joined(one: Elements3D, other: Elements3D) -> Elements3D:
