@@ -24,6 +24,7 @@ from semviz.drive import (
 from semviz.workspace import Workspace
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame, Prior
+from semviz_core.localize import Localizer
 from semviz_core.map_file import save_map
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
@@ -82,7 +83,7 @@ def _drive(workspace: Workspace, semantic_map: SemanticMap) -> Drive:
     observe = observe_simulated(workspace, options)
     know = _sometimes_far_off(simulated_prior(options))
     street = workspace.street
-    return Drive(street, semantic_map, street.frames, observe, know, options)
+    return Drive(street, semantic_map, street.frames, observe, know, Localizer(), options)
 
 
 def _often_seen(street: Street, frames: range) -> int:

@@ -56,6 +56,7 @@ class Drive:
     frames: tuple[Frame, ...]
     observe: Observe
     know: Know
+    localizer: Localizer
     options: DriveOptions
 
     def __post_init__(self) -> None:
@@ -71,12 +72,11 @@ class Drive:
             raise SemvizError("the map is empty: label some poles and signs, then 'map build'")
 
     def __iter__(self) -> Iterator[FrameRecord]:
-        localizer = Localizer(self.options.method)
         for frame in self.frames:
             observed, element_id = self.observe(frame)
             prior = self.know(frame)
             submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
-            result = localizer.localize(observed, submap, self.source.rig.left, prior)
+            result = self.localizer.localize(observed, submap, self.source.rig.left, prior)
             image = self._picture(frame) if self.options.images else None
             yield FrameRecord(frame, result, element_id, image)
 
@@ -96,12 +96,14 @@ def drive_workspace(
     """The drive through a workspace's frames (those in ``frames``), in its map ``map_name``."""
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
+    localizer = Localizer(options.method, options.seed, semantic_map.classes)
     chosen = tuple(one for one in source.frames if frames is None or one.index in frames)
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)
     else:
         observe = observe_simulated(workspace, options)
-    return Drive(source, semantic_map, chosen, observe, simulated_prior(options), options)
+    know = simulated_prior(options)
+    return Drive(source, semantic_map, chosen, observe, know, localizer, options)
 
 
 def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
@@ -142,7 +144,11 @@ def simulated_prior(options: DriveOptions) -> Know:
 
 
 def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counter[str]:
-    """Write the run to ``path`` with a progress bar; how many frames got which status."""
+    """Write the run to ``path`` with a progress bar; how many frames got which status.
+
+    An interrupted run stays beside it as ``NAME.partial.rrd``, readable up to its last frame; an
+    earlier run at ``path`` is only replaced by a complete one.
+    """
     options = drive.options
     simulated = f"simulated detector, noise {options.noise}"
     info = RunInfo(
@@ -158,8 +164,10 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
         options=asdict(options),
     )
     counts: Counter[str] = Counter()
-    with RunWriter(path, info, drive.semantic_map) as writer:
+    unfinished = path.with_name(f"{path.stem}.partial.rrd")
+    with RunWriter(unfinished, info, drive.semantic_map) as writer:
         for one in track(drive, "localizing", len(drive.frames)):
             writer.write(one)
             counts[one.localization.status] += 1
+    unfinished.replace(path)
     return counts

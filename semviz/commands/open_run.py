@@ -20,4 +20,5 @@ class OpenRun:
     def run(self) -> int:
         if not self.run_file.is_file():
             raise SemvizError(f"{self.run_file}: no such run; make one with 'semviz localize'")
-        return subprocess.call([sys.executable, "-m", "rerun", str(self.run_file)])
+        viewer = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1"]
+        return subprocess.call([*viewer, str(self.run_file)])

@@ -1,0 +1,189 @@
+"""The command line: what people get wrong costs them one line, and nothing else."""
+
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from semviz.cli import main
+from semviz.workspace import TRUTH, Workspace
+from semviz_core.elements import Elements3D
+from semviz_core.map_file import load_map, save_map
+from semviz_core.semantic_map import MapFrame, SemanticMap
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Exit status, output and error output of one command."""
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in arguments])
+        output, errors = capsys.readouterr()
+        return int(ended.value.code or 0), output, errors
+
+    return run_command
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A localized street of 6 frames."""
+    folder = tmp_path_factory.mktemp("streets") / "street"
+    for command in (
+        ["new", folder, "--simulate", 3, "--frames", "0:6"],
+        ["localize", folder, "--map", TRUTH, "--out", folder / "runs" / "first.rrd"],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in command])
+        assert ended.value.code == 0
+    return folder
+
+
+def assert_refused(result: tuple[int, str, str], *words: str) -> None:
+    """Exit status 2 and one line that holds ``words``."""
+    status, output, errors = result
+    assert status == 2
+    assert output == ""
+    assert errors.startswith("semviz: ")
+    assert errors.count("\n") == 1, errors
+    for word in words:
+        assert word in errors
+
+
+def test_help_is_quick_and_light() -> None:
+    """Nothing heavy is imported before a command runs; the time itself is in bench/startup.py."""
+    code = (
+        "import sys\n"
+        "from semviz.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'torch', 'open3d', 'viser', 'rerun', 'cv2', 'scipy', 'pyarrow'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "serve" in done.stdout
+    assert done.stdout.rstrip().endswith("[]")
+
+
+@pytest.mark.parametrize(
+    "command", ["annotate", "localize", "serve", "map build", "map check", "labels export"]
+)
+def test_a_missing_workspace(run: Run, tmp_path: Path, command: str) -> None:
+    extra = [tmp_path / "out.jsonl"] if command == "labels export" else []
+    result = run(*command.split(), tmp_path / "nowhere", *extra)
+    assert_refused(result, "nowhere", "no such workspace", "semviz new")
+
+
+def test_a_folder_without_images(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "kitti").mkdir()
+    result = run("new", tmp_path / "town", "--kitti", tmp_path / "kitti")
+    assert_refused(result, "kitti")
+    assert not (tmp_path / "town").exists()
+
+
+def test_new_needs_one_source(run: Run, tmp_path: Path) -> None:
+    assert_refused(run("new", tmp_path / "town"), "--kitti", "--simulate")
+    both = run("new", tmp_path / "town", "--kitti", tmp_path, "--simulate", 1)
+    assert_refused(both, "--kitti", "--simulate")
+
+
+def test_new_never_overwrites(run: Run, street: Path) -> None:
+    before = (street / "semviz.toml").read_bytes()
+    assert_refused(run("new", street, "--simulate", 4), "not empty")
+    assert (street / "semviz.toml").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--frames", "3"),
+        ("--frames", "5:2"),
+        ("--frames", "a:b"),
+        ("--frames", "100:200"),
+        ("--prior-distance", "10:5"),
+        ("--prior-distance", "far"),
+        ("--method", "guess"),
+        ("--map", "nowhere"),
+        ("--map", "../escape"),
+    ],
+)
+def test_impossible_options(run: Run, street: Path, option: str, value: str) -> None:
+    out = street / "runs" / "refused.rrd"
+    options = {"--map": TRUTH, option: value}
+    words = [word for pair in options.items() for word in pair]
+    assert_refused(run("localize", street, *words, "--out", out))
+    assert not out.exists()
+
+
+def test_a_busy_port(run: Run, street: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = run("serve", street, "--port", port, "--no-open")
+    assert_refused(result, str(port), "in use", "--port")
+
+
+def test_a_map_of_another_frame(run: Run, street: Path) -> None:
+    path = Workspace.open(street).map_path("foreign")
+    save_map(replace(load_map(path.with_stem(TRUTH)), frame=MapFrame("elsewhere")), path)
+    result = run("localize", street, "--map", "foreign")
+    assert_refused(result, "elsewhere", "street-3")
+
+
+def test_an_empty_map(run: Run, street: Path) -> None:
+    workspace = Workspace.open(street)
+    nothing = Elements3D.from_ends([], np.zeros((0, 3)), np.zeros((0, 3)), [])
+    empty = SemanticMap(nothing, workspace.source.map_frame)
+    save_map(empty, workspace.map_path("empty"))
+    assert_refused(run("localize", street, "--map", "empty"), "empty")
+
+
+def test_no_labels_to_build_from(run: Run, street: Path) -> None:
+    assert_refused(run("map", "build", street), "label")
+    assert not Workspace.open(street).map_path("main").exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "serve"])
+def test_a_broken_run(run: Run, tmp_path: Path, command: str) -> None:
+    broken = tmp_path / "broken.rrd"
+    broken.write_bytes(b"not a recording at all")
+    options = ["--port", "0", "--no-open"] if command == "serve" else []
+    if command == "evaluate":
+        assert_refused(run(command, broken, *options), "broken.rrd")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "open"])
+def test_a_missing_run(run: Run, tmp_path: Path, command: str) -> None:
+    assert_refused(run(command, tmp_path / "none.rrd"), "none.rrd", "semviz localize")
+
+
+def test_a_run_from_street_to_numbers(run: Run, street: Path, tmp_path: Path) -> None:
+    first = street / "runs" / "first.rrd"
+    status, output, _ = run("evaluate", first, "--json", "--csv", tmp_path / "rows.csv")
+    assert status == 0
+    numbers = json.loads(output)
+    assert numbers["run"] == str(first)
+    assert numbers["frames"] == sum(numbers["status"].values()) == 6
+    assert set(numbers["rte_m"]) == set(numbers["rre_deg"]) == {"mean", "q1", "q2", "q3"}
+    assert {"share_below_1m", "share_below_1deg", "time_ms"} <= set(numbers)
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 7
+    status, output, _ = run("evaluate", first)
+    assert status == 0
+    assert "RTE" in output
+
+
+def test_the_same_seed_gives_the_same_run(run: Run, street: Path) -> None:
+    rows = []
+    for name in ("again", "once-more"):
+        path = street / "runs" / f"{name}.rrd"
+        run("localize", street, "--map", TRUTH, "--seed", 5, "--no-images", "--out", path)
+        numbers = json.loads(run("evaluate", path, "--json")[1])
+        rows.append({key: numbers[key] for key in ("status", "rte_m", "rre_deg")})
+    assert rows[0] == rows[1]
