@@ -27,7 +27,7 @@ NEAREST_M, FARTHEST_M = 2.5, 60.0
 SURE_RANGE_M = 1.0
 """A range with a smaller sigma is used as it is, a worse one only bounds the walk on the circle."""
 CIRCLE_STEP_M = 2.0
-MOST_PAIRS = 8_000
+MOST_PAIRS = 5_000
 """Pairs of matches tried for one image. Beyond, half of them are those of the observed elements
 with the fewest candidates (signs), half a random part of the rest. True poses are hit by dozens of
 pairs, so this costs no accuracy (bench/localize.py) and bounds the time."""

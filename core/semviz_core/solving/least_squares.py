@@ -120,8 +120,8 @@ def _step(linear: _Linear, damping: FloatArray) -> FloatArray:
     damped = linear.information.copy()
     diagonal = damped[:, index, index]
     damped[:, index, index] = diagonal * (1.0 + damping[:, None]) + 1e-9
-    step: FloatArray = -np.linalg.solve(damped, linear.gradient[..., None])[..., 0]
-    return step
+    step = np.linalg.solve(damped, -linear.gradient[..., None])[..., 0]
+    return np.asarray(step, dtype=np.float64)
 
 
 def _rotations(rotvec: FloatArray) -> FloatArray:

@@ -103,7 +103,7 @@ class Rows:
 
     def jacobian(self) -> FloatArray:
         """(b, k, 4, 6) derivative by the left perturbation of the pose: metres, then radians."""
-        turn = np.cross(self.anchor_c[..., None, :], self.by_anchor) + np.cross(
+        turn = cross(self.anchor_c[..., None, :], self.by_anchor) + cross(
             self.end_c[..., None, :], self.by_end
         )
         return np.concatenate([self.by_anchor + self.by_end, turn], axis=-1)
@@ -210,7 +210,7 @@ def prior_rows(
         across = perpendicular(prior.up_camera)
         residuals.append(up @ across.T / prior.up_sigma_rad)
         # d(up) = w x up, so the row e gives e . (w x up) = (up x e) . w
-        turn = np.cross(up[:, None, :], across[None])
+        turn = cross(up[:, None, :], across[None])
         jacobians.append(np.concatenate([np.zeros_like(turn), turn], axis=-1) / prior.up_sigma_rad)
     if prior.heading_rad is not None:
         ahead = rotation[:, 2, :]
@@ -219,19 +219,26 @@ def prior_rows(
         error = np.arctan2(np.sin(error), np.cos(error))
         # d(ahead) = R^T (z x w), so the row g gives (R g) . (z x w) = ((R g) x z) . w
         g = np.stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(ahead))], axis=-1) / flat[:, None]
-        turn = np.cross((rotation @ g[..., None])[..., 0], np.array([0.0, 0.0, 1.0]))
+        turn = cross((rotation @ g[..., None])[..., 0], np.array([0.0, 0.0, 1.0]))
         row = np.concatenate([np.zeros_like(turn), turn], axis=-1)[:, None, :]
         residuals.append(error[:, None] / prior.heading_sigma_rad)
         jacobians.append(row / prior.heading_sigma_rad)
     return np.concatenate(residuals, axis=1), np.concatenate(jacobians, axis=1)
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross product over the last axis; numpy's takes five times as long on small arrays."""
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+
+
 def perpendicular(unit: FloatArray) -> FloatArray:
     """(2, 3) two unit vectors perpendicular to ``unit`` and to each other."""
     helper = np.eye(3)[int(np.argmin(np.abs(unit)))]
-    first = np.cross(unit, helper)
+    first = cross(unit, helper)
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(unit, first)])
+    return np.stack([first, cross(unit, first)])
 
 
 def _ideal(camera: Camera, pixels_px: FloatArray) -> FloatArray:
@@ -273,7 +280,7 @@ def _beside(
     pole that stands upright in the image.
     """
     inverse = np.linalg.inv(K)
-    line = np.cross(end_c, anchor_c) @ inverse
+    line = cross(end_c, anchor_c) @ inverse
     norm = np.maximum(np.hypot(line[..., 0], line[..., 1]), _TINY)[..., None]
     ends = np.ones((*anchor_c.shape[:-1], 2, 3))
     ends[..., 0, :2] = anchor_px
@@ -282,6 +289,6 @@ def _beside(
     normal = np.concatenate([line[..., :2] / norm, np.zeros_like(norm)], axis=-1)
     by_line = (ends - beside[..., None] * normal[..., None, :]) / norm[..., None]
     ray = by_line @ inverse.T
-    by_anchor = np.cross(ray, end_c[..., None, :])
-    by_end = np.cross(anchor_c[..., None, :], ray)
+    by_anchor = cross(ray, end_c[..., None, :])
+    by_end = cross(anchor_c[..., None, :], ray)
     return beside, by_anchor, by_end
