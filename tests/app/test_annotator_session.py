@@ -14,7 +14,7 @@ from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 
-PEAK, BOTTOM = np.array([[3.0, -3.0, 14.0]]), np.array([[3.0, 1.6, 14.0]])
+PEAK, BOTTOM = np.array([[3.0, -1.2, 14.0]]), np.array([[3.0, 1.6, 14.0]])
 """A pole in the coordinates of frame 0's left camera."""
 
 
@@ -104,7 +104,7 @@ def test_a_drawing_off_the_epipolar_line_starts_a_new_element_and_says_so(
     first = draw(session, pole(session, 0, "left"))
     done = session.do(new_id(), pole(session, 0, "right", first, shift_px=(0.0, 14.0)))
     assert done.element_id != first
-    assert "7.0 px off P-01" in done.note
+    assert "px off P-01, so this is a new element" in done.note
 
 
 def test_another_class_never_pairs(session: LabelSession) -> None:
@@ -191,7 +191,7 @@ def test_the_card_knows_depth_height_and_errors_before_anything_is_saved(
     assert seen["joins"] == "P-01"
     card = seen["card"]
     assert card["depth_m"] == pytest.approx(14.0, abs=1e-6)
-    assert card["height_m"] == pytest.approx(4.6, abs=1e-6)
+    assert card["height_m"] == pytest.approx(2.8, abs=1e-6)
     assert card["epipolar_px"] == pytest.approx(0.0, abs=1e-6)
     assert card["views"] == 2
     assert card["depth_sigma_m"] > 0.0

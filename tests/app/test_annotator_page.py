@@ -1,0 +1,378 @@
+"""The labelling page in a real browser: what the mouse does, what is stored, what is never lost."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from journeys.driver import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, LabelDriver
+
+from semviz.annotator.server import Annotator
+from semviz.web.door import Door
+from semviz.workspace import Workspace
+from semviz_annotation.labels import Labels, Observation
+from semviz_core.camera import Rig
+from semviz_core.errors import SemvizError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.browser
+
+
+@dataclass
+class Served:
+    """A workspace behind the door."""
+
+    url: str
+    annotator: Annotator
+
+    @property
+    def labels(self) -> Labels:
+        return self.annotator.session.labels
+
+    @property
+    def observations(self) -> list[Observation]:
+        """Oldest first."""
+        return list(self.labels.observations.values())
+
+
+def serve(workspace: Workspace) -> Iterator[Served]:
+    annotator = Annotator(workspace, author="tester")
+    with Door(annotator).running() as url:
+        yield Served(url, annotator)
+    annotator.close()
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Workspace:
+    return Workspace.create_street(tmp_path / "street", 7, range(0, 4))
+
+
+@pytest.fixture
+def served(workspace: Workspace) -> Iterator[Served]:
+    yield from serve(workspace)
+
+
+@pytest.fixture
+def driver(page: "Page", served: Served) -> LabelDriver:
+    driver = LabelDriver(page)
+    driver.open(served.url)
+    return driver
+
+
+def stereo_pole(left: float = 600.0, disparity: float = 20.0):  # type: ignore[no-untyped-def]
+    """Peak and bottom of a pole in both images."""
+    right = left - disparity
+    return ((left, 60.25), (left + 1.5, 260.75)), ((right, 60.25), (right + 1.5, 260.75))
+
+
+def test_a_pole_drawn_left_and_right_is_one_element_and_survives_a_reload(
+    driver: LabelDriver, served: Served
+) -> None:
+    left, right = stereo_pole()
+    assert driver.draw_pair(POLE, left, right) == "P-01"
+    driver.page.reload()
+    driver.page.wait_for_selector('#elements .row:has-text("P-01")')
+    assert driver.page.inner_text("#saved") == "Saved operation 2"
+    assert len(served.labels.elements) == 1
+    for row, (peak, bottom) in zip(served.observations, (left, right), strict=True):
+        np.testing.assert_allclose(row.anchor_px, peak, atol=0.01)
+        np.testing.assert_allclose(row.end_px, bottom, atol=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.7, 5.0, 40.0])
+def test_clicks_land_on_the_pixel_under_the_pointer_at_every_zoom(
+    driver: LabelDriver, served: Served, scale: float
+) -> None:
+    driver.page.keyboard.press("4")
+    for side, pixel in (("left", (0.0, 0.0)), ("right", (1240.0, 375.0)), ("left", (333.3, 121.7))):
+        driver.zoom_to(side, pixel, scale)
+        before = driver.operation
+        driver.click_at(side, pixel)
+        driver.wait_saved(before)
+        np.testing.assert_allclose(served.observations[-1].anchor_px, pixel, atol=0.05)
+
+
+def test_both_images_have_the_same_zoom_and_pan(driver: LabelDriver) -> None:
+    driver.zoom_to("right", (900.0, 100.0), 6.0)
+    box = driver.page.locator("#left-image canvas.marks").bounding_box()
+    assert box is not None
+    driver.page.mouse.move(box["x"] + 500, box["y"] + 100)
+    driver.page.mouse.down(button="right")
+    driver.page.mouse.move(box["x"] + 440, box["y"] + 130, steps=2)
+    driver.page.mouse.up(button="right")
+    driver.settle()
+    views = [
+        driver.page.get_attribute(f"#{side}-image canvas.marks", "data-view")
+        for side in ("left", "right")
+    ]
+    assert views[0] == views[1]
+    assert driver.operation == 0
+
+
+def test_a_box_around_a_sign_gives_its_middle(driver: LabelDriver, served: Served) -> None:
+    middle = (700.37, 130.62)
+    driver.page.keyboard.press("3")
+    driver.zoom_to("left", middle)
+    view, before = driver.view("left"), driver.operation
+    driver.page.mouse.move(*view.screen((middle[0] - 6.5, middle[1] - 4.25)))
+    driver.page.mouse.down()
+    driver.page.mouse.move(*view.screen((middle[0] + 6.5, middle[1] + 4.25)), steps=4)
+    driver.page.mouse.up()
+    driver.wait_saved(before)
+    (row,) = served.observations
+    np.testing.assert_allclose(row.anchor_px, middle, atol=0.01)
+    assert served.labels.element(row.element_id).class_id == RECTANGULAR
+
+
+def test_escape_in_mid_drawing_leaves_nothing(driver: LabelDriver, served: Served) -> None:
+    driver.page.keyboard.press("1")
+    driver.click_at("left", (600.0, 100.0))
+    driver.page.wait_for_selector("#left-image .status:has-text('second click sets the bottom')")
+    driver.press("Escape")
+    driver.page.mouse.move(900, 300)
+    assert driver.draw_sign("left", (700.0, 120.0), TRIANGULAR) == "T-01"
+    assert [row.end_px for row in served.observations] == [None]
+
+
+def test_undo_and_redo_go_to_the_frame_that_they_change(
+    driver: LabelDriver, served: Served
+) -> None:
+    driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    driver.goto(2)
+    driver.press_and_save("Control+z")
+    driver.page.wait_for_selector('.tile.current[data-frame="0"]')
+    assert served.observations == []
+    driver.goto(1)
+    driver.press_and_save("Control+Shift+Z")
+    driver.page.wait_for_selector('.tile.current[data-frame="0"]')
+    assert len(served.observations) == 1
+    assert driver.page.inner_text("#history .row >> nth=0").split() == ["3", "Redo", "1"]
+
+
+def test_drag_nudge_flag_swap_and_delete(driver: LabelDriver, served: Served) -> None:
+    (peak, bottom), _ = stereo_pole()
+    driver.draw_pole("left", peak, bottom)
+    before = driver.operation
+    driver.zoom_to("left", bottom, 10.0)
+    view = driver.view("left")
+    driver.page.mouse.move(*view.screen(bottom))
+    driver.page.mouse.down()
+    driver.page.mouse.move(*view.screen((bottom[0] + 5.0, bottom[1] - 2.0)), steps=3)
+    driver.page.mouse.up()
+    driver.wait_saved(before)
+    for key in ("ArrowRight", "Shift+ArrowUp"):
+        driver.press_and_save(key)
+    (row,) = served.observations
+    np.testing.assert_allclose(row.anchor_px, peak, atol=0.01)
+    np.testing.assert_allclose(row.end_px, (bottom[0] + 5.1, bottom[1] - 3.0), atol=0.02)
+    driver.press_and_save("o")
+    assert not served.observations[0].end_known
+    driver.press_and_save("r")
+    assert served.observations[0].end_px == row.anchor_px
+    assert not served.observations[0].anchor_known
+    driver.press_and_save("Delete")
+    assert served.observations == []
+    assert "Ctrl Z brings all back" in driver.page.inner_text("#message")
+    driver.press_and_save("Control+z")
+    assert len(served.observations) == 1
+
+
+def test_two_drawn_apart_are_linked_and_one_class_becomes_another(
+    driver: LabelDriver, served: Served
+) -> None:
+    one = driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    two = driver.draw_sign("right", (680.0, 120.0), TRIANGULAR)
+    assert (one, two) == ("T-01", "T-02")
+    driver.click_at("left", (700.0, 120.0))
+    driver.page.keyboard.down("Control")
+    driver.click_at("right", (680.0, 120.0))
+    driver.page.keyboard.up("Control")
+    driver.press_and_save("p")
+    assert len(served.labels.elements) == 1
+    driver.select("T-01")
+    driver.press_and_save("Shift+Digit4")
+    assert [one.class_id for one in served.labels.elements.values()] == [ROUNDED]
+
+
+def test_reviewing_is_an_act_and_shows_in_the_frames(driver: LabelDriver, served: Served) -> None:
+    driver.press_and_save("Shift+Enter")
+    driver.page.wait_for_selector('.tile[data-frame="0"][title="Frame 0: reviewed, empty, 0 elements"]')
+    driver.press(".")
+    driver.goto(1)
+    assert served.labels.review(1) == "unseen"
+    assert "1 / 4" in driver.page.inner_text("#reviewed")
+
+
+def test_a_second_tab_sees_the_edits_of_the_first(driver: LabelDriver, served: Served) -> None:
+    second = driver.page.context.new_page()
+    other = LabelDriver(second)
+    other.open(served.url)
+    driver.page.bring_to_front()
+    driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    second.bring_to_front()
+    second.wait_for_selector('#elements .row:has-text("T-01")')
+    other.draw_sign("left", (300.0, 150.0), ROUNDED)
+    driver.page.bring_to_front()
+    driver.page.wait_for_selector('#elements .row:has-text("O-02")')
+    assert driver.page.inner_text("#saved") == "Saved operation 2"
+
+
+def test_the_new_element_appears_in_the_map(page: "Page", served: Served) -> None:
+    page.emulate_media(color_scheme="dark")
+    driver = LabelDriver(page)
+    driver.open(served.url, with_map=True)
+    page.wait_for_selector("#scene.ready")
+    left, right = stereo_pole(left=560.0, disparity=40.0)
+    driver.draw_pair(POLE, left, right)
+    driver.clear_selection()
+    page.wait_for_selector("#map-about:has-text('1 element')")
+    deadline = time.monotonic() + 30.0
+    while _count_pixels(page.locator("#scene").screenshot(), (239, 225, 84)) < 20:
+        assert time.monotonic() < deadline, "no pole in the 3D map"
+        time.sleep(0.5)
+
+
+def _count_pixels(png: bytes, color: tuple[int, int, int]) -> int:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    return int((np.abs(image.astype(int) - color).max(axis=-1) < 40).sum())
+
+
+def test_without_a_right_camera_the_left_image_is_labelled(
+    page: "Page", workspace: Workspace
+) -> None:
+    class OneCamera:
+        def __init__(self, source) -> None:  # type: ignore[no-untyped-def]
+            self.frames, self.map_frame = source.frames, source.map_frame
+            self.rig, self._source = Rig(source.rig.left), source
+
+        def image(self, index, side):  # type: ignore[no-untyped-def]
+            return self._source.image(index, side)
+
+    workspace.__dict__["source"] = OneCamera(workspace.source)
+    for served in serve(workspace):
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        assert page.inner_text("#right-image .message") == "This sequence has no right camera."
+        assert driver.draw_pole("left", (600.0, 60.0), (600.0, 250.0)) == "P-01"
+        driver.goto(1)
+        driver.draw_pole("left", (590.0, 50.0), (590.0, 255.0))
+        assert len(served.observations) == 2
+
+
+def test_an_image_that_cannot_be_read_says_why(
+    page: "Page", workspace: Workspace, page_errors: list[str]
+) -> None:
+    source = workspace.source
+    image = source.image
+
+    def broken(index, side):  # type: ignore[no-untyped-def]
+        if side == "right":
+            raise SemvizError("000000.png is 1242x375, calibration says 1241x376")
+        return image(index, side)
+
+    source.image = broken  # type: ignore[method-assign]
+    for served in serve(workspace):
+        page.goto(served.url)
+        page.wait_for_selector("#right-image .message:has-text('calibration says 1241x376')")
+    page_errors.clear()
+
+
+def test_every_command_is_in_the_help_and_no_key_is_taken_twice(driver: LabelDriver) -> None:
+    driver.page.keyboard.press("?")
+    text = driver.page.inner_text("dialog.help")
+    for title in ("Swap peak and bottom", "Reviewed, empty", "Redo", "Epipolar line", "Whole image"):
+        assert title in text
+    badges = driver.page.locator("dialog.help li .keys").all_inner_texts()
+    assert not {badge.strip().lower() for badge in badges} & set("wasdqe")
+
+
+class Killable:
+    """``semviz annotate`` in a process of its own, always on the same port."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = 0
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self) -> str:
+        command = [sys.executable, "-m", "semviz.cli", "annotate", str(self.folder), "--no-open"]
+        command += ["--port", str(self.port), "--author", "tester"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            found = re.search(r"http://\S+:(\d+)/", line)
+            if found:
+                self.port = int(found[1])
+                return found[0]
+        raise AssertionError("semviz annotate did not start")
+
+    def kill(self) -> None:
+        if self.process is not None:
+            os.kill(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            self.process = None
+
+
+@pytest.fixture
+def killable(workspace: Workspace) -> Iterator[Killable]:
+    server = Killable(workspace.path)
+    yield server
+    server.kill()
+
+
+def test_kill_9_loses_nothing_that_was_called_saved_nor_what_was_drawn_after(
+    page: "Page", workspace: Workspace, killable: Killable, page_errors: list[str]
+) -> None:
+    driver = LabelDriver(page)
+    driver.open(killable.start())
+    driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    killable.kill()
+    with workspace.open_labels() as store:
+        assert store.last_operation == 1
+        (kept,) = store.labels.observations.values()
+    np.testing.assert_allclose(kept.anchor_px, (700.0, 120.0), atol=0.01)
+
+    driver.press("Escape")
+    driver.click_at("left", (400.0, 150.0))
+    page.wait_for_selector("#saved:has-text('Offline, 1 kept here')")
+    page.keyboard.press("Control+z")
+    driver.click_at("left", (420.0, 150.0))
+    page.wait_for_selector("#saved:has-text('Offline, 3 kept here')")
+    killable.start()
+    page.wait_for_selector("#saved:has-text('Saved operation 4')", timeout=60_000)
+    killable.kill()
+    labels = workspace.read_labels()
+    places = sorted(row.anchor_px[0] for row in labels.observations.values())
+    np.testing.assert_allclose(places, (420.0, 700.0), atol=0.05)
+    page_errors.clear()  # the browser reports the connections that were refused
+
+
+def test_edits_kept_by_a_closed_page_are_saved_by_the_next_one(
+    page: "Page", workspace: Workspace, killable: Killable, page_errors: list[str]
+) -> None:
+    driver = LabelDriver(page)
+    url = killable.start()
+    driver.open(url)
+    killable.kill()
+    page.keyboard.press("2")
+    driver.click_at("left", (400.0, 150.0))
+    page.wait_for_selector("#saved:has-text('Offline, 1 kept here')")
+    next_page = page.context.new_page()
+    page.close()
+    killable.start()
+    next_page.goto(url)
+    next_page.wait_for_selector("#saved:has-text('Saved operation 1')", timeout=60_000)
+    assert len(workspace.read_labels().observations) == 1
+    page_errors.clear()
