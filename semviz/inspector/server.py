@@ -65,7 +65,7 @@ class InspectorSession:
         self._send = send
         self._state = State()
         self._run: Run | None = None
-        self._lock = threading.RLock()  # clicks in 3D come from viser's thread
+        self._lock = threading.RLock()  # clicks in 3D come in threads of viser's
         self._scene: SceneView | None = (
             None  # made when first shown: viser takes a second to import
         )

@@ -55,13 +55,13 @@ def verdict(localization: Localization, errors: Errors | None) -> str:
 def why_card(record: FrameRecord) -> dict[str, Any]:
     """Title, the solver's sentence, and rows of (label, value)."""
     one = record.localization
-    errors = errors_of(record)
+    answer, errors = one.T_camera_map, errors_of(record)
     return {
         "title": _title(one, errors),
         "sentence": one.reason,
         "rows": [row for row in _rows(record, errors) if row[1]],
-        "alternatives": _alternatives(one)[:LISTED],
-        "alternativesLeft": max(0, len(_alternatives(one)) - LISTED),
+        "alternatives": _alternatives(one),
+        "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - LISTED),
         "times": [[stage, ms] for stage, ms in one.time_ms.items()],
         "hypotheses": None if one.search is None else one.search.hypotheses,
     }
@@ -129,13 +129,13 @@ def _prior(record: FrameRecord) -> str:
 
 
 def _alternatives(localization: Localization) -> list[dict[str, Any]]:
-    """Other poses: how far from the answer, and how much less likely."""
+    """The first other poses: how far from the answer, and how much less likely."""
     answer = localization.T_camera_map
     if answer is None:
         return []
     best = None if localization.search is None else localization.search.score
     values = []
-    for name, other in zip("BCDEFGH", localization.alternatives, strict=False):
+    for name, other in zip("BCDEFGH"[:LISTED], localization.alternatives, strict=False):
         apart = difference(answer.inverse(), other.T_camera_map.inverse())
         known = best is not None and len(best) and np.isfinite(best[0] - other.score)
         values.append(

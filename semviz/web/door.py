@@ -82,9 +82,10 @@ class Door:
                 asyncio.run_coroutine_threadsafe(_serve(runner, listener), loop).result()
                 yield self._url(port)
             finally:
-                asyncio.run_coroutine_threadsafe(runner.cleanup(), loop).result(timeout=10)
+                asyncio.run_coroutine_threadsafe(_end(runner), loop).result(timeout=10)
                 loop.call_soon_threadsafe(loop.stop)
                 thread.join(timeout=5)
+                loop.close()
                 self._tool.scenes.close_all()
 
     def _app(self, port: int) -> web.Application:
@@ -108,6 +109,15 @@ class Door:
 async def _serve(runner: web.AppRunner, listener: socket.socket) -> None:
     await runner.setup()
     await web.SockSite(runner, listener).start()
+
+
+async def _end(runner: web.AppRunner) -> None:
+    """Closes the port and what is connected; sessions that wait for their page wait no longer."""
+    await runner.cleanup()
+    waiting = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in waiting:
+        task.cancel()
+    await asyncio.gather(*waiting, return_exceptions=True)
 
 
 def _bound(host: str, port: int) -> socket.socket:

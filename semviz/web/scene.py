@@ -132,7 +132,7 @@ class Scene:
     def make_clickable(
         self, elements: Elements3D, around_m: FloatArray, on_click: Callable[[int], None]
     ) -> None:
-        """Calls ``on_click`` with the id of the element that was clicked (in viser's event loop).
+        """Calls ``on_click`` with the id of the element that was clicked, in a thread of viser's.
 
         Only the ``CLICKABLE`` elements nearest to ``around_m`` on the ground plane answer.
         """
@@ -159,7 +159,7 @@ class Scene:
         self._keep("/pick", node)
 
         @node.on_click
-        async def clicked(event: "viser.SceneNodePointerEvent[viser.BatchedMeshHandle]") -> None:
+        def clicked(event: "viser.SceneNodePointerEvent[viser.BatchedMeshHandle]") -> None:
             if event.instance_index is not None:
                 on_click(int(ids[event.instance_index]))
 

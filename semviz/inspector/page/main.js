@@ -90,16 +90,15 @@ class Page {
     } else {
       this.wanted = frame.position;
     }
-    this.state = state;
-    this.each("showFrame", frame, state);
-    this.each("showState", state);
-    this.writeUrl();
+    this.each("showFrame", frame);
+    this.showState(state);
   }
 
   showState(state) {
     this.state = state;
     this.each("showState", state);
-    this.writeUrl();
+    clearTimeout(this.writing);
+    this.writing = setTimeout(() => this.writeUrl(), 60); // slow in browsers: not before painting
   }
 
   painted() {

@@ -123,7 +123,14 @@ export function enableZoomAndPan(canvas, view, changed, leftPans = () => true) {
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
 }
 
-/** A colour of the page's palette, such as `cssColor("--estimate")`. */
+const known = new Map();
+
+/** A colour of the page's palette in its present theme, such as `cssColor("--estimate")`. Kept:
+ * asking the style sheet makes the browser settle the whole page first. */
 export function cssColor(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const key = `${document.documentElement.dataset.theme} ${name}`;
+  if (!known.has(key)) {
+    known.set(key, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  }
+  return known.get(key);
 }

@@ -8,6 +8,7 @@ const HIDE = `[data-floating-window], .mantine-Notifications-root,
 export function showScene(frame, session, keys) {
   frame.addEventListener("load", () => {
     const inside = frame.contentDocument;
+    if (!inside) return; // the browser's own error page
     const style = inside.createElement("style");
     style.textContent = HIDE;
     inside.head.append(style);
