@@ -9,8 +9,10 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 import aiohttp
@@ -21,6 +23,8 @@ from semviz.web.door import Door
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
+
+Result = TypeVar("Result")
 
 UPGRADE = {
     "Connection": "Upgrade",
@@ -77,6 +81,12 @@ def tool() -> EchoTool:
 def url(tool: EchoTool) -> Iterator[str]:
     with Door(tool).running() as url:
         yield url
+
+
+def finished(work: Coroutine[Any, Any, Result]) -> Result:
+    """Runs in a thread: Playwright's fixtures leave a running event loop in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, work).result()
 
 
 def ask(
@@ -200,7 +210,7 @@ def test_a_page_that_comes_back_finds_its_session(tool: EchoTool, url: str) -> N
                     assert await page.receive_json() == {"type": "hello"}
             return ids
 
-    first, again, other = asyncio.run(visits())
+    first, again, other = finished(visits())
     assert first == again != other
     assert tool.made == [first, other]
 
@@ -217,7 +227,7 @@ def test_messages_are_answered_in_order_and_faults_are_shown(url: str) -> None:
             await page.send_json({"number": 1})
             return [json.loads((await page.receive()).data) for _ in range(5)]
 
-    first, fault, garbage, internal, last = asyncio.run(talk())
+    first, fault, garbage, internal, last = finished(talk())
     assert first == {"type": "echo", "number": 0}
     assert fault == {"type": "error", "text": "no frame 7; there are 3"}
     assert garbage["type"] == internal["type"] == "error"

@@ -154,7 +154,7 @@ def test_list_click_goes_to_the_failure_and_says_why(url: str, page: "Page") -> 
     wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
     assert page.locator("#why h3").text_content() == "No answer"
     assert "2 elements seen" in (page.locator("#why .sentence").text_content() or "")
-    assert "no error" in (page.locator("#numbers").text_content() or "")
+    assert "no pose" in (page.locator("#numbers").text_content() or "")
 
 
 def test_words_from_the_run_are_never_markup(url: str, page: "Page") -> None:

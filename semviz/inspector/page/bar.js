@@ -38,8 +38,9 @@ export class Bar {
     this.pointAt(frame.position);
     byId("status").replaceChildren(statusMark(frame.status), STATUS[frame.status]);
     byId("status").title = frame.reason;
+    const missing = frame.status === "cannot" ? "no pose" : "no truth";
     const error = frame.errorM === null
-      ? "no error to show"
+      ? missing
       : `${fixed(frame.errorM, 2)} m · ${fixed(frame.errorDeg, 2)}°`;
     byId("numbers").textContent = `${error} · ${fixed(frame.ms, 1)} ms`;
   }

@@ -5,12 +5,18 @@ import { statusMark } from "/static/glyphs.js";
 
 const STATUSES = ["ok", "ambiguous", "cannot"];
 
-/** Sure and wrong is the worst kind, then wrong, then no answer, then by error. */
+/** Sure and wrong is the worst kind, then wrong, then no answer, then doubt, then by error. */
 function badness(row) {
   if (row.sureAndWrong) return 3e6 + row.errorM;
   if (row.errorM > 1) return 2e6 + row.errorM;
   if (row.status === "cannot") return 1e6;
+  if (row.status === "ambiguous") return 5e5 + (row.errorM ?? 0);
   return row.errorM ?? 0;
+}
+
+function errorText(row) {
+  if (row.status === "cannot") return "none";
+  return row.errorM === null ? "—" : `${fixed(row.errorM, 2)} m`;
 }
 
 /** Neighbouring frames with the same verdict become one row, but for healthy ones. */
@@ -89,7 +95,7 @@ function listRow(group) {
   const row = el("li", { class: "row", title: group.reason, data: { position: group.position } },
     statusMark(group.status),
     el("span", { class: "index", text: group.index }),
-    el("span", { class: group.sureAndWrong ? "wrong" : "", text: group.errorM === null ? "none" : `${fixed(group.errorM, 2)} m` }),
+    el("span", { class: group.sureAndWrong ? "wrong" : "", text: errorText(group) }),
     el("span", { class: "verdict", text: group.verdict }),
     el("span", { class: "count", text: group.members.length > 1 ? `${group.members.length}×` : "" }));
   row.members = group.members;

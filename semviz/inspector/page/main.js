@@ -78,7 +78,7 @@ class Page {
 
   showRun(run) {
     this.run = run;
-    this.notice(run.note);
+    this.notice(run.note, true);
     this.each("showRun", run);
   }
 
@@ -174,10 +174,10 @@ class Page {
     for (const panel of this.panels) panel[method]?.(...values);
   }
 
-  notice(text, offline = false) {
+  notice(text, mild = false) {
     const box = byId("notice");
     box.textContent = text;
-    box.classList.toggle("offline", offline);
+    box.classList.toggle("mild", mild);
     box.hidden = !text;
   }
 
