@@ -15,6 +15,8 @@ CLICK_SCALE = 12.0
 """CSS pixels to the image pixel before a click: it lands within 0.05 px even if rounded."""
 ZOOM_PER_WHEEL = 0.002
 """Logarithm of the zoom by one unit of the wheel."""
+RIM = 4.0
+"""CSS pixels along the canvas's edge where the browser's rounding may miss it."""
 WAIT_MS = 30_000
 
 
@@ -159,7 +161,7 @@ class LabelDriver:
         try:
             self.page.wait_for_function(reached, arg=before, timeout=WAIT_MS)
         except Exception:
-            said = self.page.inner_text("#message") if self.page.is_visible("#message") else ""
+            said = self.page.text_content("#message") or ""
             shown = self.page.inner_text("#saved")
             raise AssertionError(f"not saved; the page says {said!r} and shows {shown!r}") from None
         self.settle()
@@ -168,21 +170,51 @@ class LabelDriver:
 
     def view(self, side: Side) -> View:
         """Where the image of ``side`` lies now."""
-        canvas = self.page.locator(f"#{side}-image canvas.marks")
-        box = canvas.bounding_box()
-        scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
-        assert box is not None
-        return View(scale, box["x"] + x, box["y"] + y)
+        shown = self.page.get_attribute(f"#{side}-image canvas.marks", "data-view")
+        scale, x, y = map(float, (shown or "").split())
+        left, top, _, _ = self._box(side)
+        return View(scale, left + x, top + y)
 
     def zoom_to(self, side: Side, pixel: Pixel, scale: float = CLICK_SCALE) -> None:
-        """Zooms by the wheel with the pointer on ``pixel`` until ``scale`` is reached."""
+        """Zooms by the wheel with the pointer on ``pixel`` until ``scale`` is reached.
+
+        What then lies at the rim of the canvas is dragged towards its middle.
+        """
         self.press("0")
         whole = self.view(side)
-        self.page.mouse.move(*whole.screen(pixel))
-        self.page.mouse.wheel(0, -math.log(1.01 * scale / whole.scale) / ZOOM_PER_WHEEL)
+        self.page.mouse.move(*self._inside(side, whole.screen(pixel)))
+        factor = max(1.0, 1.01 * scale / whole.scale)
+        self.page.mouse.wheel(0, -math.log(factor) / ZOOM_PER_WHEEL)
         zoomed = f"""scale => Number(document.querySelector("#{side}-image canvas.marks")
             .dataset.view.split(" ")[0]) >= scale"""
-        self.page.wait_for_function(zoomed, arg=scale, timeout=WAIT_MS)
+        self.page.wait_for_function(zoomed, arg=min(scale, factor * whole.scale), timeout=WAIT_MS)
+        at = self.view(side).screen(pixel)
+        if at != self._inside(side, at):
+            self._drag_to_middle(side, at)
+
+    def _drag_to_middle(self, side: Side, at: Pixel) -> None:
+        box = self._box(side)
+        middle = box[0] + box[2] / 2, box[1] + box[3] / 2
+        start = self._inside(side, at)
+        self.page.mouse.move(*start)
+        self.page.mouse.down(button="right")
+        for share in (0.5, 1.0):
+            by = ((goal - now) * share for goal, now in zip(middle, at, strict=True))
+            self.page.mouse.move(*(one + step for one, step in zip(start, by, strict=True)))
+        self.page.mouse.up(button="right")
+        self.settle()
+
+    def _inside(self, side: Side, at: Pixel) -> Pixel:
+        """The nearest place on the canvas that is not at its rim."""
+        left, top, width, height = self._box(side)
+        x = min(max(at[0], left + RIM), left + width - RIM)
+        y = min(max(at[1], top + RIM), top + height - RIM)
+        return x, y
+
+    def _box(self, side: Side) -> tuple[float, float, float, float]:
+        box = self.page.locator(f"#{side}-image canvas.marks").bounding_box()
+        assert box is not None
+        return box["x"], box["y"], box["width"], box["height"]
 
     def click_at(self, side: Side, pixel: Pixel) -> None:
         """A click on ``pixel`` at the zoom there is."""
@@ -217,7 +249,7 @@ class LabelDriver:
         self.wait_saved(before)
         name = self.selected
         if element is not None and name != element:
-            said = self.page.inner_text("#message")
+            said = self.page.text_content("#message")
             raise AssertionError(f"drawn for {element} but became {name or 'nothing'}: {said}")
         self.press("0")
         return name
