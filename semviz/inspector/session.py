@@ -58,9 +58,10 @@ class State:
 
     def looking(self, view: str) -> "State":
         """From another viewpoint."""
-        if view not in get_args(View):
-            raise SemvizError(f"no viewpoint '{view}'; there are {', '.join(get_args(View))}")
-        return replace(self, view=view)  # type: ignore[arg-type]
+        known: dict[str, View] = {one: one for one in get_args(View)}
+        if view not in known:
+            raise SemvizError(f"no viewpoint '{view}'; there are {', '.join(known)}")
+        return replace(self, view=known[view])
 
     def themed(self, theme: str) -> "State":
         """Dark or light."""

@@ -123,18 +123,12 @@ async def _pump(source: Socket, target: Socket) -> None:
 
 
 def _start_server() -> "viser.ViserServer":
-    import viser
+    from semviz.web.private_server import PrivateServer
 
     with _quiet_console():
-        server = viser.ViserServer(host=_loopback_address(), port=0, verbose=False)
-    # viser lets any client open a public tunnel to the scene
-    server.request_share_url = _no_sharing  # type: ignore[method-assign]
+        server = PrivateServer(host=_loopback_address(), port=0, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
     return server
-
-
-def _no_sharing(verbose: bool = True) -> None:
-    """Takes the place of viser's sharing: scenes never leave this machine."""
 
 
 def _loopback_address() -> str:

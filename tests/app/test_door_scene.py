@@ -127,3 +127,11 @@ def test_view_keeps_its_place_relative_to_the_vehicle(turn: float, x: float, y: 
     moved, expected = _carried(behind(level), level, after), behind(after)
     assert np.allclose(moved.eye_m, expected.eye_m)
     assert np.allclose(moved.target_m, expected.target_m)
+
+
+def test_no_client_can_share_a_scene() -> None:
+    scenes = Scenes()
+    try:
+        assert scenes.scene("one").request_share_url() is None
+    finally:
+        scenes.close_all()
