@@ -76,7 +76,7 @@ class Localizer:
         refined = watch.time("refine", lambda: refine(scene, camera, prior, _pose(modes, 0), pairs))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
-        verdict = judge(modes, refined, len(observed))
+        verdict = judge(modes, refined, observed, submap)
         answered = verdict.status != "cannot"
         return replace(
             work,

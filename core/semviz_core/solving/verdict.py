@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.localization import Status
 from semviz_core.solving.refine import NEEDED_PAIRS, Refined
 from semviz_core.solving.search import Modes, apart
@@ -13,7 +14,8 @@ AMBIGUOUS_NATS = 12.0
 suite of bench/localize.py as the smallest gap without a wrong ``ok``; at 20 sparse scenes lose a
 further eighth of their answers."""
 LEAST_SHARE = 0.5
-"""Share of the elements seen that must fit: a wrong place explains a few by chance, seldom half."""
+"""Share of the elements seen that must fit, of those that the submap could explain: a wrong place
+explains a few by chance, seldom half."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +25,17 @@ class Verdict:
     """One sentence with numbers."""
 
 
-def judge(modes: Modes, refined: Refined, seen: int) -> Verdict:
-    """Judge the refined best of ``modes`` for an image with ``seen`` elements."""
+def judge(modes: Modes, refined: Refined, observed: Elements2D, submap: Elements3D) -> Verdict:
+    """Judge the refined best of ``modes``."""
+    seen, explicable = len(observed), _explicable(observed, submap)
     fitting = int(refined.refinement.inlier.sum())
     if fitting < NEEDED_PAIRS:
         return Verdict("cannot", f"{fitting} of {seen} elements fit, {NEEDED_PAIRS} needed.")
-    if fitting < LEAST_SHARE * seen:
+    if fitting < (needed := int(np.ceil(LEAST_SHARE * explicable))):
+        mapped = "" if explicable == seen else f" ({explicable} can be in the submap)"
         return Verdict(
             "cannot",
-            f"Only {fitting} of {seen} elements fit the best pose; "
-            f"{int(np.ceil(LEAST_SHARE * seen))} needed.",
+            f"Only {fitting} of {seen} elements{mapped} fit the best pose; {needed} needed.",
         )
     T = refined.T_camera_map
     away, angle = apart(T.rotation, T.translation, modes.rotation, modes.translation)
@@ -50,3 +53,11 @@ def judge(modes: Modes, refined: Refined, seen: int) -> Verdict:
     sigma = float(np.sqrt(np.trace(refined.covariance[:3, :3])))
     next_best = f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
     return Verdict("ok", f"{fitting} of {seen} elements fit, {sigma:.2f} m{next_best}.")
+
+
+def _explicable(observed: Elements2D, submap: Elements3D) -> int:
+    """How many observed elements the submap has enough elements of the right class for."""
+    classes = np.union1d(observed.class_id, submap.class_id)
+    seen = (observed.class_id[:, None] == classes).sum(axis=0)
+    mapped = (submap.class_id[:, None] == classes).sum(axis=0)
+    return int(np.minimum(seen, mapped).sum())
