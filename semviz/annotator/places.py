@@ -1,6 +1,6 @@
 """Where label elements are in space, as far as their observations tell."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.triangulate import Failed, Triangulated, View, rig_view, triangulate
@@ -22,12 +22,19 @@ class Places:
             frame.index: None if frame.T_map_camera is None else frame.T_map_camera.inverse()
             for frame in frames
         }
+        self._labels = Labels()
+        self._mapped: dict[str, Triangulated] = {}
         self._known: dict[str, tuple[tuple[Observation, ...], Place]] = {}
 
-    def mapped(self, labels: Labels) -> dict[str, Triangulated]:
+    def mapped(self, labels: Labels) -> Mapping[str, Triangulated]:
         """The elements of ``labels`` that have a place in the map frame, by id."""
-        places = {one: self.of_element(labels, one) for one in labels.elements}
-        return {one: place for one, place in places.items() if isinstance(place, Triangulated)}
+        if labels is not self._labels:
+            places = {one: self.of_element(labels, one) for one in labels.elements}
+            self._labels = labels
+            self._mapped = {
+                one: place for one, place in places.items() if isinstance(place, Triangulated)
+            }
+        return self._mapped
 
     def of_element(self, labels: Labels, element_id: str) -> Place:
         """One element in the map frame."""

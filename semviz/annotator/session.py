@@ -1,6 +1,7 @@
 """Labelling one workspace: what the page can ask for and do. No web, no screen."""
 
 import hashlib
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -81,6 +82,9 @@ class LabelSession:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
         self._store = workspace.open_labels()
         self._places = Places(self.rig, self.source.frames)
+        self._history: deque[Json] = deque(maxlen=HISTORY)
+        """Newest first."""
+        self._told = max(0, self._store.last_operation - HISTORY)
 
     def close(self) -> None:
         self._store.close()
@@ -284,17 +288,16 @@ class LabelSession:
         return ghosts_in(frame_index, T_camera_map, self.rig, labels, mapped)
 
     def _state(self, labels: Labels) -> Json:
-        last = self._store.last_operation
-        history = self._store.operations(after=max(0, last - HISTORY))
+        for one in self._store.operations(after=self._told):
+            self._history.appendleft(views.operation_json(one, labels, self.classes))
+            self._told = one.number
         return {
-            "operation": last,
+            "operation": self._told,
             "counts": views.class_counts(labels),
             "mapped": len(self._places.mapped(labels)),
             "can_undo": self._store.undoable(self.author) is not None,
             "can_redo": self._store.redoable(self.author) is not None,
-            "history": [
-                views.operation_json(one, labels, self.classes) for one in reversed(history)
-            ],
+            "history": list(self._history),
         }
 
     def _known(self, index: int) -> None:

@@ -53,9 +53,7 @@ def url(annotator: Annotator) -> Iterator[str]:
         yield url
 
 
-def test_three_poles_and_a_sign_in_two_frames(
-    workspace: Workspace, url: str, page: "Page"
-) -> None:
+def test_three_poles_and_a_sign_in_two_frames(workspace: Workspace, url: str, page: "Page") -> None:
     street = workspace.source
     assert isinstance(street, Street)
     truths = _chosen(street)

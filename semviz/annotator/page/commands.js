@@ -26,8 +26,8 @@ export function commands(state, images, tools, actions) {
     { key: "Click element", ctrl: true, group: "Edit", title: "Select a second one, to link" },
     { key: "p", group: "Edit", title: "Link the two selected: one thing", run: edit.link },
     { key: "u", group: "Edit", title: "Unlink: this view shows another thing", run: edit.unlink },
-    ...["1", "2", "3", "4"].map((key, id) => ({
-      key, shift: true, group: "Edit", title: `Selected becomes ${CLASS_NAMES[id]}`,
+    ...[1, 2, 3].map((id) => ({
+      key: String(id + 1), shift: true, group: "Edit", title: `Selected sign becomes ${CLASS_NAMES[id]}`,
       run: () => edit.setClass(id),
     })),
     { key: "o", group: "Edit", title: "Bottom hidden, or seen again", run: () => edit.flag("end_known") },

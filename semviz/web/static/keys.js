@@ -56,7 +56,7 @@ export class Keys {
   showHelp(title) {
     const groups = Map.groupBy(this.commands, (command) => command.group);
     const sections = [...groups].map(([name, commands]) =>
-      el("section", {}, el("h3", { text: name }), el("ul", {}, ...commands.map(helpRow))));
+      el("section", {}, el("h3", { text: name }), el("ul", {}, ...Map.groupBy(commands, helpKey).values().map(helpRow))));
     const close = el("button", { class: "small", text: "Close", onclick: () => dialog.close() });
     const dialog = el("dialog", { class: "help" },
       el("h2", { text: title }), el("div", { class: "groups" }, ...sections), close);
@@ -68,9 +68,15 @@ export class Keys {
   }
 }
 
-function helpRow(command) {
-  const badges = keyName(command).split(" ").map((name) => el("kbd", { text: name }));
-  return el("li", {}, el("span", { class: "keys" }, ...badges), el("span", { text: command.title }));
+/** Commands with one title and the same modifiers share a row. */
+function helpKey({ title, ctrl = false, shift = false }) {
+  return `${title} ${ctrl} ${shift}`;
+}
+
+function helpRow([first, ...more]) {
+  const plain = more.map(({ key }) => keyName({ key }));
+  const badges = [...keyName(first).split(" "), ...plain].map((name) => el("kbd", { text: name }));
+  return el("li", {}, el("span", { class: "keys" }, ...badges), el("span", { text: first.title }));
 }
 
 function isTyping(target) {
