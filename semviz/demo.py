@@ -1,8 +1,9 @@
 """The built-in demo: a simulated street, localized, in which some frames fail for known reasons.
 
-Along the drive: an ordinary street where one sign of the map has been moved; a stretch with too
-little to see; a few GPS fixes that are far off; a row of equal poles, where one place looks like
-the next; and an ordinary street again.
+Along the drive: an ordinary street; one of its poles stands elsewhere in the map, which matters
+where few others are in view; a stretch with too little to see; an ordinary street with a few GPS
+fixes that are far off; a row of equal poles, where one place looks like the next; and an ordinary
+street again.
 """
 
 import shutil
@@ -42,7 +43,7 @@ SECTIONS = (
     Section("row", 60.0),
     Section("normal", 60.0),
 )
-MOVED_IN_FRAMES = range(4, 22)
+MOVED_IN_FRAMES = range(20, 29)
 MOVED_BY_M = (1.5, 0.8, 0.0)
 FAR_OFF_FRAMES = range(72, 76)
 FAR_OFF_M = (70.0, 75.0)

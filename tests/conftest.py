@@ -5,6 +5,7 @@ Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -55,6 +56,21 @@ def kitti_pole_map(kitti_root: Path) -> Path:
     if not path.is_file():
         skip_or_fail(f"no pole map {path}")
     return path
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """For child processes: this Python's scripts first, and a cache folder of the tests' own.
+
+    The demo is made there once for all tests.
+    """
+    scripts = Path(sys.executable).parent
+    return {
+        **os.environ,
+        "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")),
+        "PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}",
+        "COLUMNS": "100",
+    }
 
 
 @pytest.fixture(scope="session")

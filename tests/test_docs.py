@@ -1,6 +1,5 @@
 """Every command in the README and in docs/ works as it is written."""
 
-import os
 import re
 import shlex
 import subprocess
@@ -20,14 +19,6 @@ SERVERS = ("serve", "annotate")
 def commands_of(page: Path) -> list[str]:
     blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     return [line.strip() for block in blocks for line in block.splitlines() if line.strip()]
-
-
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    cache = tmp_path_factory.mktemp("cache")
-    scripts = Path(sys.executable).parent
-    path = f"{scripts}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "XDG_CACHE_HOME": str(cache), "PATH": path, "COLUMNS": "100"}
 
 
 def run(command: str, folder: Path, environment: dict[str, str]) -> None:

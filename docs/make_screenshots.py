@@ -1,0 +1,108 @@
+"""Makes the pictures of the README and the docs from the simulated street.
+
+    python docs/make_screenshots.py
+
+Needs Chromium and the test extra. Everything shown is simulated; no data set is needed.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+from semviz.annotator.server import Annotator
+from semviz.demo import RUN, ensure_demo
+from semviz.inspector.server import Inspector
+from semviz.web.door import Door
+from semviz.workspace import Workspace
+from semviz_annotation.edits import AddObservation
+from semviz_annotation.labels import new_id
+from semviz_core.sources.source import Side
+
+IMAGES = Path(__file__).parent / "images"
+CHROMIUM = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+]
+SHOWN_FRAME = 88
+LABELLED_FRAMES = range(3)
+SETTLED_MS = 15_000
+"""Software rendering takes its time."""
+
+
+@contextmanager
+def browser_page(width: int = 1600, height: int = 950) -> Iterator[Page]:
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
+        yield browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
+        browser.close()
+
+
+def take_inspector(page: Page) -> None:
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={SHOWN_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        page.screenshot(path=IMAGES / "serve.png")
+        page.goto("about:blank")
+
+
+def take_annotator(page: Page) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        workspace = Workspace.create_street(Path(folder) / "street", 7, range(10))
+        label(workspace)
+        with Door(Annotator(workspace, author="you")).running() as url:
+            page.goto(url)
+            page.wait_for_timeout(SETTLED_MS)
+            page.screenshot(path=IMAGES / "annotate.png")
+            page.goto("about:blank")
+
+
+def label(workspace: Workspace) -> None:
+    """Most of what is visible in the first frames, as a careful annotator would have it."""
+    elements: dict[int, str] = {}
+    sides: tuple[Side, Side] = ("left", "right")
+    with workspace.open_labels() as store:
+        for index in LABELLED_FRAMES:
+            for side in sides:
+                observed, numbers = workspace.street.labels(index, side)
+                for row, number in enumerate(numbers.tolist()):
+                    if index == LABELLED_FRAMES[-1] and number % 3:
+                        continue  # leaves something expected, dashed, in the last frame
+                    known = number in elements
+                    end = observed.end_px[row]
+                    edit = AddObservation(
+                        observation_id=new_id(),
+                        element_id=elements.setdefault(number, new_id()),
+                        frame_index=index,
+                        side=side,
+                        anchor_px=(
+                            float(observed.anchor_px[row, 0]),
+                            float(observed.anchor_px[row, 1]),
+                        ),
+                        end_px=(float(end[0]), float(end[1])) if observed.is_line[row] else None,
+                        anchor_known=bool(observed.anchor_known[row]),
+                        end_known=bool(observed.end_known[row]),
+                        class_id=None if known else int(observed.class_id[row]),
+                    )
+                    store.apply(edit, "you")
+
+
+def main() -> None:
+    IMAGES.mkdir(exist_ok=True)
+    with browser_page() as page:
+        take_inspector(page)
+        take_annotator(page)
+    for path in sorted(IMAGES.glob("*.png")):
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

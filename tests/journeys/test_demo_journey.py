@@ -1,0 +1,119 @@
+"""A new user's first minute: ``semviz serve`` makes the demo and shows why frames fail."""
+
+import io
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from semviz.demo import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
+from semviz.recording.reader import load_run
+from semviz.recording.run import Run
+from semviz.workspace import TRUTH, Workspace
+from semviz_core.evaluation.metrics import pose_error
+from semviz_core.map_file import load_map
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+TOO_FEW_FRAMES = range(38, 44)
+ROW_FRAMES = range(96, 106)
+
+
+@pytest.fixture(scope="module")
+def address(environment: dict[str, str]) -> Iterator[str]:
+    """Of ``semviz serve`` with nothing given, once it says that it listens."""
+    command = [sys.executable, "-m", "semviz.cli", "serve", "--no-open", "--port", "0"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    found = (re.search(r"http://\S+", line) for line in process.stdout)
+    try:
+        yield next(filter(None, found)).group()
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+
+
+@pytest.fixture(scope="module")
+def workspace(address: str, environment: dict[str, str]) -> Workspace:
+    (folder,) = Path(environment["XDG_CACHE_HOME"]).glob("semviz/demo-*")
+    return Workspace.open(folder)
+
+
+@pytest.fixture(scope="module")
+def run(workspace: Workspace) -> Run:
+    return load_run(workspace.run_path(RUN))
+
+
+def reasons(run: Run, frames: range, status: str) -> list[str]:
+    chosen = [one.localization for one in run.frames if one.frame.index in frames]
+    return [one.reason for one in chosen if one.status == status]
+
+
+def errors_m(run: Run, status: str) -> list[float]:
+    return [
+        pose_error(found.T_camera_map, truth.inverse())[0]
+        for found, truth in zip(
+            run.localizations, (one.frame.T_map_camera for one in run.frames), strict=True
+        )
+        if found.status == status and found.T_camera_map is not None and truth is not None
+    ]
+
+
+@pytest.mark.timeout(400)
+def test_frames_fail_for_the_reasons_that_were_planted(workspace: Workspace, run: Run) -> None:
+    assert run.complete
+    too_few = reasons(run, TOO_FEW_FRAMES, "cannot")
+    assert len(too_few) >= 4
+    assert all("needed" in reason for reason in too_few)
+    assert len(reasons(run, FAR_OFF_FRAMES, "ok")) == 0
+    ambiguous = reasons(run, ROW_FRAMES, "ambiguous")
+    assert len(ambiguous) >= 7
+    assert all("poses fit" in reason for reason in ambiguous)
+    truth, shown = (load_map(workspace.map_path(name)) for name in (TRUTH, MAP))
+    shift = np.linalg.norm(shown.elements.anchor_m - truth.elements.anchor_m, axis=1)
+    assert np.count_nonzero(shift > 1.0) == np.count_nonzero(shift) == 1
+    moved = int(truth.elements.id[shift.argmax()])
+    hurt = [
+        one.frame.index
+        for one in run.frames
+        if moved in one.element_id and one.localization.status != "ok" and len(one.element_id) >= 4
+    ]
+    assert set(hurt) & set(MOVED_IN_FRAMES)
+
+
+def test_most_frames_are_right_and_none_is_sure_and_wrong(run: Run) -> None:
+    errors = errors_m(run, "ok")
+    assert len(errors) > len(run.frames) / 2
+    assert np.median(errors) < 0.1
+    assert max(errors) < 1.0
+
+
+@pytest.mark.browser
+@pytest.mark.timeout(400)
+def test_the_page_shows_what_the_run_holds(address: str, run: Run, page: "Page") -> None:
+    page.goto(f"{address}?frame={ROW_FRAMES[0]}")
+    page.wait_for_selector("#frame-list li", timeout=60_000)
+    page.wait_for_selector("#why-body:has-text('poses fit')", timeout=60_000)
+    (record,) = [one for one in run.frames if one.frame.index == ROW_FRAMES[0]]
+    assert page.inner_text("#status") == "Ambiguous"
+    assert record.localization.reason in page.inner_text("#why-body")
+    assert f"All {len(run.frames)}" in page.inner_text("#filters").replace("\n", " ")
+    assert record.localization.T_camera_map is not None
+    assert record.frame.T_map_camera is not None
+    rte_m, _ = pose_error(record.localization.T_camera_map, record.frame.T_map_camera.inverse())
+    assert f"{rte_m:.2f} m" in page.inner_text("#numbers")
+    first = page.locator("#frame-list li").first
+    assert "none" in first.inner_text()
+    first.click()
+    page.wait_for_function("document.getElementById('status').textContent === 'Cannot'")
+    assert "poses fit" not in page.inner_text("#why-body")
+    assert page.locator("#scene").is_visible()
+    canvas = io.BytesIO(page.locator("#image-canvas").screenshot())
+    assert np.asarray(Image.open(canvas).convert("RGB")).std() > 20
