@@ -54,3 +54,13 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(SemvizError, match="cannot be written"), replacing(tmp_path / "file" / "x"):
         pass
+
+
+def test_colleagues_may_read_what_the_umask_lets_them(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        with replacing(tmp_path / "file.txt") as temporary:
+            temporary.write_text("for the group")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "file.txt").stat().st_mode & 0o777 == 0o640

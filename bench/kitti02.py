@@ -1,0 +1,114 @@
+"""What semviz reaches on real images: KITTI odometry 02, frames 0 to 19, with our own labels.
+
+    python bench/kitti02.py /data/kitti
+
+Builds the map from the even frames and measures on the odd ones. Prints the tables of
+docs/kitti02.md. The labels are in docs/kitti02/labels.jsonl; the images are not part of the project.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from semviz.drive import DriveOptions, drive_workspace
+from semviz.workspace import Workspace
+from semviz_annotation.accuracy import mapping_accuracy
+from semviz_annotation.build_map import BuildOptions, build_map
+from semviz_annotation.exchange import import_operations
+from semviz_annotation.labels import Labels
+from semviz_annotation.observe import observe
+from semviz_core.evaluation.metrics import summarize
+from semviz_core.localization import Localization
+from semviz_core.map_file import save_map
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+from semviz_core.solving.residuals import pair_residuals
+from semviz_core.sources.source import Side, Source
+
+LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
+EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
+SEEDS = range(20)
+"""Of the simulated GPS fixes: 20 times 10 frames."""
+
+
+def main() -> None:
+    kitti = Path(sys.argv[1])
+    with tempfile.TemporaryDirectory() as folder:
+        workspace = Workspace.create_kitti(Path(folder) / "town", kitti, "02", (2, 3), range(20))
+        with workspace.open_labels() as store:
+            import_operations(LABELS, store)
+            labels = store.labels
+        print(f"{len(labels.elements)} elements, {len(labels.observations)} observations\n")
+        semantic_map, report = build_map(labels, workspace.source, BuildOptions(), EVEN)
+        save_map(semantic_map, workspace.map_path("even"))
+        print(f"map from the even frames: {len(semantic_map)} elements, {report.pairs} pairs")
+        print("\nmap projected into the odd frames, minus labels")
+        print(mapping_accuracy(semantic_map, labels, workspace.source, ODD).as_text())
+        print_residuals(semantic_map, labels, workspace.source)
+        print_localization(workspace)
+
+
+def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Source) -> None:
+    """Label minus map under the true poses: by element, by frame, and between the cameras."""
+    rows = [one for index in range(20) for one in residuals(semantic_map, labels, source, index)]
+    across = np.array([one[3] for one in rows])
+    names = np.array([one[0] for one in rows])
+    frames = np.array([one[1] for one in rows])
+    right = np.array([one[2] == "right" for one in rows])
+    print("\nacross-track residual by element, all frames, both images: rms and mean, px")
+    for name in np.unique(names):
+        of = across[names == name]
+        print(f"  {name:<6} {np.sqrt(np.square(of).mean()):5.2f} {of.mean():+6.2f}  ({len(of)})")
+    print("\nmean residual by frame, left image: across (u), along (v, signs only), px")
+    v = np.array([one[4] for one in rows])
+    for index in range(20):
+        of = (frames == index) & ~right
+        print(f"  {index:>3} {across[of].mean():+6.2f} {np.nanmean(v[of]):+6.2f}")
+    offset = across[right].mean() - across[~right].mean()
+    print(f"\nright image against left: {offset:+.2f} px in u")
+
+
+def residuals(
+    semantic_map: SemanticMap, labels: Labels, source: Source, index: int
+) -> list[tuple[str, int, str, float, float]]:
+    """(name, frame, side, across px, along px) of every label in one frame."""
+    pose = source.frames[index].T_map_camera
+    rig = source.rig
+    assert pose is not None
+    assert rig.right is not None
+    assert rig.T_right_left is not None
+    views: tuple[tuple[Side, Pose], ...] = (
+        ("left", pose.inverse()),
+        ("right", rig.T_right_left @ pose.inverse()),
+    )
+    found = []
+    for side, T_camera_map in views:
+        camera = rig.left if side == "left" else rig.right
+        seen, ids = observe(labels, index, side, semantic_map)
+        pairs = np.argwhere(ids[:, None] == semantic_map.elements.id[None, :])
+        at = pair_residuals(T_camera_map, camera, seen, semantic_map.elements, pairs)
+        for (row, column), px in zip(pairs, at.residual_px, strict=True):
+            element_id = int(semantic_map.elements.id[column])
+            name = semantic_map.classes.element_name(seen.class_id[row], element_id)
+            along = np.nan if seen.is_line[row] else float(px[1])
+            found.append((name, index, side, float(px[0]), along))
+    return found
+
+
+def print_localization(workspace: Workspace) -> None:
+    found: list[Localization] = []
+    truths: list[Pose | None] = []
+    for seed in SEEDS:
+        options = DriveOptions(seed=seed, images=False)
+        for record in drive_workspace(workspace, "even", options, ODD):
+            truth = record.frame.T_map_camera
+            found.append(record.localization)
+            truths.append(None if truth is None else truth.inverse())
+    print(f"\nodd frames localized, {len(SEEDS)} simulated GPS fixes each, 5-10 m off")
+    print(summarize(found, truths).as_text())
+
+
+if __name__ == "__main__":
+    main()
