@@ -3,7 +3,7 @@
     python bench/kitti02.py /data/kitti
 
 Builds the map from the even frames and measures on the odd ones. Prints the tables of
-docs/kitti02.md. The labels are in docs/kitti02/labels.jsonl; the images are not part of the project.
+docs/kitti02.md. Labels: docs/kitti02/labels.jsonl. The images are not part of the project.
 """
 
 import sys
