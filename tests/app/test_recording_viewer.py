@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from conftest import skip_or_fail
 
 from semviz.palette import ESTIMATE
 from semviz.recording.writer import RunWriter
@@ -38,7 +39,7 @@ def viewer() -> Iterator[Any]:
 
     drivers = sorted(Path("/").glob(DRIVERS[1:]))
     if not drivers:
-        pytest.skip(f"no software Vulkan ({DRIVERS}); install mesa-vulkan-drivers")
+        skip_or_fail(f"no software Vulkan ({DRIVERS}); install mesa-vulkan-drivers")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
