@@ -25,6 +25,8 @@ class Inspector:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._shelf = Shelf(paths)
+        if len(paths) == 1:  # with nothing else to show, a broken run is an error at once
+            self._shelf.run(self._shelf.names[0])
         self.scenes = Scenes()
         self._sessions = Sessions(self._session)
 

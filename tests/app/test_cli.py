@@ -155,8 +155,7 @@ def test_a_broken_run(run: Run, tmp_path: Path, command: str) -> None:
     broken = tmp_path / "broken.rrd"
     broken.write_bytes(b"not a recording at all")
     options = ["--port", "0", "--no-open"] if command == "serve" else []
-    if command == "evaluate":
-        assert_refused(run(command, broken, *options), "broken.rrd")
+    assert_refused(run(command, broken, *options), "broken.rrd")
 
 
 @pytest.mark.parametrize("command", ["evaluate", "open"])
