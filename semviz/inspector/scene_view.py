@@ -12,12 +12,19 @@ from semviz.web import shapes, viewpoint
 from semviz.web.colors import mix
 from semviz.web.scene import ALTERNATIVE, CAMERA_HEIGHT_M, CLICKABLE, ESTIMATE, TRUTH, Scene
 from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.frame import Prior
+from semviz_core.errors import SemvizError
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 
 if TYPE_CHECKING:
     import viser
+
+ALTERNATIVES = tuple(f"/{letter}" for letter in "BCDEFGH")
+POSES = {"/truth": TRUTH, "/estimate": ESTIMATE, **dict.fromkeys(ALTERNATIVES, ALTERNATIVE)}
+LABELLED = ("/estimate", "/truth", *ALTERNATIVES[:2])
+"""As many alternatives as the card lists: more labels would cover each other."""
+COINCIDE_M = 1.0
+UP_M = np.array([0.0, 0.0, 1.2])
 
 
 class SceneView:
@@ -54,8 +61,9 @@ class SceneView:
         with self._scene.server.atomic():
             self._draw_ground(record, state)
             self._draw_submap(run, record)
-            self._draw_prior(one.prior, run)
+            self._draw_prior(record, run)
             self._draw_poses(record, state)
+            self._label_poses(record, state)
             self._draw_pairs(one)
             self._select(run, state)
         self._follow(record, state)
@@ -90,14 +98,16 @@ class SceneView:
             center = record.localization.prior.position_m
             scene.make_clickable(run.semantic_map.elements, center, self._on_click)
 
-    def _draw_prior(self, prior: Prior, run: Run) -> None:
+    def _draw_prior(self, record: FrameRecord, run: Run) -> None:
+        prior = record.localization.prior
         scene, center = self._scene, _on_road(prior.position_m)
         color = scene.palette.prior
         scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
         cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
         scene.draw_lines("/prior-cross", cross, color, 1.5)
-        sigma = f"prior ± {prior.horizontal_sigma_m:.1f} m"
-        scene.draw_label("/prior-label", sigma, center)
+        sigma_m, right = prior.horizontal_sigma_m, _vehicle(record).rotation[:, 0]
+        # beside the road, on the circle: the poses lie along the road
+        scene.draw_label("/prior-label", f"prior ± {sigma_m:.1f} m", center - sigma_m * right)
         radius = run.info.options.get("crop_radius_m")
         scene.clear("/crop")
         if isinstance(radius, int | float):
@@ -105,34 +115,42 @@ class SceneView:
 
     def _draw_poses(self, record: FrameRecord, state: State) -> None:
         """From the camera itself its image is all there is; frusta would be in the way."""
-        scene, one = self._scene, record.localization
-        for name in ("/truth", "/estimate", "/backdrop", *_ALTERNATIVES):
-            scene.clear(name)
-        image = None if record.image is None else _decoded(record.image)
-        truth, estimate = record.frame.T_map_camera, _estimate(one)
+        scene, camera = self._scene, record.localization.camera
         if state.view == "camera":
-            if image is not None:
-                scene.draw_backdrop("/backdrop", _vehicle(record), one.camera, image)
+            for name in POSES:
+                scene.clear(name)
+            if record.image is not None:
+                backdrop = _decoded(record.image)
+                scene.draw_backdrop("/backdrop", _vehicle(record), camera, backdrop)
             return
-        if truth is not None:
-            picture = image if estimate is None else None
-            scene.draw_camera("/truth", truth, one.camera, TRUTH, picture, "truth")
-        if estimate is not None:
-            scene.draw_camera("/estimate", estimate, one.camera, ESTIMATE, image, "estimate")
-        if state.alternatives:
-            for name, other in zip(_ALTERNATIVES, one.alternatives, strict=False):
-                pose = other.T_camera_map.inverse()
-                letter = name[-1].upper()
-                scene.draw_camera(
-                    name, pose, one.camera, ALTERNATIVE, None, f"alternative {letter}"
-                )
+        scene.clear("/backdrop")
+        shown = _poses(record, state)
+        image = None if record.image is None else _decoded(record.image, half=True)
+        framed = "/estimate" if "/estimate" in shown else "/truth"
+        for name, look in POSES.items():
+            if name in shown:
+                picture = image if name == framed else None
+                scene.draw_camera(name, shown[name], camera, look, picture)
+            else:
+                scene.clear(name)
+
+    def _label_poses(self, record: FrameRecord, state: State) -> None:
+        """Names above the cameras; those that nearly coincide share a label."""
+        shown = {} if state.view == "camera" else _poses(record, state)
+        labels = together({name: shown[name].translation for name in LABELLED if name in shown})
+        for name in LABELLED:
+            label = f"{name}-label"
+            if name in labels:
+                self._scene.draw_label(label, labels[name], shown[name].translation + UP_M)
+            else:
+                self._scene.clear(label)
 
     def _draw_pairs(self, one: Localization) -> None:
         """Rays to the matched elements, in the colour of their residual."""
         scene, pose, fine = self._scene, _estimate(one), one.refinement
-        for level in range(len(scene.palette.residual)):
-            scene.clear(f"/pairs/{level}")
         if pose is None or fine is None:
+            for level in range(len(scene.palette.residual)):
+                scene.clear(f"/pairs/{level}")
             return
         size = np.sqrt(np.nansum(fine.residual_px**2, axis=1))
         levels = residual_level(size)
@@ -164,8 +182,23 @@ class SceneView:
             viewer.move_along(before[0], pose)
 
 
-_ALTERNATIVES = tuple(f"/alternative-{letter}" for letter in "bcdefgh")
-_LABELLED = _ALTERNATIVES[:2]
+def together(places_m: dict[str, FloatArray]) -> dict[str, str]:
+    """Labels by the first of the names whose places (3,) lie within a metre of it."""
+    groups: dict[str, list[str]] = {}
+    for name, place in places_m.items():
+        near = (one for one in groups if np.linalg.norm(places_m[one] - place) < COINCIDE_M)
+        groups.setdefault(next(near, name), []).append(name.rpartition("/")[2])
+    return {first: " + ".join(names) for first, names in groups.items()}
+
+
+def _poses(record: FrameRecord, state: State) -> dict[str, Pose]:
+    """T_map_camera of what is drawn of a frame, by name in the scene."""
+    one = record.localization
+    known = {"/truth": record.frame.T_map_camera, "/estimate": _estimate(one)}
+    if state.alternatives:
+        others = [other.T_camera_map.inverse() for other in one.alternatives]
+        known |= dict(zip(ALTERNATIVES, others, strict=False))
+    return {name: pose for name, pose in known.items() if pose is not None}
 
 
 def _estimate(localization: Localization) -> Pose | None:
@@ -200,8 +233,14 @@ def _on_road(position_m: FloatArray) -> FloatArray:
     return position_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.05]
 
 
-def _decoded(jpeg: bytes) -> ByteImage | None:
+def _decoded(jpeg: bytes, half: bool = False) -> ByteImage:
+    """A frustum shows its image small: half the size is enough there, and quicker."""
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    image = cv2.imdecode(
+        np.frombuffer(jpeg, dtype=np.uint8),
+        cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_COLOR,
+    )
+    if image is None:
+        raise SemvizError("the image of this frame is broken; localize again")
+    return np.asarray(image[:, :, ::-1], dtype=np.uint8)

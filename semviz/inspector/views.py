@@ -53,7 +53,7 @@ def frame_view(run: Run, position: int) -> Json:
         "pairs": _pairs(one, estimated),
         "truePairs": _true_pairs(one, mapped, true),
         "matrix": _matrix(one),
-        "why": why_card(record),
+        "why": why_card(record, run.semantic_map.classes),
         **_frame_row(record),
     }
 
@@ -76,7 +76,7 @@ def _frame_row(record: FrameRecord) -> Json:
         "index": record.frame.index,
         "status": one.status,
         "reason": one.reason,
-        "verdict": verdict(one, errors),
+        "verdict": verdict(record),
         "sureAndWrong": sure_and_wrong(one, errors),
         "errorM": None if errors is None else errors.distance_m,
         "errorDeg": None if errors is None else errors.angle_deg,

@@ -6,12 +6,19 @@ from typing import Any
 import numpy as np
 
 from semviz.recording.run import FrameRecord
+from semviz_core.arrays import IntArray
+from semviz_core.classes import ClassSet
 from semviz_core.localization import Localization
+from semviz_core.localize import NEEDED_ELEMENTS
 from semviz_core.pose import Pose
+from semviz_core.solving.residuals import pair_residuals
+from semviz_core.solving.verdict import AMBIGUOUS_NATS
 
 SURE_AND_WRONG_M = 1.0
+FAR_OFF_SIGMAS = 4.0
+"""A prior is called wrong beyond this many of its own sigmas."""
 LISTED = 2
-"""So many alternatives are listed; the card must not scroll."""
+"""So many alternatives, and pairs that do not fit, are listed; the card must not scroll."""
 
 
 @dataclass(frozen=True)
@@ -43,23 +50,54 @@ def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:
     return localization.status == "ok" and off_m > SURE_AND_WRONG_M
 
 
-def verdict(localization: Localization, errors: Errors | None) -> str:
-    """A few words for lists; frames in a row with the same words are one row there."""
-    if localization.status != "ok":
-        return localization.reason
-    if errors is not None and sure_and_wrong(localization, errors):
-        return f"sure, but {errors.distance_m:.1f} m off"
-    return "healthy"
+def verdict(record: FrameRecord) -> str:
+    """A name for what happened; neighbouring frames of one name are one row in lists."""
+    one = record.localization
+    if one.status == "cannot":
+        return _failure(record)
+    if one.status == "ambiguous":
+        return "two poses fit" if _rivals(one) == 2 else "several poses fit"
+    return "sure and wrong" if sure_and_wrong(one, errors_of(record)) else "healthy"
 
 
-def why_card(record: FrameRecord) -> dict[str, Any]:
+def _failure(record: FrameRecord) -> str:
+    """By how far the solver came."""
+    one = record.localization
+    if len(one.observed) < NEEDED_ELEMENTS:
+        return "too few seen"
+    if _prior_far_off(record):
+        return "prior far off"
+    if not len(one.submap):
+        return "nothing mapped"
+    if one.search is None:
+        return "no clear pairs"
+    return "too little fits" if len(one.search.score) else "prior excludes"
+
+
+def _rivals(localization: Localization) -> int:
+    """How many poses the solver could not tell apart."""
+    if localization.search is None:
+        return 1 + len(localization.alternatives)
+    score = localization.search.score
+    return int((score > score.max(initial=-np.inf) - AMBIGUOUS_NATS).sum())
+
+
+def _prior_far_off(record: FrameRecord) -> bool:
+    truth, prior = record.frame.T_map_camera, record.localization.prior
+    if truth is None:
+        return False
+    off_m = float(np.linalg.norm((prior.position_m - truth.translation)[:2]))
+    return off_m > FAR_OFF_SIGMAS * prior.horizontal_sigma_m
+
+
+def why_card(record: FrameRecord, classes: ClassSet) -> dict[str, Any]:
     """Title, the solver's sentence, and rows of (label, value)."""
     one = record.localization
     answer, errors = one.T_camera_map, errors_of(record)
     return {
-        "title": _title(one, errors),
+        "title": verdict(record).capitalize(),
         "sentence": one.reason,
-        "rows": [row for row in _rows(record, errors) if row[1]],
+        "rows": [row for row in _rows(record, errors, classes) if row[1]],
         "alternatives": _alternatives(one),
         "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - LISTED),
         "times": [[stage, ms] for stage, ms in one.time_ms.items()],
@@ -67,17 +105,7 @@ def why_card(record: FrameRecord) -> dict[str, Any]:
     }
 
 
-def _title(localization: Localization, errors: Errors | None) -> str:
-    if localization.status == "cannot":
-        return "No answer"
-    if localization.status == "ambiguous":
-        return "Ambiguous"
-    if sure_and_wrong(localization, errors):
-        return "Sure and wrong"
-    return "Healthy"
-
-
-def _rows(record: FrameRecord, errors: Errors | None) -> list[tuple[str, str]]:
+def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list[tuple[str, str]]:
     one = record.localization
     error = "" if errors is None else f"{errors.distance_m:.2f} m · {errors.angle_deg:.2f}°"
     return [
@@ -86,7 +114,40 @@ def _rows(record: FrameRecord, errors: Errors | None) -> list[tuple[str, str]]:
         ("χ² of the pairs that fit", _chi2(one)),
         ("Uncertainty, 1σ", _sigma(one)),
         ("Prior off by", _prior(record)),
+        _misfits(record, classes),
     ]
+
+
+def _misfits(record: FrameRecord, classes: ClassSet) -> tuple[str, str]:
+    """Elements whose detection lies elsewhere than the map says, worst first: at the true pose
+    where it is known, else among the pairs of the answer."""
+    one, truth = record.localization, record.frame.T_map_camera
+    if truth is not None:
+        label = "Off at the true pose"
+        pairs = true_pairs(record)
+        fit = pair_residuals(truth.inverse(), one.camera, one.observed, one.submap, pairs)
+        size_px, inlier = np.sqrt(np.nansum(fit.residual_px**2, axis=1)), fit.inlier
+    elif one.refinement is not None:
+        label, pairs = "Do not fit", one.refinement.pairs
+        size_px = np.sqrt(np.nansum(one.refinement.residual_px**2, axis=1))
+        inlier = one.refinement.inlier
+    else:
+        return "", ""
+    worst = [row for row in np.argsort(-size_px) if not inlier[row]]
+    named = []
+    for row in worst[:LISTED]:
+        mapped = int(pairs[row, 1])
+        name = classes.element_name(int(one.submap.class_id[mapped]), int(one.submap.id[mapped]))
+        named.append(f"{name} {size_px[row]:.0f} px")
+    left = [f"{len(worst) - LISTED} more"] if len(worst) > LISTED else []
+    return label, ", ".join(named + left)
+
+
+def true_pairs(record: FrameRecord) -> IntArray:
+    """(k, 2) rows (observed, submap) that are the same thing, by the known ids."""
+    rows = {int(id): row for row, id in enumerate(record.localization.submap.id)}
+    pairs = [(i, rows[int(id)]) for i, id in enumerate(record.element_id) if int(id) in rows]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _counts(localization: Localization) -> str:

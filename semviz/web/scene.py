@@ -3,11 +3,14 @@
 Elements are lines of a fixed width on the screen, one viser node a class: the only thing in viser
 that stays legible from afar and whose colour comes out exact. Lines cannot be clicked, so
 invisible boxes around the elements take the clicks.
+
+Making a node costs a millisecond here and a shader in the browser, so nodes stay and change.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,7 +36,6 @@ BACKDROP_DEPTH_M = 150.0
 FIELD_OF_VIEW_DEG = 55.0
 AMBIENT = float(np.pi)
 """Intensity at which three.js shows a surface in its own colour."""
-ABOVE = np.array([0.0, 0.0, 0.3])
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,10 @@ class PoseLook:
     width_px: float
     dash_m: tuple[float, float] | None = None
     fill: float = 0.0
-    label_side: Literal["left", "middle", "right"] = "middle"
-    """Truth and estimate nearly coincide when all is well; their labels must not."""
 
 
-TRUTH = PoseLook("truth", 1.5, label_side="left")
-ESTIMATE = PoseLook("estimate", 2.2, fill=0.18, label_side="right")
+TRUTH = PoseLook("truth", 1.5)
+ESTIMATE = PoseLook("estimate", 2.2, fill=0.18)
 PRIOR = PoseLook("prior", 1.5, dash_m=(0.25, 0.18))
 ALTERNATIVE = PoseLook("alternative", 1.8, dash_m=(0.08, 0.14))
 
@@ -62,7 +62,9 @@ class Scene:
 
     def __init__(self, server: "viser.ViserServer", theme: Theme = "dark") -> None:
         self.server = server
-        self._nodes: dict[str, list[viser.SceneNodeHandle]] = {}
+        self._nodes: dict[str, dict[str, viser.SceneNodeHandle]] = {}
+        """Of each name that was drawn, its nodes by path."""
+        self._drawn: set[str] = set()
         self.set_theme(theme)
         server.initial_camera.fov = float(np.deg2rad(FIELD_OF_VIEW_DEG))
 
@@ -79,13 +81,13 @@ class Scene:
         scene.world_axes.visible = False
         scene.configure_default_lights(False)
         scene.configure_environment_map(None)
-        self._keep("/light", scene.add_light_ambient("/light", intensity=AMBIENT))
+        self._put("/light", "/light", lambda: scene.add_light_ambient("/light", intensity=AMBIENT))
         ground = np.array([[rgb(self.palette.scene)]], dtype=np.uint8)
         scene.set_background_image(ground, format="png")
 
     def clear(self, name: str) -> None:
         """Removes what was drawn under ``name``; nothing where there is nothing."""
-        for node in self._nodes.pop(name, []):
+        for node in self._nodes.pop(name, {}).values():
             node.remove()
 
     def draw_grid(self, around_m: FloatArray) -> None:
@@ -95,10 +97,10 @@ class Scene:
 
     def draw_road(self, trajectory_m: FloatArray) -> None:
         """The road under camera centres (k, 3)."""
-        self.clear("/road")
-        if len(trajectory_m) > 1:
-            below = trajectory_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.02]
-            self._mesh("/road", *shapes.ribbon(below, width_m=7.0), self.palette.road)
+        with self._drawing("/road"):
+            if len(trajectory_m) > 1:
+                below = trajectory_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.02]
+                self._mesh("/road", "/road", *shapes.ribbon(below, width_m=7.0), self.palette.road)
 
     def draw_elements(
         self,
@@ -114,20 +116,20 @@ class Scene:
         ``facing_rad`` (n,) turns the signs (``shapes.facing`` knows how the road goes);
         ``strength`` below 1 fades towards the ground.
         """
-        self.clear(name)
         turned = np.zeros(len(elements)) if facing_rad is None else facing_rad
-        for one in classes:
-            rows = np.flatnonzero(elements.class_id == one.id)
-            if not len(rows):
-                continue
-            some = elements[rows]
-            if one.kind == "line":
-                segments = shapes.pole_segments(some)
-            else:
-                segments = shapes.sign_segments(some, one.shape, turned[rows])
-            plain = one.color if self.theme == "dark" else one.color_light
-            color = mix(plain, self.palette.scene, strength)
-            self._lines(name, f"{name}/{one.id}", segments, color, width_px)
+        with self._drawing(name):
+            for one in classes:
+                rows = np.flatnonzero(elements.class_id == one.id)
+                if not len(rows):
+                    continue
+                some = elements[rows]
+                if one.kind == "line":
+                    segments = shapes.pole_segments(some)
+                else:
+                    segments = shapes.sign_segments(some, one.shape, turned[rows])
+                plain = one.color if self.theme == "dark" else one.color_light
+                color = mix(plain, self.palette.scene, strength)
+                self._lines(name, f"{name}/{one.id}", segments, color, width_px)
 
     def make_clickable(
         self, elements: Elements3D, around_m: FloatArray, on_click: Callable[[int], None]
@@ -156,7 +158,7 @@ class Scene:
             cast_shadow=False,
             receive_shadow=False,
         )
-        self._keep("/pick", node)
+        self._put("/pick", "/pick", lambda: node)
 
         @node.on_click
         def clicked(event: "viser.SceneNodePointerEvent[viser.BatchedMeshHandle]") -> None:
@@ -165,12 +167,12 @@ class Scene:
 
     def highlight(self, elements: Elements3D, label: str = "") -> None:
         """Rings around ``elements``, usually one or none, in the accent colour."""
-        self.clear("/selection")
         segments = shapes.ring_segments(*_ends(elements))
-        self._lines("/selection", "/selection/rings", segments, self.palette.accent, 2.4)
-        if label and len(elements):
-            top = elements.anchor_m[0] + [0.0, 0.0, 1.2]
-            self._label("/selection", "/selection/label", label, top)
+        with self._drawing("/selection"):
+            self._lines("/selection", "/selection/rings", segments, self.palette.accent, 2.4)
+            if label and len(elements):
+                top = elements.anchor_m[0] + [0.0, 0.0, 1.2]
+                self._label("/selection", "/selection/label", label, top)
 
     def draw_lines(
         self,
@@ -181,9 +183,9 @@ class Scene:
         dash_m: tuple[float, float] | None = None,
     ) -> None:
         """Segments (k, 2, 3) of one colour, dashed on request."""
-        self.clear(name)
         cut = segments_m if dash_m is None else shapes.dashed(segments_m, *dash_m)
-        self._lines(name, name, cut, color, width_px)
+        with self._drawing(name):
+            self._lines(name, name, cut, color, width_px)
 
     def draw_path(self, name: str, points_m: FloatArray, color: str, width_px: float) -> None:
         """A line through points (k, 3); gaps at NaN."""
@@ -203,113 +205,131 @@ class Scene:
         camera: Camera,
         look: PoseLook,
         image: ByteImage | None = None,
-        label: str = "",
     ) -> None:
-        """A frustum, with ``image`` on its far plane where given and ``label`` above it."""
-        self.clear(name)
+        """A frustum, with ``image`` on its far plane where given."""
         color = str(getattr(self.palette, look.role))
         segments = shapes.frustum_segments(T_map_camera, camera, FRUSTUM_DEPTH_M)
         cut = segments if look.dash_m is None else shapes.dashed(segments, *look.dash_m)
-        self._lines(name, f"{name}/lines", cut, color, look.width_px)
         corners = shapes.frustum_corners(T_map_camera, camera, FRUSTUM_DEPTH_M)
-        if image is not None:
-            self._image(name, f"{name}/image", T_map_camera, corners, image)
-        elif look.fill:
-            faces = np.array([[0, 1, 2], [0, 2, 3]])
-            self._mesh(name, corners, faces, color, opacity=look.fill, path=f"{name}/fill")
-        if label:
-            self._pose_label(f"{name}/label", label, name, corners, look)
+        with self._drawing(name):
+            self._lines(name, f"{name}/lines", cut, color, look.width_px)
+            if image is not None:
+                self._image(name, f"{name}/image", T_map_camera, corners, image)
+            elif look.fill:
+                faces = np.array([[0, 1, 2], [0, 2, 3]])
+                self._mesh(name, f"{name}/fill", corners, faces, color, opacity=look.fill)
 
     def draw_backdrop(
         self, name: str, T_map_camera: Pose, camera: Camera, image: ByteImage
     ) -> None:
         """``image`` behind everything that the camera sees: for looking through the camera."""
-        self.clear(name)
         corners = shapes.frustum_corners(T_map_camera, camera, BACKDROP_DEPTH_M)
-        self._image(name, name, T_map_camera, corners, image)
+        with self._drawing(name):
+            self._image(name, name, T_map_camera, corners, image)
 
     def draw_label(self, name: str, text: str, position_m: FloatArray) -> None:
         """Text at a point. Keep them under 100: each costs a draw call."""
-        self.clear(name)
-        self._label(name, name, text, position_m)
+        with self._drawing(name):
+            self._label(name, name, text, position_m)
+
+    @contextmanager
+    def _drawing(self, group: str) -> Iterator[None]:
+        """What was drawn under ``group`` before and is not drawn again inside goes."""
+        self._drawn = set()
+        yield
+        nodes = self._nodes.get(group, {})
+        for path in set(nodes) - self._drawn:
+            nodes.pop(path).remove()
+
+    def _put(
+        self, group: str, path: str, make: "Callable[[], viser.SceneNodeHandle]", **changing: Any
+    ) -> None:
+        """Makes the node at ``path``, or gives the one that is there what is ``changing``."""
+        nodes = self._nodes.setdefault(group, {})
+        self._drawn.add(path)
+        if path not in nodes:
+            nodes[path] = make()
+            return
+        for name, value in changing.items():
+            setattr(nodes[path], name, value)
 
     def _lines(
         self, group: str, path: str, segments: FloatArray, color: str, width_px: float
     ) -> None:
-        if len(segments):
-            node = self.server.scene.add_line_segments(
-                path,
-                segments.astype(np.float32),
-                scene_rgb(color),
-                thickness=width_px,
-                thickness_units="screen",
-            )
-            self._keep(group, node)
+        """The width stays that of the first drawing under ``path``."""
+        if not len(segments):
+            return
+        points, colors = segments.astype(np.float32), np.array(scene_rgb(color), dtype=np.uint8)
+        self._put(
+            group,
+            path,
+            lambda: self.server.scene.add_line_segments(
+                path, points, colors, thickness=width_px, thickness_units="screen"
+            ),
+            points=points,
+            colors=colors,
+        )
 
     def _mesh(
         self,
         group: str,
+        path: str,
         vertices: FloatArray,
         faces: IntArray,
         color: str,
         opacity: float | None = None,
-        path: str = "",
     ) -> None:
-        node = self.server.scene.add_mesh_simple(
-            path or group,
-            vertices.astype(np.float32),
-            faces.astype(np.uint32),
-            color=scene_rgb(color),
-            opacity=opacity,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
+        """Faces, colour and opacity stay those of the first drawing under ``path``."""
+        corners = vertices.astype(np.float32)
+        self._put(
+            group,
+            path,
+            lambda: self.server.scene.add_mesh_simple(
+                path,
+                corners,
+                faces.astype(np.uint32),
+                color=scene_rgb(color),
+                opacity=opacity,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            ),
+            vertices=corners,
         )
-        self._keep(group, node)
 
     def _image(
         self, group: str, path: str, T_map_camera: Pose, corners: FloatArray, image: ByteImage
     ) -> None:
         x, y, z, w = T_map_camera.as_quaternion()
-        node = self.server.scene.add_image(
+        place = {"wxyz": (w, x, y, z), "position": corners.mean(axis=0)}
+        self._put(
+            group,
             path,
-            image,
-            render_width=float(np.linalg.norm(corners[1] - corners[0])),
-            render_height=float(np.linalg.norm(corners[3] - corners[0])),
-            format="jpeg",
-            jpeg_quality=85,
-            wxyz=(w, x, y, z),
-            position=corners.mean(axis=0),
-            cast_shadow=False,
-            receive_shadow=False,
+            lambda: self.server.scene.add_image(
+                path,
+                image,
+                render_width=float(np.linalg.norm(corners[1] - corners[0])),
+                render_height=float(np.linalg.norm(corners[3] - corners[0])),
+                format="jpeg",
+                jpeg_quality=85,
+                cast_shadow=False,
+                receive_shadow=False,
+                **place,
+            ),
+            image=image,
+            **place,
         )
-        self._keep(group, node)
 
-    def _pose_label(
-        self, path: str, text: str, group: str, corners: FloatArray, look: PoseLook
-    ) -> None:
-        if look.label_side == "left":
-            self._label(group, path, text, corners[0], "bottom-right")
-        elif look.label_side == "right":
-            self._label(group, path, text, corners[1], "bottom-left")
-        else:
-            self._label(group, path, text, corners[:2].mean(axis=0) + ABOVE)
-
-    def _label(
-        self,
-        group: str,
-        path: str,
-        text: str,
-        position_m: FloatArray,
-        anchor: Literal["bottom-left", "bottom-center", "bottom-right"] = "bottom-center",
-    ) -> None:
-        node = self.server.scene.add_label(
-            path, text, position=position_m, anchor=anchor, font_screen_scale=0.85
+    def _label(self, group: str, path: str, text: str, position_m: FloatArray) -> None:
+        self._put(
+            group,
+            path,
+            lambda: self.server.scene.add_label(
+                path, text, position=position_m, anchor="bottom-center", font_screen_scale=0.8
+            ),
+            text=text,
+            position=position_m,
         )
-        self._keep(group, node)
-
-    def _keep(self, group: str, node: "viser.SceneNodeHandle") -> None:
-        self._nodes.setdefault(group, []).append(node)
 
 
 def _ends(elements: Elements3D) -> tuple[FloatArray, FloatArray]:

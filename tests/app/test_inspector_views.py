@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz.inspector.projection import offsets, project_elements
+from semviz.inspector.scene_view import together
 from semviz.inspector.session import State
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.views import frame_view, run_view
-from semviz.inspector.why import verdict, why_card
+from semviz.inspector.why import why_card
 from semviz.recording.run import FrameRecord, Run, RunInfo
 from semviz_core.camera import Camera, Rig
 from semviz_core.elements import Elements2D, Elements3D
@@ -72,7 +74,9 @@ def localized(pose: Pose | None = LEVEL, status: str = "ok", reason: str = "Fine
 def run_of(*localizations: Localization, truth: Pose | None = LEVEL) -> Run:
     info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", Rig(CAMERA), "street")
     frames = tuple(
-        FrameRecord(Frame(10 + k, 0.1 * k, truth), one, np.array([4, 7, 99, -1]))
+        FrameRecord(
+            Frame(10 + k, 0.1 * k, truth), one, np.array([4, 7, 99, -1])[: len(one.observed)]
+        )
         for k, one in enumerate(localizations)
     )
     return Run(info, MAP, frames)
@@ -94,7 +98,7 @@ def test_frame_without_any_stage_is_drawable() -> None:
     view = json.loads(json.dumps(frame_view(run_of(bare, truth=None), 0), allow_nan=False))
     assert (view["matrix"], view["pairs"], view["errorM"]) == (None, [], None)
     assert all(one["estimate"] is None and one["truth"] is None for one in view["mapped"])
-    assert view["why"]["title"] == "No answer"
+    assert view["why"]["title"] == "No clear pairs"
 
 
 def test_matrix_orders_rows_and_columns_into_class_blocks() -> None:
@@ -109,10 +113,55 @@ def test_sure_and_wrong_is_marked_and_named() -> None:
     run = run_of(localized(), localized(far), localized(far, "ambiguous", "Two poses fit."))
     rows = run_view("first", run)["frames"]
     assert [row["sureAndWrong"] for row in rows] == [False, True, False]
-    assert rows[1]["verdict"] == "sure, but 3.2 m off"
+    assert [row["verdict"] for row in rows] == ["healthy", "sure and wrong", "several poses fit"]
     assert rows[1]["errorM"] == pytest.approx(3.2)
-    assert why_card(run.frames[1])["title"] == "Sure and wrong"
-    assert verdict(localized(), None) == "healthy"
+    assert why_card(run.frames[1], MAP.classes)["title"] == "Sure and wrong"
+
+
+def test_a_moved_element_is_named_at_the_true_pose() -> None:
+    asides = np.where(ELEMENTS.id == 4, 2.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    faulty = replace(ELEMENTS, anchor_m=ELEMENTS.anchor_m + asides, end_m=ELEMENTS.end_m + asides)
+    run = run_of(localized(), replace(localized(), submap=faulty))
+    healthy, moved = (dict(why_card(one, MAP.classes)["rows"]) for one in run.frames)
+    assert "Off at the true pose" not in healthy
+    name, size, unit = moved["Off at the true pose"].split()
+    assert (name, unit) == ("P-04", "px")
+    assert float(size) == pytest.approx(700 * 2.0 / 20, rel=0.05)
+    blind = dict(why_card(replace(run.frames[1], frame=Frame(0, 0.0, None)), MAP.classes)["rows"])
+    assert blind["Do not fit"] == "T-12 9 px"
+
+
+def failed(seen: int = 4, **changes: Any) -> Localization:
+    bare = replace(localized(None, "cannot"), refinement=None, alternatives=(), **changes)
+    return replace(bare, observed=bare.observed[np.arange(seen)])
+
+
+def test_failures_are_named_by_how_far_the_solver_came() -> None:
+    far = Prior(np.array([50.0, 0.0, 1.65]))
+    nothing = ELEMENTS[np.arange(0)]
+    run = run_of(
+        failed(3, search=None, prior=far),
+        failed(search=None, submap=nothing, prior=far),
+        failed(search=None, submap=nothing),
+        failed(search=None),
+        failed(search=Search(100, (), np.zeros(0))),
+        failed(),
+    )
+    assert [row["verdict"] for row in run_view("first", run)["frames"]] == [
+        "too few seen", "prior far off", "nothing mapped", "no clear pairs", "prior excludes",
+        "too little fits",
+    ]  # fmt: skip
+
+
+def test_poses_that_nearly_coincide_share_a_label() -> None:
+    places = {
+        "/estimate": [0.0, 0, 0],
+        "/truth": [5.0, 0, 0],
+        "/B": [5.2, 0.3, 0],
+        "/C": [9.0, 0, 0],
+    }
+    labels = together({name: np.array(place) for name, place in places.items()})
+    assert labels == {"/estimate": "estimate", "/truth": "truth + B", "/C": "C"}
 
 
 def test_median_is_over_frames_with_an_answer_and_a_truth() -> None:

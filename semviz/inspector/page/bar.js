@@ -42,7 +42,7 @@ export class Bar {
     const error = frame.errorM === null
       ? missing
       : `${fixed(frame.errorM, 2)} m · ${fixed(frame.errorDeg, 2)}°`;
-    byId("numbers").textContent = `${error} · ${fixed(frame.ms, 1)} ms`;
+    byId("numbers").textContent = frame.ms ? `${error} · ${fixed(frame.ms, 1)} ms` : error;
   }
 
   pointAt(position) {

@@ -3,7 +3,7 @@
 import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import {
-  ON_IMAGE, drawArrow, drawGlyph, drawHandle, drawLine, drawText, residualColor,
+  ON_IMAGE, drawArrow, drawGlyph, drawHandle, drawLine, residualColor,
 } from "/static/glyphs.js";
 import { drawLegend } from "./legend.js";
 import { Labels } from "./labels.js";
@@ -15,6 +15,11 @@ const ABOUT = {
   estimate: "map projected with the estimate",
   truth: "map projected with the truth",
   pairs: "pairs and outliers",
+};
+const NO_MAP = {
+  estimate: "no pose: no map here; 2 shows it with the truth",
+  truth: "no truth: no map here; 1 shows it with the estimate",
+  pairs: "no pose: no pairs",
 };
 
 export class ImagePanel {
@@ -66,6 +71,7 @@ export class ImagePanel {
     this.frame = frame;
     this.picture = picture;
     this.pairOf = new Map(frame.pairs.map((pair) => [pair.observed, pair]));
+    this.tellAbout();
     this.surface.redraw();
     this.pictures.prefetch(frame.position);
   }
@@ -80,8 +86,17 @@ export class ImagePanel {
     for (const button of document.querySelectorAll("[data-mode]")) {
       button.setAttribute("aria-pressed", button.dataset.mode === mode);
     }
-    byId("image-about").textContent = ABOUT[mode];
+    this.tellAbout();
     this.surface.redraw();
+  }
+
+  /** What is drawn, and why some of it is not there. */
+  tellAbout() {
+    const projected = this.mode === "truth" ? this.frame?.hasTruth : this.frame?.status !== "cannot";
+    const map = this.frame && !projected ? NO_MAP[this.mode] : ABOUT[this.mode];
+    const recorded = this.frame && !this.frame.hasImage ? "; this run has no images" : "";
+    byId("image-about").textContent = map + recorded;
+    byId("image-about").title = map + recorded;
   }
 
   toggleResiduals() {
@@ -138,9 +153,6 @@ export class ImagePanel {
     if (!this.run || !this.frame) return;
     this.drawPicture(context);
     const labels = new Labels(context, width, height);
-    if (this.page.frame.status === "cannot" && this.mode !== "truth") {
-      drawText(context, "No pose: the map cannot be projected. 2 shows it with the truth.", width / 2, 16, { align: "center", weight: 400, size: 12 });
-    }
     this.drawMap(context, labels);
     this.drawObserved(context, labels);
     if (this.residuals) this.drawResiduals(context);

@@ -10,6 +10,7 @@ const GAP = 5; // between class blocks
 const BIN = 9; // dustbin row and column
 const SUM = 34; // sums on the right
 const LEAST_CELL = 4;
+const NAME = 12; // height of a row's name
 const LOG_FLOOR = 3; // log scale goes down to 1e-3
 
 export class MatrixPanel {
@@ -37,7 +38,7 @@ export class MatrixPanel {
     this.frame = frame;
     this.hovered = null;
     const { observed, mapped } = frame;
-    byId("matrix-about").textContent = frame.matrix ? `${observed.length} seen × ${mapped.length} mapped` : "not computed for this frame";
+    byId("matrix-about").textContent = frame.matrix ? `${observed.length} seen × ${mapped.length} mapped` : "";
     this.reserve();
     this.layOut();
     this.surface.redraw();
@@ -164,9 +165,12 @@ export class MatrixPanel {
 
   drawNames(context) {
     const { probability } = this.frame.matrix;
+    let free = 0; // names of thin rows would cover each other
     for (const [i, y] of this.rows.at) {
       const middle = y + this.rows.size / 2;
       const chosen = i === this.state.observed;
+      if (middle < free && !chosen) continue;
+      free = middle + NAME;
       write(context, `#${i}`, LEFT - 6, middle, chosen ? "--text" : "--dim", "right");
       const sum = probability[i].reduce((a, b) => a + b, 0);
       write(context, sum.toFixed(2), this.binX + BIN + 6, middle, "--faint", "left");

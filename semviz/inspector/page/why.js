@@ -7,7 +7,7 @@ export class WhyCard {
   showFrame(frame) {
     const { title, sentence, rows, alternatives, alternativesLeft, times, hypotheses } = frame.why;
     const numbers = [...rows, ...alternatives.map(alternativeRow)];
-    if (alternativesLeft) numbers.push(["More alternatives", `${alternativesLeft}`]);
+    if (alternativesLeft) numbers.at(-1)[0] += `, ${alternativesLeft} more`;
     const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
     if (hypotheses !== null) costs.push(`${hypotheses} poses tried`);
     byId("why-frame").textContent = `frame ${frame.index}`;
@@ -16,7 +16,7 @@ export class WhyCard {
       el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
       el("p", { class: "sentence", text: sentence }),
       el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
-      el("div", { class: "times" }, ...costs.map((text) => el("span", { text }))));
+      ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
   }
 }
 
