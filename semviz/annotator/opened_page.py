@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from semviz.annotator.images import Images
 from semviz.annotator.scene_view import SceneView, Shown
-from semviz.annotator.session import Done, LabelSession, Look
+from semviz.annotator.session import LabelSession, Look
 from semviz.annotator.views import Json, element_name
 from semviz.web.colors import Theme
 from semviz.web.scenes import Scenes
@@ -74,6 +74,12 @@ class OpenedPage:
             self._send({"type": "scene"})
         self._redraw()
 
+    def tell(self, kind: str, state: Json, more: Json | None = None) -> None:
+        """Sends the session's news with the frame on screen; call with the lock held."""
+        frame = self._session.frame(self._frame)
+        self._send({"type": kind, "state": state, "frame": frame} | (more or {}))
+        self._redraw()
+
     def receive(self, message: Message) -> None:
         verbs: dict[object, Callable[[Message], None]] = {
             "go": self._go,
@@ -127,23 +133,16 @@ class OpenedPage:
                 return
             if done.operation.kind in ("undo", "redo") and done.frame is not None:
                 self._frame = done.frame
+            state = self._session.news()
             answer = {"request": request, "element": done.element_id, "note": done.note}
-            self._send({"type": "saved"} | self._news(done) | answer)
+            self.tell("saved", state, answer)
             for page in self._shared.pages:
                 if page is not self:
-                    page._send({"type": "news"} | page._news(done))
-        for page in self._shared.pages:
-            page._redraw()
+                    page.tell("news", state)
 
     def _set_theme(self, message: Message) -> None:
         self._theme = "light" if message.get("theme") == "light" else "dark"
         self._redraw()
-
-    def _news(self, done: Done) -> Json:
-        return {
-            "state": self._session.news(done.operation),
-            "frame": self._session.frame(self._frame),
-        }
 
     # -- the 3D scene
 

@@ -1,14 +1,14 @@
 """Which element a new drawing belongs to: the selected one, an expected one, or none yet."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from semviz.annotator.fit import misfit_px
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.places import Places
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.triangulate import Failed, triangulate
 from semviz_core.classes import ClassSet
 
 CONSISTENT_PX = 3.0
@@ -37,7 +37,7 @@ def partner_of(
     """The selected element if it is free in this image and the rays agree; else a near ghost."""
     note = ""
     if selected_id is not None and _is_free(selected_id, drawing, class_id, labels):
-        misfit = misfit_px([*labels.of_element(selected_id), drawing], places)
+        misfit = _misfit_px([*labels.of_element(selected_id), drawing], places)
         if misfit <= CONSISTENT_PX:
             return Partner(selected_id)
         element = labels.element(selected_id)
@@ -52,24 +52,16 @@ def partner_of(
     return Partner(element_id) if distance <= NEAR_GHOST_PX else Partner(None, note)
 
 
-def misfit_px(observations: Sequence[Observation], places: Places) -> float:
-    """How badly observations fit one thing: reprojection error (rms) of the worse end.
-
-    Ends that are known in less than two views don't count; infinite where rays meet behind a camera
-    or frames lack poses. Both ends are triangulated as points: planes through poles in two views
-    always meet, so they alone would fit anything.
-    """
-    last = observations[-1]
-    if places.T_camera_map(last.frame_index) is None:
-        observations = [one for one in observations if one.frame_index == last.frame_index]
+def _misfit_px(observations: Sequence[Observation], places: Places) -> float:
+    """Of a drawing (the last one) with what else there is of its element; infinite for nothing."""
+    drawing = observations[-1]
+    if places.T_camera_map(drawing.frame_index) is None:
+        observations = [one for one in observations if one.frame_index == drawing.frame_index]
     else:
-        observations = [
-            one for one in observations if places.T_camera_map(one.frame_index) is not None
-        ]
+        observations = places.posed(observations)
     if len(observations) < 2:
         return float("inf")
-    shared = [points for points in _ends(observations) if len(points) > 1]
-    return max(_rms_px(points, places) for points in shared or [observations])
+    return misfit_px([places.view(one) for one in observations], observations)
 
 
 def _is_free(element_id: str, drawing: Observation, class_id: int, labels: Labels) -> bool:
@@ -79,23 +71,6 @@ def _is_free(element_id: str, drawing: Observation, class_id: int, labels: Label
         and element.class_id == class_id
         and labels.find(element_id, drawing.frame_index, drawing.side) is None
     )
-
-
-def _ends(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
-    """Known peaks (or middles) and known bottoms, each as point observations."""
-    anchors = [replace(one, end_px=None) for one in observations if one.anchor_known]
-    ends = [
-        replace(one, anchor_px=one.end_px, end_px=None)
-        for one in observations
-        if one.end_px is not None and one.end_known
-    ]
-    return anchors, ends
-
-
-def _rms_px(observations: Sequence[Observation], places: Places) -> float:
-    views = [places.view(one) for one in observations]
-    place = triangulate(views, observations, min_angle_rad=0.0)
-    return float("inf") if isinstance(place, Failed) else place.rms_px
 
 
 def _distance_px(ghost: Ghost, drawing: Observation) -> float:

@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from semviz.annotator.fit import best_ends
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.triangulate import Failed, Triangulated, View, rig_view, triangulate
+from semviz_core.arrays import FloatArray
 from semviz_core.camera import Rig
 from semviz_core.frame import Frame
 from semviz_core.pose import Pose
@@ -25,6 +27,7 @@ class Places:
         self._labels = Labels()
         self._mapped: dict[str, Triangulated] = {}
         self._known: dict[str, tuple[tuple[Observation, ...], Place]] = {}
+        self._ends: dict[str, tuple[tuple[Observation, ...], FloatArray | None]] = {}
 
     def mapped(self, labels: Labels) -> Mapping[str, Triangulated]:
         """The elements of ``labels`` that have a place in the map frame, by id."""
@@ -47,10 +50,25 @@ class Places:
 
     def of_observations(self, observations: Sequence[Observation]) -> Place:
         """One element in the map frame, from the frames among ``observations`` that have poses."""
-        posed = [one for one in observations if self._T_camera_map[one.frame_index] is not None]
+        posed = self.posed(observations)
         if len(posed) < 2:
             return ONE_VIEW
         return triangulate([self.view(one) for one in posed], posed)
+
+    def best_ends(self, labels: Labels, element_id: str) -> FloatArray | None:
+        """(2, 4) homogeneous, as ``fit.best_ends``, however narrow the rays; None for one view."""
+        observations = labels.of_element(element_id)
+        known = self._ends.get(element_id)
+        if known is None or known[0] != observations:
+            posed = self.posed(observations)
+            views = [self.view(one) for one in posed]
+            known = observations, best_ends(views, posed) if len(posed) > 1 else None
+            self._ends[element_id] = known
+        return known[1]
+
+    def posed(self, observations: Iterable[Observation]) -> list[Observation]:
+        """Those in frames that have a pose."""
+        return [one for one in observations if self._T_camera_map[one.frame_index] is not None]
 
     def of_pair(self, observations: Sequence[Observation]) -> Place:
         """One element in the coordinates of the left camera, from one frame's observations."""

@@ -1,7 +1,9 @@
 """The annotator behind the door: its page, its images, and its opened pages."""
 
 import asyncio
+import contextlib
 import getpass
+import sqlite3
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -18,6 +20,8 @@ from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 
 PAGE = Path(__file__).parent / "page"
+NEWS_EVERY_S = 1.0
+"""How often to look for what other processes have written: one query."""
 KEEP_IMAGE = "private, max-age=3600"
 
 
@@ -34,6 +38,9 @@ class Annotator:
         self.scenes = Scenes()
         self.painter = ThreadPoolExecutor(1, "semviz-scenes")
         self._pages: list[OpenedPage] = []
+        self._closing = threading.Event()
+        self._listener = threading.Thread(target=self._listen, name="semviz-news", daemon=True)
+        self._listener.start()
         self._sessions = Sessions(self._open)
 
     @property
@@ -49,6 +56,8 @@ class Annotator:
 
     def close(self) -> None:
         """Stops the threads and closes the label file."""
+        self._closing.set()
+        self._listener.join()
         self.painter.shutdown(wait=True, cancel_futures=True)
         self.images.close()
         self.session.close()
@@ -66,6 +75,20 @@ class Annotator:
         page = OpenedPage(session_id, send, self)
         self._pages.append(page)
         return page
+
+    def _listen(self) -> None:
+        """Tells open pages what other processes have done to the labels."""
+        while not self._closing.wait(NEWS_EVERY_S):
+            # where the file cannot be read, whoever asks for something next is told
+            with contextlib.suppress(sqlite3.Error):
+                self._tell_news()
+
+    def _tell_news(self) -> None:
+        with self.lock:
+            if self._pages and self.session.has_news():
+                state = self.session.news()
+                for page in self.pages:
+                    page.tell("news", state)
 
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")

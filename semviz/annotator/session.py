@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from semviz.annotator import views
 from semviz.annotator.cards import card, epipolar_error_px
 from semviz.annotator.ghosts import Ghost, ghosts_in
+from semviz.annotator.nearby import nearby_in
 from semviz.annotator.pairing import Partner, partner_of
 from semviz.annotator.places import Places
 from semviz.annotator.views import Json
@@ -78,6 +79,7 @@ class LabelSession:
         self.rig = self.source.rig
         self.classes = workspace.classes
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
+        self._order = tuple(self.frames)
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
         self._store = workspace.open_labels()
@@ -85,6 +87,11 @@ class LabelSession:
         self._history: deque[Json] = deque(maxlen=HISTORY)
         """Newest first."""
         self._told = max(0, self._store.last_operation - HISTORY)
+        """The last operation in the history."""
+        self._announced = self._store.last_operation
+        """The last operation that the pages have been told of."""
+        self._touched: set[int] = set()
+        """Frames that operations since then have changed."""
 
     def close(self) -> None:
         self._store.close()
@@ -116,20 +123,31 @@ class LabelSession:
         labels = self.labels
         return self._state(labels) | {"frames": views.frames_json(labels, self.frames)}
 
-    def news(self, operation: Operation) -> Json:
-        """What ``operation`` changed in the summary."""
+    def has_news(self) -> bool:
+        """Whether anybody, here or in another process, has done something since ``news``."""
+        return self._store.last_operation > self._announced
+
+    def news(self) -> Json:
+        """What is new in the summary since the last call. Meant for all pages at once."""
         labels = self.labels
-        touched = [index for index in views.frames_touched(operation) if index in self.frames]
-        return self._state(labels) | {"frames": views.frames_json(labels, touched)}
+        state = self._state(labels)
+        touched = sorted(self._touched & self.frames.keys())
+        self._touched.clear()
+        self._announced = self._told
+        return state | {"frames": views.frames_json(labels, touched)}
 
     def frame(self, index: int) -> Json:
-        """One frame: what is labelled in it and what is expected."""
+        """One frame: what is labelled in it, what is expected, and what else may go on in it."""
         self._known(index)
         labels = self.labels
+        ghosts = self._ghosts(index, labels)
+        expected = {one.element_id for one in ghosts}
+        nearby = nearby_in(index, self._order, expected, labels, self.rig, self._places)
         return {
             "index": index,
             "elements": views.elements_json(labels, index, self.classes),
-            "ghosts": views.ghosts_json(self._ghosts(index, labels), labels, self.classes),
+            "ghosts": views.ghosts_json(ghosts, labels, self.classes),
+            "nearby": views.nearby_json(nearby, labels, self.classes),
         }
 
     def elements_3d(self) -> Elements3D:
@@ -290,6 +308,7 @@ class LabelSession:
     def _state(self, labels: Labels) -> Json:
         for one in self._store.operations(after=self._told):
             self._history.appendleft(views.operation_json(one, labels, self.classes))
+            self._touched.update(views.frames_touched(one))
             self._told = one.number
         return {
             "operation": self._told,

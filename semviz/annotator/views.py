@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from semviz.annotator.ghosts import Ghost
+from semviz.annotator.nearby import Nearby
 from semviz_annotation.labels import LabelElement, Labels, Observation, Review, Row
 from semviz_annotation.store import Operation
 from semviz_core.classes import ClassSet
@@ -46,9 +47,18 @@ def ghosts_json(ghosts: Iterable[Ghost], labels: Labels, classes: ClassSet) -> l
     found: dict[str, Json] = {}
     for one in ghosts:
         fresh = _element_json(labels.element(one.element_id), classes) | {"depth_m": one.depth_m}
-        entry = found.setdefault(one.element_id, fresh)
-        entry[one.side] = {"anchor": one.anchor_px, "end": one.end_px}
+        found.setdefault(one.element_id, fresh).update(_ghost_json(one))
     return list(found.values())
+
+
+def nearby_json(nearby: Iterable[Nearby], labels: Labels, classes: ClassSet) -> list[Json]:
+    """Elements to continue, like ghosts, but with the frame they are known from, not a depth."""
+    return [
+        _element_json(labels.element(one.element_id), classes)
+        | {"labelled_in": one.labelled_in}
+        | {side: place for ghost in one.ghosts for side, place in _ghost_json(ghost).items()}
+        for one in nearby
+    ]
 
 
 def frames_json(labels: Labels, indices: Iterable[int]) -> list[Json]:
@@ -149,6 +159,10 @@ def _element_json(element: LabelElement, classes: ClassSet) -> Json:
         "name": element_name(element, classes),
         "class": element.class_id,
     }
+
+
+def _ghost_json(ghost: Ghost) -> Json:
+    return {ghost.side: {"anchor": ghost.anchor_px, "end": ghost.end_px}}
 
 
 def _observation_json(row: Observation) -> Json:

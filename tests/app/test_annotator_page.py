@@ -16,9 +16,10 @@ import pytest
 from journeys.driver import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, LabelDriver
 
 from semviz.annotator.server import Annotator
+from semviz.annotator.session import LabelSession
 from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.labels import Labels, Observation, new_id
 from semviz_core.camera import Rig
 from semviz_core.errors import SemvizError
 
@@ -226,6 +227,77 @@ def test_a_second_tab_sees_the_edits_of_the_first(driver: LabelDriver, served: S
     driver.page.bring_to_front()
     driver.page.wait_for_selector('#elements .row:has-text("O-02")')
     assert driver.page.inner_text("#saved") == "Saved operation 2"
+
+
+def test_an_edit_by_another_process_appears_by_itself(
+    driver: LabelDriver, workspace: Workspace
+) -> None:
+    other = LabelSession(workspace, "somebody else")
+    for frame in (0, 2):
+        other.do(new_id(), rounded_sign(frame))
+    other.close()
+    driver.page.wait_for_selector('#elements .row:has-text("O-01")')
+    driver.page.wait_for_selector('.tile[data-frame="2"][title*="1 element"]')
+    assert driver.page.inner_text("#saved") == "Saved operation 2"
+
+
+def rounded_sign(frame: int) -> dict[str, object]:
+    return {
+        "kind": "draw",
+        "observation_id": new_id(),
+        "element_id": new_id(),
+        "frame_index": frame,
+        "side": "left",
+        "class_id": ROUNDED,
+        "anchor_px": [700.0, 120.0],
+    }
+
+
+def test_what_the_disk_refuses_is_kept_and_saved_when_there_is_room(
+    driver: LabelDriver, served: Served
+) -> None:
+    """The second edit builds on the first, so it must wait behind it."""
+    connection = served.annotator.session._store._connection
+    connection.execute("PRAGMA query_only = 1")
+    driver.page.keyboard.press("4")
+    driver.click_at("left", (400.0, 150.0))
+    driver.page.wait_for_selector("#saved.wrong:has-text('cannot be written')")
+    driver.page.keyboard.press("Shift+ArrowRight")
+    driver.page.wait_for_selector("#saved.wrong:has-text('2 kept here')")
+    assert served.observations == []
+    connection.execute("PRAGMA query_only = 0")
+    driver.page.wait_for_selector("#saved:has-text('Saved operation 2')")
+    (row,) = served.observations
+    np.testing.assert_allclose(row.anchor_px, (401.0, 150.0), atol=0.05)
+
+
+def test_what_changes_nothing_is_no_operation(driver: LabelDriver, served: Served) -> None:
+    driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    at = driver.view("left").screen((700.0, 120.0))
+    driver.page.mouse.move(*at)
+    driver.page.mouse.down()
+    driver.page.mouse.move(at[0] + 30.0, at[1], steps=2)
+    driver.page.mouse.move(*at)
+    driver.page.mouse.up()
+    driver.press_and_save("Enter")
+    driver.page.keyboard.press("Enter")
+    driver.page.keyboard.press("Shift+Digit2")
+    driver.press_and_save("ArrowRight")
+    assert driver.operation == served.labels.operation == 3
+
+
+def test_a_pole_too_far_to_be_expected_is_continued_from_the_list(
+    driver: LabelDriver, served: Served
+) -> None:
+    left, right = stereo_pole(disparity=1.0)
+    assert driver.draw_pair(POLE, left, right) == "P-01"
+    driver.goto(1)
+    driver.clear_selection()
+    row = '#elements .row:has-text("P-01")'
+    assert driver.page.inner_text(row).split("\n")[-1] == "labelled in frame 0"
+    assert driver.draw_pole("left", *left, element="P-01") == "P-01"
+    assert "left only" in driver.page.inner_text(row)
+    assert len(served.labels.elements) == 1
 
 
 def test_the_new_element_appears_in_the_map(served: Served, page: "Page") -> None:

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
@@ -22,6 +24,15 @@ PEAK, BOTTOM = np.array([[3.0, -1.2, 14.0]]), np.array([[3.0, 1.6, 14.0]])
 def session(tmp_path: Path) -> Iterator[LabelSession]:
     workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 6))
     session = LabelSession(workspace, "tester")
+    yield session
+    session.close()
+
+
+@pytest.fixture(scope="module")
+def shared_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabelSession]:
+    """For many examples; each leaves it without elements."""
+    folder = tmp_path_factory.mktemp("shared")
+    session = LabelSession(Workspace.create_street(folder / "street", 7, range(0, 6)), "tester")
     yield session
     session.close()
 
@@ -236,3 +247,137 @@ def test_nonsense_is_refused_and_leaves_nothing(
     with pytest.raises(SemvizError, match=reason):
         session.do(new_id(), edit)
     assert session.summary()["operation"] == 0
+
+
+# -- far poles
+
+
+def far_pole(
+    session: LabelSession,
+    frame: int,
+    side: str,
+    depth_m: float,
+    selected: str | None = None,
+    noise_px: np.ndarray | None = None,
+    **more: Any,
+) -> dict[str, Any]:
+    """A pole of 2 m a little left of the first camera's axis, with ``noise_px`` (2, 2) added."""
+    top, bottom = np.array([[-1.0, -0.8, depth_m]]), np.array([[-1.0, 1.2, depth_m]])
+    exact = np.array([pixel(session, point, frame, side) for point in (top, bottom)])
+    noisy = exact + (0.0 if noise_px is None else noise_px)
+    return pole(session, frame, side, selected, **more) | {
+        "anchor_px": noisy[0].tolist(),
+        "end_px": noisy[1].tolist(),
+    }
+
+
+OFFSET_PX = np.array([0.45, 0.0])
+"""What KITTI's rectification leaves in its right images."""
+KNOWN = st.sampled_from([(True, True), (False, True), (True, False)])
+
+
+@given(
+    depth_m=st.floats(5.0, 500.0),
+    seed=st.integers(0, 2**32 - 1),
+    known=st.tuples(KNOWN, KNOWN),
+)
+@settings(max_examples=60, deadline=None)
+@example(depth_m=500.0, seed=2, known=((True, True), (True, True)))
+@example(depth_m=500.0, seed=2, known=((False, True), (True, False)))
+def test_left_and_right_of_one_pole_pair_however_far(
+    shared_session: LabelSession,
+    depth_m: float,
+    seed: int,
+    known: tuple[tuple[bool, bool], tuple[bool, bool]],
+) -> None:
+    session = shared_session
+    noise = np.random.default_rng(seed).uniform(-0.5, 0.5, (2, 2, 2))
+    flags = [dict(zip(("anchor_known", "end_known"), one, strict=True)) for one in known]
+    left = far_pole(session, 0, "left", depth_m, noise_px=noise[0], **flags[0])
+    first = draw(session, left)
+    right = far_pole(session, 0, "right", depth_m, first, noise[1] + OFFSET_PX, **flags[1])
+    done = session.do(new_id(), right)
+    assert done.element_id == first, done.note
+    session.do(new_id(), {"kind": "delete element", "element_id": first})
+
+
+@given(
+    depth_m=st.floats(10.0, 500.0),
+    off=st.sampled_from([20.0, -20.0]),
+    frames=st.integers(0, 2),
+)
+@settings(max_examples=30, deadline=None)
+def test_twenty_pixels_off_the_line_never_pair(
+    shared_session: LabelSession, depth_m: float, off: float, frames: int
+) -> None:
+    """Neither with one view nor with an element seen in ``frames`` whole pairs before."""
+    session, first = shared_session, None
+    for frame in range(frames):
+        for side in ("left", "right"):
+            first = draw(session, far_pole(session, frame, side, depth_m, first))
+    first = draw(session, far_pole(session, frames, "left", depth_m, first))
+    shift = np.array([0.0, off])
+    done = session.do(new_id(), far_pole(session, frames, "right", depth_m, first, shift))
+    assert done.element_id != first
+    assert "px off P-" in done.note
+    for element_id in (first, done.element_id):
+        session.do(new_id(), {"kind": "delete element", "element_id": element_id})
+
+
+def test_a_wrong_disparity_does_not_pass_for_a_far_pole(session: LabelSession) -> None:
+    """Rays that meet behind the cameras by more than noise are of two things."""
+    first = draw(session, far_pole(session, 0, "left", 100.0))
+    shift = np.array([30.0, 0.0])
+    done = session.do(new_id(), far_pole(session, 0, "right", 100.0, first, shift))
+    assert done.element_id != first
+    disparity = session.rig.left.K[0, 0] * session.rig.baseline_m / 100.0
+    assert done.note.startswith(f"{(30.0 - disparity) / 2.0:.1f} px off P-01")
+
+
+def test_what_is_too_far_to_triangulate_is_offered_nearby_and_continued(
+    session: LabelSession,
+) -> None:
+    first = draw(session, far_pole(session, 0, "left", 300.0))
+    (offered,) = session.frame(3)["nearby"]
+    assert (offered["id"], offered["labelled_in"]) == (first, 0)
+    assert "left" not in offered  # one view tells no place
+    draw(session, far_pole(session, 0, "right", 300.0, first))
+    assert session.place(first) is None
+    seen = session.frame(3)
+    assert seen["ghosts"] == []
+    (offered,) = seen["nearby"]
+    for side in ("left", "right"):
+        true = far_pole(session, 3, side, 300.0)
+        np.testing.assert_allclose(offered[side]["anchor"], true["anchor_px"], atol=0.5)
+        np.testing.assert_allclose(offered[side]["end"], true["end_px"], atol=0.5)
+    assert draw(session, far_pole(session, 3, "left", 300.0, first)) == first
+    assert session.frame(4)["nearby"][0]["labelled_in"] == 3
+    draw(session, far_pole(session, 3, "right", 300.0, first))
+    assert session.frame(3)["nearby"] == []
+
+
+def test_what_is_expected_or_passed_or_labelled_long_ago_is_not_offered(tmp_path: Path) -> None:
+    workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 12))
+    session = LabelSession(workspace, "tester")
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    once = draw(session, sign(0, "left", (700.0, 120.0)))
+    offered = {frame: {one["id"] for one in session.frame(frame)["nearby"]} for frame in range(12)}
+    expected = {frame: {one["id"] for one in session.frame(frame)["ghosts"]} for frame in range(12)}
+    assert expected[1] == {first}
+    assert all(first not in ids for ids in offered.values())
+    assert [once in offered[frame] for frame in range(12)] == [False] + [True] * 5 + [False] * 6
+    session.close()
+
+
+def test_news_tell_what_another_process_did(session: LabelSession) -> None:
+    session.news()
+    assert not session.has_news()
+    other = LabelSession(session.workspace, "somebody else")
+    draw(other, pole(other, 4, "left"))
+    other.close()
+    assert session.has_news()
+    news = session.news()
+    assert news["frames"] == [{"index": 4, "state": "in work", "elements": 1}]
+    assert news["operation"] == 1
+    assert not session.has_news()

@@ -80,7 +80,8 @@ export function editing(state, { submit, select }) {
       if (state.hello.classes.some((one) => one.id === id) && !state.drawing) state.set({ classId: id });
     },
     setClass(id) {
-      if (state.selectedElement) submit({ kind: "set class", element_id: state.selectedElement.id, class_id: id });
+      const element = state.selectedElement;
+      if (element && element.class !== id) submit({ kind: "set class", element_id: element.id, class_id: id });
     },
     link() {
       const { element, also } = state.selected ?? {};
@@ -119,7 +120,8 @@ export function editing(state, { submit, select }) {
       select(null);
     },
     review(verdict) {
-      submit({ kind: "review", frame_index: state.frame, state: verdict });
+      const now = state.labels.frames.find(({ index }) => index === state.frame).state;
+      if (now !== verdict || state.pending.length) submit({ kind: "review", frame_index: state.frame, state: verdict });
     },
   };
 }

@@ -166,7 +166,7 @@ export class Images {
       painter.element(element, observation, { selected, hovered, vertex: inHand ? state.vertex : null });
     }
     if (state.drawing?.side === side) painter.drawing(state.drawing);
-    painter.labels();
+    painter.labels(this.stage[0]);
   }
 
   /** Bottom right; in the left corner when the pointer comes near. */

@@ -8,7 +8,7 @@ import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Pictures } from "./pictures.js";
-import { State } from "./state.js";
+import { State, isIdle } from "./state.js";
 import { Tools } from "./tools.js";
 import { Keys } from "/static/keys.js";
 
@@ -20,14 +20,14 @@ const looking = { waiting: false, again: false };
 let outbox = null;
 let session = "";
 
-/** Keeps an edit and sends it; the page shows it at once. */
+/** Keeps an edit and sends it; the page shows it at once. One that changes nothing is dropped. */
 function submit(edit) {
-  const request = outbox.add(edit);
+  if (isIdle(state.elements, edit)) return;
+  outbox.add(edit);
   if (edit.kind === "draw") {
     state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
   }
   refreshPending();
-  return request;
 }
 
 function refreshPending() {
@@ -115,7 +115,7 @@ const received = {
   saved(message) {
     const sent = outbox.entries.find(({ request }) => request === message.request);
     outbox.settle(message.request);
-    state.pending = outbox.entries;
+    Object.assign(state, { pending: outbox.entries, trouble: null });
     take(message);
     const isDrawing = sent?.edit.kind === "draw";
     const isInHand = isDrawing && state.selected?.element === sent.edit.element_id;
@@ -127,10 +127,10 @@ const received = {
     else look();
   },
   refused({ request, text, kept }) {
-    if (!kept) outbox.settle(request);
-    state.set({ trouble: kept ? text : null });
-    refreshPending();
-    panels.tell(text, "wrong");
+    if (kept) outbox.retry();
+    else outbox.settle(request);
+    if (!kept || state.trouble !== text) panels.tell(text, "wrong"); // once, not at every retry
+    state.set({ trouble: kept ? text : null, pending: outbox.entries });
     look();
   },
   look({ look: answer }) {
@@ -157,7 +157,7 @@ function take({ state: news, frame }) {
   const changed = new Map(news.frames.map((one) => [one.index, one]));
   const frames = state.labels.frames.map((one) => changed.get(one.index) ?? one);
   const mine = frame.index === state.frame ? frame : state.labels.frame;
-  state.set({ labels: { ...news, frames, frame: mine }, trouble: null });
+  state.set({ labels: { ...news, frames, frame: mine } });
 }
 
 function sendTheme() {
@@ -189,6 +189,6 @@ const socket = new Socket({
   onstate: (connected) => {
     looking.waiting = false;
     if (!connected) outbox?.disconnected();
-    state.set({ connected, theme: currentTheme() });
+    state.set({ connected, theme: currentTheme(), trouble: null });
   },
 });

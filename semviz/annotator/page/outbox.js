@@ -3,12 +3,16 @@
 // knows a request that it has already done, so sending one twice does it once.
 import { uuid7 } from "./state.js";
 
+const RETRY_MS = 3000;
+
+/** Sends one edit at a time: what builds on an edit that could not be saved waits behind it. */
 export class Outbox {
   /** `send(message)` returns false while there is no connection. */
   constructor(workspace, send) {
     this.prefix = `semviz.outbox.${workspace}.`;
     this.send = send;
-    this.sent = new Set();
+    this.sent = null; // the request that the server has not answered yet
+    this.timer = 0;
   }
 
   /** [{request, edit}], oldest first: version 7 UUIDs sort by the time of their making. */
@@ -23,26 +27,30 @@ export class Outbox {
     const request = uuid7();
     localStorage.setItem(this.prefix + request, JSON.stringify({ request, edit }));
     this.flush();
-    return request;
   }
 
-  /** Sends what has not been sent over this connection. */
+  /** Sends the oldest edit, unless an answer is still to come. */
   flush() {
-    for (const { request, edit } of this.entries) {
-      if (this.sent.has(request)) continue;
-      if (!this.send({ type: "edit", request, edit })) return;
-      this.sent.add(request);
-    }
+    const [oldest] = this.sent ? [] : this.entries;
+    if (oldest && this.send({ type: "edit", ...oldest })) this.sent = oldest.request;
   }
 
   /** The connection is gone: whatever was not acknowledged goes out again with the next one. */
   disconnected() {
-    this.sent.clear();
+    this.sent = null;
+  }
+
+  /** The server could not save it now; it goes out again soon, or with the next edit. */
+  retry() {
+    this.sent = null;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.flush(), RETRY_MS);
   }
 
   /** The server has it on disk, or refused it for good. */
   settle(request) {
     localStorage.removeItem(this.prefix + request);
-    this.sent.delete(request);
+    if (this.sent === request) this.sent = null;
+    this.flush();
   }
 }

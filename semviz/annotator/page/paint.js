@@ -34,24 +34,24 @@ export class Painter {
       drawGlyph(this.context, shape, ...anchor, selected ? SELECTED_GLYPH : GLYPH, color, width, dash);
       this.#dot(anchor, color);
     }
-    const cut = observation.anchor_known ? "" : " · peak cut";
-    const hidden = kind === "line" && !observation.end_known ? " · bottom hidden" : "";
-    this.#label(element.name + cut + hidden, anchor, selected ? 2 : 1);
+    const text = selected ? [element.name, ...missing(kind, observation)].join(" · ") : element.name;
+    this.#label(text, anchor, selected ? 3 : 2, observation.end);
   }
 
-  /** Where a mapped element should be in this image: dashed, never filled. */
+  /** Where a mapped element should be in this image: dashed, never filled; a weak one dotted. */
   ghost(ghost, place, selected) {
     const { color, shape, kind } = this.classOf(ghost.class);
     const anchor = this.view.toScreen(place.anchor);
+    const weak = ghost.labelled_in !== undefined;
     if (kind === "line") {
       const end = this.view.toScreen(place.end);
       if (selected) this.#halo(anchor, end);
-      drawLine(this.context, anchor, end, color, 1.5, [5, 4]);
+      drawLine(this.context, anchor, end, color, 1.5, weak ? [1.5, 4] : [5, 4]);
     } else {
       if (selected) this.#ring(anchor, GLYPH + 6);
-      drawGlyph(this.context, shape, ...anchor, GLYPH, color, 1.5, [4, 3]);
+      drawGlyph(this.context, shape, ...anchor, GLYPH, color, 1.5, weak ? [1.5, 3] : [4, 3]);
     }
-    this.#label(ghost.name, anchor, selected ? 2 : 0);
+    this.#label(ghost.name, anchor, selected ? 3 : weak ? 0 : 1, place.end);
   }
 
   /** Epipolar lines: thin over the whole image, brighter where the depth is plausible. */
@@ -78,22 +78,29 @@ export class Painter {
     }
   }
 
-  /** Names; where two would overlap, the one with less to say goes. */
-  labels() {
+  /** Names, right or left of what they name. Where both places are taken, the one with less to say
+   * goes: a ghost before an element, a far pole before a near one; the selected one stays. */
+  labels(width) {
     const taken = [];
-    for (const { text, at, weight } of this.texts.sort((a, b) => b.weight - a.weight)) {
-      const font = weight ? 600 : 400;
+    this.texts.sort((a, b) => b.weight - a.weight || b.length - a.length);
+    for (const { text, at, weight } of this.texts) {
+      const font = weight > 1 ? 600 : 400;
       this.context.font = `${font} ${LABEL_SIZE}px Inter, "Liberation Sans", Arial, sans-serif`;
-      const place = [at[0] + 11, at[1] - 8];
-      const box = [place[0], place[1] - 7, this.context.measureText(text).width, 14];
-      if (weight < 2 && taken.some((one) => overlap(one, box))) continue;
+      const size = this.context.measureText(text).width;
+      const y = Math.max(at[1] - 8, 9);
+      const boxes = [at[0] + 11, at[0] - 11 - size].map((x) => [x, y - 7, size, 14]);
+      const free = boxes.find((box) =>
+        box[0] > 0 && box[0] + size < width && !taken.some((one) => overlap(one, box)));
+      const box = free ?? (weight === 3 ? boxes[0] : null);
+      if (!box) continue;
       taken.push(box);
-      drawText(this.context, text, ...place, { weight: font, size: LABEL_SIZE });
+      drawText(this.context, text, box[0], y, { weight: font, size: LABEL_SIZE });
     }
   }
 
-  #label(text, at, weight) {
-    this.texts.push({ text, at, weight });
+  /** `end`: the other end of what is named, in pixels; null for signs. */
+  #label(text, at, weight, end) {
+    this.texts.push({ text, at, weight, length: end ? gap(at, this.view.toScreen(end)) : 0 });
   }
 
   /** A handle; where the end is not seen, hollow and with an arrow that points on along the pole. */
@@ -204,6 +211,11 @@ export function hitTest(view, { anchor, end }, point) {
   if (!end) return null;
   const distance = gapToSegment(point, view.toScreen(anchor), view.toScreen(end));
   return distance <= 5 ? { part: "line", distance, rank: 1 } : null;
+}
+
+/** What of a pole is not seen, in words. */
+function missing(kind, { anchor_known, end_known }) {
+  return [anchor_known ? "" : "peak cut", kind === "line" && !end_known ? "bottom hidden" : ""].filter(Boolean);
 }
 
 const overlap = ([x, y, w, h], [a, b, c, d]) => x < a + c && a < x + w && y < b + d && b < y + h;

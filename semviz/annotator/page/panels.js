@@ -163,8 +163,10 @@ export class Panels {
         el("span", { class: "views dim", text: one.views ? `${one.views}` : "" })]);
     });
     const expected = state.expected.map((one) =>
-      line(one, [el("span", { class: "faint", text: `expected · ${one.depth_m.toFixed(0)} m` })]));
-    byId("elements-about").textContent = `${seen.length} here, ${expected.length} expected`;
+      line(one, [el("span", { class: "faint", text: whence(one) })]));
+    const near = state.expected.filter((one) => one.labelled_in !== undefined).length;
+    const counts = [`${seen.length} here`, `${expected.length - near} expected`, near ? `${near} to go on` : ""];
+    byId("elements-about").textContent = counts.filter(Boolean).join(", ");
     byId("map-about").textContent = `${state.labels.mapped} elements`;
     return [...seen, ...expected];
   }
@@ -176,7 +178,7 @@ export class Panels {
     const id = drawing?.class ?? element?.class ?? state.selectedGhost?.class;
     if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
     const name = drawing ? look?.joins ?? `New ${state.classOf(id).name}` : (element ?? state.selectedGhost).name;
-    const about = drawing ? "not saved yet" : element?.kept ? "kept here" : element ? state.classOf(id).name : "expected here";
+    const about = drawing ? "not saved yet" : element?.kept ? "kept here" : element ? state.classOf(id).name : whence(state.selectedGhost);
     const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
     return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side)), warning(card), this.#buttons(element)];
@@ -221,6 +223,10 @@ export class Panels {
     }
   }
 }
+
+/** Why an element that is not labelled here is offered. */
+const whence = ({ labelled_in, depth_m }) =>
+  labelled_in === undefined ? `expected · ${depth_m.toFixed(0)} m` : `labelled in frame ${labelled_in}`;
 
 const capital = (text) => text[0].toUpperCase() + text.slice(1);
 

@@ -44,10 +44,11 @@ export class State {
     return elements;
   }
 
-  /** Mapped elements that are expected in this frame and not yet labelled in it. */
+  /** Mapped elements that are expected in an image and not yet labelled in it, then weak ones: of
+   * elements labelled in a frame nearby (`labelled_in`), with a place where there is any. */
   get ghosts() {
     if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
-    return this.labels.frame.ghosts;
+    return [...this.labels.frame.ghosts, ...this.labels.frame.nearby];
   }
 
   /** Ghosts of elements that are not labelled in either image of this frame. */
@@ -86,6 +87,12 @@ export class State {
   get hasRight() {
     return this.hello?.images.right != null;
   }
+}
+
+/** Whether `edit` leaves `elements` as they are, such as a drag that ends where it began. */
+export function isIdle(elements, edit) {
+  if (!(edit.kind in APPLY) || !find(elements, edit.observation_id)) return false;
+  return JSON.stringify(withPending(elements, [{ edit }], null)) === JSON.stringify(elements);
 }
 
 /** `elements` with the edits of `pending` that touch `frame` applied; pure. */

@@ -146,8 +146,8 @@ export class Tools {
 
   #drop() {
     const { observation, anchor, end } = this.state.dragged;
-    this.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
     this.state.set({ dragged: null });
+    this.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
   }
 
   /** A sign is done; a pole waits for its second click, unless it was drawn in one stroke. */
