@@ -31,14 +31,15 @@ def element_name(element: LabelElement, classes: ClassSet) -> str:
 
 
 def elements_json(labels: Labels, frame_index: int, classes: ClassSet) -> list[Json]:
-    """The elements labelled in a frame, with what was drawn in each image."""
+    """The elements labelled in a frame by number, with what was drawn in each image."""
     observations: dict[str, dict[str, Json]] = {}
     for row in labels.in_frame(frame_index):
         observations.setdefault(row.element_id, {})[row.side] = _observation_json(row)
+    elements = sorted(map(labels.element, observations), key=lambda one: one.number)
     return [
-        _element_json(labels.element(element_id), classes)
-        | {"observations": sides, "views": len(labels.of_element(element_id))}
-        for element_id, sides in observations.items()
+        _element_json(one, classes)
+        | {"observations": observations[one.id], "views": len(labels.of_element(one.id))}
+        for one in elements
     ]
 
 

@@ -81,7 +81,7 @@ export class Painter {
   /** Names, right or left of what they name. Where both places are taken, the one with less to say
    * goes: a ghost before an element, a far pole before a near one; the selected one stays. */
   labels(width) {
-    const taken = [];
+    const taken = this.texts.map(({ at: [x, y] }) => [x - 6, y - 6, 12, 12]); // never on a glyph
     this.texts.sort((a, b) => b.weight - a.weight || b.length - a.length);
     for (const { text, at, weight } of this.texts) {
       const font = weight > 1 ? 600 : 400;

@@ -165,7 +165,7 @@ export class Panels {
     const expected = state.expected.map((one) =>
       line(one, [el("span", { class: "faint", text: whence(one) })]));
     const near = state.expected.filter((one) => one.labelled_in !== undefined).length;
-    const counts = [`${seen.length} here`, `${expected.length - near} expected`, near ? `${near} to go on` : ""];
+    const counts = [`${seen.length} here`, `${expected.length - near} expected`, near ? `${near} nearby` : ""];
     byId("elements-about").textContent = counts.filter(Boolean).join(", ");
     byId("map-about").textContent = `${state.labels.mapped} elements`;
     return [...seen, ...expected];
