@@ -1,5 +1,6 @@
 """The ``semviz`` command: parse, call, and turn people's mistakes into one line."""
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -38,7 +39,8 @@ Command = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    """Run one command. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted,
+    141 nobody reads the output any more."""
     command = tyro.cli(
         Command,
         args=arguments,
@@ -48,13 +50,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     try:
         status = command.run()
+        sys.stdout.flush()
     except SemvizError as error:
-        print(f"semviz: {error}", file=sys.stderr)
-        status = 2
+        status = _refuse(str(error))
+    except BrokenPipeError:  # whoever read our output (head, less) has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 141
+    except OSError as error:  # what the system refuses: permissions, a full disk, a name too long
+        where = "" if error.filename is None else f"{error.filename}: "
+        status = _refuse(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         print("semviz: interrupted", file=sys.stderr)
         status = 130
     sys.exit(status)
+
+
+def _refuse(why: str) -> int:
+    print("semviz:", " ".join(why.splitlines()), file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

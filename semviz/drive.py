@@ -17,6 +17,7 @@ from semviz.workspace import Workspace
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
+from semviz_core.files import check_replaceable
 from semviz_core.frame import Frame, Prior
 from semviz_core.localize import Localizer
 from semviz_core.semantic_map import SemanticMap
@@ -45,6 +46,12 @@ class DriveOptions:
     crop_radius_m: float = CROP_RADIUS_M["labels"]
     seed: int = 0
     images: bool = True
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise SemvizError(f"seed {self.seed}: give 0 or more")
+        if not 0.0 < self.crop_radius_m < np.inf:
+            raise SemvizError(f"crop radius {self.crop_radius_m:g} m: give a positive number")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +154,12 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
     """Write the run to ``path`` with a progress bar; how many frames got which status.
 
     An interrupted run stays beside it as ``NAME.partial.rrd``, readable up to its last frame; an
-    earlier run at ``path`` is only replaced by a complete one.
+    earlier run at ``path`` is only replaced by a complete one. Raises SemvizError where ``path``
+    cannot be written.
     """
+    if path.suffix != ".rrd":
+        raise SemvizError(f"{path}: name a file that ends in .rrd, such as runs/first.rrd")
+    check_replaceable(path)
     options = drive.options
     simulated = f"simulated detector, noise {options.noise}"
     info = RunInfo(
@@ -165,9 +176,14 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
     )
     counts: Counter[str] = Counter()
     unfinished = path.with_name(f"{path.stem}.partial.rrd")
-    with RunWriter(unfinished, info, drive.semantic_map) as writer:
-        for one in track(drive, "localizing", len(drive.frames)):
-            writer.write(one)
-            counts[one.localization.status] += 1
+    try:
+        with RunWriter(unfinished, info, drive.semantic_map) as writer:
+            for one in track(drive, "localizing", len(drive.frames)):
+                writer.write(one)
+                counts[one.localization.status] += 1
+    except BaseException:
+        if not counts:  # nothing in it to read
+            unfinished.unlink(missing_ok=True)
+        raise
     unfinished.replace(path)
     return counts

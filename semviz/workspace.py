@@ -8,7 +8,7 @@ runs/NAME.rrd
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 VERSION: Final = 1
 SETTINGS = "semviz.toml"
 STREET_FRAMES = 60
+MOST_NAME_BYTES = 200
+"""File systems take 255 with the ending and a temporary one."""
 TRUTH = "truth"
 """Name of the map that a simulated street comes with."""
 
@@ -74,7 +76,7 @@ class SectionSettings(_Model):
     """A stretch of a simulated street; see ``semviz_core.sources.street.layout.Section``."""
 
     kind: SectionKind
-    length_m: float = Field(gt=0)
+    length_m: float = Field(gt=0, le=10_000)
 
 
 class StreetSettings(_Model):
@@ -82,8 +84,8 @@ class StreetSettings(_Model):
 
     kind: Literal["street"] = "street"
     seed: int = Field(ge=0)
-    frames: int = Field(default=STREET_FRAMES, gt=0)
-    spacing_m: float = Field(default=1.0, gt=0)
+    frames: int = Field(default=STREET_FRAMES, gt=0, le=10_000)
+    spacing_m: float = Field(default=1.0, gt=0, le=20)
     sections: tuple[SectionSettings, ...] = ()
 
 
@@ -106,8 +108,9 @@ class Workspace:
         self.settings = settings
 
     @classmethod
-    def open(cls, path: Path) -> "Workspace":
+    def open(cls, path: Path | str) -> "Workspace":
         """The workspace in folder ``path``."""
+        path = Path(path)
         if not path.is_dir():
             raise SemvizError(
                 f"{path}: no such workspace; make one with "
@@ -128,13 +131,14 @@ class Workspace:
         from semviz_core.sources.kitti import KittiSequence
 
         KittiSequence(root, sequence, cameras, frames)  # wrong input leaves no folder behind
-        source = KittiSettings(
-            root=os.path.relpath(root.resolve(), path.resolve()),
-            sequence=sequence,
-            cameras=cameras,
-            frames=None if frames is None else FrameRange.of(frames),
-        )
-        return cls._create(path, source)
+        source = {
+            "kind": "kitti",
+            "root": os.path.relpath(root.resolve(), path.resolve()),
+            "sequence": sequence,
+            "cameras": cameras,
+            "frames": None if frames is None else FrameRange.of(frames),
+        }
+        return cls._create(path, _new_settings(path, source))
 
     @classmethod
     def create_street(
@@ -152,20 +156,25 @@ class Workspace:
         """
         if seed < 0:
             raise SemvizError(f"seed {seed}: the seed of a street is 0 or more")
-        if frames is not None and (not frames or frames[0] != 0 or frames.step != 1):
+        if frames is not None and (not frames or frames.start != 0 or frames.step != 1):
             raise SemvizError("a simulated street has the frames from 0 on: write 0:END")
-        stretches = tuple(SectionSettings(kind=s.kind, length_m=s.length_m) for s in sections)
-        count = STREET_FRAMES if frames is None else len(frames)
-        source = StreetSettings(seed=seed, frames=count, spacing_m=spacing_m, sections=stretches)
-        made = cls._create(path, source)
-        save_map(made.street.truth_map, made.map_path(TRUTH))
+        source = {
+            "kind": "street",
+            "seed": seed,
+            "frames": STREET_FRAMES if frames is None else frames.stop,
+            "spacing_m": spacing_m,
+            "sections": [{"kind": one.kind, "length_m": one.length_m} for one in sections],
+        }
+        settings = _new_settings(path, source)
+        truth = cls(path, settings).street.truth_map  # where it fails no folder is left behind
+        made = cls._create(path, settings)
+        save_map(truth, made.map_path(TRUTH))
         return made
 
     @classmethod
-    def _create(cls, path: Path, source: KittiSettings | StreetSettings) -> "Workspace":
+    def _create(cls, path: Path, settings: Settings) -> "Workspace":
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
-        settings = Settings(version=VERSION, name=path.resolve().name, source=source)
         text = tomli_w.dumps(settings.model_dump(exclude_none=True))
         with replacing(path / SETTINGS) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -277,9 +286,12 @@ def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
 
     Raises SemvizError where a path is neither, or no run is found at all.
     """
+    from semviz.recording.reader import check_run_file
+
     runs: list[Path] = []
     for path in paths:
-        if path.is_file():
+        if path.is_file() or path.suffix == ".rrd":
+            check_run_file(path)
             runs.append(path)
         else:
             workspace = Workspace.open(path)
@@ -295,7 +307,7 @@ def _read_settings(path: Path) -> Settings:
         raise SemvizError(f"{path}: not a workspace, it has no {SETTINGS}; 'semviz new' makes one")
     try:
         raw = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SemvizError(f"{file}: not readable as TOML ({error}); repair it") from None
     version = raw.get("version")
     if isinstance(version, int) and version > VERSION:
@@ -305,14 +317,28 @@ def _read_settings(path: Path) -> Settings:
     try:
         return Settings.model_validate(raw)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "file"
-        raise SemvizError(f"{file}: {where}: {first['msg']}; repair it") from None
+        raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
+
+
+def _new_settings(path: Path, source: Mapping[str, object]) -> Settings:
+    try:
+        return Settings.model_validate(
+            {"version": VERSION, "name": path.resolve().name, "source": source}
+        )
+    except ValidationError as error:
+        raise SemvizError(f"{path}: {_first_fault(error)}; choose another value") from None
+
+
+def _first_fault(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "file"
+    return f"{where}: {first['msg']}"
 
 
 def _checked_name(name: str) -> str:
-    if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|\0'):
-        raise SemvizError(f"'{name}' cannot be a file name; use letters, digits, '-' and '_'")
+    fits = 0 < len(name.encode()) <= MOST_NAME_BYTES and name.isprintable()
+    if not fits or name.startswith(".") or set(name) & set('/\\:*?"<>|'):
+        raise SemvizError(f"{name!r} cannot be a file name; use letters, digits, '-' and '_'")
     return name
 
 

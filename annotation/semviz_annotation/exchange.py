@@ -70,7 +70,7 @@ def _check_header(path: Path, line: bytes) -> None:
         header = json.loads(line)
         known = header["format"] == FORMAT
         version = int(header["version"])
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         known = False
     if not known:
         raise SemvizError(f"{path}, line 1: not a log of label operations of semviz")

@@ -15,9 +15,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from semviz_annotation.edits import Edit, Rules
+from semviz_annotation.edits import Edit, Rules, first_fault
 from semviz_annotation.labels import (
     STRICT,
     Change,
@@ -324,7 +324,7 @@ class LabelStore:
         """Read the state from the file, as of one moment."""
         self._connection.execute("BEGIN")
         try:
-            self._labels = read_labels(self._connection)
+            self._labels = self._read_labels()
             self._history = _History()
             for row in self._connection.execute(
                 "SELECT number, author, undoes, redoes FROM operations ORDER BY number"
@@ -332,6 +332,12 @@ class LabelStore:
                 self._history.add_numbers(*row)
         finally:
             self._connection.execute("ROLLBACK")
+
+    def _read_labels(self) -> Labels:
+        try:
+            return read_labels(self._connection)
+        except SemvizError as error:
+            raise _damaged(self.path, str(error)) from None
 
     def _catch_up(self) -> None:
         """Take over what other processes have written since."""
@@ -348,7 +354,10 @@ class LabelStore:
         rows = self._connection.execute(
             f"SELECT {_COLUMNS} FROM operations WHERE number > ? ORDER BY number", (after,)
         )
-        return tuple(_operation(row) for row in rows)
+        try:
+            return tuple(_operation(row) for row in rows)
+        except ValidationError as error:
+            raise _damaged(self.path, first_fault(error)) from None
 
     def _of_request(self, request_id: str | None) -> Operation | None:
         row = self._connection.execute(
@@ -388,6 +397,10 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+def _damaged(path: Path, why: str) -> SemvizError:
+    return SemvizError(f"{path}: the label file is damaged ({why}); restore a copy")
+
+
 def _plain(error: sqlite3.Error, path: Path, what: str) -> SemvizError:
     """The line for people to read."""
     match getattr(error, "sqlite_errorcode", 0) & 0xFF:
@@ -400,5 +413,5 @@ def _plain(error: sqlite3.Error, path: Path, what: str) -> SemvizError:
         case sqlite3.SQLITE_NOTADB:
             return SemvizError(f"{path}: not a label file")
         case sqlite3.SQLITE_CORRUPT:
-            return SemvizError(f"{path}: the label file is damaged; restore a copy")
+            return _damaged(path, str(error))
     return SemvizError(f"{what}: {path}: {error}")

@@ -117,7 +117,7 @@ def _statements(script: str) -> Iterator[str]:
 def read_labels(connection: sqlite3.Connection) -> Labels:
     """The current state."""
     next_number = connection.execute(
-        "SELECT value FROM counters WHERE name = 'next element number'"
+        "SELECT coalesce(max(value), 1) FROM counters WHERE name = 'next element number'"
     ).fetchone()[0]
     last = connection.execute("SELECT coalesce(max(number), 0) FROM operations").fetchone()[0]
     return Labels.from_rows(_rows(connection), next_number, last)

@@ -10,6 +10,8 @@ from semviz_core.pose import Pose
 
 MIN_DEPTH_M = 0.1
 """Nearer points are treated as behind the camera."""
+LEAST_FOCAL_PX = 1e-6
+DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +27,16 @@ class Camera:
 
     def __post_init__(self) -> None:
         K = float_array(self.K, (3, 3), "K")
-        if self.width <= 0 or self.height <= 0:
+        if not (self.width > 0 and self.height > 0):
             raise SemvizError(f"image size {self.width}x{self.height} is not positive")
-        if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+        if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
             raise SemvizError("K is not an intrinsic matrix: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
         object.__setattr__(self, "K", K)
-        object.__setattr__(self, "distortion", float_array(self.distortion, (None,), "distortion"))
+        distortion = float_array(self.distortion, (None,), "distortion")
+        if len(distortion) not in DISTORTION_LENGTHS:
+            counts = ", ".join(str(count) for count in DISTORTION_LENGTHS)
+            raise SemvizError(f"distortion has {len(distortion)} numbers; OpenCV's has {counts}")
+        object.__setattr__(self, "distortion", distortion)
 
     def project(self, points_camera: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) in camera coordinates; NaN for points behind."""

@@ -37,10 +37,10 @@ class Elements2D:
     """(m,) False where a pole's bottom is cut off or hidden, and for points."""
 
     def __post_init__(self) -> None:
+        _set(self, "class_id", int_array(self.class_id, (None,), "class_id"))
         m = len(self.class_id)
         _set(self, "anchor_px", float_array(self.anchor_px, (m, 2), "anchor_px"))
         _set(self, "end_px", float_array(self.end_px, (m, 2), "end_px", nan=True))
-        _set(self, "class_id", int_array(self.class_id, (m,), "class_id"))
         _set(self, "score", float_array(self.score, (m,), "score"))
         _set(self, "sigma_px", float_array(self.sigma_px, (m, 2), "sigma_px"))
         _set(self, "anchor_known", bool_array(self.anchor_known, (m,), "anchor_known"))
@@ -55,12 +55,13 @@ class Elements2D:
         cls, anchor_px: ArrayLike, end_px: ArrayLike, class_id: ArrayLike, sigma_px: float = 1.0
     ) -> "Elements2D":
         """Elements with every end known, score 1 and one sigma."""
-        m = len(np.asarray(class_id))
-        end = np.asarray(end_px, dtype=np.float64).reshape(m, 2)
+        classes = int_array(class_id, (None,), "class_id")
+        m = len(classes)
+        end = _points(end_px, (m, 2), "end_px")
         return cls(
-            anchor_px=np.asarray(anchor_px, dtype=np.float64).reshape(m, 2),
+            anchor_px=_points(anchor_px, (m, 2), "anchor_px"),
             end_px=end,
-            class_id=np.asarray(class_id, dtype=np.int64),
+            class_id=classes,
             score=np.ones(m),
             sigma_px=np.full((m, 2), sigma_px),
             anchor_known=np.ones(m, dtype=bool),
@@ -100,15 +101,17 @@ class Elements3D:
     """(n,) False where no view showed a pole's bottom, and for points."""
 
     def __post_init__(self) -> None:
+        _set(self, "class_id", int_array(self.class_id, (None,), "class_id"))
         n = len(self.class_id)
         _set(self, "id", int_array(self.id, (n,), "id"))
         _set(self, "anchor_m", float_array(self.anchor_m, (n, 3), "anchor_m"))
         _set(self, "end_m", float_array(self.end_m, (n, 3), "end_m", nan=True))
-        _set(self, "class_id", int_array(self.class_id, (n,), "class_id"))
         covariance = float_array(self.covariance_m2, (n, 6, 6), "covariance_m2")
         _set(self, "covariance_m2", covariance)
         _set(self, "anchor_known", bool_array(self.anchor_known, (n,), "anchor_known"))
         _set(self, "end_known", bool_array(self.end_known, (n,), "end_known"))
+        if (np.diagonal(covariance, axis1=1, axis2=2) < 0).any():
+            raise SemvizError("covariance_m2 holds negative variances; remove or repair those rows")
         if len(np.unique(self.id)) != n:
             raise SemvizError("two map elements share an id")
         if (self.end_known & ~self.is_line).any():
@@ -124,17 +127,18 @@ class Elements3D:
         sigma_m: float = 0.05,
     ) -> "Elements3D":
         """Elements with every end known and one isotropic sigma."""
-        n = len(np.asarray(class_id))
-        end = np.asarray(end_m, dtype=np.float64).reshape(n, 3)
+        classes = int_array(class_id, (None,), "class_id")
+        n = len(classes)
+        end = _points(end_m, (n, 3), "end_m")
         is_line = _rows_finite(end)
         covariance = np.zeros((n, 6, 6))
         covariance[:, range(3), range(3)] = sigma_m**2
         covariance[:, range(3, 6), range(3, 6)] = np.where(is_line, sigma_m**2, 0.0)[:, None]
         return cls(
-            id=np.asarray(id, dtype=np.int64),
-            anchor_m=np.asarray(anchor_m, dtype=np.float64).reshape(n, 3),
+            id=int_array(id, (n,), "id"),
+            anchor_m=_points(anchor_m, (n, 3), "anchor_m"),
             end_m=end,
-            class_id=np.asarray(class_id, dtype=np.int64),
+            class_id=classes,
             covariance_m2=covariance,
             anchor_known=np.ones(n, dtype=bool),
             end_known=is_line,
@@ -164,6 +168,12 @@ class Elements3D:
 
 def _set(value: object, name: str, array: object) -> None:
     object.__setattr__(value, name, array)  # the dataclass is frozen
+
+
+def _points(value: ArrayLike, shape: tuple[int, int], name: str) -> FloatArray:
+    """(shape) of points whose ends may be missing; ``[]`` will do for none."""
+    none = shape[0] == 0 and not np.size(value)
+    return float_array(np.zeros(shape) if none else value, shape, name, nan=True)
 
 
 def _rows_finite(points: FloatArray) -> BoolArray:

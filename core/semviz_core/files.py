@@ -13,8 +13,10 @@ from semviz_core.errors import SemvizError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on success it is fsynced and takes its place.
 
-    On an exception ``path`` stays as it was. Raises SemvizError where the folder is not writable.
+    On an exception ``path`` stays as it was. Raises SemvizError where it cannot be written: the
+    folder is not writable, the disk is full, or ``path`` is a folder or a device.
     """
+    check_replaceable(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -28,8 +30,20 @@ def replacing(path: Path) -> Iterator[Path]:
         _fsync(temporary)
         temporary.replace(path)
         _fsync(path.parent)
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_replaceable(path: Path) -> None:
+    """SemvizError where ``path`` is something that a file must not take the place of."""
+    try:
+        free = path.is_file() or not path.exists()
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be written ({error.strerror})") from None
+    if not free:
+        raise SemvizError(f"{path}: a folder or a device, not a file; choose another name")
 
 
 def _umask() -> int:

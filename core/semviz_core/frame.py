@@ -8,6 +8,9 @@ from semviz_core.arrays import FloatArray, float_array
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 
+SIGMA_RANGE = (1e-6, 1e6)
+"""Smaller or larger ones (m or rad) are no sensor's, and their squares lose all digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -41,8 +44,7 @@ class Prior:
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", float_array(self.position_m, (3,), "position_m"))
         for name in ("horizontal_sigma_m", "vertical_sigma_m", "up_sigma_rad", "heading_sigma_rad"):
-            if not getattr(self, name) > 0:
-                raise SemvizError(f"prior: {name} must be positive, not {getattr(self, name)}")
+            check_sigma(getattr(self, name), f"prior: {name}")
         if self.heading_rad is not None and not np.isfinite(self.heading_rad):
             raise SemvizError("prior: heading_rad is not a number; leave it None if unknown")
         if self.up_camera is not None:
@@ -50,3 +52,10 @@ class Prior:
             if abs(float(np.linalg.norm(up)) - 1.0) > 1e-6:
                 raise SemvizError("prior: up_camera must have length 1")
             object.__setattr__(self, "up_camera", up)
+
+
+def check_sigma(sigma: float, name: str) -> None:
+    """SemvizError where ``sigma`` is no standard deviation of a sensor."""
+    low, high = SIGMA_RANGE
+    if not low <= sigma <= high:
+        raise SemvizError(f"{name} is {sigma:g}; give a number from {low:g} to {high:g}")

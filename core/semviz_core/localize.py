@@ -43,15 +43,18 @@ class Localizer:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SemvizError(f"unknown method {self.method!r}; known are {', '.join(METHODS)}")
+        if self.seed < 0:
+            raise SemvizError(f"seed {self.seed}: give 0 or more")
 
     def localize(
         self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
     ) -> Localization:
         """The camera's pose in the map, or the reason for none; never a made-up pose.
 
-        Raises SemvizError for elements of unknown classes.
+        Raises SemvizError for elements of unknown classes or with impossible covariances.
         """
         self._check_classes(observed)
+        _check_covariances(submap)
         watch = _Stopwatch({})
         work = Localization(
             self.method, camera, prior, observed, submap,
@@ -93,6 +96,14 @@ class Localizer:
         if unknown:
             known = ", ".join(str(one.id) for one in self.classes)
             raise SemvizError(f"observed elements have unknown classes {unknown}; known: {known}")
+
+
+def _check_covariances(submap: Elements3D) -> None:
+    eigenvalues = np.linalg.eigvalsh(submap.covariance_m2)  # (n, 6), ascending
+    broken = eigenvalues[:, 0] < -1e-6 * (1.0 + eigenvalues[:, -1])  # rounding is far below
+    if broken.any():
+        first = int(submap.id[broken][0])
+        raise SemvizError(f"map element {first}: its covariance is not one; rebuild the map")
 
 
 def _too_few(observed: Elements2D, submap: Elements3D) -> str:

@@ -20,7 +20,7 @@ VERSION = 1
 _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
 
 
-def save_map(semantic_map: SemanticMap, path: Path) -> None:
+def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
     """Write ``path`` whole or not at all."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -39,37 +39,47 @@ def save_map(semantic_map: SemanticMap, path: Path) -> None:
             [list(getattr(one, name)) for one in provenance], pa.list_(pa.string())
         )
     table = pa.table(columns).replace_schema_metadata({FORMAT: _metadata(semantic_map)})
-    with replacing(path) as temporary:
+    with replacing(Path(path)) as temporary:
         pq.write_table(table, temporary, compression="zstd")
 
 
-def load_map(path: Path) -> SemanticMap:
+def load_map(path: Path | str) -> SemanticMap:
     """Read a map; SemvizError where ``path`` is missing, broken, foreign or newer."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    path = Path(path)
     if not path.is_file():
         raise SemvizError(f"{path}: no such map; make one with 'semviz map build'")
     try:
         table = pq.read_table(path)
     except (pa.ArrowException, OSError) as error:
-        raise SemvizError(f"{path}: not a readable Parquet file ({error}); rebuild it") from None
+        why = str(error).splitlines()[0]
+        raise SemvizError(f"{path}: not a readable Parquet file ({why}); rebuild it") from None
     raw = (table.schema.metadata or {}).get(FORMAT.encode())
     if raw is None:
         raise SemvizError(f"{path}: a Parquet file, but not a map of semviz")
     try:
         metadata = json.loads(raw)
-        if metadata["version"] > VERSION:
-            newer = f"map version {metadata['version']}, this semviz reads up to {VERSION}"
-            raise SemvizError(f"{path}: {newer}; update semviz")
-        return _assemble(table, metadata)
-    except (KeyError, ValueError, TypeError) as error:
+        version = int(metadata["version"])
+        if version <= VERSION:
+            return _assemble(table, metadata)
+    except SemvizError as error:
+        raise SemvizError(f"{path}: broken map ({error}); rebuild it") from None
+    except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise SemvizError(f"{path}: broken map ({error!r}); rebuild it") from None
+    newer = f"map version {version}, this semviz reads up to {VERSION}"
+    raise SemvizError(f"{path}: {newer}; update semviz")
 
 
 def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
+    import pyarrow as pa
+
     def vectors(name: str) -> FloatArray:
-        flat = table[name].combine_chunks().flatten().to_numpy()
+        column = table[name].combine_chunks()
+        if not pa.types.is_fixed_size_list(column.type):
+            raise ValueError(f"{name} is a column of {column.type}")
+        flat = column.flatten().to_numpy()
         array: FloatArray = np.asarray(flat).reshape(-1, _VECTORS[name])
         return array
 

@@ -45,7 +45,8 @@ class Pose:
     @classmethod
     def from_rotvec(cls, rotvec_rad: ArrayLike, translation_m: ArrayLike) -> "Pose":
         """From an axis-angle vector (3,) in radians and a translation (3,) in metres."""
-        return cls(so3_exp(np.asarray(rotvec_rad, dtype=np.float64)), np.asarray(translation_m))
+        rotvec = float_array(rotvec_rad, (3,), "rotvec_rad")
+        return cls(so3_exp(rotvec), np.asarray(translation_m))
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> "Pose":

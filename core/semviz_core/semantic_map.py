@@ -55,7 +55,8 @@ class SemanticMap:
     def __post_init__(self) -> None:
         trajectory = float_array(self.trajectory_m, (None, 3), "trajectory_m")
         object.__setattr__(self, "trajectory_m", trajectory)
-        unknown = [one for one in np.unique(self.elements.class_id) if one not in self.classes]
+        present = np.unique(self.elements.class_id).tolist()
+        unknown = [one for one in present if one not in self.classes]
         if unknown:
             raise SemvizError(f"the map has elements of unknown classes {unknown}")
         if self.provenance and len(self.provenance) != len(self.elements):
@@ -76,7 +77,8 @@ class SemanticMap:
 
         ``center_m`` is (2,) or (3,) in the map frame. In the map's order.
         """
-        rows = self._index.query_ball_point(np.asarray(center_m)[:2], radius_m, return_sorted=True)
+        center = float_array(np.asarray(center_m)[:2], (2,), "center_m")
+        rows = self._index.query_ball_point(center, radius_m, return_sorted=True)
         return self.elements[np.asarray(rows, dtype=np.int64)]
 
     @cached_property

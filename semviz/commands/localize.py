@@ -55,13 +55,16 @@ class Localize:
 
         workspace = Workspace.open(self.workspace)
         observations = self.observations or workspace.default_observations
+        crop_radius = self.crop_radius
+        if crop_radius is None:
+            crop_radius = CROP_RADIUS_M[observations]
         options = DriveOptions(
             method=self.method,
             observations=observations,
             noise=self.noise,
             prior_distance_m=parse_interval(self.prior_distance, "--prior-distance"),
             heading_sigma_deg=self.heading_sigma_deg,
-            crop_radius_m=self.crop_radius or CROP_RADIUS_M[observations],
+            crop_radius_m=crop_radius,
             seed=self.seed,
             images=self.images,
         )

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from semviz_core.errors import SemvizError
-
 
 @dataclass(frozen=True)
 class OpenRun:
@@ -18,7 +16,8 @@ class OpenRun:
     """The .rrd file."""
 
     def run(self) -> int:
-        if not self.run_file.is_file():
-            raise SemvizError(f"{self.run_file}: no such run; make one with 'semviz localize'")
+        from semviz.recording.reader import check_run_file
+
+        check_run_file(self.run_file)
         viewer = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1"]
         return subprocess.call([*viewer, str(self.run_file)])

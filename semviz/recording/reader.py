@@ -22,21 +22,31 @@ _MAGIC = b"RRF"
 _REPAIR_LIMIT_S = 600
 
 
-def load_run(path: Path) -> Run:
+def load_run(path: Path | str) -> Run:
     """Read a run; of an interrupted or cut one, every frame that is whole.
 
     Raises SemvizError where ``path`` is missing, no .rrd file, no run of semviz, newer, or broken.
     """
-    if not path.is_file():
-        raise SemvizError(f"{path}: no such run; make one with 'semviz localize'")
-    with path.open("rb") as file:
-        if file.read(len(_MAGIC)) != _MAGIC:
-            raise SemvizError(f"{path}: not an .rrd file; runs are made by 'semviz localize'")
+    path = Path(path)
+    check_run_file(path)
     try:
         rows = _read_rows(path)
     except RuntimeError:  # rerun refuses a file that ends within a message
         rows = _read_repaired(path)
     return _assemble(path, rows)
+
+
+def check_run_file(path: Path) -> None:
+    """A first look, nothing decoded: SemvizError where ``path`` is missing or no .rrd file."""
+    if not path.is_file():
+        raise SemvizError(f"{path}: no such run; make one with 'semviz localize'")
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_MAGIC))
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+    if start != _MAGIC:
+        raise SemvizError(f"{path}: not an .rrd file; runs are made by 'semviz localize'")
 
 
 Row = tuple[int, Pools]
@@ -94,7 +104,10 @@ def _assemble(path: Path, rows: dict[str, list[Row]]) -> Run:
     if layout.INFO not in rows:
         raise SemvizError(f"{path}: a recording of rerun, but not a run of semviz")
     (_, info), *_ = rows[layout.INFO]
-    version = int(info["version"][0])
+    try:
+        version = int(info["version"][0])
+    except (KeyError, IndexError, ValueError):
+        raise SemvizError(f"{path}: a recording of rerun, but not a run of semviz") from None
     if version > layout.FORMAT_VERSION:
         raise SemvizError(
             f"{path}: run version {version}, this semviz reads up to {layout.FORMAT_VERSION}; "

@@ -109,3 +109,13 @@ def test_a_broken_line_is_named_and_nothing_imported(log, tmp_path, line, break_
 def test_a_missing_file_is_named(tmp_path, store):
     with pytest.raises(SemvizError, match=r"none.jsonl: cannot be read"):
         import_operations(tmp_path / "none.jsonl", store)
+
+
+@pytest.mark.parametrize(
+    "header", ["[" * 200_000, '{"format":"semviz-operations","version":1e999}']
+)
+def test_an_absurd_header_is_refused(tmp_path, store, header):
+    path = tmp_path / "absurd.jsonl"
+    path.write_text(header)
+    with pytest.raises(SemvizError, match="line 1: not a log"):
+        import_operations(path, store)

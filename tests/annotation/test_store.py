@@ -354,3 +354,22 @@ def test_a_read_only_folder_is_named(tmp_path, path):
             LabelStore.open(place)
     finally:
         tmp_path.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "INSERT INTO elements VALUES ('lonely', 7, 0)",
+        "INSERT INTO operations VALUES (2, 'r', 'ann', 'human', 't', 'add', '{', NULL, NULL)",
+    ],
+)
+def test_damage_inside_is_named_with_its_file(path: Path, damage: str) -> None:
+    with LabelStore.open(path) as store:
+        store.apply(pole(), "ann")
+    connection = sqlite3.connect(path)
+    connection.execute(damage)
+    connection.commit()
+    connection.close()
+    damaged = pytest.raises(SemvizError, match=r"labels\.db: the label file is damaged")
+    with damaged, LabelStore.open(path) as store:
+        store.operations()

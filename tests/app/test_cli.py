@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 
 from semviz.cli import main
+from semviz.recording.reader import load_run
+from semviz.recording.run import FrameRecord
+from semviz.recording.writer import RunWriter
 from semviz.workspace import TRUTH, Workspace
 from semviz_core.elements import Elements3D
 from semviz_core.map_file import load_map, save_map
@@ -113,6 +116,16 @@ def test_new_never_overwrites(run: Run, street: Path) -> None:
         ("--method", "guess"),
         ("--map", "nowhere"),
         ("--map", "../escape"),
+        ("--map", "x" * 300),
+        ("--map", "two\nlines"),
+        ("--seed", "-1"),
+        ("--crop-radius", "0"),
+        ("--crop-radius", "-5"),
+        ("--crop-radius", "nan"),
+        ("--prior-distance", "1e300:1e301"),
+        ("--heading-sigma-deg", "0"),
+        ("--heading-sigma-deg", "nan"),
+        ("--heading-sigma-deg", "1e-300"),
     ],
 )
 def test_impossible_options(run: Run, street: Path, option: str, value: str) -> None:
@@ -120,7 +133,17 @@ def test_impossible_options(run: Run, street: Path, option: str, value: str) -> 
     options = {"--map": TRUTH, option: value}
     words = [word for pair in options.items() for word in pair]
     assert_refused(run("localize", street, *words, "--out", out))
-    assert not out.exists()
+    assert not list(out.parent.glob("refused*"))
+
+
+@pytest.mark.parametrize("name", [".", "folder.rrd", "first.txt", "first.rrd/second.rrd"])
+def test_a_run_takes_no_other_things_place(run: Run, street: Path, name: str) -> None:
+    runs = street / "runs"
+    (runs / "folder.rrd").mkdir(exist_ok=True)
+    before = sorted(runs.iterdir())
+    assert_refused(run("localize", street, "--map", TRUTH, "--out", runs / name))
+    assert sorted(runs.iterdir()) == before
+    (runs / "folder.rrd").rmdir()
 
 
 def test_a_busy_port(run: Run, street: Path) -> None:
@@ -150,7 +173,7 @@ def test_no_labels_to_build_from(run: Run, street: Path) -> None:
     assert not Workspace.open(street).map_path("main").exists()
 
 
-@pytest.mark.parametrize("command", ["evaluate", "serve"])
+@pytest.mark.parametrize("command", ["evaluate", "open", "serve"])
 def test_a_broken_run(run: Run, tmp_path: Path, command: str) -> None:
     broken = tmp_path / "broken.rrd"
     broken.write_bytes(b"not a recording at all")
@@ -186,3 +209,46 @@ def test_the_same_seed_gives_the_same_run(run: Run, street: Path) -> None:
         numbers = json.loads(run("evaluate", path, "--json")[1])
         rows.append({key: numbers[key] for key in ("status", "rte_m", "rre_deg")})
     assert rows[0] == rows[1]
+
+
+def test_a_street_too_long_leaves_nothing_behind(run: Run, tmp_path: Path) -> None:
+    result = run("new", tmp_path / "town", "--simulate", 1, "--frames", "0:99999999999999999999")
+    assert_refused(result, "frames")
+    assert not (tmp_path / "town").exists()
+
+
+def test_a_name_that_the_system_refuses(run: Run, tmp_path: Path) -> None:
+    assert_refused(run("new", tmp_path / ("x" * 300), "--simulate", 1), "too long")
+
+
+def test_a_reader_that_has_seen_enough(street: Path) -> None:
+    """``semviz evaluate | head -0``: no traceback."""
+    command = [sys.executable, "-m", "semviz.cli", "evaluate", street / "runs" / "first.rrd"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert child.stderr.read() == b""
+    assert child.returncode == 141
+
+
+def test_an_interrupted_run_leaves_the_earlier_one(
+    run: Run, street: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C: status 130, the frames so far are readable, what was there before is untouched."""
+    first = street / "runs" / "first.rrd"
+    before = first.read_bytes()
+    write = RunWriter.write
+
+    def write_two(writer: RunWriter, record: FrameRecord) -> None:
+        if record.frame.index == 2:
+            raise KeyboardInterrupt
+        write(writer, record)
+
+    monkeypatch.setattr(RunWriter, "write", write_two)
+    status, _, errors = run("localize", street, "--map", TRUTH, "--out", first)
+    assert (status, errors) == (130, "semviz: interrupted\n")
+    assert first.read_bytes() == before
+    partial = first.with_name("first.partial.rrd")
+    assert [one.frame.index for one in load_run(partial).frames] == [0, 1]
+    partial.unlink()

@@ -200,15 +200,15 @@ def test_runs_are_found_in_workspaces_and_as_files(town: Workspace, tmp_path: Pa
         find_runs([town.path])
     paths = [town.run_path(name) for name in ("b", "a")]
     for path in paths:
-        path.write_bytes(b"")
+        path.write_bytes(b"RRF")
     (town.path / "runs" / ".half.rrd").write_bytes(b"")
     single = tmp_path / "single.rrd"
-    single.write_bytes(b"")
+    single.write_bytes(b"RRF")
     assert set(town.runs()) == {"a", "b"}
     found = find_runs([single, town.path])
     assert found[0] == single
     assert set(found[1:]) == set(paths)
-    with pytest.raises(SemvizError, match="no such workspace"):
+    with pytest.raises(SemvizError, match="no such run"):
         find_runs([tmp_path / "none.rrd"])
 
 
@@ -219,3 +219,9 @@ def test_a_workspace_without_labels_has_none_and_makes_no_file(town: Workspace) 
     with town.open_labels():
         assert town.labels_path.exists()
     assert not town.read_labels().observations
+
+
+def test_a_sequence_that_is_a_path_is_refused(tmp_path: Path, kitti: Path) -> None:
+    with pytest.raises(SemvizError, match=r"town: source\.kitti\.sequence"):
+        Workspace.create_kitti(tmp_path / "town", kitti, "../sequences/05")
+    assert not (tmp_path / "town").exists()

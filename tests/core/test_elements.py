@@ -1,6 +1,6 @@
 """Elements: checks on the way in, choosing rows, moving to another frame."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -132,3 +132,26 @@ def test_elements_cannot_be_changed_and_do_not_freeze_what_they_were_given() -> 
     with pytest.raises(ValueError, match="read-only"):
         elements.anchor_px[0, 0] = 1.0
     anchors[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        ([[1, 2]], [[3, 4]], 0),
+        ([[1, 2]], [[3, 4], [5, 6]], [0, 0]),
+        ([[1, 2]], [[3, 4]], [0.5]),
+        ([[1, 2]], [[3, 4]], [np.nan]),
+        ([[1, 2], [3]], [[3, 4], [5, 6]], [0, 0]),
+        ([["a", "b"]], [[3, 4]], [0]),
+        ([[1e200, 2]], [[3, 4]], [0]),
+    ],
+)
+def test_what_are_no_ends_is_refused_in_our_words(ends: tuple[object, object, object]) -> None:
+    with pytest.raises(SemvizError):
+        Elements2D.from_ends(*ends)
+
+
+def test_negative_variances_are_refused() -> None:
+    good = mapped(0)
+    with pytest.raises(SemvizError, match="negative variances"):
+        replace(good, covariance_m2=good.covariance_m2 - np.eye(6))

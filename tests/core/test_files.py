@@ -1,5 +1,6 @@
 """Files are whole or absent."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -64,3 +65,24 @@ def test_colleagues_may_read_what_the_umask_lets_them(tmp_path: Path) -> None:
     finally:
         os.umask(before)
     assert (tmp_path / "file.txt").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe"])
+def test_only_a_file_is_replaced(tmp_path: Path, kind: str) -> None:
+    """Written by an administrator, /dev/null must stay what it is."""
+    target = tmp_path / "target"
+    target.mkdir() if kind == "folder" else os.mkfifo(target)
+    before = target.stat()
+    with pytest.raises(SemvizError, match="not a file"), replacing(target):
+        pass
+    assert (target.stat().st_ino, target.stat().st_mode) == (before.st_ino, before.st_mode)
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_is_named_and_nothing_left(tmp_path: Path) -> None:
+    target = tmp_path / "map.parquet"
+    target.write_text("before")
+    with pytest.raises(SemvizError, match=r"map\.parquet: cannot be written"), replacing(target):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert target.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [target]

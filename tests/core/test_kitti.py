@@ -196,6 +196,11 @@ WRONG_FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
     ("poses inf", lambda r: line_of(r / "poses" / "07.txt", 1, "inf " * 12), "line 1: holds NaN"),
     ("poses scaled", lambda r: line_of(r / "poses" / "07.txt", 2, TWICE), "line 2: .*not a rot"),
     (
+        "a folder for an image",
+        lambda r: [(p := r / SEQUENCE / "image_2" / "000000.png").unlink(), p.mkdir()],
+        "000000.png: cannot be read",
+    ),
+    (
         "no png",
         lambda r: (r / SEQUENCE / "image_2" / "000000.png").write_bytes(b"GIF89a" * 9),
         "not a PNG",

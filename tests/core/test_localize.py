@@ -167,3 +167,59 @@ def test_unknown_methods_and_classes_are_named() -> None:
     odd = replace(problem.observed, class_id=np.full(len(problem.observed), 99))
     with pytest.raises(SemvizError, match="99"):
         localized(replace(problem, observed=odd))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_the_map_has_its_origin_does_not_matter(seed: int) -> None:
+    """UTM coordinates give the same answer as local ones."""
+    problem = make_problem(seed)
+    offset = np.array([500_000.0, 5_000_000.0, 300.0])
+    submap, prior = problem.submap, problem.prior
+    far = replace(
+        problem,
+        submap=replace(submap, anchor_m=submap.anchor_m + offset, end_m=submap.end_m + offset),
+        prior=replace(prior, position_m=prior.position_m + offset),
+    )
+    here, there = localized(problem), localized(far)
+    assert (there.status, there.reason) == (here.status, here.reason)
+    assert here.T_camera_map is not None
+    assert there.T_camera_map is not None
+    moved = there.T_camera_map.inverse().translation - here.T_camera_map.inverse().translation
+    np.testing.assert_allclose(moved, offset, atol=1e-4)
+    np.testing.assert_allclose(here.T_camera_map.rotation, there.T_camera_map.rotation, atol=1e-6)
+
+
+def _everywhere(submap: Elements3D, anchor: object, length_m: float) -> Elements3D:
+    """The submap's elements at other places, its poles ``length_m`` long."""
+    anchor_m = np.broadcast_to(np.asarray(anchor, dtype=np.float64), submap.anchor_m.shape)
+    end_m = np.where(submap.is_line[:, None], anchor_m - [0.0, 0.0, length_m], np.nan)
+    return replace(submap, anchor_m=anchor_m, end_m=end_m)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("place", ["point", "post", "line", "behind", "camera", "far", "flat"])
+def test_degenerate_maps_have_no_answer(place: str) -> None:
+    """Nothing that numpy complains of, and no made-up pose."""
+    problem = make_problem(0)
+    submap, along = problem.submap, np.arange(len(problem.submap))[:, None]
+    places: dict[str, tuple[object, float]] = {
+        "point": ([10.0, 2.0, 3.0], 0.0),
+        "post": ([10.0, 2.0, 3.0], 3.0),
+        "line": (along * [1.0, 0.0, 0.0] + [0.0, 0.0, 3.0], 3.0),
+        "behind": (submap.anchor_m - [500.0, 0.0, 0.0], 3.0),
+        "camera": (problem.T_camera_map.inverse().translation, 2.0),
+        "far": (submap.anchor_m * 1e10, 3.0),
+        "flat": (submap.anchor_m, 0.0),
+    }
+    found = localized(replace(problem, submap=_everywhere(submap, *places[place])))
+    assert found.status == "cannot", found.reason
+    assert found.reason
+
+
+def test_a_covariance_that_is_none_is_refused() -> None:
+    """Every variance is positive, but two ends correlate by more than all."""
+    problem = make_problem(0)
+    covariance = problem.submap.covariance_m2.copy()
+    covariance[0, 0, 1] = covariance[0, 1, 0] = 2.0 * covariance[0, 0, 0]
+    with pytest.raises(SemvizError, match=f"map element {problem.submap.id[0]}"):
+        localized(replace(problem, submap=replace(problem.submap, covariance_m2=covariance)))

@@ -13,13 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from semviz_core.arrays import LARGEST
 from semviz_core.classes import DEFAULT_CLASSES, POLE, ClassSet, ElementClass
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.map_file import FORMAT, VERSION, load_map, save_map
 from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.floats(-LARGEST, LARGEST)
 WORDS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 BEACON = ElementClass(9, "beacon", "point", "B", "diamond", "#112233", "#445566")
 
@@ -30,13 +31,15 @@ def maps(draw: st.DrawFn) -> SemanticMap:
     end = draw(hnp.arrays(np.float64, (n, 3), elements=FINITE))
     is_line = draw(hnp.arrays(np.bool_, n))
     end[~is_line] = np.nan
+    covariance = draw(hnp.arrays(np.float64, (n, 6, 6), elements=FINITE))
+    covariance[:, range(6), range(6)] = np.abs(covariance[:, range(6), range(6)])
     ids = draw(st.lists(st.integers(0, 2**63 - 1), min_size=n, max_size=n, unique=True))
     elements = Elements3D(
         id=np.array(ids, dtype=np.int64),
         anchor_m=draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
         end_m=end,
         class_id=draw(hnp.arrays(np.int64, n, elements=st.sampled_from([0, 1, 2, 3, 9]))),
-        covariance_m2=draw(hnp.arrays(np.float64, (n, 6, 6), elements=FINITE)),
+        covariance_m2=covariance,
         anchor_known=draw(hnp.arrays(np.bool_, n)),
         end_known=draw(hnp.arrays(np.bool_, n)) & is_line,
     )
@@ -90,7 +93,7 @@ def test_a_failed_save_leaves_the_old_map(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError("no space left on device")
 
     monkeypatch.setattr(pq, "write_table", half_written)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(SemvizError, match="no space"):
         save_map(small_map(), path)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
@@ -155,3 +158,45 @@ def test_a_missing_column_is_refused(tmp_path: Path, column: str) -> None:
     pq.write_table(pq.read_table(path).drop_columns([column]), path)
     with pytest.raises(SemvizError, match=f"broken map.*{column}"):
         load_map(path)
+
+
+@pytest.mark.parametrize(
+    ("column", "values"),
+    [
+        ("id", pa.array([7, 7])),
+        ("class_id", pa.array([0, 99])),
+        ("anchor_m", pa.array([1.0, 2.0])),
+        ("anchor_m", pa.array([[0.0, 0.0, np.nan]] * 2, pa.list_(pa.float64(), 3))),
+        ("anchor_m", pa.array([None] * 2, pa.list_(pa.float64(), 3))),
+    ],
+)
+def test_what_a_foreign_hand_wrote_is_refused_by_name(
+    tmp_path: Path, column: str, values: pa.Array
+) -> None:
+    """One line that names the file, whatever is wrong inside it."""
+    path = tmp_path / "town.parquet"
+    ends = [[1.0, 2.0, 5.0], [9.0, 2.0, 5.0]]
+    save_map(SemanticMap(Elements3D.from_ends([4, 5], ends, ends, [POLE] * 2), MapFrame("a")), path)
+    table = pq.read_table(path)
+    broken = table.set_column(table.schema.get_field_index(column), column, values)
+    pq.write_table(broken.replace_schema_metadata(table.schema.metadata), path)
+    with pytest.raises(SemvizError) as refused:
+        load_map(path)
+    assert str(refused.value).startswith(f"{path}: broken map (")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_damaged_footer_is_one_line(tmp_path: Path) -> None:
+    """Arrow explains some damage over several lines."""
+    path = tmp_path / "town.parquet"
+    save_map(small_map(), path)
+    whole = path.read_bytes()
+    reasons = []
+    for position in range(len(whole) - 4000, len(whole), 37):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x55]) + whole[position + 1 :])
+        try:
+            load_map(path)
+        except SemvizError as refused:
+            reasons.append(str(refused))
+    assert reasons
+    assert not [one for one in reasons if "\n" in one]

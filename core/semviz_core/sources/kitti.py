@@ -8,6 +8,7 @@
 KITTI's world is camera 0 of frame 0 (x right, y down, z forward); here it is turned to z up.
 """
 
+import re
 from functools import cached_property
 from pathlib import Path
 from struct import unpack
@@ -24,6 +25,7 @@ from semviz_core.sources.source import Side
 
 _T_MAP_WORLD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_FRAME_NAME = re.compile(r"[0-9]{6}")
 
 
 class KittiSequence:
@@ -99,7 +101,7 @@ class KittiSequence:
                 raise SemvizError(f"{images}: a folder without images; expected 000000.png, ...")
         left = self._folder / f"image_{self._cameras[0]}"
         stems = (path.stem for path in left.glob("[0-9]*.png"))
-        indices = sorted(int(stem) for stem in stems if stem.isdecimal() and len(stem) == 6)
+        indices = sorted(int(stem) for stem in stems if _FRAME_NAME.fullmatch(stem))
         if not indices:
             raise SemvizError(f"{left}: a folder without images; expected 000000.png, ...")
         chosen = tuple(index for index in indices if wanted is None or index in wanted)
@@ -211,14 +213,7 @@ def _read_text(path: Path) -> str:
 
 def _read_png(path: Path) -> bytes:
     """A PNG file that is there and whole."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise SemvizError(f"{path}: no such image; copy it there or choose other frames") from None
-    except OSError as error:
-        raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
-    if not data.startswith(_PNG_START):
-        raise SemvizError(f"{path}: not a PNG image; copy it again")
+    data = _start_of_png(path)
     if not data.endswith(_PNG_END):
         raise SemvizError(f"{path}: the PNG image is cut off; copy it again")
     return data
@@ -226,9 +221,24 @@ def _read_png(path: Path) -> bytes:
 
 def _png_size(path: Path) -> tuple[int, int]:
     """Width and height from the header (PNG specification, 11.2.2 IHDR), nothing decoded."""
-    with path.open("rb") as file:
-        header = file.read(24)
-    if len(header) < 24 or not header.startswith(_PNG_START):
-        raise SemvizError(f"{path}: not a PNG image; copy it again")
-    width, height = unpack(">II", header[16:24])
+    header = _start_of_png(path, 24)
+    if len(header) < 24:
+        raise SemvizError(f"{path}: the PNG image is cut off; copy it again")
+    width, height = unpack(">II", header[16:])
+    if not width or not height:
+        raise SemvizError(f"{path}: the PNG image is {width}x{height}; copy it again")
     return width, height
+
+
+def _start_of_png(path: Path, count: int = -1) -> bytes:
+    """The first ``count`` bytes (-1: all) of a file that starts like a PNG image."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(count)
+    except FileNotFoundError:
+        raise SemvizError(f"{path}: no such image; copy it there or choose other frames") from None
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+    if not data.startswith(_PNG_START):
+        raise SemvizError(f"{path}: not a PNG image; copy it again")
+    return data

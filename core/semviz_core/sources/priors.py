@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_core.errors import SemvizError
-from semviz_core.frame import Prior
+from semviz_core.frame import Prior, check_sigma
 from semviz_core.pose import Pose, so3_exp
 
 _LEAST_SIGMA_M = 0.01  # of a GPS said to be perfect
+_FARTHEST_M = 1e5  # a fix further off is on another street of another town
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,13 @@ class PriorOptions:
 
     def __post_init__(self) -> None:
         near, far = self.distance_m
-        if not 0.0 <= near <= far < np.inf:
-            raise SemvizError(f"prior: distance {near} to {far} m is not a range of distances")
+        if not 0.0 <= near <= far <= _FARTHEST_M:
+            raise SemvizError(
+                f"prior: {near:g} to {far:g} m is not a range of distances up to {_FARTHEST_M:g} m"
+            )
+        for name in ("heading_sigma_rad", "imu_sigma_rad", "vertical_sigma_m"):
+            if (sigma := getattr(self, name)) is not None:
+                check_sigma(sigma, f"prior: {name}")
 
     @property
     def horizontal_sigma_m(self) -> float:
