@@ -1,0 +1,186 @@
+"""How quick the two pages are, in Chromium: start, loading, stepping through frames, saving.
+
+    python bench/pages.py
+
+Wants an idle machine, Chromium and the test extra. The demo is made beforehand, so that its making
+does not count. A frame counts as shown one screen refresh after its pictures were drawn. One run:
+every step counts. Without a graphics card the 3D pane is drawn by the processor, and says so.
+"""
+
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from semviz.demo import ensure_demo
+from semviz.workspace import Workspace
+
+SEMVIZ = Path(sys.executable).parent / "semviz"
+CHROMIUM = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+]
+STEPS = 50
+PAUSE_MS = 300
+"""Between two steps: as somebody who looks at each frame."""
+STARTS = 5
+SETTLED_MS = 12_000
+WATCH = """
+const seen = new WeakSet();
+const draw = CanvasRenderingContext2D.prototype.drawImage;
+let fresh = 0, pressed = 0, saved = '';
+window.shown = [], window.acknowledged = [];
+CanvasRenderingContext2D.prototype.drawImage = function (picture, ...rest) {
+  if (picture instanceof ImageBitmap && !seen.has(picture)) {
+    seen.add(picture);
+    fresh += 1;
+    const [number, start] = [fresh, pressed];
+    requestAnimationFrame(() => window.shown.push([number, performance.now() - start]));
+  }
+  return draw.call(this, picture, ...rest);
+};
+addEventListener('keydown', (event) => { fresh = 0; pressed = event.timeStamp; }, true);
+addEventListener('pointerup', (event) => { pressed = event.timeStamp; }, true);
+addEventListener('DOMContentLoaded', () => {
+  const line = document.getElementById('saved');
+  if (!line) return;
+  saved = line.textContent;
+  new MutationObserver(() => {
+    const isNew = line.textContent.startsWith('Saved operation') && line.textContent !== saved;
+    if (isNew) window.acknowledged.push(performance.now() - pressed);
+    if (isNew) saved = line.textContent;
+  }).observe(line, { childList: true, characterData: true, subtree: true });
+});
+"""
+
+
+@contextmanager
+def serving(*command: str) -> Iterator[tuple[str, float]]:
+    """A tool in a process of its own: its address, and the seconds until it was printed."""
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        [str(SEMVIZ), *command, "--no-open", "--port", "0"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    waited_s = time.perf_counter() - start
+    try:
+        yield line.split(": ", 1)[1].strip(), waited_s
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=30)
+
+
+@contextmanager
+def opened(browser: Browser, with_3d: bool) -> Iterator[Page]:
+    context = browser.new_context(viewport={"width": 1600, "height": 950})
+    page = context.new_page()
+    page.add_init_script(WATCH)
+    if not with_3d:
+        page.route("**/view/**", lambda route: route.abort())
+    yield page
+    context.close()
+
+
+def until(page: Page, said: str) -> None:
+    """Playwright's own waiting needs eval, which the pages forbid."""
+    for _ in range(500):
+        if page.evaluate(said):
+            return
+        page.wait_for_timeout(20)
+    raise RuntimeError(f"never came: {said}")
+
+
+def steps(page: Page, pictures: int) -> list[float]:
+    """Milliseconds from the key to the new frame on the screen, ``pictures`` of them."""
+    times: list[float] = []
+    page.wait_for_timeout(SETTLED_MS)
+    for _ in range(STEPS):
+        page.evaluate("window.shown = []")
+        page.keyboard.press(".")
+        until(page, f"window.shown.some(([number]) => number === {pictures})")
+        times.append(page.evaluate("Math.max(...window.shown.map(([, ms]) => ms))"))
+        page.wait_for_timeout(PAUSE_MS)
+    return times
+
+
+def edits(page: Page) -> list[float]:
+    """Milliseconds from the click that ends a round sign to "Saved operation N"."""
+    box = page.locator("#left-image").bounding_box()
+    assert box is not None
+    for row in range(STEPS):
+        page.keyboard.press("4")
+        x, y = 0.1 + 0.08 * (row % 10), 0.2 + 0.15 * (row // 10)
+        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        until(page, f"window.acknowledged.length > {row}")
+        page.wait_for_timeout(PAUSE_MS)
+    times: list[float] = page.evaluate("window.acknowledged")
+    return times
+
+
+def start_seconds() -> float:
+    times = []
+    for _ in range(STARTS):
+        with serving("serve") as (_, seconds):
+            times.append(seconds)
+    return statistics.median(times)
+
+
+def report(what: str, times_ms: list[float]) -> None:
+    median, late = np.percentile(times_ms, (50, 95))
+    print(f"{what:<44} {median:6.0f} ms {late:6.0f} ms p95", flush=True)
+
+
+def inspect(browser: Browser) -> None:
+    with serving("serve") as (url, _):
+        for with_3d in (False, True):
+            pane = "with" if with_3d else "without"
+            with opened(browser, with_3d) as page:
+                page.goto(url, wait_until="commit")
+                page.wait_for_selector("#frame-list li")
+                loaded_ms = page.evaluate("performance.now()")
+                print(f"serve: page to list, {pane + ' 3D':<23} {loaded_ms:6.0f} ms", flush=True)
+                report(f"serve: frame step, {pane} 3D", steps(page, pictures=1))
+
+
+def annotate(browser: Browser) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "street"
+        Workspace.create_street(path, 7, range(STEPS + 2))
+        with serving("annotate", str(path)) as (url, _), opened(browser, with_3d=True) as page:
+            page.goto(url)
+            page.wait_for_selector("#saved.saved")
+            report("annotate: frame step, left and right", steps(page, pictures=2))
+            report("annotate: click to saved", edits(page))
+
+
+def main() -> None:
+    ensure_demo()
+    print(f"load before: {os.getloadavg()[0]:.1f}; {os.cpu_count()} processors")
+    print(f"{'serve: process to address, median of ' + str(STARTS):<44} {start_seconds():6.2f} s")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
+        inspect(browser)
+        annotate(browser)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
