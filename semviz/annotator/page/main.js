@@ -115,8 +115,7 @@ const received = {
   saved(message) {
     const sent = outbox.entries.find(({ request }) => request === message.request);
     outbox.settle(message.request);
-    Object.assign(state, { pending: outbox.entries, trouble: null });
-    take(message);
+    take(message, { pending: outbox.entries, trouble: null });
     const isDrawing = sent?.edit.kind === "draw";
     const isInHand = isDrawing && state.selected?.element === sent.edit.element_id;
     if (message.element && (isInHand || !isDrawing)) {
@@ -152,12 +151,12 @@ const received = {
   },
 };
 
-/** Takes over what an operation changed. */
-function take({ state: news, frame }) {
+/** Takes over what an operation changed, together with `more` fields of the state. */
+function take({ state: news, frame }, more = {}) {
   const changed = new Map(news.frames.map((one) => [one.index, one]));
   const frames = state.labels.frames.map((one) => changed.get(one.index) ?? one);
   const mine = frame.index === state.frame ? frame : state.labels.frame;
-  state.set({ labels: { ...news, frames, frame: mine } });
+  state.set({ labels: { ...news, frames, frame: mine }, ...more });
 }
 
 function sendTheme() {

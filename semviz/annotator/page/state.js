@@ -21,6 +21,7 @@ export class State {
     this.theme = "dark";
     this.trouble = null; // why the server could not save
     this.listeners = [];
+    this.shown = null; // `elements`, kept until something changes: they are asked for many times
   }
 
   onChange(listener) {
@@ -29,12 +30,17 @@ export class State {
 
   /** Sets fields and tells every listener once. */
   set(fields) {
-    Object.assign(this, fields);
+    Object.assign(this, fields, { shown: null });
     this.listeners.forEach((listener) => listener());
   }
 
   /** Labelled elements of the frame on screen, as they will be once the outbox is empty. */
   get elements() {
+    this.shown ??= this.#elements();
+    return this.shown;
+  }
+
+  #elements() {
     if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
     const elements = withPending(this.labels.frame.elements, this.pending, this.frame);
     if (this.dragged) {
