@@ -29,7 +29,7 @@ CHROMIUM = [
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 ]
-SHOWN_FRAME = 88
+SHOWN_FRAME = 97
 LABELLED_FRAMES = range(3)
 SETTLED_MS = 15_000
 """Software rendering takes its time."""
@@ -60,6 +60,9 @@ def take_annotator(page: Page) -> None:
         label(workspace)
         with Door(Annotator(workspace, author="you")).running() as url:
             page.goto(url)
+            page.wait_for_timeout(SETTLED_MS)
+            page.click(f'.tile[data-frame="{LABELLED_FRAMES[-1]}"]')
+            page.click("#elements .row")
             page.wait_for_timeout(SETTLED_MS)
             page.screenshot(path=IMAGES / "annotate.png")
             page.goto("about:blank")
