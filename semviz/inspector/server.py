@@ -74,6 +74,7 @@ class InspectorSession:
         self._verbs: dict[str, Callable[[Message], None]] = {
             "open": self._open,
             "go": self._go,
+            "draw": self._draw,
             "select": self._select,
             "look": self._look,
             "theme": self._theme,
@@ -115,7 +116,10 @@ class InspectorSession:
             raise SemvizError("going to a frame needs its position")
         self._state = self._state.at(position, run)
         self._tell_frame(run)
-        self._shown().show_frame(run, self._state)
+
+    def _draw(self, _: Message) -> None:
+        """Asked for once the page shows the frame, and not for frames that it rushes through."""
+        self._shown().show_frame(self._opened(), self._state)
 
     def _select(self, message: Message) -> None:
         run = self._opened()

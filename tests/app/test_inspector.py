@@ -77,7 +77,8 @@ def url(tool: Inspector) -> Iterator[str]:
 def open_page(page: "Page", url: str, query: str = "") -> None:
     page.goto(f"{url}?{query}")
     page.wait_for_selector("#frame-list li")
-    page.wait_for_function("document.getElementById('frame-number').textContent !== ''")
+    number = page.locator("#frame-number")  # waiting in the page needs eval, which it forbids
+    wait_for(page, lambda: bool(number.text_content()), "the first frame")
     page.wait_for_timeout(500)
 
 
@@ -236,6 +237,15 @@ def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool:
     wait_for(page, lambda: in_url(page, "element") == str(one.submap.id[nearest]), "the element")
     page.keyboard.press(".")  # the 3D pane has the focus, and the page its keys all the same
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
+    carried = run.frames[1].localization.T_camera_map
+    assert carried is not None
+    center = carried.inverse().translation
+    before = np.linalg.norm(eye - center)
+    wait_for(
+        page,
+        lambda: np.linalg.norm(client.camera.position - center) < before - 0.5,
+        "the 3D view at the new frame",
+    )
 
 
 def test_address_brings_back_run_frame_and_selection(url: str, page: "Page", run: Run) -> None:
@@ -307,3 +317,4 @@ def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[in
     )
     assert out == []
     assert page.locator("#why dl").evaluate("e => e.getBoundingClientRect().bottom") <= size[1]
+    assert page.locator("#why-body").evaluate("e => e.scrollHeight <= e.clientHeight")

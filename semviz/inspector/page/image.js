@@ -56,6 +56,7 @@ export class ImagePanel {
   showRun(run) {
     this.run = run;
     this.frame = null;
+    this.coming = null;
     this.classes = new Map(run.classes.map((one) => [one.id, one]));
     const panel = byId("image");
     panel.style.setProperty("--image-width", run.image.width);
@@ -78,7 +79,7 @@ export class ImagePanel {
 
   showState(state) {
     this.state = state;
-    this.surface.redraw();
+    if (this.coming === this.frame) this.surface.redraw();
   }
 
   setMode(mode) {

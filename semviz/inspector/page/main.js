@@ -103,8 +103,10 @@ class Page {
 
   painted() {
     if (this.stepping === undefined || this.frame?.position !== this.wanted) return;
+    if (this.image.frame !== this.frame) return; // its picture is still to come
     performance.measure("frame switch", { start: this.stepping, end: performance.now() });
     this.stepping = undefined;
+    this.socket.send({ verb: "draw" }); // the 3D pane follows: before, it would hold the image up
     if (this.playing) setTimeout(() => this.playing && this.step(1), 60);
   }
 
