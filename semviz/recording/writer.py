@@ -1,5 +1,6 @@
 """Runs on disk: one .rrd file that rerun shows and that our reader gets back bit for bit."""
 
+import atexit
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,11 @@ from semviz.recording.scene import Scene
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 
+FLUSH_LIMIT_S = 30.0
+"""For one frame. Where the disk is full rerun may say so, or leave us waiting for ever."""
+_LOST: list[object] = []
+"""Native recordings whose file failed: rerun would wait for it once more on letting them go."""
+
 
 class RunWriter:
     """Writes a run, frame by frame, at its final path.
@@ -24,11 +30,13 @@ class RunWriter:
     Every frame is in the operating system's hands when ``write`` returns, so a killed run keeps
     all frames written; leaving the context without an exception marks the run as complete.
     A run that was at ``path`` before is replaced at once. Raises SemvizError where ``path``
-    cannot be written.
+    cannot be written, also when the disk is full in the middle.
     """
 
     def __init__(self, path: Path, info: RunInfo, semantic_map: SemanticMap) -> None:
         _check_writable(path)
+        self._path = path
+        self._lost = False
         self._frames = 0
         self._last_index: int | None = None
         self._stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
@@ -40,7 +48,7 @@ class RunWriter:
         _add_exact(columns, layout.MAP, semantic_map)
         columns.send(self._stream)
         self._scene = Scene(self._stream, info, semantic_map)
-        self._stream.flush()
+        self._flush()
 
     def write(self, record: FrameRecord) -> None:
         """Add one frame. Frame numbers go up; ValueError where one does not."""
@@ -52,7 +60,7 @@ class RunWriter:
         # Last, so that a frame whose numbers are readable has its image too. The scene keeps that.
         _add_exact(columns, layout.FRAME, replace(record, image=None))
         columns.send(self._stream)
-        self._stream.flush()
+        self._flush()
         self._last_index = frame.index
         self._frames += 1
 
@@ -69,7 +77,20 @@ class RunWriter:
             columns = Columns()
             columns.add(layout.END, "frames", pa.array([self._frames]))
             columns.send(self._stream)
-        self._stream.disconnect()
+            self._flush()
+        if not self._lost:
+            self._stream.disconnect()
+
+    def _flush(self) -> None:
+        try:
+            self._stream.flush(timeout_sec=FLUSH_LIMIT_S)
+        except RuntimeError as error:
+            self._lost = True
+            _LOST.append(self._stream.inner)
+            atexit.unregister(rr.rerun_shutdown)
+            raise SemvizError(
+                f"{self._path}: cannot be written ({error}); is the disk full?"
+            ) from None
 
 
 def _add_exact(columns: Columns, entity: str, value: object) -> None:

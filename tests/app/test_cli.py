@@ -252,3 +252,29 @@ def test_an_interrupted_run_leaves_the_earlier_one(
     partial = first.with_name("first.partial.rrd")
     assert [one.frame.index for one in load_run(partial).frames] == [0, 1]
     partial.unlink()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
+def test_a_full_disk_ends_a_run_and_keeps_its_frames(street: Path) -> None:
+    """A limit on the size of files stands in for the disk."""
+    first = street / "runs" / "first.rrd"
+    before = first.read_bytes()
+    code = (
+        "import resource, sys\n"
+        "from semviz.cli import main\n"
+        "from semviz.recording import writer\n"
+        "writer.FLUSH_LIMIT_S = 5.0\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
+        "main(sys.argv[1:])"
+    )
+    command = ["localize", street, "--map", TRUTH, "--out", first]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command], capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 2
+    *_, last = done.stderr.splitlines()  # rerun has its say before
+    assert last.startswith(f"semviz: {first.with_name('first.partial.rrd')}: cannot be written")
+    assert first.read_bytes() == before
+    partial = load_run(first.with_name("first.partial.rrd"))
+    assert 0 < len(partial.frames) < 6
+    Path(first.with_name("first.partial.rrd")).unlink()

@@ -94,7 +94,7 @@ def some_elements(rng: np.random.Generator, m: int, n: int) -> tuple[Elements2D,
     observed = Elements2D(
         anchor, end, kinds, rng.random(m), rng.random((m, 2)) + 0.1, seen, seen & line
     )
-    covariance, mapped_kinds = rng.normal(size=(n, 6, 6)), rng.integers(0, 4, n)
+    covariance, mapped_kinds = rng.random((n, 6, 6)), rng.integers(0, 4, n)
     submap = Elements3D(
         ids, mapped_anchor, mapped_end, mapped_kinds, covariance, mapped, mapped & mapped_line
     )
