@@ -14,7 +14,8 @@ from pathlib import Path
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
-from semviz.demo import RUN, ensure_demo
+from semviz.demo import ensure_demo
+from semviz.demo_street import RUN
 from semviz.inspector.server import Inspector
 from semviz.web.door import Door
 from semviz.workspace import Workspace

@@ -18,8 +18,10 @@ class LabelsExport:
     def run(self) -> int:
         from semviz.workspace import Workspace
         from semviz_annotation.exchange import export_operations
+        from semviz_annotation.store import LabelStore
 
-        with Workspace.open(self.workspace).open_labels() as store:
+        workspace = Workspace.open(self.workspace)
+        with LabelStore.open(workspace.labels_path, workspace.classes) as store:  # needs no images
             export_operations(store, self.file)
             print(f"{self.file}: {store.last_operation} operations")
         return 0

@@ -101,7 +101,7 @@ async def _forward_socket(
 ) -> web.WebSocketResponse:
     names = request.headers.get("Sec-WebSocket-Protocol", "")
     protocols = [name.strip() for name in names.split(",") if name.strip()]
-    front = await accept_socket(request, protocols=protocols, max_msg_size=0, compress=False)
+    front = await accept_socket(request, protocols=protocols, max_msg_size=0)
     async with client.ws_connect(url, protocols=protocols, max_msg_size=0, compress=0) as back:
         pumps = {asyncio.create_task(_pump(front, back)), asyncio.create_task(_pump(back, front))}
         try:

@@ -9,8 +9,11 @@ OPEN_SOCKETS: web.AppKey[WeakSet[web.WebSocketResponse]] = web.AppKey("open_sock
 
 
 async def accept_socket(request: web.Request, **options: Any) -> web.WebSocketResponse:
-    """Upgrades ``request``; ``options`` are those of aiohttp's WebSocketResponse."""
-    socket = web.WebSocketResponse(**options)
+    """Upgrades ``request``; ``options`` are those of aiohttp's WebSocketResponse.
+
+    Nothing is compressed: that costs more time than it saves on this machine or a near network.
+    """
+    socket = web.WebSocketResponse(compress=False, **options)
     await socket.prepare(request)
     request.app[OPEN_SOCKETS].add(socket)
     return socket

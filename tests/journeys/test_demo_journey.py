@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from semviz.demo import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
+from semviz.demo_street import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
 from semviz.recording.reader import load_run
 from semviz.recording.run import Run
 from semviz.workspace import TRUTH, Workspace

@@ -14,7 +14,7 @@ take a batch of poses: (b, 3, 3) and (b, 3), and pairs (b, k). Pixels are undist
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri  # the chi-square quantile; scipy.stats is slow to import
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import MIN_DEPTH_M, Camera
@@ -24,9 +24,7 @@ from semviz_core.pose import Pose
 
 INLIER_PROBABILITY = 0.999
 """Share of true pairs that pass the inlier test when sigmas are stated truly."""
-INLIER_CHI2: FloatArray = np.concatenate(
-    [[0.0], chi2_distribution.ppf(INLIER_PROBABILITY, np.arange(1, 5))]
-)
+INLIER_CHI2: FloatArray = np.concatenate([[0.0], chdtri(np.arange(1, 5), 1.0 - INLIER_PROBABILITY)])
 """(5,) largest chi2 of an inlier by its number of rows."""
 _MISSED_PX = 1e6  # residual of something that doesn't project at all
 _TINY = 1e-9
