@@ -16,6 +16,9 @@ further eighth of their answers."""
 LEAST_SHARE = 0.5
 """Share of the elements seen that must fit, of those that the submap could explain: a wrong place
 explains a few by chance, seldom half."""
+LEAST_WITH_UNMAPPED = 5
+"""Elements that must fit where some of those seen cannot be in the submap. With 4, one place in a
+hundred 60 m from the fix was taken for the right one."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,10 @@ def judge(modes: Modes, refined: Refined, observed: Elements2D, submap: Elements
     fitting = int(refined.refinement.inlier.sum())
     if fitting < NEEDED_PAIRS:
         return Verdict("cannot", f"{fitting} of {seen} elements fit, {NEEDED_PAIRS} needed.")
-    if fitting < (needed := int(np.ceil(LEAST_SHARE * explicable))):
+    needed = int(np.ceil(LEAST_SHARE * explicable))
+    if explicable < seen:  # the prior may be far off: then few agree by chance more easily
+        needed = max(needed, LEAST_WITH_UNMAPPED)
+    if fitting < needed:
         mapped = "" if explicable == seen else f" ({explicable} can be in the submap)"
         return Verdict(
             "cannot",
