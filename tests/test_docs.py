@@ -8,6 +8,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from serving import serving
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
@@ -29,23 +30,13 @@ def run(command: str, folder: Path, environment: dict[str, str]) -> None:
 
 
 def start_and_ask(command: str, folder: Path, environment: dict[str, str]) -> None:
-    """Start a server as documented, but on a free port and without a browser; ask for its page."""
-    process = subprocess.Popen(
-        [*shlex.split(command), "--no-open", "--port", "0"],
-        cwd=folder, env=environment, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
-    try:
-        for line in process.stdout:
-            if address := re.search(r"http://\S+", line):
-                with urllib.request.urlopen(address.group(), timeout=30) as answer:
-                    assert answer.status == 200
-                    assert b"semviz" in answer.read()
-                return
-        pytest.fail(f"{command}: ended without an address")
-    finally:
-        process.terminate()
-        process.wait(timeout=30)
+    """Start a server as documented and ask for its page."""
+    with (
+        serving(shlex.split(command), environment, folder) as address,
+        urllib.request.urlopen(address, timeout=30) as answer,
+    ):
+        assert answer.status == 200
+        assert b"semviz" in answer.read()
 
 
 @pytest.mark.realdata

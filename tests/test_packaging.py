@@ -3,11 +3,13 @@
 import subprocess
 import sys
 import sysconfig
+import urllib.request
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+from serving import serving
 
 REPOSITORY = Path(__file__).parents[1]
 ROOTS = {
@@ -91,6 +93,17 @@ def test_a_fresh_environment_answers_help(scripts: Path, tmp_path: Path) -> None
 def test_a_fresh_environment_has_the_whole_public_api(scripts: Path, tmp_path: Path) -> None:
     every_name = "import semviz; print(*(getattr(semviz, name) for name in semviz.__all__))"
     assert "Localizer" in run(scripts / "python", "-c", every_name, cwd=tmp_path)
+
+
+@pytest.mark.timeout(400)  # the first to ask for the demo waits until it is made
+def test_a_fresh_environment_serves_the_demo(
+    scripts: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    with serving([scripts / "semviz", "serve"], environment, tmp_path) as address:
+        for path in ("", "static/base.css", "page/main.js"):
+            with urllib.request.urlopen(f"{address}{path}", timeout=30) as answer:
+                assert answer.status == 200
+                assert len(answer.read()) > 500
 
 
 def test_bad_input_ends_with_one_line_and_status_2(scripts: Path, tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """A new user's first minute: ``semviz serve`` makes the demo and shows why frames fail."""
 
 import io
-import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from PIL import Image
+from serving import serving
 
 from semviz.demo_street import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
 from semviz.recording.reader import load_run
@@ -29,15 +28,8 @@ ROW_FRAMES = range(96, 106)
 @pytest.fixture(scope="module")
 def address(environment: dict[str, str]) -> Iterator[str]:
     """Of ``semviz serve`` with nothing given, once it says that it listens."""
-    command = [sys.executable, "-m", "semviz.cli", "serve", "--no-open", "--port", "0"]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    found = (re.search(r"http://\S+", line) for line in process.stdout)
-    try:
-        yield next(filter(None, found)).group()
-    finally:
-        process.terminate()
-        process.wait(timeout=30)
+    with serving([sys.executable, "-m", "semviz.cli", "serve"], environment) as address:
+        yield address
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,15 @@
 """The whole thread on real images: label in the page, build the map, localize, measure, look."""
 
 import json
-import re
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from journeys.driver import LabelDriver
+from serving import serving
 
 from semviz.workspace import Workspace
 from semviz_annotation.exchange import import_operations
@@ -28,27 +26,14 @@ MAPPED, LOCALIZED = 5, 6
 ELEMENTS = 6
 
 
+SEMVIZ = (sys.executable, "-m", "semviz.cli")
+
+
 def semviz(*arguments: object, environment: dict[str, str]) -> str:
-    command = [sys.executable, "-m", "semviz.cli", *map(str, arguments)]
+    command = [*SEMVIZ, *map(str, arguments)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-@contextmanager
-def serving(*arguments: object, environment: dict[str, str]) -> Iterator[str]:
-    """The address of a web tool as the terminal prints it."""
-    command = [sys.executable, "-m", "semviz.cli", *map(str, arguments)]
-    process = subprocess.Popen(
-        [*command, "--no-open", "--port", "0"], env=environment, stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    found = (re.search(r"http://\S+", line) for line in process.stdout)
-    try:
-        yield next(filter(None, found)).group()
-    finally:
-        process.terminate()
-        process.wait(timeout=30)
 
 
 @pytest.fixture
@@ -87,7 +72,7 @@ def test_from_a_label_to_a_pose_on_screen(
     semviz("new", town, *source, environment=environment)
 
     chosen = nearest(to_click)
-    with serving("annotate", town, environment=environment) as address:
+    with serving([*SEMVIZ, "annotate", town], environment) as address:
         driver = LabelDriver(page)
         driver.open(address)
         driver.goto(MAPPED)
@@ -115,7 +100,7 @@ def test_from_a_label_to_a_pose_on_screen(
     assert numbers["rte_m"]["q2"] < 0.8
     assert numbers["rre_deg"]["q2"] < 1.0
 
-    with serving("serve", town, environment=environment) as address:
+    with serving([*SEMVIZ, "serve", town], environment) as address:
         page.goto(address)
         page.wait_for_selector("#status:has-text('Ok')", timeout=60_000)
         shown = page.inner_text("#numbers")
