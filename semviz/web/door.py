@@ -24,6 +24,8 @@ from semviz_core.errors import SemvizError
 
 STATIC = Path(__file__).parent / "static"
 """Style sheet and ES modules that both tools' pages share, served under ``/static/``."""
+CLOSING_S = 5.0
+"""How long closing may take after Ctrl-C."""
 
 
 class Tool(Protocol):
@@ -68,6 +70,7 @@ class Door:
             if open_browser:
                 _open_browser(url)
             told.wait()
+            _end_within(CLOSING_S)
 
     @contextlib.contextmanager
     def running(self) -> Iterator[str]:
@@ -147,6 +150,17 @@ def _until_told() -> Iterator[threading.Event]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
+
+
+def _end_within(seconds: float) -> None:
+    """Ends the process if closing takes longer.
+
+    viser's threads can wait for a browser that has gone. Nothing is lost: what a page calls saved
+    is on disk.
+    """
+    timer = threading.Timer(seconds, os._exit, args=(0,))
+    timer.daemon = True
+    timer.start()
 
 
 def _open_browser(url: str) -> None:

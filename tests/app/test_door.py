@@ -261,3 +261,23 @@ def test_run_prints_its_address_only_and_ends_when_told(how: signal.Signals) -> 
     rest, _ = process.communicate(timeout=20)
     assert process.returncode == 0
     assert rest == ""
+
+
+def test_it_ends_even_if_a_scene_never_closes() -> None:
+    code = (
+        "import time\n"
+        "from semviz.web.door import Door\n"
+        "from semviz.web.scenes import Scenes\n"
+        "class Stuck(Scenes):\n"
+        "    def close_all(self): time.sleep(600)\n"
+        "class Tool:\n"
+        "    title = 'stuck'\n"
+        "    scenes = Stuck()\n"
+        "    def routes(self): return []\n"
+        "Door(Tool()).run(open_browser=False)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert "http://" in process.stdout.readline()
+    process.terminate()
+    assert process.wait(timeout=60) == 0
