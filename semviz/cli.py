@@ -9,6 +9,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from semviz.commands.annotate import Annotate
+from semviz.commands.benchmark import Benchmark
 from semviz.commands.evaluate import Evaluate
 from semviz.commands.labels import LabelsExport, LabelsImport
 from semviz.commands.localize import Localize
@@ -35,6 +36,7 @@ Command = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[OpenRun, subcommand("open")]
     | LabelCommands
+    | Annotated[Benchmark, subcommand("benchmark")]
 )
 
 

@@ -13,6 +13,7 @@ from semviz.drive import (
     Drive,
     DriveOptions,
     Know,
+    detector_model,
     observe_simulated,
     record,
     simulated_prior,
@@ -62,7 +63,8 @@ def _drive(workspace: Workspace, semantic_map: SemanticMap) -> Drive:
     observe = observe_simulated(workspace, options)
     know = _sometimes_far_off(simulated_prior(options))
     street = workspace.street
-    return Drive(street, semantic_map, street.frames, observe, know, Localizer(), options)
+    localizer = Localizer(detector=detector_model(options.observations))
+    return Drive(street, semantic_map, street.frames, observe, know, localizer, options)
 
 
 def _often_seen(street: Street, frames: range) -> int:

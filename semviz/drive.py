@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -10,15 +10,18 @@ from typing import Literal
 
 import numpy as np
 
+from semviz import follow
 from semviz.progress import track
 from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz.workspace import Workspace
 from semviz_core.arrays import IntArray
+from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
 from semviz_core.files import check_replaceable
 from semviz_core.frame import Frame, Prior
+from semviz_core.localization import Localization
 from semviz_core.localize import Localizer
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
@@ -31,6 +34,8 @@ Know = Callable[[Frame], Prior]
 Observations = Literal["labels", "simulated"]
 CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "simulated": 50.0}
 """The simulated detector sees 40 m far; people label as far as they can see."""
+ROAD_RADIUS_M = 60.0
+"""Of the road round the fix that the prior holds."""
 JPEG_QUALITY = 90
 
 
@@ -39,6 +44,8 @@ class DriveOptions:
     """Settings of a drive; they are stored in its run."""
 
     method: str = "search"
+    track: bool = False
+    """Follow the camera from frame to frame; ``method`` is then for frames by themselves."""
     observations: Observations = "labels"
     noise: Literal["paper", "low"] = "low"
     prior_distance_m: tuple[float, float] = (5.0, 10.0)
@@ -79,13 +86,29 @@ class Drive:
             raise SemvizError("the map is empty: label some poles and signs, then 'map build'")
 
     def __iter__(self) -> Iterator[FrameRecord]:
+        localize = self._follower().localize if self.options.track else self._localize
         for frame in self.frames:
             observed, element_id = self.observe(frame)
-            prior = self.know(frame)
-            submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
-            result = self.localizer.localize(observed, submap, self.source.rig.left, prior)
+            result = localize(frame, observed, self._prior(frame))
             image = self._picture(frame) if self.options.images else None
             yield FrameRecord(frame, result, element_id, image)
+
+    def _prior(self, frame: Frame) -> Prior:
+        """What is known, with the road of the map round the fix."""
+        known = self.know(frame)
+        road_m = self.semantic_map.road_near(known.position_m, ROAD_RADIUS_M)
+        return replace(known, road_m=road_m)
+
+    def _localize(self, frame: Frame, observed: Elements2D, prior: Prior) -> Localization:
+        """The frame by itself."""
+        submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
+        return self.localizer.localize(observed, submap, self.source.rig.left, prior)
+
+    def _follower(self) -> follow.Follower:
+        options, camera = self.options, self.source.rig.left
+        return follow.Follower(
+            camera, self.semantic_map, self.localizer, options.crop_radius_m, options.seed
+        )
 
     def _picture(self, frame: Frame) -> bytes:
         import cv2
@@ -103,7 +126,8 @@ def drive_workspace(
     """The drive through a workspace's frames (those in ``frames``), in its map ``map_name``."""
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
-    localizer = Localizer(options.method, options.seed, semantic_map.classes)
+    detector = detector_model(options.observations)
+    localizer = Localizer(options.method, options.seed, semantic_map.classes, detector)
     chosen = tuple(one for one in source.frames if frames is None or one.index in frames)
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)
@@ -132,6 +156,15 @@ def observe_simulated(workspace: Workspace, options: DriveOptions) -> Observe:
         return detection.observed, detection.element_id
 
     return observe
+
+
+def detector_model(observations: Observations) -> DetectorModel:
+    """What is true of whoever, or whatever, sees."""
+    if observations == "labels":
+        return DetectorModel()
+    from semviz_core.sources.street.detector import DETECTOR_MODEL
+
+    return DETECTOR_MODEL
 
 
 def simulated_prior(options: DriveOptions) -> Know:
@@ -165,7 +198,7 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
     info = RunInfo(
         name=path.stem,
         workspace=workspace,
-        method=options.method,
+        method=follow.METHOD if options.track else options.method,
         seed=options.seed,
         version=version("semviz"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -16,49 +16,67 @@ ByteImage: TypeAlias = NDArray[np.uint8]
 LARGEST = 1e12
 """No coordinate, pixel or variance is larger; squares of larger ones would lose all digits."""
 
-Array = TypeVar("Array", bound=NDArray[Any])
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def float_array(
     value: ArrayLike, shape: tuple[int | None, ...], name: str, *, nan: bool = False
 ) -> FloatArray:
-    """Return ``value`` as a read-only float64 array of ``shape`` (None: any length).
+    """Return ``value`` as a read-only, C-contiguous float64 array of ``shape`` (None: any length).
 
-    Raises SemvizError naming ``name`` where the shape differs, or a number is infinite, beyond
-    ``LARGEST`` or, unless ``nan``, not a number.
+    Raises SemvizError naming ``name`` and the place where the shape differs, or a number is
+    infinite, beyond ``LARGEST`` or, unless ``nan``, not a number.
     """
     array = _shaped(_read(value, name, np.float64), shape, name)
-    if np.isinf(array).any() or (not nan and np.isnan(array).any()):
-        raise SemvizError(f"{name} holds NaN or infinite numbers; remove or repair those rows")
-    if (np.abs(array) > LARGEST).any():
-        raise SemvizError(f"{name} holds numbers beyond {LARGEST:g}; remove or repair those rows")
+    if not array.size:
+        return array
+    low, high = (np.fmin, np.fmax) if nan else (np.minimum, np.maximum)  # fmin skips NaN
+    extremes = np.array([low.reduce(array, axis=None), high.reduce(array, axis=None)])
+    if (_wrong(extremes, nan) | (np.abs(extremes) > LARGEST)).any():
+        _refuse_numbers(array, name, nan)
     return array
 
 
 def int_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> IntArray:
-    """Return ``value`` as a read-only int64 array of ``shape`` (None: any length)."""
+    """Return ``value`` as a read-only, C-contiguous int64 array of ``shape`` (None: any length)."""
     raw = _read(value, name)
     if raw.size and raw.dtype.kind not in "iu":
-        raise SemvizError(f"{name} must hold whole numbers, not {raw.dtype}")
+        raise SemvizError(f"{name} must hold whole numbers, not {raw.dtype}; use .astype(int)")
+    if raw.dtype == np.uint64 and (raw > np.iinfo(np.int64).max).any():
+        raise SemvizError(f"{name} holds numbers beyond 64 bits; number anew")
     return _shaped(raw.astype(np.int64, copy=False), shape, name)
 
 
 def bool_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> BoolArray:
-    """Return ``value`` as a read-only bool array of ``shape`` (None: any length)."""
+    """Return ``value`` as a read-only, C-contiguous bool array of ``shape`` (None: any length)."""
     raw = _read(value, name)
     if raw.size and raw.dtype != np.bool_:
-        raise SemvizError(f"{name} must hold true or false, not {raw.dtype}")
+        raise SemvizError(f"{name} must hold true or false, not {raw.dtype}; use .astype(bool)")
     return _shaped(raw.astype(np.bool_, copy=False), shape, name)
+
+
+def place(wrong: BoolArray) -> str:
+    """Where the first True of ``wrong`` stands, for people: ``[3, 1]``."""
+    return str([int(index) for index in np.argwhere(wrong)[0]])
 
 
 def _read(value: ArrayLike, name: str, dtype: type[np.float64] | None = None) -> NDArray[Any]:
     try:
-        return np.asarray(value, dtype=dtype)
-    except (ValueError, TypeError):  # words, or rows of different lengths
-        raise SemvizError(f"{name} is not an array of numbers") from None
+        array = np.asarray(value, order="C")
+        if dtype is None:
+            return array
+        if array.dtype.kind not in "biufO":  # O: None among numbers becomes NaN
+            raise TypeError
+        return array.astype(dtype, copy=False)
+    except (ValueError, TypeError, OverflowError):  # words, or rows of different lengths
+        raise SemvizError(
+            f"{name} is not an array of numbers: give rows of equal length, without words"
+        ) from None
 
 
-def _shaped(array: Array, shape: tuple[int | None, ...], name: str) -> Array:
+def _shaped(array: NDArray[Scalar], shape: tuple[int | None, ...], name: str) -> NDArray[Scalar]:
+    if array.shape == (0,) and shape[:1] == (None,):  # [] will do for none
+        array = np.empty([side or 0 for side in shape], array.dtype)
     fits = array.ndim == len(shape) and all(
         want is None or have == want for have, want in zip(array.shape, shape, strict=True)
     )
@@ -68,3 +86,15 @@ def _shaped(array: Array, shape: tuple[int | None, ...], name: str) -> Array:
     view = array.view()
     view.flags.writeable = False  # the values are frozen; the caller's own array stays writeable
     return view
+
+
+def _wrong(array: FloatArray, nan: bool) -> BoolArray:
+    return np.asarray(np.isinf(array) if nan else ~np.isfinite(array))
+
+
+def _refuse_numbers(array: FloatArray, name: str, nan: bool) -> None:
+    what, wrong = "NaN or infinite numbers", _wrong(array, nan)
+    if not wrong.any():
+        what, wrong = f"numbers beyond {LARGEST:g}", np.abs(array) > LARGEST
+    where = f", first at {place(wrong)}" if array.ndim else ""
+    raise SemvizError(f"{name} holds {what}{where}; remove or repair them")

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from semviz_core.arrays import BoolArray, FloatArray, float_array
+from semviz_core.arrays import BoolArray, FloatArray, float_array, int_array
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 
@@ -27,9 +27,16 @@ class Camera:
 
     def __post_init__(self) -> None:
         K = float_array(self.K, (3, 3), "K")
-        if not (self.width > 0 and self.height > 0):
-            raise SemvizError(f"image size {self.width}x{self.height} is not positive")
-        if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+        for name in ("width", "height"):
+            size = int_array(getattr(self, name), (), name)
+            if size <= 0:
+                raise SemvizError(f"image {name} {size} is not positive")
+            object.__setattr__(self, name, int(size))
+        if (
+            min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX
+            or K[1, 0]
+            or not np.array_equal(K[2], [0.0, 0.0, 1.0])
+        ):
             raise SemvizError("K is not an intrinsic matrix: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
         object.__setattr__(self, "K", K)
         distortion = float_array(self.distortion, (None,), "distortion")

@@ -7,14 +7,29 @@ only the line through both counts.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from semviz_core.arrays import BoolArray, FloatArray, IntArray, bool_array, float_array, int_array
+from semviz_core.arrays import (
+    LARGEST,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    bool_array,
+    float_array,
+    int_array,
+    place,
+)
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
+
+SIGMA_PX_RANGE = (1e-6, 1e6)
+"""Smaller or larger ones are no detector's, and their squares lose all digits."""
+
+Rows: TypeAlias = ArrayLike | slice
+Elements = TypeVar("Elements", "Elements2D", "Elements3D")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,33 +52,32 @@ class Elements2D:
     """(m,) False where a pole's bottom is cut off or hidden, and for points."""
 
     def __post_init__(self) -> None:
+        _set(self, "anchor_px", float_array(self.anchor_px, (None, 2), "anchor_px"))
+        _set(self, "end_px", float_array(self.end_px, (None, 2), "end_px", nan=True))
         _set(self, "class_id", int_array(self.class_id, (None,), "class_id"))
-        m = len(self.class_id)
-        _set(self, "anchor_px", float_array(self.anchor_px, (m, 2), "anchor_px"))
-        _set(self, "end_px", float_array(self.end_px, (m, 2), "end_px", nan=True))
-        _set(self, "score", float_array(self.score, (m,), "score"))
-        _set(self, "sigma_px", float_array(self.sigma_px, (m, 2), "sigma_px"))
-        _set(self, "anchor_known", bool_array(self.anchor_known, (m,), "anchor_known"))
-        _set(self, "end_known", bool_array(self.end_known, (m,), "end_known"))
-        if (self.sigma_px <= 0).any():
-            raise SemvizError("sigma_px must be positive")
-        if (self.end_known & ~self.is_line).any():
-            raise SemvizError("end_known is set for elements without an end")
+        _set(self, "score", float_array(self.score, (None,), "score"))
+        _set(self, "sigma_px", float_array(self.sigma_px, (None, 2), "sigma_px"))
+        _set(self, "anchor_known", bool_array(self.anchor_known, (None,), "anchor_known"))
+        _set(self, "end_known", bool_array(self.end_known, (None,), "end_known"))
+        _check_lengths(self, "observed elements")
+        _check_ends(self.end_px, self.end_known, "end_px")
+        low, high = SIGMA_PX_RANGE
+        _check(self.sigma_px, low, high, "sigma_px")
+        _check(self.score, 0.0, 1.0, "score")
 
     @classmethod
     def from_ends(
         cls, anchor_px: ArrayLike, end_px: ArrayLike, class_id: ArrayLike, sigma_px: float = 1.0
     ) -> "Elements2D":
-        """Elements with every end known, score 1 and one sigma."""
-        classes = int_array(class_id, (None,), "class_id")
-        m = len(classes)
-        end = _points(end_px, (m, 2), "end_px")
+        """Elements with every end known, score 1 and one sigma. No ends at all: ``[]``."""
+        end = float_array(end_px, (None, 2), "end_px", nan=True)
+        m = len(end)
         return cls(
-            anchor_px=_points(anchor_px, (m, 2), "anchor_px"),
+            anchor_px=float_array(anchor_px, (None, 2), "anchor_px"),
             end_px=end,
-            class_id=classes,
+            class_id=int_array(class_id, (None,), "class_id"),
             score=np.ones(m),
-            sigma_px=np.full((m, 2), sigma_px),
+            sigma_px=np.full((m, 2), float_array(sigma_px, (), "sigma_px")),
             anchor_known=np.ones(m, dtype=bool),
             end_known=_rows_finite(end),
         )
@@ -76,9 +90,9 @@ class Elements2D:
     def __len__(self) -> int:
         return len(self.class_id)
 
-    def __getitem__(self, rows: ArrayLike) -> "Elements2D":
-        """The elements at ``rows``: indices (k,) or a mask (m,)."""
-        return Elements2D(**_rows(self, rows))
+    def __getitem__(self, rows: Rows) -> "Elements2D":
+        """The elements at ``rows``: indices (k,), a mask (m,) or a slice."""
+        return _chosen(self, _index(rows, len(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,21 +115,23 @@ class Elements3D:
     """(n,) False where no view showed a pole's bottom, and for points."""
 
     def __post_init__(self) -> None:
+        _set(self, "id", int_array(self.id, (None,), "id"))
+        _set(self, "anchor_m", float_array(self.anchor_m, (None, 3), "anchor_m"))
+        _set(self, "end_m", float_array(self.end_m, (None, 3), "end_m", nan=True))
         _set(self, "class_id", int_array(self.class_id, (None,), "class_id"))
-        n = len(self.class_id)
-        _set(self, "id", int_array(self.id, (n,), "id"))
-        _set(self, "anchor_m", float_array(self.anchor_m, (n, 3), "anchor_m"))
-        _set(self, "end_m", float_array(self.end_m, (n, 3), "end_m", nan=True))
-        covariance = float_array(self.covariance_m2, (n, 6, 6), "covariance_m2")
+        covariance = float_array(self.covariance_m2, (None, 6, 6), "covariance_m2")
         _set(self, "covariance_m2", covariance)
-        _set(self, "anchor_known", bool_array(self.anchor_known, (n,), "anchor_known"))
-        _set(self, "end_known", bool_array(self.end_known, (n,), "end_known"))
-        if (np.diagonal(covariance, axis1=1, axis2=2) < 0).any():
-            raise SemvizError("covariance_m2 holds negative variances; remove or repair those rows")
-        if len(np.unique(self.id)) != n:
-            raise SemvizError("two map elements share an id")
-        if (self.end_known & ~self.is_line).any():
-            raise SemvizError("end_known is set for elements without an end")
+        _set(self, "anchor_known", bool_array(self.anchor_known, (None,), "anchor_known"))
+        _set(self, "end_known", bool_array(self.end_known, (None,), "end_known"))
+        _check_lengths(self, "map elements")
+        _check_ends(self.end_m, self.end_known, "end_m")
+        _check_ids(self.id)
+        negative = np.diagonal(covariance, axis1=1, axis2=2) < 0.0
+        if negative.any():
+            row = int(np.flatnonzero(negative.any(axis=1))[0])
+            raise SemvizError(
+                f"covariance_m2 holds negative variances, first in row {row}; remove or repair them"
+            )
 
     @classmethod
     def from_ends(
@@ -126,19 +142,19 @@ class Elements3D:
         class_id: ArrayLike,
         sigma_m: float = 0.05,
     ) -> "Elements3D":
-        """Elements with every end known and one isotropic sigma."""
-        classes = int_array(class_id, (None,), "class_id")
-        n = len(classes)
-        end = _points(end_m, (n, 3), "end_m")
-        is_line = _rows_finite(end)
+        """Elements with every end known and one isotropic sigma. No ends at all: ``[]``."""
+        end = float_array(end_m, (None, 3), "end_m", nan=True)
+        sigma = float_array(sigma_m, (), "sigma_m")
+        _check(sigma, 0.0, np.sqrt(LARGEST), "sigma_m")
+        n, is_line = len(end), _rows_finite(end)
         covariance = np.zeros((n, 6, 6))
-        covariance[:, range(3), range(3)] = sigma_m**2
-        covariance[:, range(3, 6), range(3, 6)] = np.where(is_line, sigma_m**2, 0.0)[:, None]
+        covariance[:, range(3), range(3)] = sigma**2
+        covariance[:, range(3, 6), range(3, 6)] = np.where(is_line, sigma**2, 0.0)[:, None]
         return cls(
-            id=int_array(id, (n,), "id"),
-            anchor_m=_points(anchor_m, (n, 3), "anchor_m"),
+            id=int_array(id, (None,), "id"),
+            anchor_m=float_array(anchor_m, (None, 3), "anchor_m"),
             end_m=end,
-            class_id=classes,
+            class_id=int_array(class_id, (None,), "class_id"),
             covariance_m2=covariance,
             anchor_known=np.ones(n, dtype=bool),
             end_known=is_line,
@@ -152,9 +168,11 @@ class Elements3D:
     def __len__(self) -> int:
         return len(self.class_id)
 
-    def __getitem__(self, rows: ArrayLike) -> "Elements3D":
-        """The elements at ``rows``: indices (k,) or a mask (n,)."""
-        return Elements3D(**_rows(self, rows))
+    def __getitem__(self, rows: Rows) -> "Elements3D":
+        """The elements at ``rows``: indices (k,) without repeats, a mask (n,) or a slice."""
+        chosen = _chosen(self, _index(rows, len(self)))
+        _check_ids(chosen.id)
+        return chosen
 
     def transformed(self, T_target_map: Pose) -> "Elements3D":
         """The same elements in another frame."""
@@ -170,18 +188,62 @@ def _set(value: object, name: str, array: object) -> None:
     object.__setattr__(value, name, array)  # the dataclass is frozen
 
 
-def _points(value: ArrayLike, shape: tuple[int, int], name: str) -> FloatArray:
-    """(shape) of points whose ends may be missing; ``[]`` will do for none."""
-    none = shape[0] == 0 and not np.size(value)
-    return float_array(np.zeros(shape) if none else value, shape, name, nan=True)
-
-
 def _rows_finite(points: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(points).all(axis=1))
 
 
-def _rows(value: Elements2D | Elements3D, rows: ArrayLike) -> dict[str, Any]:
+def _check_lengths(elements: Elements2D | Elements3D, name: str) -> None:
+    lengths = {one.name: len(getattr(elements, one.name)) for one in fields(elements)}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{field} {length}" for field, length in lengths.items())
+        raise SemvizError(f"{name} have arrays of different lengths: {listed}; give one row each")
+
+
+def _check_ends(end: FloatArray, end_known: BoolArray, name: str) -> None:
+    missing = np.isnan(end)
+    partly = np.asarray(missing.any(axis=1) & ~missing.all(axis=1))
+    if partly.any():
+        raise SemvizError(f"{name}{place(partly)} is NaN in part; only points have NaN, throughout")
+    without = end_known & missing[:, 0]
+    if without.any():
+        raise SemvizError(
+            f"end_known{place(without)} is set for elements without an end; "
+            f"set it False or give {name}"
+        )
+
+
+def _check(values: FloatArray, low: float, high: float, name: str) -> None:
+    outside = np.asarray((values < low) | (values > high))
+    if outside.any():
+        value = values[outside].flat[0]
+        where = place(outside) if values.ndim else ""
+        raise SemvizError(f"{name}{where} is {value:g}; give a number from {low:g} to {high:g}")
+
+
+def _check_ids(ids: IntArray) -> None:
+    ordered = np.sort(ids)
+    repeated = ordered[1:] == ordered[:-1]
+    if repeated.any():
+        raise SemvizError(f"two map elements share an id: {ordered[1:][repeated][0]}; number anew")
+
+
+def _index(rows: Rows, count: int) -> IntArray:
+    if isinstance(rows, slice):
+        return np.arange(*rows.indices(count))
     index = np.asarray(rows)
-    if index.size == 0:
-        index = index.astype(np.int64)
-    return {one.name: getattr(value, one.name)[index] for one in fields(value)}
+    if index.dtype == np.bool_:
+        return np.flatnonzero(bool_array(index, (count,), "rows"))
+    index = int_array(index, (None,), "rows")
+    if index.size and not (-count <= index.min() and index.max() < count):
+        raise SemvizError(f"rows reach from {index.min()} to {index.max()} of {count} elements")
+    return index
+
+
+def _chosen(elements: Elements, index: IntArray) -> Elements:
+    """Rows of elements that are checked already, so without checking each number again."""
+    chosen = object.__new__(type(elements))
+    for one in fields(elements):
+        rows = getattr(elements, one.name).take(index, axis=0)
+        rows.flags.writeable = False
+        _set(chosen, one.name, rows)
+    return chosen

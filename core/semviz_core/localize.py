@@ -1,26 +1,29 @@
 """The whole method on one screen: what is seen and mapped, to a pose or the reason for none."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from semviz_core.camera import Camera
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Prior
 from semviz_core.localization import Alternative, Localization, Search
 from semviz_core.matching.posterior import posterior_match
-from semviz_core.pose import Pose, nearest_rotation
+from semviz_core.pose import Pose
+from semviz_core.request import check_request
 from semviz_core.solving.direct import pairs_by_class
 from semviz_core.solving.refine import Failure, refine
-from semviz_core.solving.residuals import Scene
+from semviz_core.solving.scene import Scene
 from semviz_core.solving.search import Modes, search
 from semviz_core.solving.upright import assumed_upright
 from semviz_core.solving.verdict import judge
+from semviz_core.threads import in_order
 
 METHODS = ("search", "direct")
 NEEDED_ELEMENTS = 4
@@ -30,6 +33,8 @@ SHOWN_NATS = 30.0
 """Poses that are worse than the best by more are no alternatives."""
 
 Result = TypeVar("Result")
+Request: TypeAlias = tuple[Elements2D, Elements3D, Camera, Prior]
+"""The arguments of ``Localizer.localize``."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +44,25 @@ class Localizer:
     method: str = "search"
     seed: int = 0
     classes: ClassSet = DEFAULT_CLASSES
+    detector: DetectorModel = field(default_factory=DetectorModel)
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SemvizError(f"unknown method {self.method!r}; known are {', '.join(METHODS)}")
-        if self.seed < 0:
-            raise SemvizError(f"seed {self.seed}: give 0 or more")
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise SemvizError(f"seed {self.seed}: give a whole number, 0 or more")
+        if not isinstance(self.classes, ClassSet):
+            raise SemvizError("classes is no ClassSet; give semviz.DEFAULT_CLASSES or your own")
+        self.detector.checked()
 
     def localize(
         self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
     ) -> Localization:
         """The camera's pose in the map, or the reason for none; never a made-up pose.
 
-        Raises SemvizError for elements of unknown classes or with impossible covariances.
+        Raises SemvizError where these cannot be meant (``semviz_core.request``).
         """
-        self._check_classes(observed)
-        _check_covariances(submap)
+        check_request(observed, submap, camera, prior, self.classes)
         watch = _Stopwatch({})
         work = Localization(
             self.method, camera, prior, observed, submap,
@@ -66,17 +74,16 @@ class Localizer:
         if isinstance(pairs, Failure):
             return replace(work, reason=pairs.reason)
 
-        scene = Scene.of(camera, observed, submap)
+        scene = Scene.of(camera, observed, submap, self.detector)
         prior = assumed_upright(prior)  # the result keeps the prior as given
-        rng = np.random.default_rng(self.seed)
-        modes = watch.time("search", lambda: search(scene, camera, prior, rng))
+        modes = watch.time("search", lambda: search(scene, prior))
         work = replace(work, search=_search_value(modes))
         if not len(modes.score):
             return replace(work, reason=_nothing_passed(modes, prior))
         work = replace(work, match=watch.time("match", lambda: posterior_match(
             modes.score, modes.gain, scene.compatible)))  # fmt: skip
 
-        refined = watch.time("refine", lambda: refine(scene, camera, prior, _pose(modes, 0), pairs))
+        refined = watch.time("refine", lambda: refine(scene, prior, _pose(modes, 0), pairs))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
         verdict = judge(modes, refined, observed, submap)
@@ -91,19 +98,24 @@ class Localizer:
             alternatives=_alternatives(modes),
         )
 
-    def _check_classes(self, observed: Elements2D) -> None:
-        unknown = [one for one in np.unique(observed.class_id).tolist() if one not in self.classes]
-        if unknown:
-            known = ", ".join(str(one.id) for one in self.classes)
-            raise SemvizError(f"observed elements have unknown classes {unknown}; known: {known}")
+    def localize_many(
+        self, requests: Iterable[Request], threads: int = 1
+    ) -> Iterator[Localization]:
+        """Many frames: each (observed, submap, camera, prior) localized, in order.
 
+        The compiled search lets other threads run meanwhile. Raises SemvizError as ``localize``
+        does, with the request's number (from 0).
+        """
+        if threads < 1:
+            raise SemvizError(f"threads is {threads}; give 1 or more")
+        return in_order(self._numbered, enumerate(requests), threads)
 
-def _check_covariances(submap: Elements3D) -> None:
-    eigenvalues = np.linalg.eigvalsh(submap.covariance_m2)  # (n, 6), ascending
-    broken = eigenvalues[:, 0] < -1e-6 * (1.0 + eigenvalues[:, -1])  # rounding is far below
-    if broken.any():
-        first = int(submap.id[broken][0])
-        raise SemvizError(f"map element {first}: its covariance is not one; rebuild the map")
+    def _numbered(self, numbered: tuple[int, Request]) -> Localization:
+        number, request = numbered
+        try:
+            return self.localize(*request)
+        except SemvizError as error:
+            raise SemvizError(f"request {number}: {error}") from error
 
 
 def _too_few(observed: Elements2D, submap: Elements3D) -> str:
@@ -133,7 +145,7 @@ def _alternatives(modes: Modes) -> tuple[Alternative, ...]:
 
 
 def _pose(modes: Modes, row: int) -> Pose:
-    return Pose(nearest_rotation(modes.rotation[row]), modes.translation[row])
+    return Pose(modes.rotation[row], modes.translation[row])
 
 
 @dataclass(frozen=True)

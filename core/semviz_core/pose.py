@@ -37,9 +37,11 @@ class Pose:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> "Pose":
         """From (3, 4) or (4, 4). Rounded rotations (text files) are made orthonormal again."""
-        array = np.asarray(matrix, dtype=np.float64)
+        array = float_array(matrix, (None, None), "pose matrix")
         if array.shape not in ((3, 4), (4, 4)):
             raise SemvizError(f"a pose matrix is 3x4 or 4x4, not {array.shape}")
+        if not (array[3:] == [0.0, 0.0, 0.0, 1.0]).all():
+            raise SemvizError("the last row of a 4x4 pose matrix is 0 0 0 1: is it transposed?")
         return cls(nearest_rotation(array[:3, :3]), array[:3, 3])
 
     @classmethod

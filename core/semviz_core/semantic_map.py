@@ -6,8 +6,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from semviz_core.arrays import FloatArray, float_array
+from semviz_core.arrays import FloatArray, IntArray, float_array
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
@@ -65,21 +66,34 @@ class SemanticMap:
     def __len__(self) -> int:
         return len(self.elements)
 
-    @cached_property
-    def _index(self) -> "cKDTree":
-        from scipy.spatial import cKDTree
-
-        positions = self.elements.anchor_m[:, :2]
-        return cKDTree(positions, balanced_tree=False, compact_nodes=False)
-
-    def crop(self, center_m: FloatArray, radius_m: float) -> Elements3D:
+    def crop(self, center_m: ArrayLike, radius_m: float) -> Elements3D:
         """The elements whose anchor is within ``radius_m`` of ``center_m`` on the ground plane.
 
         ``center_m`` is (2,) or (3,) in the map frame. In the map's order.
         """
-        center = float_array(np.asarray(center_m)[:2], (2,), "center_m")
-        rows = self._index.query_ball_point(center, radius_m, return_sorted=True)
-        return self.elements[np.asarray(rows, dtype=np.int64)]
+        return self.elements[_rows_near(self._anchors, center_m, radius_m)]
+
+    def road_near(self, center_m: ArrayLike, radius_m: float) -> FloatArray:
+        """(k, 3) points of ``trajectory_m`` within ``radius_m`` of ``center_m``: ``Prior.road_m``.
+
+        On the ground plane, as in ``crop``. At most one in each cubic metre, so that a drive which
+        stood still or came back adds none, while a bridge and the road below it both stay.
+        """
+        return self._road_m[_rows_near(self._road, center_m, radius_m)]
+
+    @cached_property
+    def _anchors(self) -> "cKDTree":
+        return _ground_index(self.elements.anchor_m)
+
+    @cached_property
+    def _road_m(self) -> FloatArray:
+        cubes = np.floor(self.trajectory_m)
+        _, first = np.unique(cubes, axis=0, return_index=True)
+        return self.trajectory_m[np.sort(first)]
+
+    @cached_property
+    def _road(self) -> "cKDTree":
+        return _ground_index(self._road_m)
 
     @cached_property
     def digest(self) -> str:
@@ -88,3 +102,21 @@ class SemanticMap:
         for one in fields(Elements3D):
             hasher.update(np.ascontiguousarray(getattr(self.elements, one.name)).tobytes())
         return hasher.hexdigest()
+
+
+def _ground_index(points_m: FloatArray) -> "cKDTree":
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points_m[:, :2], balanced_tree=False, compact_nodes=False)
+
+
+def _rows_near(index: "cKDTree", center_m: ArrayLike, radius_m: float) -> IntArray:
+    """Rows of ``index`` within ``radius_m`` of ``center_m``, ascending."""
+    radius = float(float_array(radius_m, (), "radius_m"))
+    if radius < 0.0:
+        raise SemvizError(f"radius_m is {radius:g}; give metres, 0 or more")
+    center = float_array(center_m, (None,), "center_m")
+    if len(center) not in (2, 3):
+        raise SemvizError(f"center_m has shape {center.shape}, expected (2,) or (3,)")
+    rows = index.query_ball_point(center[:2], radius, return_sorted=True)
+    return np.asarray(rows, dtype=np.int64)

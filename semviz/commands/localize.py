@@ -22,11 +22,15 @@ class Localize:
     workspace: Positional[Path]
     """The workspace."""
     out: OptionalPath = None
-    """The run to write; runs/METHOD.rrd in the workspace if not given."""
+    """The run to write; runs/METHOD.rrd in the workspace if not given, runs/track.rrd
+    with --track."""
     map: str = "main"
     """Name of the map."""
     method: str = "search"
     """search (prior-guided upright search) or direct (classes alone fix the matches)."""
+    track: bool = False
+    """Follow the camera from frame to frame: odometry (simulated, 1 %) ties the frames together,
+    and those with few elements are used too. --method is for frames while the pose is not known."""
     frames: OptionalText = None
     """FIRST:END[:STEP]; all frames if not given."""
     observations: Annotated[
@@ -51,6 +55,7 @@ class Localize:
 
     def run(self) -> int:
         from semviz.drive import CROP_RADIUS_M, DriveOptions, drive_workspace, record
+        from semviz.follow import METHOD
         from semviz.workspace import Workspace
 
         workspace = Workspace.open(self.workspace)
@@ -60,6 +65,7 @@ class Localize:
             crop_radius = CROP_RADIUS_M[observations]
         options = DriveOptions(
             method=self.method,
+            track=self.track,
             observations=observations,
             noise=self.noise,
             prior_distance_m=parse_interval(self.prior_distance, "--prior-distance"),
@@ -69,7 +75,7 @@ class Localize:
             images=self.images,
         )
         drive = drive_workspace(workspace, self.map, options, parse_frames(self.frames))
-        path = self.out or workspace.run_path(self.method)
+        path = self.out or workspace.run_path(METHOD if self.track else self.method)
         counts = record(drive, path, workspace=str(self.workspace), map_name=self.map)
         print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
         print(f"next: semviz evaluate {path}; semviz serve {path}")

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from semviz import follow
 from semviz.recording.run import FrameRecord
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
@@ -63,6 +64,8 @@ def verdict(record: FrameRecord) -> str:
 def _failure(record: FrameRecord) -> str:
     """By how far the solver came."""
     one = record.localization
+    if one.method == follow.METHOD:
+        return "starting or lost"
     if len(one.observed) < NEEDED_ELEMENTS:
         return "too few seen"
     if _prior_far_off(record):

@@ -3,7 +3,7 @@
 The structure repeats the value's tree: an object for a dataclass, null for None, a list for a
 tuple, and for an array its shape. The numbers of the arrays follow one another in the pool of
 their dtype, in the tree's order. Decoding goes by the type hints of the class asked for, so a
-file can never make anything else than that.
+file can never make anything else than that. What an older file lacks takes its default.
 """
 
 import math
@@ -83,7 +83,8 @@ def _decode(node: Any, hint: Any, supply: _Supply) -> Any:
         case "optional", inner:
             return None if node is None else _decode(node, inner, supply)
         case "dataclass", members:
-            return hint(**{name: _decode(node[name], one, supply) for name, one in members})
+            there = [(name, one) for name, one in members if name in node]
+            return hint(**{name: _decode(node[name], one, supply) for name, one in there})
         case "array", dtype:
             return supply.take(dtype, node)
         case "tuple", inner:

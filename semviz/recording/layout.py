@@ -1,6 +1,7 @@
 """Where things are in a run file: the one place that writer and reader share."""
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""2: priors hold the road. Older versions are read, newer ones refused."""
 APPLICATION = "semviz"
 """One application id for all runs: rerun keeps one layout of views for all of them."""
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from semviz.recording import layout
+from semviz.recording import codec, layout
 from semviz.recording.codec import decode, encode
 from semviz.recording.columns import Columns
 from semviz.recording.reader import load_run
@@ -120,6 +120,7 @@ def records(draw: st.DrawFn, index: int) -> FrameRecord:
             rng.normal(size=3),
             up_camera=up if has() else None,
             heading_rad=float(rng.normal()) if has() else None,
+            road_m=rng.normal(size=(3, 3)) * 100 if has() else None,
         ),
         observed=observed,
         submap=submap,
@@ -158,6 +159,26 @@ def test_codec_refuses_another_dtype() -> None:
 def test_a_run_comes_back_bit_for_bit(tmp_path: Path, written: tuple[FrameRecord, ...]) -> None:
     run = load_run(write_run(tmp_path / "run.rrd", list(written)))
     assert_same(run, Run(INFO, MAP, written))
+
+
+def test_a_run_of_version_1_opens_without_the_road(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its priors said nothing of ``road_m``, which the writer is made to leave out."""
+    written = make_records(2)
+    kind = codec._kind
+
+    def kind_of_version_1(hint: Any) -> tuple[str, Any]:
+        name, inner = kind(hint)
+        return name, tuple(one for one in inner if one[0] != "road_m") if hint is Prior else inner
+
+    with monkeypatch.context() as patch:
+        patch.setattr(codec, "_kind", kind_of_version_1)
+        patch.setattr(layout, "FORMAT_VERSION", 1)
+        path = write_run(tmp_path / "run.rrd", written)
+    (frame, _) = load_run(path).frames
+    assert frame.localization.prior.road_m is None
+    assert_same(frame, written[0])
 
 
 def test_a_run_of_no_frames(tmp_path: Path) -> None:
@@ -269,7 +290,7 @@ def newer_run(path: Path) -> None:
         (text_file, "not an .rrd file"),
         (stub, "not a run of semviz"),
         (foreign_recording, "not a run of semviz"),
-        (newer_run, "run version 99, this semviz reads up to 1"),
+        (newer_run, "run version 99, this semviz reads up to 2"),
     ],
 )
 def test_bad_files_are_named_in_one_line(

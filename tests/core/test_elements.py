@@ -1,6 +1,7 @@
 """Elements: checks on the way in, choosing rows, moving to another frame."""
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,14 +107,22 @@ def seen_with(**changes: object) -> Elements2D:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"anchor_px": np.zeros((2, 2))}, r"anchor_px has shape \(2, 2\), expected \(3, 2\)"),
-        ({"anchor_px": np.full((3, 2), np.nan)}, "anchor_px holds NaN"),
-        ({"end_px": np.full((3, 2), np.inf)}, "end_px holds NaN or infinite"),
-        ({"class_id": np.array([0.5, 1.0, 2.0])}, "class_id must hold whole numbers"),
+        ({"anchor_px": np.zeros((2, 2))}, "different lengths: anchor_px 2, end_px 3, class_id 3"),
+        ({"anchor_px": np.zeros((3, 3))}, r"anchor_px has shape \(3, 3\), expected \(n, 2\)"),
+        ({"anchor_px": np.zeros(3)}, r"anchor_px has shape \(3,\), expected \(n, 2\)"),
+        ({"anchor_px": [[1, 2], [3, 4], [5, np.nan]]}, r"anchor_px holds NaN .* at \[2, 1\]"),
+        ({"end_px": np.full((3, 2), np.inf)}, r"end_px holds NaN or infinite .* at \[0, 0\]"),
+        ({"end_px": [[1, 2], [3, np.nan], [5, 6]]}, r"end_px\[1\] is NaN in part"),
+        ({"class_id": np.array([0.0, 1.0, 2.0])}, r"whole numbers, not float64; use .astype\(int"),
+        ({"class_id": ["pole", "pole", "pole"]}, "class_id must hold whole numbers"),
+        ({"class_id": np.full(3, 2**63, np.uint64)}, "class_id holds numbers beyond 64 bits"),
         ({"score": np.array([np.nan, 1.0, 1.0])}, "score holds NaN"),
-        ({"sigma_px": np.zeros((3, 2))}, "sigma_px must be positive"),
-        ({"anchor_known": np.ones(3)}, "anchor_known must hold true or false"),
-        ({"end_known": np.ones(3, dtype=bool)}, "end_known is set for elements without an end"),
+        ({"score": np.array([1.0, 90.0, 1.0])}, r"score\[1\] is 90; give a number from 0 to 1"),
+        ({"sigma_px": np.zeros((3, 2))}, r"sigma_px\[0, 0\] is 0; give"),
+        ({"sigma_px": [[1, 1], [1, -2], [1, 1]]}, r"sigma_px\[1, 1\] is -2; give"),
+        ({"sigma_px": np.full((3, 2), 1e-200)}, "sigma_px.* is 1e-200; give"),
+        ({"anchor_known": np.ones(3)}, r"true or false, not float64; use .astype\(bool"),
+        ({"end_known": np.ones(3, dtype=bool)}, r"end_known\[1\] is set for elements without"),
     ],
 )
 def test_wrong_observations_are_refused(changes: dict[str, FloatArray], message: str) -> None:
@@ -121,34 +130,85 @@ def test_wrong_observations_are_refused(changes: dict[str, FloatArray], message:
         seen_with(**changes)
 
 
-def test_two_map_elements_cannot_share_an_id() -> None:
-    with pytest.raises(SemvizError, match="share an id"):
-        Elements3D.from_ends([7, 7], np.zeros((2, 3)), np.ones((2, 3)), [POLE, POLE])
-
-
 def test_elements_cannot_be_changed_and_do_not_freeze_what_they_were_given() -> None:
     anchors = np.zeros((1, 2))
     elements = Elements2D.from_ends(anchors, [NAN2], [ROUNDED])
-    with pytest.raises(ValueError, match="read-only"):
-        elements.anchor_px[0, 0] = 1.0
+    for frozen in (elements, elements[[0]], elements[:1]):
+        with pytest.raises(ValueError, match="read-only"):
+            frozen.anchor_px[0, 0] = 1.0
     anchors[0, 0] = 1.0
 
 
 @pytest.mark.parametrize(
-    "ends",
+    ("ends", "message"),
     [
-        ([[1, 2]], [[3, 4]], 0),
-        ([[1, 2]], [[3, 4], [5, 6]], [0, 0]),
-        ([[1, 2]], [[3, 4]], [0.5]),
-        ([[1, 2]], [[3, 4]], [np.nan]),
-        ([[1, 2], [3]], [[3, 4], [5, 6]], [0, 0]),
-        ([["a", "b"]], [[3, 4]], [0]),
-        ([[1e200, 2]], [[3, 4]], [0]),
+        (([[1, 2]], [[3, 4]], 0), r"class_id has shape \(\), expected \(n\)"),
+        (([[1, 2]], [[3, 4], [5, 6]], [0, 0]), "lengths: anchor_px 1, end_px 2"),
+        (([[1, 2]], [[3, 4]], [0.5]), "class_id must hold whole numbers"),
+        (([[1, 2]], [[3, 4]], [np.nan]), "class_id must hold whole numbers"),
+        (([[1, 2], [3]], [[3, 4], [5, 6]], [0, 0]), "anchor_px is not an array of numbers"),
+        (([["a", "b"]], [[3, 4]], [0]), "anchor_px is not an array of numbers"),
+        (([["1", "2"]], [[3, 4]], [0]), "anchor_px is not an array of numbers"),
+        (([[1 + 2j, 2]], [[3, 4]], [0]), "anchor_px is not an array of numbers"),
+        (([[10**400, 2]], [[3, 4]], [0]), "anchor_px is not an array of numbers"),
+        (([[1e200, 2]], [[3, 4]], [0]), r"anchor_px holds numbers beyond 1e\+12, first at \[0, 0"),
+        (([[1, 2]], [[3, 4]], [0], -1.0), "sigma_px.* is -1; give a number"),
+        (([[1, 2]], [[3, 4]], [0], [1.0, 2.0]), r"sigma_px has shape \(2,\), expected \(\)"),
     ],
 )
-def test_what_are_no_ends_is_refused_in_our_words(ends: tuple[object, object, object]) -> None:
-    with pytest.raises(SemvizError):
+def test_what_are_no_ends_is_refused_in_our_words(ends: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(SemvizError, match=message):
         Elements2D.from_ends(*ends)
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        (([7, 7], np.zeros((2, 3)), np.ones((2, 3)), [POLE, POLE]), "share an id: 7"),
+        (([1], np.zeros((1, 2)), np.ones((1, 3)), [POLE]), r"anchor_m has shape \(1, 2\)"),
+        (([1], np.zeros((1, 3)), [[1.0, np.nan, 0.0]], [POLE]), r"end_m\[0\] is NaN in part"),
+        (([1], np.zeros((1, 3)), np.ones((1, 3)), [POLE, POLE]), "id 1, .* class_id 2"),
+        (([1], np.zeros((1, 3)), np.ones((1, 3)), [POLE], -0.1), "sigma_m is -0.1; give"),
+        (([1], np.zeros((1, 3)), np.ones((1, 3)), [POLE], np.nan), "sigma_m holds NaN"),
+    ],
+)
+def test_what_is_no_map_is_refused_in_our_words(ends: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(SemvizError, match=message):
+        Elements3D.from_ends(*ends)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([6], "rows reach from 6 to 6 of 6 elements"),
+        ([-7, 0], "rows reach from -7 to 0"),
+        ([True, False], r"rows has shape \(2,\), expected \(6\)"),
+        ([0.0], "rows must hold whole numbers"),
+        (3, r"rows has shape \(\)"),
+        ([1, 1], "share an id: 1"),
+    ],
+)
+def test_rows_that_are_none_are_refused(rows: Any, message: str) -> None:
+    with pytest.raises(SemvizError, match=message):
+        mapped()[rows]
+
+
+@given(st.slices(6))
+def test_a_slice_chooses_like_its_indices(rows: slice) -> None:
+    np.testing.assert_array_equal(mapped()[rows].id, np.arange(6)[rows])
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("dtype", ["f4", ">f8", "i8"])
+def test_arrays_of_any_kind_mean_the_same(order: Any, dtype: str) -> None:
+    """float32, foreign byte order, whole numbers, columns of a larger array; elements are plain."""
+    anchor = np.array([[10, 20, 7], [50, 60, 7]]).astype(dtype, order=order)[:, :2]
+    elements = Elements2D.from_ends(anchor, anchor + 5, np.array([POLE, POLE], dtype=np.uint8))
+    np.testing.assert_array_equal(elements.end_px, [[15, 25], [55, 65]])
+    for one in fields(Elements2D):
+        array = getattr(elements, one.name)
+        assert array.flags.c_contiguous
+        assert array.dtype.isnative
 
 
 def test_negative_variances_are_refused() -> None:

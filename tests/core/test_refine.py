@@ -7,7 +7,7 @@ from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Difficulty, Problem, make_problem
 from semviz_core.pose import Pose
 from semviz_core.solving.refine import Failure, Refined, refine
-from semviz_core.solving.residuals import Scene
+from semviz_core.solving.scene import Scene
 
 CLEAN = Difficulty(moved=0.0, missing=0.0, false_detections=0.0, map_sigma_m=0.03)
 
@@ -15,7 +15,7 @@ CLEAN = Difficulty(moved=0.0, missing=0.0, false_detections=0.0, map_sigma_m=0.0
 def refined(problem: Problem, **options: object) -> Refined | Failure:
     scene = Scene.of(problem.camera, problem.observed, problem.submap)
     nudge = Pose.exp([0.15, -0.05, 0.1, 0.002, 0.004, -0.002])
-    return refine(scene, problem.camera, problem.prior, nudge @ problem.T_camera_map, **options)
+    return refine(scene, problem.prior, nudge @ problem.T_camera_map, **options)
 
 
 def test_covariance_is_sound() -> None:

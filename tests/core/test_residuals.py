@@ -8,29 +8,46 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from semviz_core.camera import Camera
+from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.evaluation.problems import CAMERA, Difficulty, Problem, make_problem
-from semviz_core.frame import Prior
+from semviz_core.frame import Belief, Prior
 from semviz_core.pose import Pose
-from semviz_core.solving.least_squares import perturbed
-from semviz_core.solving.residuals import Scene, pair_residuals, prior_rows, residual_rows
+from semviz_core.solving.known import MOST_ROWS, known_rows, road_height
+from semviz_core.solving.linear import rotate_left
+from semviz_core.solving.residuals import (
+    SURE,
+    fill_rows,
+    new_rows,
+    pair_residuals,
+    scene_residuals,
+    whiten,
+)
+from semviz_core.solving.scene import Known, Scene
 
 SEEDS = st.integers(0, 10_000)
-EXACT = Difficulty(sigma_px=1e-6, map_sigma_m=0.0, moved=0.0, missing=0.0, false_detections=0.0)
+EXACT = Difficulty(
+    sigma_px=1e-6,
+    map_sigma_m=0.0,
+    moved=0.0,
+    missing=0.0,
+    false_detections=0.0,
+    hidden_bottoms=0.0,
+)
 
 
 def near_pose(problem: Problem, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    step = np.random.default_rng(seed).normal(0.0, [[0.2] * 3 + [0.02] * 3])
+    step = np.random.default_rng(seed).normal(0.0, [0.2] * 3 + [0.02] * 3)
     pose = problem.T_camera_map
-    return perturbed(pose.rotation[None], pose.translation[None], step)
+    return rotate_left(pose.rotation, pose.translation, step)
 
 
 def central(function, start: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(..., 6) numerical derivative by the left perturbation."""
-    steps = 1e-6 * np.eye(6)[:, None, :]
+    """(rows, 6) numerical derivative by the left perturbation."""
+    steps = 1e-6 * np.eye(6)
     return np.stack(
         [
-            (function(*perturbed(*start, s)) - function(*perturbed(*start, -s))) / 2e-6
+            (function(*rotate_left(*start, s)) - function(*rotate_left(*start, -s))) / 2e-6
             for s in steps
         ],
         axis=-1,
@@ -42,29 +59,89 @@ def central(function, start: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 def test_pair_jacobians_are_those_of_finite_differences(seed: int) -> None:
     problem = make_problem(seed)
     scene = Scene.of(problem.camera, problem.observed, problem.submap)
-    seen, mapped = problem.pairs[None, :, 0], problem.pairs[None, :, 1]
     start = near_pose(problem, seed)
 
-    analytic = residual_rows(scene, *start, seen, mapped).jacobian()
-    numeric = central(lambda R, t: residual_rows(scene, R, t, seen, mapped).residual, start)
+    for i, j in problem.pairs:
 
-    np.testing.assert_allclose(analytic, numeric, rtol=1e-4, atol=2e-3)
+        def residual(R: np.ndarray, t: np.ndarray, i: int = i, j: int = j) -> np.ndarray:
+            rows = new_rows()
+            return rows["residual"][: fill_rows(scene, R, t, i, j, rows)].copy()
+
+        rows = new_rows()
+        count = fill_rows(scene, *start, i, j, rows)
+        numeric = central(residual, start)
+        np.testing.assert_allclose(rows["jacobian"][:count], numeric, rtol=1e-4, atol=2e-3)
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=SEEDS, heading=st.floats(-3.1, 3.1))
-def test_prior_jacobians_are_those_of_finite_differences(seed: int, heading: float) -> None:
+@given(seed=SEEDS)
+def test_whitening_is_by_the_covariance_of_the_rows(seed: int) -> None:
     problem = make_problem(seed)
-    prior = replace(problem.prior, heading_rad=heading)
+    scene = Scene.of(problem.camera, problem.observed, problem.submap)
     start = near_pose(problem, seed)
-    residual, analytic = prior_rows(prior, *start)
-    wraps = np.abs(residual[0, -1]) * prior.heading_sigma_rad > np.pi - 1e-3
+    for i, j in problem.pairs:
+        rows = new_rows()
+        count = fill_rows(scene, *start, i, j, rows)
+        raw, by_map = rows["residual"][:count].copy(), rows["by_map"][:count].copy()
+        across, along = problem.observed.sigma_px[i] ** 2
+        noise = np.array([across, across if scene.seen["is_line"][i] else along, along, along])
+        covariance = by_map @ scene.mapped["covariance_m2"][j] @ by_map.T + np.diag(noise[:count])
+        whiten(scene, i, j, count, SURE, rows)
+        chi2 = (rows["residual"][:count] ** 2).sum()
+        assert chi2 == pytest.approx(raw @ np.linalg.solve(covariance, raw), rel=1e-9)
 
-    numeric = central(lambda R, t: prior_rows(prior, R, t)[0], start)
 
-    assert residual.shape == (1, 6)
+def known_residual(known: Known, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    residual, jacobian = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
+    return residual[: known_rows(known, R, t, residual, jacobian)]
+
+
+def known_jacobian(known: Known, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    residual, jacobian = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
+    return jacobian[: known_rows(known, R, t, residual, jacobian)]
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS, heading=st.floats(-3.1, 3.1), rise=st.floats(-0.1, 0.1))
+def test_prior_jacobians_are_those_of_finite_differences(
+    seed: int, heading: float, rise: float
+) -> None:
+    problem = make_problem(seed)
+    along = np.linspace(-30.0, 30.0, 40)
+    road = problem.prior.position_m + np.stack([along, 0.1 * along, rise * along], axis=1)
+    known = Known.of(replace(problem.prior, heading_rad=heading, road_m=road))
+    start = near_pose(problem, seed)
+    residual = known_residual(known, *start)
+    wraps = np.abs(residual[-1]) * problem.prior.heading_sigma_rad > np.pi - 1e-3
+
+    numeric = central(lambda R, t: known_residual(known, R, t), start)
+
+    assert residual.shape == (6,)
     rows = slice(None, -1) if wraps else slice(None)
-    np.testing.assert_allclose(analytic[:, rows], numeric[:, rows], rtol=1e-5, atol=1e-4)
+    found = known_jacobian(known, *start)
+    np.testing.assert_allclose(found[rows], numeric[rows], rtol=1e-4, atol=1e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_a_belief_counts_the_distance_from_its_pose(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(0.0, 0.3, (6, 6))
+    belief = Belief(Pose.exp(rng.normal(0.0, 1.0, 6)), root @ root.T + 0.01 * np.eye(6))
+    off = rng.normal(0.0, 0.02, 6)
+    pose = Pose.exp(off) @ belief.T_camera_map
+    residual = known_residual(Known.of(None, belief), pose.rotation, pose.translation)
+    chi2 = off @ np.linalg.solve(belief.covariance, off)
+    assert residual @ residual == pytest.approx(chi2, rel=0.1, abs=1e-6)
+
+
+def test_where_roads_cross_the_height_is_that_of_the_nearer_one() -> None:
+    along = np.linspace(-20.0, 20.0, 41)
+    low = np.stack([along, 0.0 * along, 0.0 * along], axis=1)
+    high = np.stack([0.0 * along, along, 6.0 + 0.0 * along], axis=1)
+    road = np.concatenate([low, high])
+    assert road_height(road, 0.3, 0.2, 0.4)[0] == pytest.approx(0.0, abs=1e-9)
+    assert road_height(road, 0.3, 0.2, 5.5)[0] == pytest.approx(6.0, abs=1e-9)
 
 
 @settings(max_examples=20, deadline=None)
@@ -170,6 +247,16 @@ def test_no_pairs_give_empty_arrays() -> None:
 
 
 def test_prior_without_gravity_and_heading_has_three_rows() -> None:
-    eye = np.eye(3)[None]
-    residual, _ = prior_rows(Prior(np.array([5.5, 0.0, 0.3])), eye, np.zeros((1, 3)))
-    np.testing.assert_allclose(residual, [[-1.0, 0.0, -1.0]])
+    known = Known.of(Prior(np.array([5.5, 0.0, 0.3])))
+    np.testing.assert_allclose(known_residual(known, np.eye(3), np.zeros(3)), [-1.0, 0.0, -1.0])
+
+
+def test_a_bottom_that_may_be_hidden_counts_only_where_it_fits() -> None:
+    doubtful = DetectorModel(hidden_bottoms=0.5)
+    above, mapped = pole(end_px=200.0)
+    below, _ = pole(end_px=CAMERA.K[1, 2] + 118.6 + 60.0)  # hidden things end above, not below
+    for seen, rows, fits in ((above, 3, True), (below, 4, False)):
+        scene = Scene.of(CAMERA, seen, mapped, doubtful)
+        found = scene_residuals(scene, Pose.identity(), PAIR)
+        assert found.rows[0] == rows
+        assert found.inlier[0] == fits

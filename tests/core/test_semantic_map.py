@@ -1,6 +1,7 @@
 """The map: its crop is what brute force finds, its digest notices every change."""
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,6 +40,45 @@ def test_crop_is_what_brute_force_finds(
     expected = semantic_map.elements.id[distance <= radius_m]
     for point in (np.array(center), np.array(center)[:2]):
         np.testing.assert_array_equal(semantic_map.crop(point, radius_m).id, expected)
+
+
+@pytest.mark.parametrize(
+    ("center", "radius_m", "message"),
+    [
+        ([0.0, np.nan], 5.0, "center_m holds NaN"),
+        ([0.0], 5.0, r"center_m has shape \(1,\)"),
+        (3.0, 5.0, r"center_m has shape \(\)"),
+        ([0.0, 0.0], -1.0, "radius_m is -1; give"),
+        ([0.0, 0.0], np.nan, "radius_m holds NaN"),
+        ([0.0, 0.0], "near", "radius_m is not an array of numbers"),
+    ],
+)
+def test_what_is_no_circle_is_refused(center: Any, radius_m: Any, message: str) -> None:
+    for crop in (make_map().crop, make_map().road_near):
+        with pytest.raises(SemvizError, match=message):
+            crop(center, radius_m)
+
+
+@given(st.integers(0, 300), st.integers(0, 2**32 - 1), st.floats(0.0, 12.0))
+def test_the_road_near_is_all_of_it_once(n: int, seed: int, radius_m: float) -> None:
+    """Each returned point is near and driven; each driven point near is at most a cube away."""
+    driven = np.random.default_rng(seed).uniform(-8.0, 8.0, (n, 3)) * [1.0, 1.0, 0.5]
+    road = replace(make_map(), trajectory_m=driven).road_near([1.0, 2.0, 100.0], radius_m)
+    assert (np.linalg.norm(road[:, :2] - [1.0, 2.0], axis=1) <= radius_m).all()
+    assert {tuple(one) for one in road} <= {tuple(one) for one in driven}
+    assert len(np.unique(np.floor(road), axis=0)) == len(road)
+    everything = replace(make_map(), trajectory_m=driven).road_near([1.0, 2.0], 100.0)
+    cubes = {tuple(one) for one in np.floor(everything)}
+    assert cubes == {tuple(one) for one in np.floor(driven)}
+
+
+def test_a_bridge_and_the_road_below_are_both_near() -> None:
+    x = np.arange(-20.0, 21.0)[:, None]
+    below, above = x * [1.0, 0.0, 0.0] + 0.5, x * [0.0, 1.0, 0.0] + [0.5, 0.5, 6.0]
+    halt = np.full((50, 3), 0.7)  # a drive that stood still
+    drive = np.concatenate([below, halt, above])
+    road = replace(make_map(), trajectory_m=drive).road_near([0.5, 0.5], 3.0)
+    assert sorted(road[:, 2].tolist()) == [0.5] * 7 + [6.0] * 7
 
 
 def test_digest_is_of_the_content() -> None:

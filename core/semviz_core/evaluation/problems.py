@@ -1,49 +1,112 @@
-"""Localization problems with known answers: poles and signs along a road, seen and mapped.
+"""Localization problems with known answers: what stands beside a road, as seen and as mapped.
 
-Figures follow the published error tables of the method and its map (per class recall, map sigmas).
-No pictures; the simulated street has those.
+The figures are those of the published error tables of the method and its map: recall and noise per
+class, map sigmas. No pictures; the simulated street has those. Everything is drawn from seeds: what
+stands beside a road and how it was mapped from (road, seed), what one frame sees from (seed,
+frame).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.evaluation.roads import Road, simulated_road
 from semviz_core.frame import Prior
 from semviz_core.pose import Pose
+from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.sources.street.detector import FADE, FADE_M, NOISE, RANGE_M, RECALL
 
 CAMERA = Camera(
     1241, 376, np.array([[718.856, 0.0, 607.1928], [0.0, 718.856, 185.2157], [0.0, 0.0, 1.0]])
 )
-CAMERA_HEIGHT_M = 1.65
-RECALL = np.array([0.66, 0.89, 0.87, 0.79])
-"""By class id: pole, triangular, rectangular, rounded."""
+NEEDED_DETECTIONS = 4
+"""A frame with fewer is no valid one."""
+DETECTOR = DetectorModel(
+    false_detections=0.5,
+    recall_near=0.72,
+    recall_far=0.43,
+    near_m=20.0,
+    far_m=40.0,
+    reach_m=41.0,
+    hidden_bottoms=0.5,
+)
+"""What is true of the detections below, at the defaults of ``Difficulty``."""
+_ROAD_M = 60.0  # of the road handed out with the prior
+_KIND_SHARE = (0.4, 0.4, 0.2)
+"""Posts, lamps and others: of 2.2-3.3 m, 4-8 m and 3-5 m; with a sign on so many of them:"""
+_LOWEST_M, _HIGHEST_M = np.array([2.2, 4.0, 3.0]), np.array([3.3, 8.0, 5.0])
+_SIGNED = np.array([0.75, 0.15, 0.0])
+_SIGN_CLASSES, _SIGN_SHARE = (TRIANGULAR, RECTANGULAR, ROUNDED), (0.25, 0.45, 0.30)
+_LEAN_RAD = float(np.deg2rad(0.7))
+_HEIGHT_SIGMA_M = 0.1  # of the ground under an element
+_LEAST_SIGMA_M = 1e-6  # of a map said to be perfect
+_LEAST_LENGTH_PX = 15.0
 
 
 @dataclass(frozen=True)
 class Difficulty:
     """How noisy a problem is; the defaults are the benchmark's low noise."""
 
-    sigma_px: float = 1.0
+    noise: Literal["paper", "low"] = "low"
+    """The paper's table of detection errors, or 1 px and 0.3 deg."""
+    sigma_px: float | None = None
+    """If given: this along both axes, instead of ``noise``."""
+    stated_sigma_px: float | None = None
+    """If given: what the detector says its sigma is, right or wrong."""
     hidden_bottoms: float = 0.5
-    """Share of poles whose bottom a car or hedge hides."""
+    """Share of poles whose bottom a car or hedge hides; the detector does not notice."""
     false_detections: float = 0.5
     """Mean number in an image."""
+    clutter_share: float = 0.0
+    """As many more, relative to the true detections."""
+    elements: int | None = None
+    """If given: at most so many detections, drawn from all."""
     missing: float = 0.05
     """Share of elements not in the map."""
+    duplicated: float = 0.03
+    """Share of elements that are in the map twice, the second time with three times the noise."""
     moved: float = 0.05
     """Share of elements that stood 8 m elsewhere when the map was made."""
-    map_sigma_m: float = 0.04
-    gps_sigma_m: float = 5.5
-    gps_offset_m: float | None = None
-    """Exact distance of the fix from the truth instead of a random one."""
+    map_view_sigma_m: float = 0.10
+    """Of the map, along the view from which it was made."""
+    map_sigma_m: float = 0.02
+    """Across that view and vertically."""
+    map_turn_rad: float = float(np.deg2rad(0.27))
+    """Of a mapped pole's direction."""
+    gps_distance_m: tuple[float, float] = (5.0, 10.0)
+    """How far the fix is off, in any direction."""
+    stated_gps_sigma_m: float | None = None
+    """If given: what the fix says its sigma is, right or wrong."""
     with_gravity: bool = True
+    heading_sigma_rad: float | None = None
+    """None: the heading is unknown."""
+    vertical_sigma_m: float = 0.06
+    """Of the camera's height above the road: the vehicle's 0.03, and the road between places."""
     crop_m: float = 50.0
-    elements: int = 60
-    """Poles along 150 m of road; signs come on top."""
+
+
+HARD_SETS = {
+    "noise 3 px": Difficulty(sigma_px=3.0),
+    "noise 3 px unstated": Difficulty(sigma_px=3.0, stated_sigma_px=1.0),
+    "clutter 100 %": Difficulty(clutter_share=1.0),
+    "4 elements": Difficulty(elements=4),
+    "5 elements": Difficulty(elements=5),
+    "map 20 % wrong": Difficulty(moved=0.2),
+    "all together": Difficulty(sigma_px=3.0, clutter_share=1.0, moved=0.2),
+    "GPS 20 m": Difficulty(gps_distance_m=(20.0, 20.0)),
+    "GPS 30 m": Difficulty(gps_distance_m=(30.0, 30.0)),
+    "GPS 50 m": Difficulty(gps_distance_m=(50.0, 50.0), crop_m=90.0),
+    "no attitude": Difficulty(with_gravity=False),
+    "heading 15 deg": Difficulty(heading_sigma_rad=float(np.deg2rad(7.5))),
+}
+"""Away from the default in what the name says. A heading within 15 deg is one of sigma 7.5 deg."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,128 +118,211 @@ class Problem:
     camera: Camera
     prior: Prior
     T_camera_map: Pose
+    """The truth."""
     pairs: IntArray
     """(k, 2) true pairs (row of observed, row of submap), moved elements left out."""
+    end_visible: BoolArray
+    """(m,) True where a pole's given bottom is really its bottom."""
+
+    @property
+    def is_valid(self) -> bool:
+        return len(self.observed) >= NEEDED_DETECTIONS
 
 
-def make_problem(seed: int, difficulty: Difficulty | None = None) -> Problem:
-    """A camera on a winding road, what it sees and what the map holds. Repeatable by seed."""
+def make_problem(
+    seed: int,
+    difficulty: Difficulty | None = None,
+    road: Road | None = None,
+    index: int | None = None,
+) -> Problem:
+    """A camera on a road, what it sees and what the map holds. Repeatable by seed.
+
+    ``road`` is a simulated one if not given; ``index`` is the frame of its drive, drawn if not
+    given.
+    """
     level = difficulty or Difficulty()
-    rng = np.random.default_rng(seed)
-    T_camera_map = _camera_pose(rng)
-    world = _street(level, rng)
-    mapped, moved = _mapped(world, level, rng)
-    observed, seen = _observed(world, T_camera_map, level, rng)
-    prior = _prior(T_camera_map, level, rng)
-    distance = np.linalg.norm(mapped.anchor_m[:, :2] - prior.position_m[:2], axis=1)
-    rows = np.flatnonzero(distance <= level.crop_m)
-    submap = mapped[rows]
-    trusted = np.where(moved[rows], -2, submap.id)  # -1 is a false detection
-    pairs = np.argwhere(seen[:, None] == trusted[None, :])
-    return Problem(observed, submap, CAMERA, prior, T_camera_map, pairs)
+    road = road or default_road()
+    if index is None:
+        index = int(np.random.default_rng([seed, 0]).integers(len(road)))
+    rng = np.random.default_rng([seed, 1, index])
+    world, mapped = _world(road, seed), _mapped(road, seed, level)
+    T_camera_map = _query(road.T_map_camera[index], rng)
+    prior = _prior(road, T_camera_map, level, rng)
+    observed, ids, end_visible = _observed(world, T_camera_map, level, rng)
+    away = np.linalg.norm(mapped.elements.anchor_m[:, :2] - prior.position_m[:2], axis=1)
+    rows = np.flatnonzero(away <= level.crop_m)
+    submap = mapped.elements[rows]
+    trusted = np.where(mapped.moved[rows], -2, submap.id)  # -1 is a false detection
+    pairs = np.argwhere(ids[:, None] == trusted[None, :])
+    return Problem(observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible)
 
 
-def _road_y(x_m: FloatArray | float) -> FloatArray:
-    """Lateral position (m) of the road's middle at ``x_m``."""
-    return np.asarray(6.0 * np.sin(np.asarray(x_m) / 35.0))
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    elements: Elements3D
+    moved: BoolArray
 
 
-def _camera_pose(rng: np.random.Generator) -> Pose:
-    x = rng.normal(0.0, 5.0)
-    y = float(_road_y(x)) - 1.5 + rng.normal(0.0, 0.3)
-    slope = 6.0 / 35.0 * np.cos(x / 35.0)
-    heading = np.arctan(slope) + np.deg2rad(rng.normal(0.0, 3.0))
-    pitch, roll = np.deg2rad(rng.normal(0.0, 0.5, 2))
-    T_map_level = Pose.from_rotvec([0.0, 0.0, heading], [x, y, CAMERA_HEIGHT_M])
-    axes = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # z forward -> x
-    tilt = Pose.from_rotvec([pitch, 0.0, roll], np.zeros(3))
-    return (T_map_level @ Pose(axes, np.zeros(3)) @ tilt).inverse()
+@lru_cache(maxsize=1)
+def default_road() -> Road:
+    """Where problems are set if no road is given."""
+    return simulated_road(0)
 
 
-def _street(level: Difficulty, rng: np.random.Generator) -> Elements3D:
-    """Posts, lamps and others on both sides, with signs on most posts; the true world."""
-    count = level.elements
-    x = rng.uniform(-75.0, 75.0, count)
-    side = rng.choice([-1.0, 1.0], count)
-    y = _road_y(x) + side * rng.uniform(3.5, 9.0, count)
-    kind = rng.choice(3, count, p=[0.4, 0.4, 0.2])
-    height = rng.uniform(np.array([2.2, 4.0, 3.0])[kind], np.array([3.3, 8.0, 5.0])[kind])
-    ground = rng.normal(0.0, 0.1, count)
-    lean = np.deg2rad(rng.normal(0.0, 0.7, (count, 2))) * height[:, None]
-    bottom = np.column_stack([x, y, ground])
+@lru_cache(maxsize=4)
+def _world(road: Road, seed: int) -> Elements3D:
+    """Poles with their signs as they stand; id of a pole is its row, of its sign that plus p."""
+    rng = np.random.default_rng([seed, 2])
+    p = len(road.poles_m)
+    kind = rng.choice(3, p, p=_KIND_SHARE)
+    height = rng.uniform(_LOWEST_M[kind], _HIGHEST_M[kind])
+    ground = road.ground_m + rng.normal(0.0, _HEIGHT_SIGMA_M, p)
+    bottom = np.column_stack([road.poles_m, ground])
+    lean = rng.normal(0.0, _LEAN_RAD, (p, 2)) * height[:, None]
     peak = bottom + np.column_stack([lean, height])
-    signed = rng.random(count) < np.array([0.75, 0.15, 0.0])[kind]
-    sign_height = rng.uniform(2.0, np.minimum(height, 2.9))
-    middle = bottom + (peak - bottom) * (sign_height / height)[:, None]
-    signs = middle[signed]
-    sign_class = rng.choice([TRIANGULAR, RECTANGULAR, ROUNDED], len(signs), p=[0.25, 0.45, 0.3])
+    signed = np.flatnonzero(rng.random(p) < _SIGNED[kind])
+    share = rng.uniform(2.0, np.minimum(height, 2.9))[signed, None] / height[signed, None]
+    middle = bottom[signed] + share * (peak[signed] - bottom[signed])
+    sign_class = rng.choice(_SIGN_CLASSES, len(signed), p=_SIGN_SHARE)
     return Elements3D.from_ends(
-        np.arange(count + len(signs)),
-        np.concatenate([peak, signs]),
-        np.concatenate([bottom, np.full_like(signs, np.nan)]),
-        np.concatenate([np.full(count, POLE), sign_class]),
+        np.concatenate([np.arange(p), p + signed]),
+        np.concatenate([peak, middle]),
+        np.concatenate([bottom, np.full_like(middle, np.nan)]),
+        np.concatenate([np.full(p, POLE), sign_class]),
     )
 
 
-def _mapped(
-    world: Elements3D, level: Difficulty, rng: np.random.Generator
-) -> tuple[Elements3D, BoolArray]:
-    """The map of the world, with its errors; and (n,) which elements stand elsewhere now."""
-    present = np.flatnonzero(rng.random(len(world)) >= level.missing)
-    kept = world[present]
-    moved = rng.random(len(kept)) < level.moved
-    angle = rng.uniform(0.0, 2.0 * np.pi, len(kept))
-    shift = np.zeros((len(kept), 3))
-    shift[:, :2] = 8.0 * moved[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    noise = rng.normal(0.0, level.map_sigma_m, (2, len(kept), 3))
-    mapped = Elements3D.from_ends(
-        kept.id,
-        kept.anchor_m + shift + noise[0],
-        kept.end_m + shift + noise[1],
-        kept.class_id,
-        max(level.map_sigma_m, 1e-3),
+@lru_cache(maxsize=4)
+def _mapped(road: Road, seed: int, level: Difficulty) -> _Mapped:
+    """The map of the world with its errors, and which of its elements stand elsewhere now."""
+    rng = np.random.default_rng([seed, 3])
+    world = _world(road, seed)
+    n, p = len(world), len(road.poles_m)
+    drawn = rng.random((3, n))
+    moved = drawn[1] < level.moved
+    twice = np.flatnonzero(drawn[2] < level.duplicated)
+    rows = np.concatenate([np.arange(n), twice])
+    noise = np.concatenate([np.ones(n), np.full(len(twice), 3.0)])
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    shift = 8.0 * moved[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
+    covariance = _map_covariance(world, road.mapping_view[world.id % p], level)[rows]
+    covariance *= noise[:, None, None] ** 2
+    factor = np.linalg.cholesky(covariance + 1e-12 * np.eye(6))
+    error = (factor @ rng.standard_normal((len(rows), 6, 1)))[..., 0]
+    elements = Elements3D(
+        id=np.concatenate([world.id, 2 * p + world.id[twice]]),
+        anchor_m=world.anchor_m[rows] + shift[rows] + error[:, :3],
+        end_m=world.end_m[rows] + shift[rows] + error[:, 3:],
+        class_id=world.class_id[rows],
+        covariance_m2=covariance,
+        anchor_known=world.anchor_known[rows],
+        end_known=world.end_known[rows],
     )
-    return mapped, moved
+    kept = (drawn[0] >= level.missing)[rows]
+    return _Mapped(elements[kept], moved[rows][kept])
+
+
+def _map_covariance(world: Elements3D, view: FloatArray, level: Difficulty) -> FloatArray:
+    """(n, 6, 6) of anchor and end: the anchor's error moves both, a turn moves the end only."""
+    n, line = len(world), world.is_line
+    across, along = max(level.map_sigma_m, _LEAST_SIGMA_M), level.map_view_sigma_m
+    view3 = np.column_stack([view, np.zeros(n)])
+    more = max(along**2 - across**2, 0.0)
+    anchor = across**2 * np.eye(3) + more * view3[:, :, None] * view3[:, None, :]
+    length = np.where(line, np.linalg.norm(world.anchor_m - world.end_m, axis=1), 0.0)
+    turned = (level.map_turn_rad * length)[:, None] ** 2 * [1.0, 1.0, 0.0] + [0.0, 0.0, across**2]
+    covariance = np.zeros((n, 6, 6))
+    covariance[:, :3, :3] = anchor
+    covariance[line, :3, 3:] = covariance[line, 3:, :3] = anchor[line]
+    covariance[line, 3:, 3:] = anchor[line] + turned[line, :, None] * np.eye(3)
+    return covariance
+
+
+def _query(T_map_camera: Pose, rng: np.random.Generator) -> Pose:
+    """T_camera_map beside the drive's pose: in the lane, on the springs, and turned a little."""
+    lateral, height = rng.normal(0.0, [0.3, 0.03])
+    turn = np.deg2rad(rng.normal(0.0, [0.5, 3.0, 0.5]))  # pitch, yaw, roll about x, y, z
+    return (T_map_camera @ Pose.from_rotvec(turn, [lateral, height, 0.0])).inverse()
+
+
+def _prior(road: Road, T_camera_map: Pose, level: Difficulty, rng: np.random.Generator) -> Prior:
+    options = PriorOptions(
+        distance_m=level.gps_distance_m,
+        heading_sigma_rad=level.heading_sigma_rad,
+        imu_sigma_rad=PriorOptions().imu_sigma_rad if level.with_gravity else None,
+        vertical_sigma_m=level.vertical_sigma_m,
+    )
+    simulated = simulate_prior(T_camera_map.inverse(), options, int(rng.integers(2**63)))
+    place = simulated.position_m
+    values = {one.name: getattr(simulated, one.name) for one in fields(Prior)}
+    values["position_m"] = np.array([place[0], place[1], road.height(place)])
+    values["road_m"] = road.near(place, _ROAD_M + level.gps_distance_m[1])
+    if level.stated_gps_sigma_m is not None:
+        values["horizontal_sigma_m"] = level.stated_gps_sigma_m
+    return Prior(**values)
 
 
 def _observed(
     world: Elements3D, T_camera_map: Pose, level: Difficulty, rng: np.random.Generator
-) -> tuple[Elements2D, IntArray]:
-    """What the camera sees, and (m,) the ids of the elements; -1 for false detections."""
-    anchor_c, end_c = T_camera_map.apply(world.anchor_m), T_camera_map.apply(world.end_m)
-    depth = anchor_c[:, 2]
-    recall = RECALL[world.class_id] * (1.0 - 0.4 * np.clip((depth - 20.0) / 20.0, 0.0, 1.0))
-    found = (depth > 3.0) & (depth < 40.0) & (rng.random(len(world)) < recall)
-    rows = np.flatnonzero(found)
-    anchor, end = CAMERA.project(anchor_c[rows]), CAMERA.project(end_c[rows])
-    line = world.is_line[rows]
-    hidden = line & (rng.random(len(rows)) < level.hidden_bottoms)
-    end = np.where(
-        hidden[:, None], end + (anchor - end) * rng.uniform(0.15, 0.5, (len(rows), 1)), end
-    )
-    top, anchor_cut = _clip_rows(anchor, end)
-    bottom, end_cut = _clip_rows(end, anchor)
-    anchor, end = np.where(line[:, None], top, anchor), np.where(line[:, None], bottom, end)
-    inside = CAMERA.contains(anchor) & (CAMERA.contains(end) | ~line)
-    inside &= ~line | (np.linalg.norm(anchor - end, axis=1) > 15.0)
-    clutter_anchor, clutter_end, clutter_class = _clutter(level, rng)
-    noise = rng.normal(0.0, level.sigma_px, (2, int(inside.sum()), 2))
-    m = int(inside.sum()) + len(clutter_class)
-    grown = np.zeros(len(clutter_class), dtype=bool)
-    line = np.concatenate([line[inside], clutter_class == POLE])
-    observed = Elements2D(
-        anchor_px=np.concatenate([anchor[inside] + noise[0], clutter_anchor]),
-        end_px=np.concatenate([end[inside] + noise[1], clutter_end]),
-        class_id=np.concatenate([world.class_id[rows][inside], clutter_class]),
+) -> tuple[Elements2D, IntArray, BoolArray]:
+    """What the camera sees; (m,) the ids of the elements, -1 for false ones; (m,) ``end_visible``.
+
+    Every element is drawn for, seen or not, so that one level's numbers don't move another's.
+    """
+    n = len(world)
+    chance, hiding, share = rng.random(n), rng.random(n), rng.uniform(0.5, 0.85, n)
+    noise = rng.standard_normal((n, 2, 2))
+    depth = T_camera_map.apply(world.anchor_m)[:, 2]
+    recall = np.array([RECALL[one] for one in range(4)])[world.class_id]
+    recall = recall * (1.0 - FADE * np.interp(depth, FADE_M, (0.0, 1.0)))
+    rows = np.flatnonzero((depth > RANGE_M[0]) & (depth < RANGE_M[1]) & (chance < recall))
+    hidden = (hiding < level.hidden_bottoms)[rows]
+    true, visible = _projected(world[rows], T_camera_map, np.where(hidden, share[rows], 1.0))
+    true = _disturbed(true[visible], noise[rows][visible], level)
+    ids, hidden = world.id[rows][visible], hidden[visible]
+    count = rng.poisson(level.false_detections + level.clutter_share * len(true))
+    false = _false(int(count), level, rng)
+    values = {
+        one.name: np.concatenate([getattr(true, one.name), getattr(false, one.name)])
+        for one in fields(Elements2D)
+    }
+    observed = Elements2D(**values)
+    ids = np.append(ids, np.full(len(false), -1))
+    end_visible = observed.end_known & ~np.append(hidden, np.ones(len(false), dtype=bool))
+    if level.elements is not None and len(observed) > level.elements:
+        kept = np.sort(rng.choice(len(observed), level.elements, replace=False))
+        return observed[kept], ids[kept], end_visible[kept]
+    return observed, ids, end_visible
+
+
+def _projected(
+    elements: Elements3D, T_camera_map: Pose, shown: FloatArray
+) -> tuple[Elements2D, BoolArray]:
+    """Elements without noise, poles shown down to a share of their length and cut by the image; and
+    which of them are in the image."""
+    line = elements.is_line
+    end_m = elements.anchor_m + shown[:, None] * (elements.end_m - elements.anchor_m)
+    anchor = CAMERA.project(T_camera_map.apply(elements.anchor_m))
+    end = CAMERA.project(T_camera_map.apply(end_m))
+    top, top_cut = _clipped(anchor, end)
+    bottom, bottom_cut = _clipped(end, anchor)
+    top, bottom = np.where(line[:, None], top, anchor), np.where(line[:, None], bottom, np.nan)
+    visible = CAMERA.contains(top) & (CAMERA.contains(bottom) | ~line)
+    visible &= ~line | (np.linalg.norm(top - bottom, axis=1) > _LEAST_LENGTH_PX)
+    m = len(elements)
+    seen = Elements2D(
+        anchor_px=np.where(visible[:, None], top, 0.0),
+        end_px=np.where((visible & line)[:, None], bottom, np.nan),
+        class_id=elements.class_id,
         score=np.full(m, 0.9),
-        sigma_px=np.full((m, 2), level.sigma_px),
-        anchor_known=~(line & np.concatenate([anchor_cut[inside], grown])),
-        end_known=line & ~np.concatenate([(end_cut | hidden)[inside], grown]),
+        sigma_px=np.ones((m, 2)),
+        anchor_known=~(line & top_cut),
+        end_known=visible & line & ~bottom_cut,
     )
-    return observed, np.append(world.id[rows][inside], np.full(len(clutter_class), -1))
+    return seen, visible
 
 
-def _clip_rows(point: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _clipped(point: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Points moved along the line to ``other`` until inside the image's top and bottom rows."""
     limit = np.clip(point[:, 1], 0.0, CAMERA.height - 1.0)
     cut = np.asarray(limit != point[:, 1]) & np.isfinite(point[:, 1])
@@ -185,28 +331,59 @@ def _clip_rows(point: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolAr
     return point + share[:, None] * (other - point), cut
 
 
-def _clutter(
-    level: Difficulty, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    count = int(rng.poisson(level.false_detections))
+def _disturbed(true: Elements2D, noise: FloatArray, level: Difficulty) -> Elements2D:
+    """With noise (m, 2 ends, across and along or u and v), and the sigma of it.
+
+    An end that is cut off gets it too: it lies somewhere on the line anyway.
+    """
+    sigma = _sigma_px(true, level)
+    down = np.tile([0.0, 1.0], (len(true), 1))
+    line = true.is_line
+    axis = true.end_px[line] - true.anchor_px[line]
+    down[line] = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    across = np.stack([down[:, 1], -down[:, 0]], axis=1)
+    offset = noise[:, :, :1] * (sigma[:, :1] * across)[:, None]
+    offset = offset + noise[:, :, 1:] * (sigma[:, 1:] * down)[:, None]
+    stated = sigma
+    if level.stated_sigma_px is not None:
+        stated = np.full_like(sigma, level.stated_sigma_px)
+    return Elements2D(
+        true.anchor_px + offset[:, 0],
+        true.end_px + offset[:, 1],
+        true.class_id,
+        true.score,
+        stated,
+        true.anchor_known,
+        true.end_known,
+    )
+
+
+def _sigma_px(true: Elements2D, level: Difficulty) -> FloatArray:
+    """(m, 2) across and along. Both ends of a pole are drawn apart, each with the lateral error and
+    what the error of the angle is at half the length."""
+    if level.sigma_px is not None:
+        return np.full((len(true), 2), level.sigma_px)
+    table = NOISE[level.noise]
+    line = true.is_line
+    sign = np.array([table.sign_px.get(one, 1.0) for one in true.class_id.tolist()])
+    half = np.zeros(len(true))
+    half[line] = 0.5 * np.linalg.norm(true.end_px[line] - true.anchor_px[line], axis=1)
+    across = np.hypot(table.pole_across_px, np.tan(table.pole_angle_rad) * half)
+    along = np.full(len(true), table.pole_along_px)
+    return np.where(line[:, None], np.stack([across, along], axis=1), sign[:, None])
+
+
+def _false(count: int, level: Difficulty, rng: np.random.Generator) -> Elements2D:
+    """Detections of nothing, seven of ten of them poles."""
     class_id = np.where(rng.random(count) < 0.7, POLE, rng.integers(1, 4, count))
     anchor = rng.uniform([20.0, 10.0], [1220.0, 180.0], (count, 2))
     end = anchor + np.column_stack([rng.normal(0.0, 2.0, count), rng.uniform(40.0, 180.0, count)])
     end = np.where((class_id == POLE)[:, None], end, np.nan)
-    return anchor, end, class_id.astype(np.int64)
-
-
-def _prior(T_camera_map: Pose, level: Difficulty, rng: np.random.Generator) -> Prior:
-    offset = rng.normal(0.0, level.gps_sigma_m, 2)
-    if level.gps_offset_m is not None:
-        offset *= level.gps_offset_m / np.linalg.norm(offset)
-    height = rng.normal(0.0, 0.1)
-    shake = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, 0.5, 3)), np.zeros(3))
-    up = shake.rotation @ T_camera_map.rotation[:, 2]
-    return Prior(
-        position_m=T_camera_map.inverse().translation + np.append(offset, height),
-        horizontal_sigma_m=max(level.gps_sigma_m, 0.1),
-        vertical_sigma_m=0.15,
-        up_camera=up / np.linalg.norm(up) if level.with_gravity else None,
-        up_sigma_rad=float(np.deg2rad(0.5)),
-    )
+    false = Elements2D.from_ends(anchor, end, class_id)
+    sigma = _sigma_px(false, level)
+    if level.stated_sigma_px is not None:
+        sigma = np.full_like(sigma, level.stated_sigma_px)
+    return Elements2D(
+        anchor, end, class_id, rng.uniform(0.3, 0.8, count), sigma, false.anchor_known,
+        false.end_known,
+    )  # fmt: skip

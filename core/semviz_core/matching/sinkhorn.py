@@ -7,43 +7,55 @@ the paper's eq. 3-4, would force mass onto false pairs wherever n > m.
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.compiled import compiled
 
 TOLERANCE = 1e-7
 MOST_ITERATIONS = 200
+_LARGEST_NATS = 200.0  # surer pairs are as good as certain; more would overflow
 
 
+@compiled
 def sinkhorn_with_dustbin(log_kernel: FloatArray) -> FloatArray:
     """(m + 1, n + 1) probabilities of pairs with log-odds ``log_kernel`` (m, n) against no pair.
 
     -inf excludes a pair. Rows i < m and columns j < n sum to 1; the corner is 0. Both scalings move
-    half way at once, in logs: taking turns converges only as 1/t where a dustbin is weak.
+    half way at once: taking turns converges only as 1/t where a dustbin is weak.
     """
     m, n = log_kernel.shape
-    extended = np.zeros((m + 1, n + 1))
-    extended[:m, :n] = log_kernel
-    a, b = np.zeros(m + 1), np.zeros(n + 1)
+    seen, mapped = np.nonzero(log_kernel > -np.inf)  # few: most pairs are impossible
+    kernel = np.empty(len(seen))
+    for k in range(len(seen)):
+        kernel[k] = np.exp(min(log_kernel[seen[k], mapped[k]], _LARGEST_NATS))
+    a, b = np.ones(m), np.ones(n)
+    rows, columns = np.empty(m), np.empty(n)
     for _ in range(MOST_ITERATIONS):
-        row_error = _log_sum(extended[:m] + b, axis=1) + a[:m]
-        column_error = _log_sum(extended[:, :n] + a[:, None], axis=0) + b[:n]
-        a[:m] -= 0.5 * row_error
-        b[:n] -= 0.5 * column_error
-        worst = max(np.abs(row_error).max(initial=0.0), np.abs(column_error).max(initial=0.0))
-        if worst < TOLERANCE:
+        rows[:], columns[:] = a, b
+        for k in range(len(seen)):
+            mass = a[seen[k]] * kernel[k] * b[mapped[k]]
+            rows[seen[k]] += mass
+            columns[mapped[k]] += mass
+        a /= np.sqrt(rows)
+        b /= np.sqrt(columns)
+        if max(np.abs(rows - 1.0).max(), np.abs(columns - 1.0).max()) < TOLERANCE:
             break
-    inner = np.exp(log_kernel + a[:m, None] + b[None, :n])
-    # what is left of the last digits goes to the dustbins
-    inner /= np.maximum(inner.sum(axis=1, keepdims=True), 1.0)
-    inner /= np.maximum(inner.sum(axis=0, keepdims=True), 1.0)
+    return _closed(seen, mapped, kernel, a, b)
+
+
+@compiled
+def _closed(
+    seen: IntArray, mapped: IntArray, kernel: FloatArray, a: FloatArray, b: FloatArray
+) -> FloatArray:
+    """The scaled kernel; what is left of the last digits goes to the dustbins."""
+    m, n = len(a), len(b)
     probability = np.zeros((m + 1, n + 1))
-    probability[:m, :n] = inner
-    probability[:m, n] = np.maximum(1.0 - inner.sum(axis=1), 0.0)
-    probability[m, :n] = np.maximum(1.0 - inner.sum(axis=0), 0.0)
+    for k in range(len(seen)):
+        probability[seen[k], mapped[k]] = a[seen[k]] * kernel[k] * b[mapped[k]]
+    for i in range(m):
+        probability[i, :n] /= max(probability[i, :n].sum(), 1.0)
+    for j in range(n):
+        probability[:m, j] /= max(probability[:m, j].sum(), 1.0)
+        probability[m, j] = max(1.0 - probability[:m, j].sum(), 0.0)
+    for i in range(m):
+        probability[i, n] = max(1.0 - probability[i, :n].sum(), 0.0)
     return probability
-
-
-def _log_sum(values: FloatArray, axis: int) -> FloatArray:
-    """log(sum(exp)); scipy's is as exact and ten times slower on small arrays."""
-    top = values.max(axis=axis, keepdims=True)  # finite: the dustbin's entry always is
-    total: FloatArray = np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis=axis)
-    return total

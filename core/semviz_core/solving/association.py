@@ -4,193 +4,170 @@ A log-likelihood in nats: each pair against a false detection, each mapped eleme
 pair against a missed one, and the prior. One-to-one: two detections never share a mapped element.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
-from semviz_core.frame import Prior
+from semviz_core.compiled import compiled
+from semviz_core.solving.known import known_chi2
 from semviz_core.solving.residuals import (
     INLIER_CHI2,
-    Rows,
-    Scene,
-    pair_chi2,
-    prior_rows,
-    residual_rows,
-    whitening,
+    bottom_is_given,
+    fill_rows,
+    hidden_odds,
+    moved,
+    new_rows,
+    rows_that_count,
+    whiten,
 )
+from semviz_core.solving.scene import Known, Record, Scene
 
-FALSE_DETECTIONS = 1.5
-"""Expected number in an image of detections that are nothing in the map."""
-RECALL_NEAR, RECALL_FAR = 0.6, 0.1
-"""Chance that a mapped element in view is detected, up to NEAR_M and beyond FAR_M. Lower than
-detectors reach, because buildings, hedges and cars hide what the map cannot know of."""
-NEAR_M, FAR_M = 20.0, 45.0
-CLUTTER_LEAN = 0.1
-"""False poles lean evenly up to this slope to either side."""
+NEAREST_M = 3.0
+"""Elements closer to the camera are not missed when they are not seen."""
+BEYOND_REACH = 0.02
+"""Chance that something beyond the detector's reach is detected all the same."""
 _NONE = -np.inf
+_LOG_2PI = np.log(2.0 * np.pi)
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """How far a pose may be off when elements are paired: widens the gates of near elements."""
-
-    position_m: float = 0.0
-    rotation_rad: float = 0.0
-
-
-SURE = Doubt()
-
-
+@compiled
 def associate(
-    scene: Scene, camera: Camera, rotation: FloatArray, translation: FloatArray, doubt: Doubt = SURE
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """One-to-one pairs under b poses: mapped row of each observed element (b, m), -1 for none;
-    the gain of each pair (b, m) in nats, 0 for none; and all gains (b, m, n), -inf beyond the gate.
+    scene: Scene, R: FloatArray, t: FloatArray, doubt: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """One-to-one pairs under a pose: the mapped row (m,) of each observed element, -1 for none;
+    and the gains (m, n) in nats of every pair over a false detection, -inf beyond the gate.
+
+    Gates are as wide as ``doubt`` (6, 6), the covariance of the pose, asks for.
     """
-    gain = pair_gains(scene, camera, rotation, translation, doubt)
-    match, chosen = one_to_one(gain)
-    return match, chosen, gain
+    gain = np.full(scene.compatible.shape, _NONE)
+    variance, toward = _sights(scene, R, t, doubt)
+    rows = new_rows()
+    for i in range(len(gain)):
+        for at in range(scene.seen[i].first, scene.seen[i].last):
+            j = scene.candidate[at]
+            if _is_near(scene, i, toward[j], variance[j]):
+                gain[i, j] = _pair_gain(scene, R, t, i, j, doubt, rows)
+    return one_to_one(gain), gain
 
 
-def pair_gains(
-    scene: Scene, camera: Camera, rotation: FloatArray, translation: FloatArray, doubt: Doubt = SURE
-) -> FloatArray:
-    """(b, m, n) log-likelihood of each pair over that of a false detection; -inf where it fails
-    the inlier test."""
-    b, m, n = _near(scene, rotation, translation, doubt)
-    gains = np.full((len(rotation), *scene.compatible.shape), _NONE)
-    if not len(b):
-        return gains
-    seen, mapped = m[:, None], n[:, None]
-    turn, move = rotation[b], translation[b]
-    rows = residual_rows(scene, turn, move, seen, mapped)
-    if doubt != SURE:
-        white = _doubtful_whitening(scene, turn, rows, seen, mapped, doubt)
-    else:
-        white = whitening(scene, turn, rows, seen, mapped)
-    chi2 = pair_chi2(rows, white)[:, 0]
-    used = rows.used[:, 0]
-    density = np.log(np.diagonal(white[:, 0], axis1=-2, axis2=-1)) - 0.5 * np.log(2.0 * np.pi)
-    clutter = _clutter_log_density(scene, camera)[m]
-    gain = -0.5 * chi2 + ((density - clutter) * used).sum(axis=1) - np.log(FALSE_DETECTIONS)
-    gains[b, m, n] = np.where(chi2 <= INLIER_CHI2[used.sum(axis=1)], gain, _NONE)
-    return gains
+@compiled
+def one_to_one(gain: FloatArray) -> IntArray:
+    """Greedy pairs by positive gain (m, n): the mapped row (m,) or -1."""
+    m, n = gain.shape
+    match, taken = np.full(m, -1), np.zeros(n, dtype=np.bool_)
+    flat = gain.ravel()
+    positive = np.flatnonzero(flat > 0.0)
+    for at in positive[np.argsort(-flat[positive], kind="mergesort")]:
+        i, j = at // n, at % n
+        if match[i] < 0 and not taken[j]:
+            match[i], taken[j] = j, True
+    return match
 
 
-def one_to_one(gain: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Greedy pairs by positive gain (b, m, n): the mapped row (b, m) or -1, and the gain or 0."""
-    b, m, n = gain.shape
-    left = gain.copy()
-    match = np.full((b, m), -1, dtype=np.int64)
-    chosen = np.zeros((b, m))
-    if not gain.size:
-        return match, chosen
-    batch = np.arange(b)
-    for _ in range(m):
-        best = left.reshape(b, -1).argmax(axis=1)
-        i, j = best // n, best % n
-        value = left[batch, i, j]
-        take = value > 0.0
-        if not take.any():
-            break
-        match[batch[take], i[take]] = j[take]
-        chosen[batch[take], i[take]] = value[take]
-        left[batch, i, :] = _NONE
-        left[batch, :, j] = _NONE
-    return match, chosen
-
-
+@compiled
 def log_likelihood(
-    scene: Scene,
-    camera: Camera,
-    prior: Prior,
-    rotation: FloatArray,
-    translation: FloatArray,
-    match: IntArray,
-    gain: FloatArray,
-) -> FloatArray:
-    """(b,) nats of poses with their pairs: gains, misses and the prior."""
-    recall = _recall(scene, camera, rotation, translation)
-    paired = np.zeros((len(match), scene.compatible.shape[1] + 1), dtype=bool)
-    np.put_along_axis(paired, match, True, axis=1)  # -1 lands in the last column
-    found = paired[:, :-1]
-    # a pair beyond the stated reach of detection is unlikely, not impossible
-    seen = np.log(np.maximum(recall, RECALL_FAR))
-    misses = np.where(found, seen, np.log1p(-recall)).sum(axis=1)
-    residual, _ = prior_rows(prior, rotation, translation)
-    total: FloatArray = gain.sum(axis=1) + misses - 0.5 * (residual**2).sum(axis=1)
+    scene: Scene, known: Known, R: FloatArray, t: FloatArray, match: IntArray, gain: FloatArray
+) -> float:
+    """Nats of a pose with its pairs: gains, misses and the prior."""
+    total = -0.5 * known_chi2(known, R, t)
+    paired = np.zeros(len(scene.mapped), dtype=np.bool_)
+    for i in range(len(match)):
+        if match[i] >= 0:
+            total += gain[i, match[i]]
+            paired[match[i]] = True
+    for j in range(len(paired)):
+        recall = _recall(scene, R, t, j)
+        if paired[j]:
+            # a pair beyond the stated reach of detection is unlikely, not impossible
+            total += np.log(max(recall, BEYOND_REACH))
+        else:
+            total += np.log1p(-recall)
     return total
 
 
-def _near(
-    scene: Scene, rotation: FloatArray, translation: FloatArray, doubt: Doubt
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Batch, observed and mapped rows of pairs close enough in angle to be worth a residual."""
-    focal = scene.K[0, 0]
-    anchor_c = scene.anchor_m @ np.swapaxes(rotation, -1, -2) + translation[:, None, :]
-    reach = np.linalg.norm(anchor_c, axis=-1)
-    toward = anchor_c / np.maximum(reach, 1e-6)[..., None]
-    inverse = np.linalg.inv(scene.K).T
-    ones = np.ones((len(scene.anchor_px), 1))
-    first = np.concatenate([scene.anchor_px, ones], axis=1) @ inverse
-    second = np.concatenate([scene.end_px, ones], axis=1) @ inverse
-    plane = np.cross(first, second)
-    plane /= np.maximum(np.linalg.norm(plane, axis=1, keepdims=True), 1e-9)
-    ray = first / np.linalg.norm(first, axis=1, keepdims=True)
-    aside = np.abs(plane @ np.swapaxes(toward, -1, -2))  # (b, m, n)
-    cosine = ray @ np.swapaxes(toward, -1, -2)
-    off = np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0))
-    angle = np.where(scene.is_line[:, None], aside, off)
-    mapped = np.trace(scene.covariance_m2, axis1=1, axis2=2) + doubt.position_m**2
-    seen = scene.variance_px2.max(axis=1) / focal**2 + doubt.rotation_rad**2
-    variance = seen[None, :, None] + (mapped / np.maximum(reach, 1.0) ** 2)[:, None, :]
-    gate = 1.5 * np.sqrt(INLIER_CHI2[-1] * variance)  # wider than the test that follows
-    near = scene.compatible & (angle < gate) & (cosine > 0.5)
-    b, m, n = np.nonzero(near)
-    return b, m, n
+@compiled
+def _sights(
+    scene: Scene, R: FloatArray, t: FloatArray, doubt: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of each mapped anchor from a pose: variance (rad^2) of its direction, and the direction."""
+    n = len(scene.mapped)
+    moving = doubt[0, 0] + doubt[1, 1] + doubt[2, 2]
+    turning = doubt[3, 3] + doubt[4, 4] + doubt[5, 5]
+    variance, toward = np.empty(n), np.empty((n, 3))
+    for j in range(n):
+        x, y, z = moved(R, t, scene.mapped[j].anchor_m)
+        square = x * x + y * y + z * z
+        reach = max(np.sqrt(square), 1e-6)
+        toward[j, 0], toward[j, 1], toward[j, 2] = x / reach, y / reach, z / reach
+        spread = moving
+        for k in range(6):
+            spread += scene.mapped[j].covariance_m2[k, k]
+        variance[j] = spread / max(square, 1.0) + turning
+    return variance, toward
 
 
-def _doubtful_whitening(
-    scene: Scene,
-    rotation: FloatArray,
-    rows: Rows,
-    seen: IntArray,
-    mapped: IntArray,
-    doubt: Doubt,
-) -> FloatArray:
-    white = whitening(scene, rotation, rows, seen, mapped)
-    sigma = np.repeat([doubt.position_m, doubt.rotation_rad], 3)
-    spread = white @ rows.jacobian() * sigma
-    inflated = np.eye(4) + spread @ np.swapaxes(spread, -1, -2)
-    widened: FloatArray = np.linalg.inv(np.linalg.cholesky(inflated)) @ white
-    return widened
+@compiled
+def _is_near(scene: Scene, i: int, toward: FloatArray, variance: float) -> bool:
+    """Whether a pair is close enough in angle to be worth a residual."""
+    ray = scene.seen[i].anchor_ray
+    cosine = ray[0] * toward[0] + ray[1] * toward[1] + ray[2] * toward[2]
+    if cosine < 0.5:
+        return False
+    focal = scene.setting.K[0, 0]
+    seen = max(scene.seen[i].variance_px2[0], scene.seen[i].variance_px2[1]) / (focal * focal)
+    gate = 1.5 * INLIER_CHI2[4] * (seen + variance)  # wider than the test that follows
+    if scene.seen[i].is_line:
+        plane = scene.seen[i].plane
+        aside = plane[0] * toward[0] + plane[1] * toward[1] + plane[2] * toward[2]
+        return aside * aside < gate
+    return 2.0 - 2.0 * cosine < gate
 
 
-def _clutter_log_density(scene: Scene, camera: Camera) -> FloatArray:
-    """(m, 4) log density (per px) of each residual row for a false detection."""
-    wide, high = np.log(camera.width), np.log(camera.height)
-    length = np.linalg.norm(scene.end_px - scene.anchor_px, axis=1)
-    lean = np.log(np.maximum(2.0 * CLUTTER_LEAN * length, 1.0))
-    second = np.where(scene.is_line, lean, high)
-    first = np.full_like(second, wide)
-    along = np.full_like(second, high)
-    return -np.stack([first, second, along, along], axis=1)
+@compiled
+def _pair_gain(
+    scene: Scene, R: FloatArray, t: FloatArray, i: int, j: int, doubt: FloatArray, rows: Record
+) -> float:
+    """Log-likelihood of a pair over that of a false detection; -inf where it is no inlier."""
+    count = fill_rows(scene, R, t, i, j, rows)
+    if count == 0:
+        return _NONE
+    whiten(scene, i, j, count, doubt, rows)
+    used = rows_that_count(scene, i, j, count, rows)
+    chi2, gain = 0.0, -scene.setting.log_false_detections
+    for row in range(used):
+        chi2 += rows.residual[row] ** 2
+        gain -= np.log(rows.factor[row, row]) + 0.5 * _LOG_2PI + scene.seen[i].clutter[min(row, 2)]
+    if not chi2 <= INLIER_CHI2[used]:
+        return _NONE
+    gain -= 0.5 * chi2
+    if scene.setting.hidden_bottoms > 0.0 and bottom_is_given(scene, i, j, count):
+        gain += _bottom_gain(scene, i, count, used, rows)
+    return gain
 
 
-def _recall(
-    scene: Scene, camera: Camera, rotation: FloatArray, translation: FloatArray
-) -> FloatArray:
-    """(b, n) chance that each mapped element is detected; 0 out of view."""
-    middle = 0.5 * (scene.anchor_m + scene.end_m)
-    middle_c = middle @ np.swapaxes(rotation, -1, -2) + translation[:, None, :]
-    depth = np.maximum(middle_c[..., 2], 1e-3)
-    pixel = (middle_c / depth[..., None]) @ scene.K.T
-    inside = (
-        (middle_c[..., 2] > 3.0)
-        & (np.abs(pixel[..., 0] - 0.5 * camera.width) < 0.5 * camera.width)
-        & (np.abs(pixel[..., 1] - 0.5 * camera.height) < 0.5 * camera.height)
-    )
-    share = np.clip((depth - NEAR_M) / (FAR_M - NEAR_M), 0.0, 1.0)
-    return np.where(inside, RECALL_NEAR + share * (RECALL_FAR - RECALL_NEAR), 0.0)
+@compiled
+def _bottom_gain(scene: Scene, i: int, count: int, used: int, rows: Record) -> float:
+    """What a bottom that may be hidden adds to the rows counted already."""
+    e = rows.residual[count - 1]
+    seen = 1.0 - scene.setting.hidden_bottoms
+    hidden = hidden_odds(scene, count, rows)
+    if used == count:  # counted as if surely seen
+        return np.log(seen + hidden * np.exp(0.5 * e * e))
+    density = np.log(rows.factor[count - 1, count - 1]) + 0.5 * _LOG_2PI
+    return np.log(seen * np.exp(-0.5 * e * e) + hidden) - density - scene.seen[i].clutter[2]
+
+
+@compiled
+def _recall(scene: Scene, R: FloatArray, t: FloatArray, j: int) -> float:
+    """Chance that a mapped element is detected; 0 out of view."""
+    x, y, z = moved(R, t, 0.5 * (scene.mapped[j].anchor_m + scene.mapped[j].end_m))
+    if z <= NEAREST_M:
+        return 0.0
+    u = (scene.setting.K[0, 0] * x + scene.setting.K[0, 1] * y) / z + scene.setting.K[0, 2]
+    v = scene.setting.K[1, 1] * y / z + scene.setting.K[1, 2]
+    if not (0.0 < u < scene.setting.size_px[0] and 0.0 < v < scene.setting.size_px[1]):
+        return 0.0
+    model = scene.setting
+    if z > model.reach_m:
+        return BEYOND_REACH
+    share = min(max((z - model.near_m) / (model.far_m - model.near_m), 0.0), 1.0)
+    return model.recall_near + share * (model.recall_far - model.recall_near)

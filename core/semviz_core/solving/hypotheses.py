@@ -1,222 +1,272 @@
-"""Upright candidate poses (x, y, z, heading) from two matches each, gated by the prior.
+"""Upright candidate poses: places round the fix, and the headings that the elements vote for there.
 
-Three generators, for what two matches can tell:
-- two-point: both slopes known; their heights give the camera's as well;
-- height-range: the prior's height and one slope (or a pole's whole length) give one range;
-- circle: neither gives a range (tops at the camera's height, cut off poles), so the arc from which
-  both are seen under the right angle is walked in steps.
-Planar geometry is in complex numbers: P1 - c = r1 e^(i t), P2 - c = r2 e^(i (t + d)).
+At a place the distance of every mapped element is known, so its height tells which observed
+elements it can be; each such match votes for the heading that brings their azimuths together. Places
+and headings with the most different voters are the candidates. In contrast to poses made from pairs
+of matches, of which false ones are a hundred times as many as true ones, a walk over places misses
+no pose that is there, whatever is hidden, cut off or as high as the camera, and takes a time that is
+known beforehand.
 """
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from semviz_core.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.frame import Prior
-from semviz_core.solving.residuals import Scene
+from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.compiled import compiled
+from semviz_core.solving.known import road_heights
+from semviz_core.solving.scene import Known, Record, RecordArray, Scene
+from semviz_core.solving.standing import standing_elements
 from semviz_core.solving.upright import UprightView
 
-ComplexArray: TypeAlias = NDArray[np.complex128]
-
-GATE_WIDER_M, GATE_WIDER_RAD, GATE_WIDER_HEIGHT_M = 3.5, float(np.deg2rad(8.0)), 0.5
-"""Two matches place a camera with errors of their own: gates are wider than the prior by these."""
+STEP_M = 1.0
+"""Between places; LM converges from several times as far."""
+BLOCK = 3
+"""Places of a square of so many steps share the height of the road and what it implies."""
+OFF_M = 0.5
+"""How far the true place is from the nearest one tried: widens what agrees there."""
+GATE_SIGMAS, GATE_WIDER_M = 3.0, 1.0
+"""How far from the fix places are tried."""
 NEAREST_M, FARTHEST_M = 2.5, 60.0
-SURE_RANGE_M = 1.0
-"""A range with a smaller sigma is used as it is, a worse one only bounds the walk on the circle."""
-CIRCLE_STEP_M = 2.0
-MOST_PAIRS = 5_000
-"""Pairs of matches tried for one image. Beyond, half of them are those of the observed elements
-with the fewest candidates (signs), half a random part of the rest. True poses are hit by dozens of
-pairs, so this costs no accuracy (bench/localize.py) and bounds the time."""
+BINS = 180
+"""Headings; two degrees each."""
+SURE_RAD = float(np.deg2rad(1.0))
+"""Votes spread at least so far to either side."""
+AGREEING_SIGMAS = 3.3
+"""Slopes that differ by more do not vote."""
+RUNS = 3
+"""Headings kept of a place: those with the most voters, and with one less."""
+LEAST_VOTERS = 2
+MOST_HYPOTHESES = 1_200
+MOST_VOTERS = 60
+"""Observed elements that vote; they share the bits of one number."""
+_TURN = 2.0 * np.pi
 
 
-@dataclass(frozen=True, eq=False)
-class Hypotheses:
-    """h candidate poses; the camera is upright."""
+class Hypotheses(NamedTuple):
+    """Candidate poses of an upright camera."""
 
-    position_m: FloatArray
-    """(h, 3)"""
-    heading_rad: FloatArray
-    """(h,)"""
-
-    def __len__(self) -> int:
-        return len(self.heading_rad)
+    pose: FloatArray
+    """(h, 5) x, y, z, cosine and sine of the heading; those with the most voters first."""
+    tried: int
+    """Places and headings that anything voted for."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Matches:
-    """k single matches that the prior allows."""
+class _Ballot(NamedTuple):
+    """What voting needs, and its results so far."""
 
-    seen: IntArray
-    mapped: IntArray
-    range_m: FloatArray
-    range_sigma_m: FloatArray
+    ranges: FloatArray  # (p, 2) least and largest 1 / distance at which a match agrees
+    votes: IntArray  # (BINS,) for each heading, a bit for each observed element that agrees
+    number: IntArray  # (BINS,) how many those are
+    pose: FloatArray  # (room, 5) as in Hypotheses
+    voters: IntArray  # (room,)
+    level: IntArray  # how many poses have so many voters
 
 
-def upright_hypotheses(
-    scene: Scene, view: UprightView, prior: Prior, rng: np.random.Generator
-) -> tuple[Hypotheses, int]:
-    """Candidates that pass the gates, and how many were tried."""
-    matches = _single_matches(scene, view, prior)
-    first, second = _pairs(matches, rng)
-    P, Q = _planar(scene, matches.mapped[first]), _planar(scene, matches.mapped[second])
-    turn = view.azimuth_rad[matches.seen[second]] - view.azimuth_rad[matches.seen[first]]
-    rows, r1, height = _ranges(scene, view, prior, matches, first, second, Q - P, turn)
-    found: list[Hypotheses] = []
-    for sign in (1.0, -1.0):
-        with np.errstate(invalid="ignore"):
-            root = np.sqrt(np.abs((Q - P)[rows]) ** 2 - (r1 * np.sin(turn[rows])) ** 2)
-        r2 = r1 * np.cos(turn[rows]) + sign * root
-        toward = np.angle((Q - P)[rows]) - np.angle(r2 * np.exp(1j * turn[rows]) - r1)
-        place = P[rows] - r1 * np.exp(1j * toward)
-        heading = toward - view.azimuth_rad[matches.seen[first[rows]]]
-        other = second[rows]
-        off = np.abs(r2 - matches.range_m[other])
-        agrees = ~(off > 3.0 * matches.range_sigma_m[other] + 1.0)
-        agrees &= (r2 > NEAREST_M) & (r2 < FARTHEST_M) & _allowed(prior, place, heading, height)
-        position = np.stack([place.real, place.imag, height], axis=1)
-        found.append(Hypotheses(position[agrees], heading[agrees]))
-    together = Hypotheses(
-        np.concatenate([one.position_m for one in found]),
-        np.concatenate([one.heading_rad for one in found]),
+@compiled
+def upright_hypotheses(scene: Scene, view: UprightView, known: Known) -> Hypotheses:
+    """Candidates within the prior's gates."""
+    standing, partner = standing_elements(scene)
+    gate = GATE_SIGMAS * known.value.place_sigma_m[0] + GATE_WIDER_M
+    blocks = int(gate / (BLOCK * STEP_M)) + 1
+    room = ((2 * blocks + 1) * BLOCK) ** 2 * RUNS
+    ballot = _Ballot(
+        np.empty((len(partner), 2)),
+        np.zeros(BINS, dtype=np.uint64),
+        np.zeros(BINS, dtype=np.int64),
+        np.empty((room, 5)),
+        np.empty(room, dtype=np.int64),
+        np.zeros(MOST_VOTERS + 2, dtype=np.int64),
     )
-    return together, 2 * len(rows)
+    count = 0
+    for column in range(-blocks, blocks + 1):
+        for row in range(-blocks, blocks + 1):
+            x = known.value.place_m[0] + column * BLOCK * STEP_M
+            y = known.value.place_m[1] + row * BLOCK * STEP_M
+            for z in road_heights(known, x, y):
+                _fill_ranges(scene.setting, view, known, standing, partner, z, ballot.ranges)
+                count = _try_block(view, known, standing, partner, gate, x, y, z, ballot, count)
+    return Hypotheses(ballot.pose[_most_voted(ballot.voters[:count])], count)
 
 
-def _single_matches(scene: Scene, view: UprightView, prior: Prior) -> _Matches:
-    """Class-consistent matches whose range the prior's position allows."""
-    i, j = np.nonzero(scene.compatible)
-    heights = np.stack([scene.anchor_m[j, 2], scene.end_m[j, 2]], axis=1)
-    known = view.slope_known[i] & scene.mapped_known[j]
-    slope = view.slope[i]
-    sigma = np.hypot(view.sigma_rad[i, 1], view.up_sigma_rad)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (heights - prior.position_m[2]) / slope
-        spread = np.sqrt(prior.vertical_sigma_m**2 + (reach * sigma) ** 2) / np.abs(slope)
-        length = slope[:, 0] - slope[:, 1]
-        whole = (heights[:, 0] - heights[:, 1]) / length
-        whole_spread = np.abs(whole / length) * view.sigma_rad[i, 1] * 1.5 + 0.05
-    reach = np.column_stack([reach, whole])
-    spread = np.column_stack([spread, whole_spread])
-    spread[~np.column_stack([known, known.all(axis=1)])] = np.inf
-    spread[~np.isfinite(spread)] = np.inf
-    best = spread.argmin(axis=1)[:, None]
-    best_range = np.take_along_axis(reach, best, axis=1)[:, 0]
-    best_sigma = np.take_along_axis(spread, best, axis=1)[:, 0]
-    best_range = np.where(np.isfinite(best_sigma), best_range, 0.0)
-    away = np.linalg.norm(scene.anchor_m[j, :2] - prior.position_m[:2], axis=1)
-    slack = 3.0 * best_sigma
-    allowed = np.abs(away - best_range) <= _position_gate(prior) + slack
-    allowed &= (best_range + slack > NEAREST_M) & (best_range - slack < FARTHEST_M)
-    return _Matches(i[allowed], j[allowed], best_range[allowed], best_sigma[allowed])
-
-
-def _pairs(matches: _Matches, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
-    """Rows of two matches that share no element; the one with the better range comes first."""
-    order = np.argsort(matches.range_sigma_m, kind="stable")
-    a, b = np.triu_indices(len(order), 1)
-    first, second = order[a], order[b]
-    apart = (matches.seen[first] != matches.seen[second]) & (
-        matches.mapped[first] != matches.mapped[second]
-    )
-    first, second = first[apart], second[apart]
-    if len(first) > MOST_PAIRS:
-        candidates = np.bincount(matches.seen)[matches.seen]
-        likely = np.argsort(candidates[first] * candidates[second], kind="stable")
-        rare, rest = likely[: MOST_PAIRS // 2], likely[MOST_PAIRS // 2 :]
-        some = rng.choice(rest, MOST_PAIRS - len(rare), replace=False)
-        kept = np.concatenate([rare, some])
-        first, second = first[kept], second[kept]
-    return first, second
-
-
-def _ranges(
-    scene: Scene,
+@compiled
+def _fill_ranges(
+    setting: Record,
     view: UprightView,
-    prior: Prior,
-    matches: _Matches,
-    first: IntArray,
-    second: IntArray,
-    base: ComplexArray,
-    turn: FloatArray,
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Ranges to try for the first match of pairs: rows of pairs, range, camera height."""
-    sigma, reach = matches.range_sigma_m[first], matches.range_m[first]
-    height = float(prior.position_m[2])
-    sure = np.flatnonzero(sigma <= SURE_RANGE_M)
-    parts = [(sure, reach[sure], np.full(len(sure), height))]
-    for z in _two_point_heights(scene, view, matches, first, second, base, turn):
-        slope = view.slope[matches.seen[first], 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            r1 = (scene.anchor_m[matches.mapped[first], 2] - z) / slope
-        fits = np.abs(z - height) <= 3.0 * prior.vertical_sigma_m + GATE_WIDER_HEIGHT_M
-        rows = np.flatnonzero(fits & (r1 > NEAREST_M) & (r1 < FARTHEST_M))
-        parts.append((rows, r1[rows], z[rows]))
-    unsure = np.flatnonzero(sigma > SURE_RANGE_M)
-    for r1 in np.arange(NEAREST_M, FARTHEST_M, CIRCLE_STEP_M):
-        rows = unsure[np.abs(r1 - reach[unsure]) <= 2.0 * sigma[unsure]]
-        rows = rows[r1 * np.abs(np.sin(turn[rows])) <= np.abs(base[rows])]
-        parts.append((rows, np.full(len(rows), r1), np.full(len(rows), height)))
-    rows, r1, z = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return rows, r1, z
+    known: Known,
+    standing: RecordArray,
+    partner: IntArray,
+    z: float,
+    ranges: FloatArray,
+) -> None:
+    """At which 1 / distance the slopes of each match agree, for a camera at height ``z``."""
+    for j in range(len(standing)):
+        for at in range(standing[j].first, standing[j].last):
+            seen = view.seen[partner[at]]
+            low, high = 1.0 / FARTHEST_M, 1.0 / NEAREST_M
+            own = seen.slope_sigma**2 + view.up_sigma_rad**2
+            for end in range(2):
+                if not (seen.known[end] and standing[j].known[end]):
+                    continue
+                rise = standing[j].height_m[end] - z
+                height_sigma = known.value.place_sigma_m[2] * min(abs(seen.slope[end] / rise), 0.2)
+                slack = AGREEING_SIGMAS * np.sqrt(own + height_sigma * height_sigma)
+                one, other = (seen.slope[end] - slack) / rise, (seen.slope[end] + slack) / rise
+                hidden = end == 1 and setting.hidden_bottoms > 0.0
+                if not hidden:
+                    low, high = max(low, min(one, other)), min(high, max(one, other))
+                elif rise < 0.0:  # a hidden bottom ends above the mapped one
+                    low = max(low, other)
+            ranges[at, 0], ranges[at, 1] = low, high
 
 
-def _two_point_heights(
-    scene: Scene,
+@compiled
+def _try_block(
     view: UprightView,
-    matches: _Matches,
-    first: IntArray,
-    second: IntArray,
-    base: ComplexArray,
-    turn: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Camera heights (k,), (k,) from which both anchors have their slopes; NaN where none.
-
-    Ranges are (H - z) / s, so |base|^2 = r1^2 + r2^2 - 2 r1 r2 cos(turn) is quadratic in z.
-    """
-    i, j = matches.seen, matches.mapped
-    known = view.slope_known[i, 0] & scene.mapped_known[j, 0]
-    s1, s2 = view.slope[i[first], 0], view.slope[i[second], 0]
-    H1, H2 = scene.anchor_m[j[first], 2], scene.anchor_m[j[second], 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a1, a2 = 1.0 / s1, 1.0 / s2
-        # r1 = p1 - a1 z, r2 = p2 - a2 z
-        p1, p2, c = H1 * a1, H2 * a2, np.cos(turn)
-        A = a1**2 + a2**2 - 2.0 * a1 * a2 * c
-        B = p1 * a1 + p2 * a2 - (p1 * a2 + p2 * a1) * c
-        C = p1**2 + p2**2 - 2.0 * p1 * p2 * c - np.abs(base) ** 2
-        root = np.sqrt(B**2 - A * C)
-        usable = known[first] & known[second]
-        return (
-            np.where(usable, (B + root) / A, np.nan),
-            np.where(usable, (B - root) / A, np.nan),
-        )
-
-
-def _planar(scene: Scene, rows: IntArray) -> ComplexArray:
-    middle = 0.5 * (scene.anchor_m[rows] + scene.end_m[rows])
-    return np.asarray(middle[:, 0] + 1j * middle[:, 1])
+    known: Known,
+    standing: RecordArray,
+    partner: IntArray,
+    gate: float,
+    x: float,
+    y: float,
+    z: float,
+    ballot: _Ballot,
+    count: int,
+) -> int:
+    """Let the places of a block vote, and keep the best headings; the new count of poses."""
+    least = LEAST_VOTERS
+    for cell in range(BLOCK * BLOCK):
+        place_x = x + (cell % BLOCK - BLOCK // 2) * STEP_M
+        place_y = y + (cell // BLOCK - BLOCK // 2) * STEP_M
+        dx, dy = place_x - known.value.place_m[0], place_y - known.value.place_m[1]
+        if dx * dx + dy * dy > gate * gate or count + RUNS > len(ballot.voters):
+            continue
+        _vote(view, standing, partner, ballot.ranges, place_x, place_y, ballot.votes)
+        most = _count(ballot.votes, ballot.number)
+        while ballot.level[least + 1 :].sum() > MOST_HYPOTHESES:
+            least += 1
+        added = _keep_best(known, place_x, place_y, z, most, least, ballot, count)
+        for k in range(count, count + added):
+            ballot.level[ballot.voters[k]] += 1
+        count += added
+    return count
 
 
-def _position_gate(prior: Prior) -> float:
-    return 3.0 * prior.horizontal_sigma_m + GATE_WIDER_M
+@compiled
+def _vote(
+    view: UprightView,
+    standing: RecordArray,
+    partner: IntArray,
+    ranges: FloatArray,
+    x: float,
+    y: float,
+    votes: IntArray,
+) -> None:
+    """Fill ``votes`` (BINS,) at a place."""
+    votes[:] = 0
+    for j in range(len(standing)):
+        mapped = standing[j]
+        east, north = mapped.place_m[0] - x, mapped.place_m[1] - y
+        square = east * east + north * north
+        if not NEAREST_M**2 < square < FARTHEST_M**2:
+            continue
+        near = 1.0 / np.sqrt(square)
+        slack = OFF_M * near
+        low, high = near * (1.0 - slack), near * (1.0 + slack)
+        bearing, is_new = 0.0, True
+        for at in range(mapped.first, mapped.last):
+            if ranges[at, 1] < low or ranges[at, 0] > high or ranges[at, 0] > ranges[at, 1]:
+                continue
+            i = partner[at]
+            if i >= MOST_VOTERS:
+                break
+            if is_new:
+                bearing, is_new = np.arctan2(north, east), False
+            heading = bearing - view.seen[i].azimuth_rad
+            _vote_around(votes, heading, slack + SURE_RAD, np.uint64(1 << i))
 
 
-def _allowed(
-    prior: Prior,
-    place: ComplexArray,
-    heading: FloatArray,
-    height: FloatArray,
-) -> BoolArray:
-    center = prior.position_m[0] + 1j * prior.position_m[1]
-    allowed = np.abs(place - center) <= _position_gate(prior)
-    allowed &= (
-        np.abs(height - prior.position_m[2]) <= 3.0 * prior.vertical_sigma_m + GATE_WIDER_HEIGHT_M
-    )
-    if prior.heading_rad is not None:
-        off = np.angle(np.exp(1j * (heading - prior.heading_rad)))
-        allowed &= np.abs(off) <= 3.0 * prior.heading_sigma_rad + GATE_WIDER_RAD
-    return np.asarray(allowed)
+@compiled
+def _vote_around(votes: IntArray, heading: float, spread: float, bit: int) -> None:
+    low = int(np.floor((heading - spread) * (BINS / _TURN)))
+    high = int(np.floor((heading + spread) * (BINS / _TURN)))
+    at = low % BINS
+    for _ in range(high - low + 1):
+        votes[at] |= bit
+        at = at + 1 if at + 1 < BINS else 0
+
+
+@compiled
+def _count(votes: IntArray, number: IntArray) -> int:
+    """Fill ``number`` (BINS,) with how many vote for each heading; the largest of them."""
+    most = 0
+    for at in range(BINS):
+        number[at] = _bits(votes[at])
+        most = max(most, number[at])
+    return most
+
+
+@compiled
+def _keep_best(
+    known: Known,
+    x: float,
+    y: float,
+    z: float,
+    most: int,
+    least: int,
+    ballot: _Ballot,
+    count: int,
+) -> int:
+    """Add the headings of a place with the most voters, ``least`` or more; how many."""
+    added = 0
+    for wanted in range(most, max(most - 2, least - 1), -1):
+        at = 0
+        while at < BINS and added < RUNS:
+            end = at
+            while end < BINS and ballot.number[end] == wanted:
+                end += 1
+            heading = 0.5 * (at + end) * (_TURN / BINS)
+            if end > at and _heading_allowed(known, heading):
+                row = ballot.pose[count + added]
+                row[0], row[1], row[2] = x, y, z
+                row[3], row[4] = np.cos(heading), np.sin(heading)
+                ballot.voters[count + added] = wanted
+                added += 1
+            at = max(end, at + 1)
+    return added
+
+
+@compiled
+def _bits(mask: int) -> int:
+    """Number of bits that are set."""
+    count = 0
+    while mask:
+        mask &= mask - np.uint64(1)
+        count += 1
+    return count
+
+
+@compiled
+def _heading_allowed(known: Known, heading: float) -> bool:
+    if not known.value.has_heading:
+        return True
+    off = heading - known.value.heading_rad
+    off = np.arctan2(np.sin(off), np.cos(off))
+    return abs(off) <= GATE_SIGMAS * known.value.heading_sigma_rad + _TURN / BINS
+
+
+@compiled
+def _most_voted(voters: IntArray) -> IntArray:
+    """Rows of the MOST_HYPOTHESES with the most voters; of the last that fit, evenly drawn ones."""
+    order = np.argsort(-voters, kind="mergesort")
+    if len(order) <= MOST_HYPOTHESES:
+        return order
+    last = voters[order[MOST_HYPOTHESES]]
+    sure = int((voters > last).sum())
+    equal = int((voters == last).sum())
+    room = MOST_HYPOTHESES - sure
+    kept = np.empty(MOST_HYPOTHESES, dtype=np.int64)
+    kept[:sure] = order[:sure]
+    for k in range(room):
+        kept[sure + k] = order[sure + k * equal // room]
+    return kept

@@ -1,136 +1,226 @@
-"""Robust point-line least squares with priors: Levenberg-Marquardt over a batch of poses."""
+"""Robust point-line least squares with priors: Levenberg-Marquardt with analytic Jacobians."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.frame import Prior
-from semviz_core.solving.residuals import Scene, prior_rows, residual_rows, whitening
+from semviz_core.compiled import compiled
+from semviz_core.frame import Belief, Prior
+from semviz_core.pose import Pose
+from semviz_core.solving.known import MOST_ROWS, known_rows
+from semviz_core.solving.linear import cholesky, rotate_left, solve_cholesky
+from semviz_core.solving.residuals import (
+    INLIER_CHI2,
+    SURE,
+    bottom_is_given,
+    fill_rows,
+    hidden_odds,
+    new_rows,
+    whiten,
+    whiten_by_factor,
+)
+from semviz_core.solving.scene import Known, Record, Scene
 
-HUBER_SIGMAS = 3.0
-"""Pairs count quadratically up to here (root of chi2), linearly beyond (Huber 1964)."""
 STEP_TOLERANCE = 1e-6
 """Converged when no part of a step (m or rad) is larger."""
+_MISSED = 1e12  # cost of a pair that doesn't project
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """b poses at their optimum."""
+class PairFit:
+    """A pose at its optimum."""
 
-    rotation: FloatArray  # (b, 3, 3)
-    translation: FloatArray  # (b, 3)
-    information: FloatArray  # (b, 6, 6) of the left perturbation, pairs and prior
-    cost_trace: FloatArray  # (iterations + 1, b)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    cost: FloatArray  # (b,)
-    gradient: FloatArray  # (b, 6)
-    information: FloatArray  # (b, 6, 6)
+    T_camera_map: Pose
+    information: FloatArray  # (6, 6) of the left perturbation, pairs, prior and belief
+    cost_trace: FloatArray  # (iterations + 1,)
 
 
+def fit_pairs(
+    scene: Scene,
+    prior: Prior | None,
+    T_camera_map: Pose,
+    pairs: IntArray,
+    *,
+    belief: Belief | None = None,
+    iterations: int = 20,
+) -> PairFit:
+    """Fit one pose to ``pairs`` (k, 2) of rows observed and mapped, from ``T_camera_map``."""
+    known, match = Known.of(prior, belief), _as_match(scene, pairs)
+    start = T_camera_map.rotation, T_camera_map.translation
+    R, t, _, trace = fit(scene, known, *start, match, iterations)
+    # covariances of residuals change with the pose: once more with those of the optimum
+    R, t, at_optimum, _ = fit(scene, known, R, t, match, iterations)
+    return PairFit(Pose(R, t), at_optimum, trace)
+
+
+def information(
+    scene: Scene,
+    prior: Prior | None,
+    T_camera_map: Pose,
+    pairs: IntArray,
+    belief: Belief | None = None,
+) -> FloatArray:
+    """(6, 6) Fisher information of ``pairs``, prior and belief at a pose (left perturbation)."""
+    start = T_camera_map.rotation, T_camera_map.translation
+    return fit(scene, Known.of(prior, belief), *start, _as_match(scene, pairs), 0)[2]
+
+
+@compiled
 def fit(
     scene: Scene,
-    prior: Prior,
-    rotation: FloatArray,
-    translation: FloatArray,
+    known: Known,
+    R: FloatArray,
+    t: FloatArray,
     match: IntArray,
-    iterations: int = 10,
-) -> Fit:
-    """Fit b poses to their pairs: ``match`` (b, m) holds mapped rows, -1 for none.
+    iterations: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Rotation, translation, information (6, 6) and cost after each step (iterations + 1 at most).
 
-    The covariance of residuals is that of the start and kept, so the cost can only fall.
+    ``match`` (m,) holds mapped rows, -1 for none. The covariance of residuals is that of the
+    start and kept, so the cost can only fall.
     """
-    seen, mapped, weight = _compact(match)
-    rows = residual_rows(scene, rotation, translation, seen, mapped)
-    white = whitening(scene, rotation, rows, seen, mapped) * weight[..., None, None]
-
-    def linear(turn: FloatArray, move: FloatArray) -> _Linear:
-        return _linearize(scene, prior, turn, move, seen, mapped, white)
-
-    here = linear(rotation, translation)
-    damping = np.full(len(rotation), 1e-4)
-    trace = [here.cost]
-    for _ in range(iterations):
-        step = _step(here, damping)
-        new_rotation, new_translation = perturbed(rotation, translation, step)
-        there = linear(new_rotation, new_translation)
-        better = there.cost <= here.cost
-        rotation = np.where(better[:, None, None], new_rotation, rotation)
-        translation = np.where(better[:, None], new_translation, translation)
-        here = _Linear(
-            np.where(better, there.cost, here.cost),
-            np.where(better[:, None], there.gradient, here.gradient),
-            np.where(better[:, None, None], there.information, here.information),
-        )
-        damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), 1e-9, 1e6)
-        trace.append(here.cost)
-        if np.abs(step[better]).max(initial=0.0) < STEP_TOLERANCE:
+    factors = _factors(scene, R, t, match)
+    rows, gradient = new_rows(), np.zeros(6)
+    here, there = np.zeros((6, 6)), np.zeros((6, 6))
+    trace = np.empty(iterations + 1)
+    trace[0] = cost = _linearize(scene, known, R, t, match, factors, rows, gradient, here)
+    damping, done = 1e-4, 0
+    slope = gradient.copy()
+    for iteration in range(iterations):
+        step = _step(here, slope, damping)
+        new_R, new_t = rotate_left(R, t, step)
+        new = _linearize(scene, known, new_R, new_t, match, factors, rows, gradient, there)
+        if new <= cost:
+            R, t, cost = new_R, new_t, new
+            here[:], slope[:] = there, gradient
+            damping = max(damping * 0.1, 1e-9)
+        else:
+            damping = min(damping * 10.0, 1e6)
+        done = iteration + 1
+        trace[done] = cost
+        if np.abs(step).max() < STEP_TOLERANCE:
             break
-    return Fit(rotation, translation, here.information, np.array(trace))
+    return R, t, here, trace[: done + 1]
 
 
-def perturbed(
-    rotation: FloatArray, translation: FloatArray, step: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """b poses moved by left perturbations (b, 6), to first order in the translation."""
-    turn = _rotations(step[:, 3:])
-    return turn @ rotation, (turn @ translation[..., None])[..., 0] + step[:, :3]
+@compiled
+def _factors(scene: Scene, R: FloatArray, t: FloatArray, match: IntArray) -> FloatArray:
+    """(m, 5, 4) Cholesky factors of the covariances of the pairs' rows; in the last row the number
+    of rows, and the odds of a hidden bottom."""
+    factors = np.zeros((len(match), 5, 4))
+    rows = new_rows()
+    for i in range(len(match)):
+        j = match[i]
+        if j < 0:
+            continue
+        count = fill_rows(scene, R, t, i, j, rows)
+        if count:
+            whiten(scene, i, j, count, SURE, rows)
+            factors[i, :4] = rows.factor
+            factors[i, 4, 0] = count
+            if bottom_is_given(scene, i, j, count):
+                factors[i, 4, 1] = hidden_odds(scene, count, rows)
+    return factors
 
 
-def _compact(match: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Pairs (b, k) with the used ones first, k the most that any pose has; weight 0 pads."""
-    order = np.argsort(match < 0, axis=1, kind="stable")
-    most = max(int((match >= 0).sum(axis=1).max(initial=0)), 1)
-    seen = order[:, :most]
-    mapped = np.take_along_axis(match, seen, axis=1)
-    return seen, np.maximum(mapped, 0), (mapped >= 0).astype(np.float64)
-
-
+@compiled
 def _linearize(
     scene: Scene,
-    prior: Prior,
-    rotation: FloatArray,
-    translation: FloatArray,
-    seen: IntArray,
-    mapped: IntArray,
-    white: FloatArray,
-) -> _Linear:
-    rows = residual_rows(scene, rotation, translation, seen, mapped)
-    residual: FloatArray = (white @ rows.residual[..., None])[..., 0]
-    chi2 = (residual**2).sum(axis=-1)
-    far = np.maximum(np.sqrt(chi2), HUBER_SIGMAS)
-    weight = HUBER_SIGMAS / far
-    jacobian = (white @ rows.jacobian()) * np.sqrt(weight)[..., None, None]
-    residual *= np.sqrt(weight)[..., None]
-    flat = jacobian.reshape(len(rotation), -1, 6)
-    prior_residual, prior_jacobian = prior_rows(prior, rotation, translation)
-    stacked = np.concatenate([flat, prior_jacobian], axis=1)
-    residuals = np.concatenate([residual.reshape(len(rotation), -1), prior_residual], axis=1)
-    turned = np.swapaxes(stacked, -1, -2)
-    huber = np.where(chi2 <= HUBER_SIGMAS**2, chi2, 2.0 * HUBER_SIGMAS * far - HUBER_SIGMAS**2)
-    cost = huber.sum(axis=1) + (prior_residual**2).sum(axis=1)
-    return _Linear(cost, (turned @ residuals[..., None])[..., 0], turned @ stacked)
+    known: Known,
+    R: FloatArray,
+    t: FloatArray,
+    match: IntArray,
+    factors: FloatArray,
+    rows: Record,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> float:
+    """Cost at a pose; fills its gradient (6,) and Gauss-Newton information (6, 6)."""
+    gradient[:] = 0.0
+    information[:] = 0.0
+    residual, jacobian = np.empty(MOST_ROWS), np.empty((MOST_ROWS, 6))
+    count = known_rows(known, R, t, residual, jacobian)
+    cost = _add(residual, jacobian, count, 1.0, 1.0, gradient, information)
+    for i in range(len(match)):
+        if match[i] < 0:
+            continue
+        count = fill_rows(scene, R, t, i, match[i], rows)
+        if count == 0 or count != factors[i, 4, 0]:
+            cost += _MISSED  # fewer or more of it project than at the start: too far a step
+            continue
+        rows.factor[:] = factors[i, :4]
+        whiten_by_factor(count, rows, True)
+        cost += _add_pair(scene, rows, count, factors[i, 4, 1], gradient, information)
+    return cost
 
 
-def _step(linear: _Linear, damping: FloatArray) -> FloatArray:
-    index = np.arange(6)
-    damped = linear.information.copy()
-    diagonal = damped[:, index, index]
-    damped[:, index, index] = diagonal * (1.0 + damping[:, None]) + 1e-9
-    step = np.linalg.solve(damped, -linear.gradient[..., None])[..., 0]
-    return np.asarray(step, dtype=np.float64)
+@compiled
+def _add_pair(
+    scene: Scene,
+    rows: Record,
+    count: int,
+    odds: float,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> float:
+    """Add one pair: Huber beyond the inlier test, its bottom weighed by how likely it is seen."""
+    seen, cost = 1.0, 0.0
+    last = rows.residual[count - 1]
+    if odds > 0.0:
+        visible = (1.0 - scene.setting.hidden_bottoms) * np.exp(-0.5 * last * last)
+        seen = visible / (visible + odds)
+        # -2 log of the mixture, 0 where e is; the squares below add seen * e^2 again
+        mixture = -2.0 * np.log((visible + odds) / (1.0 - scene.setting.hidden_bottoms + odds))
+        cost = mixture - seen * last * last
+    chi2 = seen * last * last
+    for row in range(count - 1):
+        chi2 += rows.residual[row] ** 2
+    limit = INLIER_CHI2[count]
+    if chi2 > limit:
+        cost += 2.0 * np.sqrt(limit * chi2) - limit - chi2
+        weight = np.sqrt(limit / chi2)
+        _add(rows.residual, rows.jacobian, count, weight, seen, gradient, information)
+        return cost + chi2
+    return cost + _add(rows.residual, rows.jacobian, count, 1.0, seen, gradient, information)
 
 
-def _rotations(rotvec: FloatArray) -> FloatArray:
-    """(b, 3, 3) Rodrigues' formula, batched."""
-    angle = np.maximum(np.linalg.norm(rotvec, axis=1), 1e-12)[:, None, None]
-    K = np.zeros((len(rotvec), 3, 3))
-    x, y, z = rotvec.T
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -z, y, -x
-    K -= np.swapaxes(K, -1, -2)
-    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    rotations: FloatArray = np.eye(3) + a * K + b * (K @ K)
-    return rotations
+@compiled
+def _add(
+    residual: FloatArray,
+    jacobian: FloatArray,
+    count: int,
+    weight: float,
+    last: float,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> float:
+    """Add rows of one weight, the last times ``last``; the weighted sum of squares."""
+    cost = 0.0
+    for row in range(count):
+        w = weight * last if row == count - 1 else weight
+        cost += w * residual[row] ** 2
+        for a in range(6):
+            scaled = w * jacobian[row, a]
+            gradient[a] += scaled * residual[row]
+            for b in range(6):
+                information[a, b] += scaled * jacobian[row, b]
+    return cost
+
+
+@compiled
+def _step(information: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    damped = information.copy()
+    for k in range(6):
+        damped[k, k] = damped[k, k] * (1.0 + damping) + 1e-9
+    step = -gradient
+    if cholesky(damped, 6):
+        solve_cholesky(damped, step)
+        return step
+    return np.zeros(6)
+
+
+def _as_match(scene: Scene, pairs: IntArray) -> IntArray:
+    match = np.full(len(scene.seen), -1, dtype=np.int64)
+    match[pairs[:, 0]] = pairs[:, 1]
+    return match

@@ -1,99 +1,95 @@
 """A quick rating of many upright hypotheses by azimuth and slope, before pixels are compared."""
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.frame import Prior
-from semviz_core.solving.hypotheses import Hypotheses
-from semviz_core.solving.residuals import Scene
+from semviz_core.compiled import compiled
+from semviz_core.solving.scene import Known, Record, Scene
+from semviz_core.solving.standing import compare_slopes, standing_elements
 from semviz_core.solving.upright import UprightView
-
-SingleArray: TypeAlias = NDArray[np.float32]
 
 POSITION_DOUBT_M, HEIGHT_DOUBT_M, HEADING_DOUBT_RAD = 0.4, 0.15, float(np.deg2rad(1.0))
 """How far a hypothesis made from two noisy matches is off, one standard deviation."""
-GATE_SIGMAS = 3.0
-"""Pairs further off in azimuth are not looked at again."""
-CHUNK = 1024
-_FALSE_TURN, _FALSE_SLOPE = np.log(0.25 * np.pi), np.log(0.2)
+GATE_CHI2 = 9.0
+"""Pairs whose azimuths differ by more are not looked at again."""
+MOST_CHI2 = 20.0
+"""Of all that is compared of a pair."""
+_FALSE_TURN, _FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
 """A false detection is anywhere in a quarter turn and half a unit of slope."""
 
-
-def rate(scene: Scene, view: UprightView, prior: Prior, hypotheses: Hypotheses) -> FloatArray:
-    """(h,) nats above nothing matched: pairs by class, at most one for each element, and the prior.
+@compiled
+def rate(scene: Scene, view: UprightView, known: Known, poses: FloatArray) -> FloatArray:
+    """(h,) nats above nothing matched of poses (h, 5): pairs by class, at most one for each
+    element, and the prior.
 
     One-to-one is bounded from both sides (the best of each observed, the best of each mapped
     element), which is enough to keep a row of equal poles from being matched to one pole.
     """
-    parts = [
-        _rate_chunk(scene, view, hypotheses, slice(start, start + CHUNK))
-        for start in range(0, len(hypotheses), CHUNK)
-    ]
-    offset = (hypotheses.position_m[:, :2] - prior.position_m[:2]) / prior.horizontal_sigma_m
-    rating: FloatArray = np.concatenate([np.zeros(0), *parts]) - 0.5 * (offset**2).sum(axis=1)
+    standing, partner = standing_elements(scene)
+    widest = 1.2 * _widest(view) + 0.2
+    by_seen = np.empty(len(scene.seen))
+    rating = np.empty(len(poses))
+    for h in range(len(poses)):
+        pose = poses[h]
+        by_seen[:] = 0.0
+        by_mapped = 0.0
+        for j in range(len(standing)):
+            east = standing[j].place_m[0] - pose[0]
+            north = standing[j].place_m[1] - pose[1]
+            ahead = pose[3] * east + pose[4] * north
+            left = pose[3] * north - pose[4] * east
+            if abs(left) <= widest * ahead:
+                by_mapped += _best_of_mapped(
+                    scene.setting, view, standing[j], partner, ahead, left, pose[2], by_seen
+                )
+        dx, dy = pose[0] - known.value.place_m[0], pose[1] - known.value.place_m[1]
+        off = 0.5 * (dx * dx + dy * dy) / known.value.place_sigma_m[0] ** 2
+        rating[h] = min(by_seen.sum(), by_mapped) - off
     return rating
 
 
-def _rate_chunk(
-    scene: Scene, view: UprightView, hypotheses: Hypotheses, chunk: slice
-) -> FloatArray:
-    position, heading = hypotheses.position_m[chunk], hypotheses.heading_rad[chunk, None]
-    middle = 0.5 * (scene.anchor_m + scene.end_m)
-    east = (middle[:, 0] - position[:, :1]).astype(np.float32)
-    north = (middle[:, 1] - position[:, 1:2]).astype(np.float32)
-    c, s = np.cos(heading).astype(np.float32), np.sin(heading).astype(np.float32)
-    azimuth = np.arctan2(c * north - s * east, c * east + s * north)
-    near = 1.0 / np.maximum(np.hypot(east, north), np.float32(1.0))
-    variance = np.float32(POSITION_DOUBT_M**2) * near**2 + np.float32(HEADING_DOUBT_RAD**2)
-    h, i, j = _in_line(scene, view, azimuth, np.float32(GATE_SIGMAS) * np.sqrt(variance))
-
-    far, turn_variance = near[h, j], variance[h, j]
-    off = azimuth[h, j] - view.azimuth_rad[i]
-    gain = _FALSE_TURN - 0.5 * (off**2 / turn_variance + np.log(turn_variance))
-    for end, ends_m in enumerate((scene.anchor_m, scene.end_m)):
-        known = view.slope_known[i, end] & scene.mapped_known[j, end]
-        seen = view.slope[i, end]
-        off = (ends_m[j, 2] - position[h, 2]) * far - seen
-        doubt = HEIGHT_DOUBT_M**2 + (POSITION_DOUBT_M * seen) ** 2
-        sigma2 = view.sigma_rad[i, 1] ** 2 + view.up_sigma_rad**2
-        slope_variance = doubt * far**2 + sigma2
-        nats = _FALSE_SLOPE - 0.5 * (off**2 / slope_variance + np.log(slope_variance))
-        gain += np.where(known, nats, 0.0)
-    kept = gain > 0.0
-    h, i, j, gain = h[kept], i[kept], j[kept], gain[kept]
-    shape = len(position), *scene.compatible.shape
-    return np.minimum(
-        _sum_of_best(gain, h, i, (shape[0], shape[1])),
-        _sum_of_best(gain, h, j, (shape[0], shape[2])),
-    )
+@compiled
+def _widest(view: UprightView) -> float:
+    """The largest tangent of an azimuth that is seen."""
+    widest = 0.0
+    for i in range(len(view.seen)):
+        azimuth = view.seen[i].azimuth
+        widest = max(widest, abs(azimuth[1]) / max(azimuth[0], 0.1))
+    return widest
 
 
-def _in_line(
-    scene: Scene,
+@compiled
+def _best_of_mapped(
+    setting: Record,
     view: UprightView,
-    azimuth: SingleArray,
-    tolerance: SingleArray,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Rows of hypothesis, observed and mapped element whose azimuths agree; cameras don't look
-    backwards, so angles need no wrapping."""
-    found: list[tuple[IntArray, IntArray, IntArray]] = []
-    low, high = azimuth - tolerance, azimuth + tolerance
-    for i, seen in enumerate(view.azimuth_rad.astype(np.float32)):
-        columns = np.flatnonzero(scene.compatible[i])
-        h, column = np.nonzero((low[:, columns] < seen) & (high[:, columns] > seen))
-        found.append((h, np.full(len(h), i), columns[column]))
-    h, i_all, j = (np.concatenate(column) for column in zip(*found, strict=True))
-    return h, i_all, j
-
-
-def _sum_of_best(
-    gain: FloatArray, rows: IntArray, groups: IntArray, shape: tuple[int, int]
-) -> FloatArray:
-    """(shape[0],) sum over groups of the largest gain in each row and group."""
-    best = np.zeros(shape)
-    np.maximum.at(best.reshape(-1), rows * shape[1] + groups, gain)
-    total: FloatArray = best.sum(axis=1)
-    return total
+    mapped: Record,
+    partner: IntArray,
+    ahead: float,
+    left: float,
+    height: float,
+    by_seen: FloatArray,
+) -> float:
+    """The largest gain of a mapped element, seen ``ahead`` and to the left, with any observed one;
+    raises theirs, ``by_seen`` (m,)."""
+    near = 1.0 / max(np.sqrt(ahead * ahead + left * left), 1.0)
+    ahead, left = ahead * near, left * near
+    variance = (POSITION_DOUBT_M * near) ** 2 + HEADING_DOUBT_RAD**2
+    largest = 0.0
+    for at in range(mapped.first, mapped.last):
+        i = partner[at]
+        seen = view.seen[i]
+        off = seen.azimuth[0] * left - seen.azimuth[1] * ahead  # sine of the angle between
+        if off * off > GATE_CHI2 * variance:
+            continue
+        chi2, product, nats, count = compare_slopes(
+            setting, seen, mapped, near, height, view.up_sigma_rad,
+            POSITION_DOUBT_M, HEIGHT_DOUBT_M,
+        )  # fmt: skip
+        chi2 += off * off / variance
+        if chi2 > MOST_CHI2:
+            continue
+        gain = nats + _FALSE_TURN + count * _FALSE_SLOPE
+        gain -= 0.5 * (chi2 + np.log(product * variance))
+        largest = max(largest, gain)
+        by_seen[i] = max(by_seen[i], gain)
+    return largest

@@ -5,21 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
-from semviz_core.frame import Prior
+from semviz_core.frame import Belief, Prior
 from semviz_core.localization import Refinement
-from semviz_core.pose import Pose, nearest_rotation
-from semviz_core.solving.association import Doubt, associate
-from semviz_core.solving.least_squares import Fit, fit
-from semviz_core.solving.residuals import Scene, scene_residuals
+from semviz_core.pose import Pose
+from semviz_core.solving.association import associate
+from semviz_core.solving.least_squares import fit, fit_pairs
+from semviz_core.solving.residuals import SURE, scene_residuals
+from semviz_core.solving.scene import Known, Scene
 
 NEEDED_PAIRS = 3
 """Two pairs fix an upright pose; a third is the first that can contradict them."""
 MOST_SIGMA_M = 2.0
 """A pose less certain than this along any direction is no answer."""
 MOST_SIGMA_RAD = float(np.deg2rad(5.0))
-START_DOUBT = Doubt(0.15, float(np.deg2rad(0.3)))
-"""How far off the pose may be that refinement starts from."""
+START_DOUBT: FloatArray = np.diag([0.15**2] * 3 + [np.deg2rad(0.3) ** 2] * 3)
+"""Covariance of the pose that refinement starts from."""
 _ROUNDS = 6
 _ITERATIONS = 20
 
@@ -43,47 +43,44 @@ class Failure:
 
 def refine(
     scene: Scene,
-    camera: Camera,
     prior: Prior,
     T_camera_map: Pose,
     pairs: IntArray | None = None,
+    belief: Belief | None = None,
 ) -> Refined | Failure:
-    """Robust least squares over pairs and prior, from ``T_camera_map``.
+    """Robust least squares over pairs, prior and belief, from ``T_camera_map``.
 
     With ``pairs`` (k, 2) those are kept (the paper's eq. 8 with a Boolean P); without, pairs are
     chosen one-to-one again after each fit until they stay the same.
     """
-    start = T_camera_map.rotation[None], T_camera_map.translation[None]
     if pairs is None:
-        match = _settled_match(scene, camera, prior, *start)
-    else:
-        match = np.full((1, len(scene.anchor_px)), -1, dtype=np.int64)
-        match[0, pairs[:, 0]] = pairs[:, 1]
-    if (count := int((match >= 0).sum())) < NEEDED_PAIRS:
-        seen = len(scene.anchor_px)
-        return Failure(f"{count} of {seen} elements fit one pose, {NEEDED_PAIRS} needed.")
-    best = fit(scene, prior, *start, match, _ITERATIONS)
-    # covariances of residuals change with the pose: once more with those of the optimum
-    final = fit(scene, prior, best.rotation, best.translation, match, _ITERATIONS)
-    covariance = np.linalg.inv(final.information[0])
+        pairs = _settled_pairs(scene, Known.of(prior, belief), T_camera_map)
+    if len(pairs) < NEEDED_PAIRS:
+        seen = len(scene.seen)
+        return Failure(f"{len(pairs)} of {seen} elements fit one pose, {NEEDED_PAIRS} needed.")
+    best = fit_pairs(scene, prior, T_camera_map, pairs, belief=belief, iterations=_ITERATIONS)
+    covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     if reason := _too_uncertain(covariance):
         return Failure(reason)
-    return _refined(scene, final, match, covariance, best.cost_trace[:, 0])
+    residuals = scene_residuals(scene, best.T_camera_map, pairs)
+    refinement = Refinement(
+        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.cost_trace
+    )
+    return Refined(best.T_camera_map, covariance, refinement)
 
 
-def _settled_match(
-    scene: Scene, camera: Camera, prior: Prior, rotation: FloatArray, translation: FloatArray
-) -> IntArray:
-    """(1, m) one-to-one pairs that don't change when the pose is fitted to them."""
-    match, _, _ = associate(scene, camera, rotation, translation, START_DOUBT)
+def _settled_pairs(scene: Scene, known: Known, T_camera_map: Pose) -> IntArray:
+    """(k, 2) one-to-one pairs that don't change when the pose is fitted to them."""
+    R, t = T_camera_map.rotation, T_camera_map.translation
+    match, _ = associate(scene, R, t, START_DOUBT)
     for _ in range(_ROUNDS):
-        nearer = fit(scene, prior, rotation, translation, match, _ITERATIONS)
-        rotation, translation = nearer.rotation, nearer.translation
+        R, t, _, _ = fit(scene, known, R, t, match, _ITERATIONS)
         before = match
-        match, _, _ = associate(scene, camera, rotation, translation)
+        match, _ = associate(scene, R, t, SURE)
         if np.array_equal(match, before):
             break
-    return match
+    seen = np.flatnonzero(match >= 0)
+    return np.column_stack([seen, match[seen]])
 
 
 def _too_uncertain(covariance: FloatArray) -> str:
@@ -96,16 +93,3 @@ def _too_uncertain(covariance: FloatArray) -> str:
         found, most = np.rad2deg([sigma_rad, MOST_SIGMA_RAD])
         return f"The pairs fix the rotation only to {found:.1f} deg, {most:.0f} deg needed."
     return ""
-
-
-def _refined(
-    scene: Scene, final: Fit, match: IntArray, covariance: FloatArray, cost_trace: FloatArray
-) -> Refined:
-    pose = Pose(nearest_rotation(final.rotation[0]), final.translation[0])
-    seen = np.flatnonzero(match[0] >= 0)
-    pairs = np.column_stack([seen, match[0, seen]])
-    residuals = scene_residuals(scene, pose, pairs)
-    refinement = Refinement(
-        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, cost_trace
-    )
-    return Refined(pose, covariance, refinement)

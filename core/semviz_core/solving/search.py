@@ -1,31 +1,41 @@
 """Prior-guided upright search: from classes and a rough position to poses that explain the image.
 
 Class-consistent pairs of matches give upright candidates (``hypotheses``); azimuths and slopes rate
-them quickly (``rating``); the best distinct ones are paired one-to-one and fitted together, with
-gates that narrow as they settle; what remains are the modes, best first.
+them quickly (``rating``); the best distinct ones are paired one-to-one and fitted, with gates that
+narrow as they settle; what remains are the modes, best first.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
+from semviz_core.compiled import compiled
 from semviz_core.frame import Prior
-from semviz_core.solving.association import SURE, Doubt, associate, log_likelihood
-from semviz_core.solving.hypotheses import Hypotheses, upright_hypotheses
+from semviz_core.solving.association import associate, log_likelihood, one_to_one
+from semviz_core.solving.hypotheses import upright_hypotheses
 from semviz_core.solving.least_squares import fit
+from semviz_core.solving.linear import inverse
 from semviz_core.solving.rating import rate
-from semviz_core.solving.residuals import Scene
-from semviz_core.solving.upright import UprightView, upright_view
+from semviz_core.solving.residuals import SURE
+from semviz_core.solving.scene import Known, Scene
+from semviz_core.solving.upright import UprightView, upright_views
 
 STARTED, FINISHED = 32, 10
 """Candidates that are paired and fitted once, and those of them that are fitted to the end."""
-MOST_COMPARED = 1000
-"""Candidates, by rating, among which distinct ones are looked for."""
+HOPEFUL_NATS = 30.0
+"""Candidates rated lower than the best by more are not fitted."""
+BASIN_M, BASIN_RAD = 2.0, float(np.deg2rad(6.0))
+"""Hypotheses closer than both are fitted to the same pose."""
+IMPROVED = 3
+"""So many of the best are tried without each of their pairs."""
 APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
 """Poses further apart than either are different answers."""
-NARROWING = (Doubt(0.5, float(np.deg2rad(1.5))), Doubt(0.15, float(np.deg2rad(0.3))), SURE, SURE)
+COARSE: FloatArray = np.diag([0.5**2] * 3 + [np.deg2rad(1.5) ** 2] * 3)
+"""Covariance of a hypothesis."""
+FINE: FloatArray = np.diag([0.1**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
+"""Left after the first fits, besides what the pairs leave open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,45 +52,6 @@ class Modes:
     gain: FloatArray  # (b, m, n)
 
 
-def search(scene: Scene, camera: Camera, prior: Prior, rng: np.random.Generator) -> Modes:
-    """The modes of the pose, best first; none where no hypothesis passes the gates."""
-    view = upright_view(scene, prior)
-    hypotheses, tried = upright_hypotheses(scene, view, prior, rng)
-    best = _distinct_best(hypotheses, rate(scene, view, prior, hypotheses))
-    rotation, translation = camera_poses(view, best)
-    if len(best):
-        rotation, translation = polish(scene, camera, prior, rotation, translation)
-    return _modes(scene, camera, prior, rotation, translation, tried, len(hypotheses))
-
-
-def camera_poses(view: UprightView, hypotheses: Hypotheses) -> tuple[FloatArray, FloatArray]:
-    """T_camera_map of upright poses: rotations (h, 3, 3), translations (h, 3)."""
-    c, s = np.cos(hypotheses.heading_rad), np.sin(hypotheses.heading_rad)
-    level = np.zeros((len(hypotheses), 3, 3))
-    level[:, 0, 0], level[:, 0, 1], level[:, 1, 0], level[:, 1, 1] = c, s, -s, c
-    level[:, 2, 2] = 1.0
-    rotation = view.R_level_camera.T @ level
-    return rotation, -(rotation @ hypotheses.position_m[..., None])[..., 0]
-
-
-def polish(
-    scene: Scene, camera: Camera, prior: Prior, rotation: FloatArray, translation: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Pair and fit in turns while the gates narrow.
-
-    After the first turn candidates that ran together are merged, so that rivals of a good pose
-    are not crowded out by its own copies.
-    """
-    for turn, doubt in enumerate(NARROWING):
-        match, gain, _ = associate(scene, camera, rotation, translation, doubt)
-        settled = fit(scene, prior, rotation, translation, match, iterations=4)
-        rotation, translation = settled.rotation, settled.translation
-        if turn == 0:
-            kept = _distinct(rotation, translation, gain.sum(axis=1))[:FINISHED]
-            rotation, translation = rotation[kept], translation[kept]
-    return rotation, translation
-
-
 def apart(
     rotation: FloatArray, translation: FloatArray, other_rotation: FloatArray, other: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -92,47 +63,203 @@ def apart(
     return np.linalg.norm(centers - center, axis=1), angle
 
 
-def _distinct_best(hypotheses: Hypotheses, rating: FloatArray) -> Hypotheses:
-    """The best STARTED candidates of which no two are close."""
-    order = np.argsort(-rating, kind="stable")[:MOST_COMPARED]
-    position, heading = hypotheses.position_m[order], hypotheses.heading_rad[order]
-    kept: list[int] = []
-    free = np.ones(len(order), dtype=bool)
-    while len(kept) < STARTED and free.any():
-        row = int(free.argmax())
-        kept.append(row)
-        near = np.linalg.norm(position[:, :2] - position[row, :2], axis=1) < APART_M
-        turned = np.abs(np.angle(np.exp(1j * (heading - heading[row]))))
-        free &= ~(near & (turned < 2.0 * APART_RAD))
-    return Hypotheses(position[kept], heading[kept])
+class Candidates(NamedTuple):
+    """Room for b poses with what they are worth."""
+
+    rotation: FloatArray  # (b, 3, 3)
+    translation: FloatArray  # (b, 3)
+    worth: FloatArray  # (b,)
 
 
-def _modes(
-    scene: Scene,
-    camera: Camera,
-    prior: Prior,
-    rotation: FloatArray,
-    translation: FloatArray,
-    tried: int,
-    passed: int,
-) -> Modes:
-    """Poses scored, sorted, and those that ran into a better one left out."""
-    match, chosen, gain = associate(scene, camera, rotation, translation)
-    score = log_likelihood(scene, camera, prior, rotation, translation, match, chosen)
-    kept = _distinct(rotation, translation, score)
-    return Modes(
-        tried, passed, rotation[kept], translation[kept], score[kept], match[kept], gain[kept]
+def search(scene: Scene, prior: Prior) -> Modes:
+    """The modes of the pose, best first; none where no hypothesis passes the gates."""
+    known = Known.of(prior)
+    tried = passed = 0
+    found: list[Candidates] = []
+    for view in upright_views(scene, prior):
+        candidates, view_tried, view_passed = _candidates(scene, view, known)
+        tried, passed = tried + view_tried, passed + view_passed
+        found.append(candidates)
+    together = Candidates(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    return Modes(tried, passed, *_settle(scene, known, together))
+
+
+@compiled
+def _candidates(scene: Scene, view: UprightView, known: Known) -> tuple[Candidates, int, int]:
+    """The best distinct hypotheses of one view, paired and fitted once; tried; rated."""
+    hypotheses = upright_hypotheses(scene, view, known)
+    poses = hypotheses.pose
+    if len(poses) == 0:
+        nothing = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
+        return nothing, hypotheses.tried, 0
+    chosen = _distinct_best(poses, rate(scene, view, known, poses))
+    b = len(chosen)
+    candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
+    for row in range(b):
+        R, t = camera_pose(view, poses[chosen[row]])
+        doubt = COARSE
+        for _ in range(2):
+            match, _ = associate(scene, R, t, doubt)
+            R, t, information, _ = fit(scene, known, R, t, match, 3)
+            doubt = inverse(information) + FINE
+        match, gain = associate(scene, R, t, doubt)
+        candidates.rotation[row], candidates.translation[row] = R, t
+        candidates.worth[row] = log_likelihood(scene, known, R, t, match, gain)
+    return candidates, hypotheses.tried, len(poses)
+
+
+@compiled
+def camera_pose(view: UprightView, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """T_camera_map of an upright pose (5,): its rotation (3, 3) and translation (3,)."""
+    c, s = pose[3], pose[4]
+    R, t = np.empty((3, 3)), np.empty(3)
+    for k in range(3):
+        ahead, left = view.R_level_camera[0, k], view.R_level_camera[1, k]
+        R[k, 0], R[k, 1] = ahead * c - left * s, ahead * s + left * c
+        R[k, 2] = view.R_level_camera[2, k]
+        t[k] = -(R[k, 0] * pose[0] + R[k, 1] * pose[1] + R[k, 2] * pose[2])
+    return R, t
+
+
+@compiled
+def _distinct_best(poses: FloatArray, rating: FloatArray) -> IntArray:
+    """Rows of the best STARTED hypotheses of which no two are close."""
+    likely = np.flatnonzero(rating > rating.max() - HOPEFUL_NATS)
+    order = likely[np.argsort(-rating[likely], kind="mergesort")]
+    kept = np.empty(STARTED, dtype=np.int64)
+    count = 0
+    for row in order:
+        new = True
+        for k in range(count):
+            dx, dy = poses[row, 0] - poses[kept[k], 0], poses[row, 1] - poses[kept[k], 1]
+            if dx * dx + dy * dy < BASIN_M * BASIN_M:
+                turn = poses[row, 3] * poses[kept[k], 3] + poses[row, 4] * poses[kept[k], 4]
+                if turn > np.cos(BASIN_RAD):
+                    new = False
+                    break
+        if new:
+            kept[count] = row
+            count += 1
+            if count == STARTED:
+                break
+    return kept[:count]
+
+
+@compiled
+def _settle(
+    scene: Scene, known: Known, candidates: Candidates
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    """Candidates fitted to the end, scored, sorted; those that ran into a better one left out."""
+    m, n = scene.compatible.shape
+    kept = _distinct(candidates)[:FINISHED]
+    b = len(kept)
+    settled = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
+    matches, gains = np.empty((b, m), dtype=np.int64), np.empty((b, m, n))
+    for row in range(b):
+        R, t = candidates.rotation[kept[row]].copy(), candidates.translation[kept[row]].copy()
+        match, _ = associate(scene, R, t, FINE)
+        _put(settled, matches, gains, row, _fitted(scene, known, R, t, match))
+    best = _distinct(settled)
+    for row in best[:IMPROVED]:
+        here = settled.rotation[row], settled.translation[row], matches[row], gains[row]
+        _put(settled, matches, gains, row, _improved(scene, known, *here, settled.worth[row]))
+    best = _distinct(settled)
+    return (
+        settled.rotation[best],
+        settled.translation[best],
+        settled.worth[best],
+        matches[best],
+        gains[best],
     )
 
 
-def _distinct(rotation: FloatArray, translation: FloatArray, score: FloatArray) -> list[int]:
-    """Rows of poses, best first, without those close to a better one."""
-    left = [int(row) for row in np.argsort(-score, kind="stable")]
-    kept: list[int] = []
-    while left:
-        row = left.pop(0)
-        kept.append(row)
-        away, angle = apart(rotation[row], translation[row], rotation[left], translation[left])
-        differs = (away > APART_M) | (angle > APART_RAD)
-        left = [one for one, different in zip(left, differs, strict=True) if different]
-    return kept
+@compiled
+def _put(
+    settled: Candidates,
+    matches: IntArray,
+    gains: FloatArray,
+    row: int,
+    fitted: tuple[FloatArray, FloatArray, IntArray, FloatArray, float],
+) -> None:
+    settled.rotation[row], settled.translation[row] = fitted[0], fitted[1]
+    matches[row], gains[row], settled.worth[row] = fitted[2], fitted[3], fitted[4]
+
+
+@compiled
+def _fitted(
+    scene: Scene, known: Known, R: FloatArray, t: FloatArray, match: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
+    """The pose fitted to its pairs until they stay the same, with pairs, gains and score."""
+    for _ in range(3):
+        R, t, information, _ = fit(scene, known, R, t, match, 5)
+        before = match
+        match, _ = associate(scene, R, t, inverse(information))
+        if (match == before).all():
+            break
+    R, t, _, _ = fit(scene, known, R, t, match, 5)
+    match, gain = associate(scene, R, t, SURE)
+    return R, t, match, gain, log_likelihood(scene, known, R, t, match, gain)
+
+
+@compiled
+def _improved(
+    scene: Scene,
+    known: Known,
+    R: FloatArray,
+    t: FloatArray,
+    match: IntArray,
+    gain: FloatArray,
+    score: float,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
+    """The pose without the one pair, if any, whose leaving makes the others agree better.
+
+    A false pair, such as with the neighbour or the double of the right element, pulls the pose
+    until others fail the inlier test.
+    """
+    best = R, t, match, gain, score
+    for i in range(len(match)):
+        if match[i] < 0:
+            continue
+        without = match.copy()
+        without[i] = -1
+        free_R, free_t, information, _ = fit(scene, known, R, t, without, 4)
+        _, others = associate(scene, free_R, free_t, inverse(information))
+        others[i, match[i]] = -np.inf
+        found = _fitted(scene, known, free_R, free_t, one_to_one(others))
+        if found[4] > best[4]:
+            best = found
+    return best
+
+
+@compiled
+def _distinct(candidates: Candidates) -> IntArray:
+    """Rows, best first, without poses close to a better one."""
+    order = np.argsort(-candidates.worth, kind="mergesort")
+    kept = np.empty(len(order), dtype=np.int64)
+    count = 0
+    for row in order:
+        new = True
+        for k in range(count):
+            away, angle = _apart(candidates, kept[k], row)
+            if away <= APART_M and angle <= APART_RAD:
+                new = False
+                break
+        if new:
+            kept[count] = row
+            count += 1
+    return kept[:count]
+
+
+@compiled
+def _apart(candidates: Candidates, a: int, b: int) -> tuple[float, float]:
+    """Distance of the camera centres (m) and angle (rad) between two poses."""
+    R, t = candidates.rotation[a], candidates.translation[a]
+    other_R, other_t = candidates.rotation[b], candidates.translation[b]
+    square, trace = 0.0, 0.0
+    for column in range(3):
+        off = 0.0
+        for row in range(3):
+            off += other_R[row, column] * other_t[row] - R[row, column] * t[row]
+            trace += other_R[row, column] * R[row, column]
+        square += off * off
+    return np.sqrt(square), np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))

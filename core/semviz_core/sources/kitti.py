@@ -23,7 +23,8 @@ from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame
 from semviz_core.sources.source import Side
 
-_T_MAP_WORLD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+T_MAP_WORLD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+"""KITTI's world, turned to z up: x ahead, y left."""
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _FRAME_NAME = re.compile(r"[0-9]{6}")
 
@@ -135,7 +136,7 @@ class KittiSequence:
 
     def _of_each_frame(self, path: Path, width: int) -> FloatArray:
         """(len(self._indices), width) the lines of ``path`` that belong to our frames."""
-        table = _read_numbers(path, width)
+        table = read_numbers(path, width)
         last = self._indices[-1]
         if len(table) <= last:
             raise SemvizError(
@@ -150,7 +151,7 @@ class KittiSequence:
             T_world_cam0 = Pose.from_matrix(numbers.reshape(3, 4))
         except SemvizError as error:
             raise SemvizError(f"{self._poses_path}, line {index + 1}: {error}") from None
-        return _T_MAP_WORLD @ T_world_cam0 @ self._T_cam0_left
+        return T_MAP_WORLD @ T_world_cam0 @ self._T_cam0_left
 
 
 def _sequence_folder(root: Path, sequence: str) -> Path:
@@ -168,13 +169,14 @@ def _sequence_folder(root: Path, sequence: str) -> Path:
 
 def _read_calibration(path: Path, cameras: tuple[int, ...]) -> list[FloatArray]:
     """The (3, 4) projection of each of ``cameras``."""
-    lines = dict(line.split(":", 1) for line in _read_text(path).splitlines() if ":" in line)
+    lines = dict(line.split(":", 1) for line in read_text(path).splitlines() if ":" in line)
     missing = [camera for camera in cameras if f"P{camera}" not in lines]
     if missing:
         known = ", ".join(sorted(key for key in lines if key.startswith("P"))) or "nothing"
         raise SemvizError(f"{path}: no camera {missing[0]} (P{missing[0]}); it holds {known}")
     return [
-        _numbers(lines[f"P{camera}"], 12, f"{path}, P{camera}").reshape(3, 4) for camera in cameras
+        parsed_numbers(lines[f"P{camera}"], 12, f"{path}, P{camera}").reshape(3, 4)
+        for camera in cameras
     ]
 
 
@@ -183,14 +185,18 @@ def _extrinsics(P: FloatArray) -> Pose:
     return Pose(np.eye(3), np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64))
 
 
-def _read_numbers(path: Path, width: int) -> FloatArray:
-    """(lines, width) numbers of a text file."""
-    lines = _read_text(path).rstrip().splitlines()
-    rows = [_numbers(line, width, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+def read_numbers(path: Path, width: int) -> FloatArray:
+    """(lines, width) numbers of a text file. Raises SemvizError naming the line that has others."""
+    lines = read_text(path).rstrip().splitlines()
+    rows = [
+        parsed_numbers(line, width, f"{path}, line {number}")
+        for number, line in enumerate(lines, 1)
+    ]
     return np.array(rows).reshape(-1, width)
 
 
-def _numbers(text: str, width: int, where: str) -> FloatArray:
+def parsed_numbers(text: str, width: int, where: str) -> FloatArray:
+    """(width,) finite numbers; else SemvizError, which says that they are from ``where``."""
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError as error:
@@ -202,7 +208,8 @@ def _numbers(text: str, width: int, where: str) -> FloatArray:
     return numbers
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """A whole text file. Raises SemvizError where there is none, or no text in it."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -1,0 +1,37 @@
+"""Functions compiled to machine code (numba), kept on disk so that only the first run waits."""
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from platformdirs import user_cache_path
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """``function`` compiled when first called with new types; it holds no lock of Python's."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _cache_folder()
+    try:
+        made: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return made
+
+
+@cache
+def _cache_folder() -> str:
+    """One folder for each state of the sources: numba itself only looks at the file of the
+    function that is called, not at those of the functions it calls in turn."""
+    sources = (one.read_bytes() for one in sorted(Path(__file__).parent.rglob("*.py")))
+    digest = hashlib.sha256(b"".join(one for one in sources if b"@compiled" in one)).hexdigest()
+    folder = user_cache_path("semviz") / "compiled" / digest[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a machine without a home: numba then looks for a place of its own
+        return ""
+    return str(folder)

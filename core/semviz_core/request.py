@@ -1,0 +1,106 @@
+"""Checks of what is handed in together: mistakes that show only where elements, camera and prior
+meet, each refused with one line that says what, where and what to do.
+"""
+
+import numpy as np
+
+from semviz_core.arrays import BoolArray
+from semviz_core.camera import Camera
+from semviz_core.classes import ClassSet
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Prior
+
+LEAST_ELEMENTS, MARGIN = 4, 0.2
+"""Whether elements lie in the image is only asked of so many; noise, and a detector's margin, put
+them up to this share of its size outside."""
+
+
+def check_request(
+    observed: Elements2D,
+    submap: Elements3D,
+    camera: Camera,
+    prior: Prior,
+    classes: ClassSet,
+) -> None:
+    """SemvizError where these cannot be meant; poor data is no mistake and passes."""
+    given = {"observed": observed, "submap": submap, "camera": camera, "prior": prior}
+    wanted = {
+        "observed": Elements2D,
+        "submap": Elements3D,
+        "camera": Camera,
+        "prior": Prior,
+    }
+    for name, kind in wanted.items():
+        if not isinstance(given[name], kind):
+            raise SemvizError(
+                f"{name} is of type {type(given[name]).__name__}; give {kind.__name__}"
+            )
+    _check_classes(observed, "observed", classes)
+    _check_classes(submap, "map", classes)
+    _check_covariances(submap)
+    _check_in_image(observed, camera)
+    _check_seen_upright(observed, camera, prior)
+    _check_mapped_upright(submap)
+
+
+def _check_classes(elements: Elements2D | Elements3D, whose: str, classes: ClassSet) -> None:
+    rows = zip(elements.class_id.tolist(), elements.is_line.tolist(), strict=True)
+    for row, (class_id, is_line) in enumerate(rows):
+        if class_id not in classes:
+            known = ", ".join(f"{one.id} ({one.name})" for one in classes)
+            raise SemvizError(f"{whose} elements have unknown class {class_id}; known: {known}")
+        if is_line != (classes[class_id].kind == "line"):
+            what = "an end, but is a point; make it NaN"
+            if not is_line:
+                what = "no end; give the last visible point and end_known False"
+            name = classes[class_id].name
+            raise SemvizError(f"{whose} element in row {row}, a {name}, has {what}")
+
+
+def _check_covariances(submap: Elements3D) -> None:
+    eigenvalues = np.linalg.eigvalsh(submap.covariance_m2)  # (n, 6), ascending
+    broken = eigenvalues[:, 0] < -1e-6 * (1.0 + eigenvalues[:, -1])  # rounding is far below
+    if broken.any():
+        first = int(submap.id[broken][0])
+        raise SemvizError(
+            f"map element {first}: its covariance has a negative eigenvalue; repair or rebuild it"
+        )
+
+
+def _check_in_image(observed: Elements2D, camera: Camera) -> None:
+    size = np.array([camera.width, camera.height])
+    ends = np.stack([observed.anchor_px, observed.end_px])  # (2, m, 2)
+    near = ((ends > -MARGIN * size) & (ends < (1.0 + MARGIN) * size)).all(axis=2)
+    outside = np.asarray(~near.any(axis=0))
+    if len(observed) >= LEAST_ELEMENTS and _most(outside):
+        raise SemvizError(
+            f"{outside.sum()} of {len(observed)} observed elements lie outside the "
+            f"{camera.width}x{camera.height} image; give (column, row), and the image's own camera"
+        )
+
+
+def _check_seen_upright(observed: Elements2D, camera: Camera, prior: Prior) -> None:
+    line = observed.is_line
+    up = np.array([0.0, -1.0, 0.0]) if prior.up_camera is None else prior.up_camera
+    plane = camera.normalize(observed.anchor_px[line])
+    down_px = (plane * up[2] - up[:2]) @ camera.K[:2, :2].T  # a peak that sinks
+    along_px = observed.end_px[line] - observed.anchor_px[line]
+    if _most((along_px * down_px).sum(axis=1) < 0.0):
+        raise SemvizError(
+            "most observed poles have their peak (anchor_px) below their bottom (end_px); swap "
+            "them, or turn prior.up_camera round"
+        )
+
+
+def _check_mapped_upright(submap: Elements3D) -> None:
+    along = (submap.anchor_m - submap.end_m)[submap.is_line]
+    if _most(along[:, 2] < 0.5 * np.linalg.norm(along, axis=1)):
+        raise SemvizError(
+            "most mapped poles do not rise from bottom (end_m) to peak (anchor_m); swap the two, "
+            "or turn the map so that z is up"
+        )
+
+
+def _most(wrong: BoolArray) -> bool:
+    return bool(2 * wrong.sum() > len(wrong))

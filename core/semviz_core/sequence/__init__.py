@@ -1,0 +1,1 @@
+"""Localizing a drive: odometry and frames together, one belief from frame to frame."""

@@ -1,0 +1,130 @@
+"""Which matches agree with a pose, one-to-one, and the pose that fits those best."""
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.compiled import compiled
+from semviz_core.frame import Prior
+from semviz_core.pose import Pose
+from semviz_core.solving.association import associate
+from semviz_core.solving.least_squares import fit_pairs
+from semviz_core.solving.matched.matches import NEEDED_PAIRS, Estimate, Matches
+from semviz_core.solving.refine import MOST_SIGMA_M, MOST_SIGMA_RAD, Failure
+from semviz_core.solving.residuals import SURE
+from semviz_core.solving.scene import Scene
+
+SAMPLE_SIGMA_PX = 6.0
+"""How far off in the image the rest is under a pose from a minimal sample of true matches."""
+CHANCE_FIT = 3e-4
+"""Chance that a wrong match agrees with a wrong pose, counted on matches that were all wrong."""
+MOST_CHANCE = 0.01
+"""Most wrong poses that are accepted per frame without a single true match."""
+LEAST_INFORMATION = 1e-3
+"""Of the pose's weakest direction, whose sigma is then 30 m or rad: inverting stays exact."""
+_ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Consensus:
+    """A pose fitted to the matches that agree with it."""
+
+    T_camera_map: Pose
+    information: FloatArray  # (6, 6) of the left perturbation
+    mapped: IntArray  # (m,) mapped row of each observed element, -1 for none
+    gain: float
+    """How much better (nats) its matches explain what is seen than false detections do."""
+
+    def inlier(self, pairs: IntArray) -> BoolArray:
+        """(k,) which of ``pairs`` agree."""
+        return np.asarray(self.mapped[pairs[:, 0]] == pairs[:, 1])
+
+
+@compiled
+def rate(blurred: Scene, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """(b,) gains (nats) of poses (b, 3, 3) and (b, 3), in a scene blurred by SAMPLE_SIGMA_PX."""
+    gains = np.zeros(len(rotation))
+    for pose in range(len(rotation)):
+        mapped, gain = associate(blurred, rotation[pose], translation[pose], SURE)
+        gains[pose] = _sum_of(mapped, gain)
+    return gains
+
+
+def settle(scene: Scene, blurred: Scene, prior: Prior | None, start: Pose) -> Consensus | None:
+    """The consensus near a pose of a minimal sample; None where too few matches agree."""
+    pose = start
+    mapped, _ = associate(blurred, pose.rotation, pose.translation, SURE)
+    for _ in range(_ROUNDS):
+        seen = np.flatnonzero(mapped >= 0)
+        if len(seen) < NEEDED_PAIRS:
+            return None
+        fit = fit_pairs(scene, prior, pose, np.column_stack([seen, mapped[seen]]))
+        pose, before = fit.T_camera_map, mapped
+        mapped, gain = associate(scene, pose.rotation, pose.translation, SURE)
+        if np.array_equal(mapped, before):
+            break
+    return Consensus(pose, fit.information, mapped, float(_sum_of(mapped, gain)))
+
+
+def estimate_of(matches: Matches, best: Consensus | None, hypotheses: int) -> Estimate | Failure:
+    """The answer that a consensus gives, or why it gives none."""
+    if best is None:
+        return too_few_agree(matches, NEEDED_PAIRS - 1, hypotheses)
+    inlier = best.inlier(matches.pairs)
+    if (found := int(inlier.sum())) < needed_inliers(len(matches)):
+        return too_few_agree(matches, found, hypotheses)
+    return sure_estimate(matches, best.T_camera_map, best.information, inlier, hypotheses)
+
+
+def needed_inliers(matches: int) -> int:
+    """Fewest of so many matches whose agreement is no chance (a contrario, Moisan, Stival 2004).
+
+    Two of them make up to four poses, with each of which others may agree by chance.
+    """
+    poses = 4 * comb(matches, 2)
+    for inliers in range(NEEDED_PAIRS, matches):
+        others = inliers - 2
+        if poses * comb(matches - 2, others) * CHANCE_FIT**others < MOST_CHANCE:
+            return inliers
+    return max(matches, NEEDED_PAIRS)
+
+
+def too_few_agree(matches: Matches, found: int, hypotheses: int) -> Failure:
+    """The failure of a search none of whose poses explains enough matches."""
+    needed = needed_inliers(len(matches))
+    return Failure(
+        f"At most {found} of {len(matches)} matches agree on one of {hypotheses} poses; "
+        f"fewer than {needed} may do so by chance."
+    )
+
+
+def sure_estimate(
+    matches: Matches,
+    T_camera_map: Pose,
+    information: FloatArray,
+    inlier: BoolArray,
+    hypotheses: int,
+) -> Estimate | Failure:
+    """The pose with its covariance, unless that is too large to be an answer."""
+    weakest = np.linalg.eigvalsh(information)[0]
+    if weakest > LEAST_INFORMATION:
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
+        sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+        sigma_rad = np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+        if sigma_m <= MOST_SIGMA_M and sigma_rad <= MOST_SIGMA_RAD:
+            return Estimate(T_camera_map, covariance, matches.pairs, inlier, hypotheses)
+    return Failure(
+        f"The {int(inlier.sum())} matches that agree do not fix the pose "
+        f"to {MOST_SIGMA_M:.0f} m and {np.rad2deg(MOST_SIGMA_RAD):.0f} deg."
+    )
+
+
+@compiled
+def _sum_of(mapped: IntArray, gain: FloatArray) -> float:
+    total = 0.0
+    for i in range(len(mapped)):
+        if mapped[i] >= 0:
+            total += gain[i, mapped[i]]
+    return total

@@ -1,0 +1,162 @@
+"""Matches with scores, as people or a matcher bring them: checked, and as arrays for solvers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from semviz_core.arrays import BoolArray, FloatArray, IntArray, float_array, int_array
+from semviz_core.camera import Camera
+from semviz_core.detector_model import DetectorModel
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+from semviz_core.solving.scene import Scene
+
+NEEDED_PAIRS = 3
+"""Two poles fix a pose; a third element is the first that can contradict them."""
+ONE_LINE_M = 0.1
+"""Points that lie nearer to one straight line than this count as collinear."""
+PARALLEL_RAD = float(np.deg2rad(2.0))
+"""Lines closer to one direction than poles lean count as parallel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A pose from matches."""
+
+    T_camera_map: Pose
+    covariance: FloatArray
+    """(6, 6) of the left perturbation of T_camera_map: metres, then radians."""
+    pairs: IntArray
+    """(k, 2) the matches as given."""
+    inlier: BoolArray
+    """(k,) which of them the pose explains, one-to-one."""
+    hypotheses: int
+    """How many poses were tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """k candidate pairs with their scores."""
+
+    observed: Elements2D
+    submap: Elements3D
+    camera: Camera
+    detector: DetectorModel | None
+    pairs: IntArray
+    """(k, 2) row of observed, row of submap."""
+    score: FloatArray
+    """(k,) in [0, 1]."""
+
+    @classmethod
+    def checked(
+        cls,
+        observed: Elements2D,
+        submap: Elements3D,
+        camera: Camera,
+        pairs: ArrayLike,
+        score: ArrayLike,
+        detector: DetectorModel | None = None,
+    ) -> "Matches":
+        """Raises SemvizError for pairs that cannot be, and for scores that are none."""
+        rows = int_array(pairs, (None, 2), "pairs")
+        scores = float_array(score, (len(rows),), "score")
+        if ((scores < 0.0) | (scores > 1.0)).any():
+            raise SemvizError("score holds numbers outside [0, 1]; give probabilities")
+        sides = (("observed", len(observed)), ("submap", len(submap)))
+        for column, (name, count) in zip(rows.T, sides, strict=True):
+            if ((column < 0) | (column >= count)).any():
+                raise SemvizError(f"pairs name rows that {name} with {count} elements lacks")
+        if len(np.unique(rows, axis=0)) != len(rows):
+            raise SemvizError("pairs holds the same pair twice; give each once")
+        i, j = rows.T
+        same = observed.class_id[i] == submap.class_id[j]
+        wrong = np.flatnonzero(~same | (observed.is_line[i] != submap.is_line[j]))
+        if len(wrong):
+            pair = tuple(rows[wrong[0]].tolist())
+            raise SemvizError(f"pair {pair} joins elements of different classes; leave it out")
+        return cls(observed, submap, camera, detector, rows, scores)
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def scene(self, sigma_px: float = 0.0) -> Scene:
+        """The scene in which only these pairs are possible, detections blurred by ``sigma_px``."""
+        sigma = np.hypot(self.observed.sigma_px, sigma_px)
+        blurred = replace(self.observed, sigma_px=sigma)
+        return _only(Scene.of(self.camera, blurred, self.submap, self.detector), self.pairs)
+
+    @property
+    def is_line(self) -> BoolArray:
+        """(k,) True for poles."""
+        return self.observed.is_line[self.pairs[:, 0]]
+
+    def known(self) -> BoolArray:
+        """(k, 2) whether the peak (or middle) and the bottom are points known on both sides."""
+        (i, j), seen, mapped = self.pairs.T, self.observed, self.submap
+        anchor = ~self.is_line | (seen.anchor_known[i] & mapped.anchor_known[j])
+        return np.column_stack([anchor, seen.end_known[i] & mapped.end_known[j]])
+
+    def rays(self) -> tuple[FloatArray, FloatArray]:
+        """(k, 3) unit rays through observed anchors and ends; a point's end is its anchor."""
+        i, seen = self.pairs[:, 0], self.observed
+        end = np.where(seen.is_line[:, None], seen.end_px, seen.anchor_px)
+        return self.camera.bearing(seen.anchor_px)[i], self.camera.bearing(end)[i]
+
+    def points_m(self) -> tuple[FloatArray, FloatArray]:
+        """(k, 3) mapped anchors and ends; a point's end is its anchor."""
+        j, mapped = self.pairs[:, 1], self.submap
+        end = np.where(mapped.is_line[:, None], mapped.end_m, mapped.anchor_m)
+        return mapped.anchor_m[j], end[j]
+
+    def conflicts(self) -> BoolArray:
+        """(k, k) whether two matches share an observed or a mapped element (each also its own)."""
+        i, j = self.pairs.T
+        return np.asarray((i[:, None] == i) | (j[:, None] == j))
+
+
+def why_unsolvable(matches: Matches) -> str:
+    """Why no pose can follow from these matches, in plain words; empty where one may."""
+    if not len(matches):
+        return "No matches are given."
+    seen, mapped = (len(np.unique(column)) for column in matches.pairs.T)
+    if min(seen, mapped) < NEEDED_PAIRS:
+        return (
+            f"The matches join {seen} seen and {mapped} mapped elements; "
+            f"{NEEDED_PAIRS} of each are needed."
+        )
+    return _why_degenerate(matches)
+
+
+def _why_degenerate(matches: Matches) -> str:
+    anchor, end = matches.points_m()
+    points = np.concatenate([anchor, end])
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < ONE_LINE_M * np.sqrt(len(points)):
+        return (
+            "All matched elements lie on one straight line, such as one post: "
+            "the camera could be anywhere around it."
+        )
+    if not matches.known().any() and _parallel(end - anchor):
+        return (
+            "All matches are parallel lines without a peak or bottom known on both sides: "
+            "the camera's height is not fixed."
+        )
+    return ""
+
+
+def _only(scene: Scene, pairs: IntArray) -> Scene:
+    """The scene with ``pairs`` as the only ones possible."""
+    compatible = np.zeros_like(scene.compatible)
+    compatible[pairs[:, 0], pairs[:, 1]] = True
+    owner, candidate = np.nonzero(compatible)
+    first = np.searchsorted(owner, np.arange(len(compatible) + 1))
+    seen = scene.seen.copy()
+    seen["first"], seen["last"] = first[:-1], first[1:]
+    return scene._replace(seen=seen, candidate=candidate, compatible=compatible)
+
+
+def _parallel(directions: FloatArray) -> bool:
+    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    return bool((np.abs(unit @ unit[0]) > np.cos(PARALLEL_RAD)).all())

@@ -1,0 +1,1 @@
+"""The benchmark: methods compared on the same problems."""

@@ -1,0 +1,156 @@
+"""The tables of a benchmark: aligned text, Markdown, JSON."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from semviz_core.evaluation.tables import ALL, Row
+from semviz_core.files import replacing
+
+Columns = tuple[tuple[str, Callable[[Row], str]], ...]
+"""Headers, and what stands under them in a row."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells under a header, below a title."""
+
+    title: str
+    header: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+    words: int
+    """How many columns from the left hold words; the others hold numbers."""
+
+    def as_text(self) -> str:
+        widths = [max(map(len, column)) for column in zip(self.header, *self.cells, strict=True)]
+        header, *lines = (self._line(cells, widths) for cells in (self.header, *self.cells))
+        return "\n".join([self.title, header, "-" * len(header), *lines])
+
+    def as_markdown(self) -> str:
+        sides = [":--" if column < self.words else "--:" for column in range(len(self.header))]
+        lines = (" | ".join(cells) for cells in (self.header, sides, *self.cells))
+        return "\n".join([f"## {self.title}", "", *(f"| {line} |" for line in lines)])
+
+    def _line(self, cells: Sequence[str], widths: list[int]) -> str:
+        return "  ".join(
+            cell.ljust(width) if column < self.words else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        )
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a benchmark found."""
+
+    settings: dict[str, Any]
+    notes: tuple[str, ...]
+    """What readers of the numbers should know."""
+    rows: tuple[Row, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that ``semviz benchmark --json`` prints."""
+        rows = [row.as_json() for row in self.rows]
+        return {"settings": self.settings, "notes": list(self.notes), "rows": rows}
+
+    def as_text(self) -> str:
+        """For terminals of 120 columns."""
+        return "\n\n".join(table.as_text() for table in self._tables())
+
+    def as_markdown(self) -> str:
+        made = ", ".join(f"{name} {value}" for name, value in self.settings.items())
+        notes = [f"Note: {note}." for note in self.notes]
+        tables = (table.as_markdown() for table in self._tables())
+        return "\n\n".join(["# Benchmark", f"Made with {made}.", *notes, *tables]) + "\n"
+
+    def write(self, folder: Path) -> None:
+        """``table.md`` and ``table.json``."""
+        for name, text in (
+            ("table.md", self.as_markdown()),
+            ("table.json", json.dumps(self.as_json(), indent=1) + "\n"),
+        ):
+            with replacing(folder / name) as path:
+                path.write_text(text)
+
+    def _tables(self) -> list[Table]:
+        groups: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            groups.setdefault((row.suite, row.noise), []).append(row)
+        return [table for group in groups.values() for table in _tables_of(group)]
+
+
+def _tables_of(group: list[Row]) -> list[Table]:
+    """Of one suite with one noise."""
+    where = f"{group[0].suite}, noise {group[0].noise}"
+    return [
+        _table(f"{where}: RTE (m) and RRE (deg)", group, _ERRORS),
+        _table(f"{where}: trust", group, _TRUST),
+        _times_table(f"{where}: time (ms)", [row for row in group if row.stratum == ALL]),
+    ]
+
+
+def _table(title: str, group: list[Row], columns: Columns) -> Table:
+    cells = tuple(tuple(cell(row) for _, cell in columns) for row in group)
+    return Table(title, tuple(header for header, _ in columns), cells, words=2)
+
+
+def _times_table(title: str, group: list[Row]) -> Table:
+    cells = []
+    for row in group:
+        cells.append((row.method, "first call", _milliseconds(row, row.first_call_ms), "-"))
+        for stage, time in {"whole": row.time_ms, **row.stages_ms}.items():
+            spread = (_milliseconds(row, time.median), _milliseconds(row, time.p95))
+            cells.append((row.method, stage, *spread))
+    if not all(row.timed_alone for row in group):
+        title += "; * too long: other processes were at work"
+    return Table(title, ("method", "stage", "median", "p95"), tuple(cells), words=2)
+
+
+def _figure(value: float | None) -> str:
+    """In five characters."""
+    if value is None:
+        return "-"
+    if value >= 99999.5:
+        return f"{value:.0e}"
+    return f"{value:.{max(4 - len(str(int(value))), 0)}f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
+def _milliseconds(row: Row, value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}" + ("" if row.timed_alone else "*")
+
+
+_WHO: Columns = (
+    ("method", lambda row: row.method),
+    ("stratum", lambda row: row.stratum),
+    ("frames", lambda row: str(row.accuracy.frames)),
+)
+_ERRORS: Columns = (
+    *_WHO,
+    ("RTE", lambda row: _figure(row.accuracy.rte_m.mean)),
+    ("Q1", lambda row: _figure(row.accuracy.rte_m.q1)),
+    ("Q2", lambda row: _figure(row.accuracy.rte_m.q2)),
+    ("Q3", lambda row: _figure(row.accuracy.rte_m.q3)),
+    ("<1 m", lambda row: _percent(row.accuracy.share_below_1m)),
+    ("RRE", lambda row: _figure(row.accuracy.rre_deg.mean)),
+    ("Q1", lambda row: _figure(row.accuracy.rre_deg.q1)),
+    ("Q2", lambda row: _figure(row.accuracy.rre_deg.q2)),
+    ("Q3", lambda row: _figure(row.accuracy.rre_deg.q3)),
+    ("<1 deg", lambda row: _percent(row.accuracy.share_below_1deg)),
+    ("/bound", lambda row: _figure(row.bound_ratio_median)),
+)
+_TRUST: Columns = (
+    *_WHO,
+    ("ok", lambda row: _percent(row.coverage)),
+    ("ambig.", lambda row: _percent(row.ambiguous)),
+    ("cannot", lambda row: _percent(row.cannot)),
+    ("sure+wrong", lambda row: _percent(row.confident_wrong)),
+    ("ok >1 m", lambda row: _percent(row.ok_above_1m)),
+    ("NEES", lambda row: _figure(row.nees_mean)),
+    ("both <1", lambda row: _percent(row.success)),
+    ("RMS/bound", lambda row: _figure(row.rms_over_bound)),
+)

@@ -1,0 +1,266 @@
+"""The benchmark: the same numbers however it was run, and tables that say what they claim."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from semviz.benchmark import runner
+from semviz.benchmark.methods import KNOWN
+from semviz.benchmark.report import Report
+from semviz.benchmark.suites import SUITES
+from semviz.cli import main
+from semviz_core.evaluation.answers import Answer
+from semviz_core.evaluation.outcomes import Facts, Outcome, errors, median_length
+from semviz_core.evaluation.tables import Row, rows
+from semviz_core.pose import Pose
+
+Run = Callable[..., tuple[int, str, str]]
+QUICK = ("--methods", "true matches,bound", "--noise", "low", "--no-plots", "--json")
+KEYS = {
+    "method", "noise", "stratum", "frames", "rte_m", "rre_deg", "share_below_1m",
+    "share_below_1deg", "bound_ratio_median", "coverage", "confident_wrong", "time_ms",
+}  # fmt: skip
+TIMES = {"time_ms", "stages_ms", "first_call_ms", "timed_alone"}
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Exit status, output and error output of ``semviz benchmark``."""
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["benchmark", *map(str, arguments)])
+        output, error_output = capsys.readouterr()
+        return int(ended.value.code or 0), output, error_output
+
+    return run_command
+
+
+def untimed(output: str) -> list[dict[str, Any]]:
+    """The rows of ``--json`` but for times."""
+    return [
+        {name: value for name, value in row.items() if name not in TIMES}
+        for row in json.loads(output)["rows"]
+    ]
+
+
+def test_json_table_and_plots(run: Run, tmp_path: Path) -> None:
+    options = ("--frames", 6, "--methods", "search,bound", "--noise", "low", "--json")
+    status, output, _ = run(*options, "--out", tmp_path)
+    assert status == 0
+    table = json.loads(output)
+    assert all(row.keys() >= KEYS for row in table["rows"])
+    assert {row["method"] for row in table["rows"]} == {"search", "bound"}
+    for row in table["rows"]:
+        assert row["rte_m"].keys() == {"mean", "q1", "q2", "q3"}
+        assert row["time_ms"].keys() == {"median", "p95"}
+    assert json.loads((tmp_path / "table.json").read_text()) == table
+    assert (tmp_path / "table.md").read_text().count("| search |") > 2
+    plots = {path.name for path in tmp_path.glob("*.png")}
+    kinds = ("cumulative", "bound", "recall", "time")
+    assert plots == {f"frames-low-{kind}.png" for kind in kinds}
+
+
+def test_suites_of_drives_and_of_matches(run: Run, tmp_path: Path) -> None:
+    """Each method runs where it can; drives have no strata by true matches."""
+    options = ("--methods", "tracking,p3p", "--noise", "low", "--frames", 5, "--no-plots", "--json")
+    status, output, _ = run("--suite", "matched,sequence", *options, "--out", tmp_path)
+    assert status == 0
+    rows = [(row["suite"], row["method"], row["stratum"]) for row in json.loads(output)["rows"]]
+    assert {row[:2] for row in rows} == {("matched", "p3p"), ("sequence", "tracking")}
+    assert not [row for row in rows if row[0] == "sequence" and row[2].endswith("true")]
+
+
+@pytest.fixture
+def whole(run: Run, tmp_path: Path) -> tuple[Path, list[dict[str, Any]]]:
+    """Folder and rows of an uninterrupted benchmark."""
+    folder = tmp_path / "whole"
+    status, output, _ = run("--frames", 8, *QUICK, "--out", folder)
+    assert status == 0
+    return folder, untimed(output)
+
+
+def test_same_seeds_same_numbers(
+    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    assert untimed(run("--frames", 8, *QUICK, "--out", tmp_path / "again")[1]) == whole[1]
+    assert (
+        untimed(run("--frames", 8, "--seed", 2000, *QUICK, "--out", tmp_path / "other")[1])
+        != whole[1]
+    )
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.4, 0.77, 1.0])
+def test_what_a_kill_leaves_is_gone_on_with(
+    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path, share: float
+) -> None:
+    """The file is cut anywhere, as a killed process leaves it."""
+    content = (whole[0] / "results.jsonl").read_bytes()
+    results = tmp_path / "cut" / "results.jsonl"
+    results.parent.mkdir()
+    results.write_bytes(content[: int(share * len(content))])
+    before = content[: int(share * len(content))].splitlines(keepends=True)
+    assert untimed(run("--frames", 8, *QUICK, "--out", results.parent)[1]) == whole[1]
+    after = results.read_bytes().splitlines(keepends=True)
+    assert len(after) == len(content.splitlines())
+    kept = [line for line in before if line.endswith(b"\n")]
+    assert after[: len(kept)] == kept
+
+
+def test_interrupted_keeps_what_is_done(
+    run: Run,
+    whole: tuple[Path, list[dict[str, Any]]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = []
+    run_task = runner.run_task
+
+    def interrupted(*arguments: Any, **named: Any) -> list[Outcome]:
+        calls.append(arguments)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return run_task(*arguments, **named)
+
+    monkeypatch.setattr(runner, "run_task", interrupted)
+    assert run("--frames", 8, *QUICK, "--out", tmp_path / "cut")[0] == 130
+    monkeypatch.setattr(runner, "run_task", lambda *a, **b: (calls.append(a), run_task(*a, **b))[1])
+    assert untimed(run("--frames", 8, *QUICK, "--out", tmp_path / "cut")[1]) == whole[1]
+    assert len(calls) == 4 + 5
+
+
+def test_two_processes_change_only_times(
+    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    output = run("--frames", 8, "--jobs", 2, *QUICK, "--out", tmp_path / "two")[1]
+    assert untimed(output) == whole[1]
+    assert not any(row["timed_alone"] for row in json.loads(output)["rows"])
+    assert "too long" in (tmp_path / "two" / "table.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--methods", "serach"), ("serach", "known: ", "search", "true matches")),
+        (("--suite", "harder"), ("harder", "known: ", "frames", "matched")),
+        (("--frames", "0"), ("--frames", "1 or more")),
+        (("--kitti-poses", "poses"), ("--kitti-poses", "--pole-maps")),
+    ],
+)
+def test_mistakes_cost_one_line(
+    run: Run, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    status, output, error_output = run(*arguments, "--out", tmp_path)
+    assert (status, output, error_output.count("\n")) == (2, "", 1)
+    assert all(word in error_output for word in words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_settings_are_refused(run: Run, whole: tuple[Path, list[dict[str, Any]]]) -> None:
+    before = (whole[0] / "results.jsonl").read_bytes()
+    status, output, error_output = run("--seed", 1500, *QUICK, "--out", whole[0])
+    assert (status, output, error_output.count("\n")) == (2, "", 1)
+    assert "seed was 1000, is 1500" in error_output
+    assert (whole[0] / "results.jsonl").read_bytes() == before
+
+
+def test_every_method_and_suite_can_be_named_in_a_list() -> None:
+    names = [*SUITES, *(name for named in KNOWN.values() for name in named)]
+    assert not [name for name in names if "," in name]
+
+
+def test_tuning_seeds_are_named_so(run: Run, tmp_path: Path) -> None:
+    _, output, _ = run("--seed", 0, "--frames", 1, *QUICK, "--out", tmp_path)
+    assert any("tuning" in note for note in json.loads(output)["notes"])
+
+
+# --- tables of outcomes with known answers ---
+
+
+def outcome(frame: int, **changes: Any) -> Outcome:
+    """A good one: 0.1 m off where 0.1 m is the bound."""
+    good = Outcome(
+        suite="frames", method="m", noise="low", frame=frame,
+        facts=Facts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
+        status="ok", rte_m=0.1, rre_deg=0.1, nees=6.0, total_ms=1.0,
+    )  # fmt: skip
+    return replace(good, **changes)
+
+
+def row_of(outcomes: list[Outcome], stratum: str = "all") -> Row:
+    (row,) = [row for row in rows(outcomes) if row.stratum == stratum]
+    return row
+
+
+def test_sure_and_wrong_is_counted_and_unsure_is_not() -> None:
+    planted = [
+        outcome(0),
+        outcome(1, rte_m=5.0, nees=900.0),
+        outcome(2, rte_m=1.4, nees=9.0),
+        outcome(3, rre_deg=2.0, nees=None),
+        outcome(4, rte_m=30.0, nees=900.0, status="ambiguous"),
+    ]
+    row = row_of(planted)
+    assert row.confident_wrong == pytest.approx(2 / 5)
+    assert row.ok_above_1m == pytest.approx(2 / 5)
+    assert row.coverage == pytest.approx(4 / 5)
+    assert row.success == pytest.approx(1 / 5)
+    assert row.nees_mean == pytest.approx(7.5)
+    assert row.accuracy.share_below_1m == pytest.approx(2 / 5)
+
+
+def test_frames_without_a_pose_count_against_the_bound_ratio() -> None:
+    lost = {"status": "cannot", "rte_m": None, "rre_deg": None, "nees": None}
+    mostly = [outcome(0), outcome(1), outcome(2, **lost)]
+    assert row_of(mostly).bound_ratio_median == pytest.approx(1.0)
+    assert row_of([*mostly, outcome(3, **lost), outcome(4, **lost)]).bound_ratio_median is None
+
+
+def test_strata() -> None:
+    facts = outcome(0).facts
+    group = [
+        outcome(matches, facts=replace(facts, true_matches=matches, detections=max(matches, 4)))
+        for matches in range(3, 10)
+    ]
+    group.append(outcome(99, facts=replace(facts, true_matches=3, detections=3)))
+    frames = {row.stratum: row.accuracy.frames for row in rows(group)}
+    assert frames == {
+        "all": 7, "< 4 true": 1, "4-5 true": 2, ">= 6 true": 4, ">= 8 true": 2, "< 4 seen": 1,
+    }  # fmt: skip
+
+
+def test_an_efficient_estimator_has_ratio_one_and_nees_six() -> None:
+    rng = np.random.default_rng(0)
+    outcomes = []
+    for frame in range(400):
+        scale = rng.uniform(0.01, 0.1, 6) * np.array([1, 1, 1, 0.1, 0.1, 0.1])
+        mixing = np.linalg.qr(rng.normal(size=(6, 6)))[0] * scale
+        covariance = mixing @ mixing.T
+        truth = Pose.exp(rng.normal(size=6))
+        pose = Pose.exp(mixing @ rng.normal(size=6)) @ truth
+        rte_m, rre_deg, nees = errors(Answer(pose, covariance, "ok", "drawn"), truth)
+        facts = replace(
+            outcome(0).facts,
+            bound_m=median_length(covariance[:3, :3]),
+            bound_rms_m=float(np.sqrt(np.trace(covariance[:3, :3]))),
+        )
+        outcomes.append(outcome(frame, facts=facts, rte_m=rte_m, rre_deg=rre_deg, nees=nees))
+    row = row_of(outcomes)
+    assert row.bound_ratio_median == pytest.approx(1.0, abs=0.06)
+    assert row.nees_mean == pytest.approx(6.0, abs=0.5)
+
+
+def test_median_length_of_known_gaussians() -> None:
+    assert median_length(0.04 * np.eye(3)) == pytest.approx(0.2 * 1.5382, rel=5e-3)
+    assert median_length(np.diag([0.09, 0.0, 0.0])) == pytest.approx(0.3 * 0.6745, rel=5e-3)
+
+
+def test_tables_fit_a_terminal() -> None:
+    long_name = [outcome(0, method="some method by others", total_ms=12345.6, nees=1234.5)]
+    text = Report({"seed": 1000}, (), tuple(rows(long_name))).as_text()
+    assert max(map(len, text.splitlines())) <= 120

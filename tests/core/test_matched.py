@@ -1,0 +1,262 @@
+"""Poses from matches: exact minimal solvers, most matches wrong, and plain reasons for none."""
+
+import numpy as np
+import pytest
+
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.classes import POLE, ROUNDED
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.errors import SemvizError
+from semviz_core.evaluation.metrics import pose_error
+from semviz_core.evaluation.problems import CAMERA, Problem, make_problem
+from semviz_core.pose import Pose
+from semviz_core.solving.matched import METHODS, Estimate, Failure, localize_matches
+from semviz_core.solving.matched.consensus import needed_inliers
+from semviz_core.solving.matched.matches import Matches
+from semviz_core.solving.matched.samples import Constraints, sample_poses
+
+UP_MAP = np.array([0.0, 0.0, 1.0])
+
+
+def street(seed: int, classes: list[int]) -> tuple[Elements2D, Elements3D, Pose]:
+    """Elements of ``classes`` 8 to 40 m ahead of a camera, exactly as it sees them."""
+    rng = np.random.default_rng(seed)
+    axes = Pose(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3))
+    tilt = Pose.from_rotvec(rng.normal(0.0, 0.03, 3), rng.normal(0.0, 0.3, 3))
+    heading = Pose.from_rotvec([0.0, 0.0, rng.uniform(-3.0, 3.0)], rng.normal(0.0, 20.0, 3))
+    T_camera_map = tilt @ axes @ heading
+    n = len(classes)
+    ahead, height = rng.uniform(8.0, 40.0, n), rng.uniform(0.5, 5.0, n)
+    peak = np.column_stack([ahead, rng.uniform(-0.7, 0.7, n) * ahead, height])
+    foot = peak - np.column_stack([rng.normal(0.0, 0.05, (n, 2)), height + 1.65])
+    ends = [heading.inverse().apply(one) for one in (peak, foot)]
+    pole = np.array(classes)[:, None] == POLE
+    submap = Elements3D.from_ends(
+        np.arange(n), ends[0], np.where(pole, ends[1], np.nan), classes, 0.03
+    )
+    seen = [CAMERA.project(T_camera_map.apply(one)) for one in ends]
+    observed = Elements2D.from_ends(seen[0], np.where(pole, seen[1], np.nan), classes)
+    return observed, submap, T_camera_map
+
+
+def cut(observed: Elements2D, rows: list[int]) -> Elements2D:
+    """The same, but of the poles at ``rows`` neither end is known."""
+    known = np.ones(len(observed), dtype=bool)
+    known[rows] = False
+    values = {**vars(observed), "anchor_known": observed.anchor_known & known}
+    return Elements2D(**{**values, "end_known": observed.end_known & known})
+
+
+def with_outliers(seed: int) -> tuple[Problem, IntArray, FloatArray, BoolArray]:
+    """A problem with four wrong matches of a likely class for each true one."""
+    rng = np.random.default_rng(seed)
+    problem = make_problem(seed)
+    same = problem.observed.class_id[:, None] == problem.submap.class_id
+    same[problem.pairs[:, 0], problem.pairs[:, 1]] = False
+    wrong = rng.permutation(np.argwhere(same))[: 4 * len(problem.pairs)]
+    pairs = np.concatenate([problem.pairs, wrong])
+    true = np.arange(len(pairs)) < len(problem.pairs)
+    score = np.where(true, rng.beta(3.0, 2.0, len(pairs)), rng.beta(2.0, 3.0, len(pairs)))
+    order = rng.permutation(len(pairs))
+    return problem, pairs[order], score[order], true[order]
+
+
+def own_pairs(count: int) -> IntArray:
+    return np.column_stack([np.arange(count), np.arange(count)])
+
+
+@pytest.mark.parametrize(
+    ("classes", "lines", "upright"),
+    [
+        pytest.param([POLE, POLE], [], False, id="two poles"),
+        pytest.param([POLE, ROUNDED], [], True, id="two points and gravity"),
+        pytest.param([POLE, ROUNDED, POLE], [], False, id="three points"),
+        pytest.param([ROUNDED, POLE, ROUNDED], [1], False, id="two points and a line"),
+        pytest.param([POLE, POLE, ROUNDED], [0, 1], False, id="a point and two lines"),
+    ],
+)
+def test_minimal_samples_give_the_exact_pose(
+    classes: list[int], lines: list[int], upright: bool
+) -> None:
+    errors = []
+    for seed in range(100):
+        observed, submap, truth = street(seed, classes)
+        pairs = own_pairs(len(classes))
+        matches = Matches.checked(
+            cut(observed, lines), submap, CAMERA, pairs, np.ones(len(classes))
+        )
+        up = truth.rotation @ UP_MAP if upright else None
+        found = sample_poses(Constraints.of(matches), pairs[:, 0][None], up)
+        off = [np.abs(R - truth.rotation).max() + np.abs(t - truth.translation).max()
+               for R, t in zip(*found, strict=True)]  # fmt: skip
+        errors.append(min(off, default=np.inf))
+    assert np.mean(np.array(errors) < 1e-6) >= 0.98  # a few samples are nearly degenerate
+    assert np.max(errors) < 1e-2
+
+
+def test_a_degenerate_sample_gives_nothing_that_is_not_finite() -> None:
+    observed, submap, _ = street(1, [POLE, POLE, POLE])
+    blind = cut(observed, [0, 1, 2])
+    of = Constraints.of(Matches.checked(blind, submap, CAMERA, own_pairs(3), np.ones(3)))
+    rotation, _ = sample_poses(of, np.array([[0, 1, 2]]), None)
+    assert len(rotation) == 0
+    of = Constraints.of(Matches.checked(observed, submap, CAMERA, own_pairs(3), np.ones(3)))
+    rotation, translation = sample_poses(of, np.array([[0, 0]]), None)
+    assert np.isfinite(rotation).all()
+    assert np.isfinite(translation).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_true_matches_give_the_true_pose(method: str) -> None:
+    observed, submap, truth = street(3, [POLE, POLE, POLE, ROUNDED, ROUNDED, POLE])
+    found = localize_matches(observed, submap, CAMERA, own_pairs(6), np.ones(6), method=method)
+    assert isinstance(found, Estimate)
+    assert pose_error(found.T_camera_map, truth) == pytest.approx((0.0, 0.0), abs=1e-4)
+    assert found.inlier.all()
+    assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
+
+
+def test_four_of_five_matches_wrong() -> None:
+    good, inlying, wrong = 0, 0, 0
+    for seed in range(12):
+        problem, pairs, score, true = with_outliers(seed)
+        found = localize_matches(problem.observed, problem.submap, CAMERA, pairs, score)
+        assert isinstance(found, Estimate)
+        good += pose_error(found.T_camera_map, problem.T_camera_map)[0] < 1.0
+        inlying += int((found.inlier & true).sum())
+        wrong += int((found.inlier & ~true).sum())
+        chosen = pairs[found.inlier]
+        assert len(np.unique(chosen[:, 0])) == len(np.unique(chosen[:, 1])) == len(chosen)
+    assert good == 12
+    assert wrong < 0.05 * inlying
+
+
+def test_the_paper_s_ransac_answers_rightly_or_not_at_all() -> None:
+    errors = []
+    for seed in range(12):
+        problem, pairs, score, _ = with_outliers(seed)
+        found = localize_matches(
+            problem.observed, problem.submap, CAMERA, pairs, score, method="p3p"
+        )
+        if isinstance(found, Estimate):
+            errors.append(pose_error(found.T_camera_map, problem.T_camera_map)[0])
+    assert len(errors) >= 4
+    assert np.mean(np.array(errors) < 1.0) > 0.8
+
+
+def test_gravity_and_position_spare_hypotheses() -> None:
+    tried = np.zeros(2)
+    for seed in range(6):
+        problem, pairs, score, _ = with_outliers(seed)
+        for which, prior in enumerate([None, problem.prior]):
+            found = localize_matches(
+                problem.observed, problem.submap, CAMERA, pairs, score, prior=prior
+            )
+            assert isinstance(found, Estimate)
+            assert pose_error(found.T_camera_map, problem.T_camera_map)[0] < 1.0
+            tried[which] += found.hypotheses
+    assert tried[1] < 0.5 * tried[0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_moving_the_map_moves_the_pose(method: str) -> None:
+    problem, pairs, score, _ = with_outliers(4)
+    T_other_map = Pose.from_rotvec([0.4, -0.2, 2.0], [300.0, -40.0, 7.0])
+    moved = problem.submap.transformed(T_other_map)
+    here, there = (
+        localize_matches(problem.observed, submap, CAMERA, pairs, score, method=method)
+        for submap in (problem.submap, moved)
+    )
+    if isinstance(here, Failure):
+        assert isinstance(there, Failure)
+        return
+    assert isinstance(there, Estimate)
+    off = there.T_camera_map @ T_other_map @ here.T_camera_map.inverse()
+    assert np.abs(off.log()).max() < 1e-3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_seed_gives_one_answer(method: str) -> None:
+    observed, submap, _ = street(8, [POLE, POLE, POLE, ROUNDED, ROUNDED, POLE])
+    one, two = (
+        localize_matches(observed, submap, CAMERA, own_pairs(6), np.ones(6), method=method, seed=5)
+        for _ in range(2)
+    )
+    assert isinstance(one, Estimate)
+    assert isinstance(two, Estimate)
+    # PoseLib's line solvers draw random numbers that no seed reaches; only rounding may differ
+    off = one.T_camera_map.as_matrix() - two.T_camera_map.as_matrix()
+    assert np.abs(off).max() < 1e-9
+    assert np.array_equal(one.inlier, two.inlier)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_matches_that_are_all_wrong_give_a_reason(method: str) -> None:
+    answered = 0
+    for seed in range(6):
+        problem, pairs, score, true = with_outliers(seed)
+        found = localize_matches(
+            problem.observed, problem.submap, CAMERA, pairs[~true], score[~true], method=method
+        )
+        answered += isinstance(found, Estimate)
+        if isinstance(found, Failure):
+            assert "matches" in found.reason
+    assert answered == 0
+
+
+def test_more_matches_need_more_agreement() -> None:
+    needed = [needed_inliers(count) for count in range(3, 200)]
+    assert needed[0] == 3
+    assert needed == sorted(needed)
+    assert needed_inliers(50) == 5
+
+
+def test_no_answer_from_too_little() -> None:
+    observed, submap, _ = street(2, [POLE, POLE, POLE, POLE])
+
+    def reason(seen: Elements2D, mapped: Elements3D, pairs: IntArray) -> str:
+        found = localize_matches(seen, mapped, CAMERA, pairs, np.ones(len(pairs)))
+        assert isinstance(found, Failure)
+        return found.reason
+
+    assert reason(observed, submap, own_pairs(0)) == "No matches are given."
+    assert "2 seen and 2 mapped elements; 3" in reason(observed, submap, own_pairs(2))
+    upright = {**vars(submap), "end_m": submap.anchor_m - [0.0, 0.0, 4.0]}
+    blind = cut(observed, [0, 1, 2, 3])
+    assert "parallel lines" in reason(blind, Elements3D(**upright), own_pairs(4))
+
+
+def test_no_answer_from_one_post() -> None:
+    heights = np.array([5.0, 2.5, 2.0, 1.5])
+    anchor = np.column_stack([np.full(4, 10.0), np.zeros(4), heights])
+    end = np.where(np.arange(4)[:, None] == 0, [10.0, 0.0, 0.0], np.nan)
+    classes = [POLE, ROUNDED, ROUNDED, ROUNDED]
+    submap = Elements3D.from_ends(np.arange(4), anchor, end, classes)
+    pixels = np.column_stack([np.full(4, 600.0), 300.0 - 40.0 * heights])
+    bottom = np.where(np.arange(4)[:, None] == 0, [600.0, 300.0], np.nan)
+    observed = Elements2D.from_ends(pixels, bottom, classes)
+    found = localize_matches(observed, submap, CAMERA, own_pairs(4), np.ones(4))
+    assert isinstance(found, Failure)
+    assert "one straight line, such as one post" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"score": [np.nan, 1.0, 1.0]}, "score holds NaN"),
+        ({"score": [1.0, 1.0]}, "score has shape"),
+        ({"score": [2.0, 1.0, 1.0]}, r"outside \[0, 1\]"),
+        ({"pairs": [[0, 0], [1, 1], [2, 9]]}, "submap with 3 elements lacks"),
+        ({"pairs": [[0, 0], [1, 1], [-1, 2]]}, "observed with 3 elements lacks"),
+        ({"pairs": [[0, 0], [1, 1], [1, 1]]}, "same pair twice"),
+        ({"pairs": [[0, 0], [1, 1], [0, 2]]}, r"pair \(0, 2\) joins elements of different"),
+        ({"pairs": [[0.0, 0.5], [1.0, 1.0], [2.0, 2.0]]}, "whole numbers"),
+        ({"method": "magic"}, "unknown method 'magic'"),
+        ({"seed": -1}, "seed -1"),
+    ],
+)
+def test_impossible_input_is_refused(change: dict[str, object], message: str) -> None:
+    observed, submap, _ = street(2, [POLE, POLE, ROUNDED])
+    given = {"pairs": own_pairs(3), "score": np.ones(3), **change}
+    with pytest.raises(SemvizError, match=message):
+        localize_matches(observed, submap, CAMERA, **given)
