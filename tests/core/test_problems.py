@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from frames import EXACT, flagged
 
 from semviz_core.classes import POLE
 from semviz_core.elements import Elements2D
@@ -20,20 +21,6 @@ from semviz_core.evaluation.problems import (
 from semviz_core.solving.known import road_height
 from semviz_core.solving.residuals import pair_residuals
 from semviz_core.sources.street.detector import FADE, FADE_M, RANGE_M, RECALL
-
-EXACT = Difficulty(
-    sigma_px=1e-6,
-    hidden_bottoms=0.0,
-    false_detections=0.0,
-    missing=0.0,
-    duplicated=0.0,
-    moved=0.0,
-    map_view_sigma_m=0.0,
-    map_sigma_m=0.0,
-    map_turn_rad=0.0,
-    crop_m=90.0,
-)
-"""No noise and a map without faults, as far as the camera sees."""
 
 
 @lru_cache(maxsize=8)
@@ -90,7 +77,7 @@ def test_without_noise_the_map_projects_onto_the_detections() -> None:
 def test_stated_sigmas_are_true(noise: str) -> None:
     chi2, rows, signs = [], [], []
     for problem in problems(Difficulty(noise=noise)):
-        seen = replace(problem.observed, end_known=problem.end_visible & problem.observed.end_known)
+        seen = flagged(problem).observed
         found = pair_residuals(problem.T_camera_map, CAMERA, seen, problem.submap, problem.pairs)
         chi2.append(found.chi2)
         rows.append(found.rows)
