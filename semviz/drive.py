@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from semviz import follow
-from semviz.progress import track
+from semviz.progress import tell_of_compiling, track
 from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz.workspace import Workspace
@@ -193,6 +193,7 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
     if path.suffix != ".rrd":
         raise SemvizError(f"{path}: name a file that ends in .rrd, such as runs/first.rrd")
     check_replaceable(path)
+    tell_of_compiling()
     options = drive.options
     simulated = f"simulated detector, noise {options.noise}"
     info = RunInfo(

@@ -1,6 +1,8 @@
-"""Progress bars on the terminal's error stream, so that output can be piped."""
+"""What people wait for, on the terminal's error stream, so that output can be piped."""
 
+import sys
 from collections.abc import Iterable, Iterator
+from functools import cache
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -14,3 +16,13 @@ def track(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
     console = Console(stderr=True)
     silent = not console.is_terminal  # in a log file, one line an error is all people want
     return iter(rich_track(items, description=what, total=total, console=console, disable=silent))
+
+
+@cache  # one listener is enough
+def tell_of_compiling() -> None:
+    """From here on say, once, why the first frame takes long, if it does."""
+    from semviz_core.compiled import tell_when_compiling
+
+    tell_when_compiling(
+        lambda: print("compiling the solver, only this once: up to a minute", file=sys.stderr)
+    )

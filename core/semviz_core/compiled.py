@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
 from platformdirs import user_cache_path
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -21,6 +22,24 @@ def compiled(function: Function) -> Function:
     finally:
         numba.config.CACHE_DIR = before
     return made
+
+
+def tell_when_compiling(tell: Callable[[], None]) -> None:
+    """Have ``tell`` called once, before the first function is compiled that is not on disk yet."""
+    event.register("numba:compile", _Teller(tell))
+
+
+class _Teller(event.Listener):  # type: ignore[misc]  # numba's types are not read
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, _: object) -> None:
+        if self._tell is not None:
+            self._tell()
+            self._tell = None
+
+    def on_end(self, _: object) -> None:
+        pass
 
 
 @cache

@@ -26,9 +26,11 @@ class Serve:
     def run(self) -> int:
         from semviz.demo import ensure_demo
         from semviz.inspector.server import Inspector
+        from semviz.progress import tell_of_compiling
         from semviz.web.door import Door
         from semviz.workspace import find_runs
 
+        tell_of_compiling()
         tool = Inspector(find_runs(self.paths or (ensure_demo(),)))
         Door(tool, host=self.host, port=self.port, token=self.token).run(open_browser=self.open)
         return 0

@@ -1,0 +1,43 @@
+"""What people are told while they wait."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+SUMS = """
+from semviz_core.compiled import compiled
+
+@compiled
+def twice(number):
+    return number + number
+
+@compiled
+def four_times(number):
+    return twice(twice(number))
+"""
+FIRST_CALL = """
+from semviz.progress import tell_of_compiling
+tell_of_compiling()
+tell_of_compiling()
+from sums import four_times
+print(four_times(2), four_times(2.5))
+"""
+
+
+def test_compiling_is_told_once_and_only_where_it_happens(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    (tmp_path / "sums.py").write_text(SUMS)
+
+    def told() -> str:
+        command = [sys.executable, "-c", FIRST_CALL]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        assert done.stdout == "8 10.0\n"
+        return done.stderr
+
+    first = told()
+    assert first.startswith("compiling the solver")
+    assert first.count("\n") == 1
+    assert told() == ""
