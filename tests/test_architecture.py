@@ -1,6 +1,7 @@
 """Imports run one way, and nothing heavy is imported before it is needed."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,8 @@ import semviz
 
 REPOSITORY = Path(__file__).parents[1]
 HEAVY = {"torch", "open3d", "viser", "rerun", "aiohttp"}
+TOLD_AS_ONE = ("commands", "inspector", "annotator", "web")
+"""Packages of which the page on architecture says what they do as a whole."""
 IMPORT_ALL = """
 import importlib, pkgutil
 package = importlib.import_module("{}")
@@ -49,6 +52,16 @@ def test_what_computes_loads_nothing_heavy_until_it_computes(package: str, tmp_p
     imported = imported_by(IMPORT_ALL.format(package), tmp_path)
     assert "numpy" in imported
     assert not imported & HEAVY
+
+
+@pytest.mark.parametrize("root", ["core/semviz_core", "annotation/semviz_annotation", "semviz"])
+def test_architecture_names_every_module(root: str) -> None:
+    text = (REPOSITORY / "docs" / "architecture.md").read_text()
+    named = {name.rpartition("/")[2] for name in re.findall(r"`([\w/]+)`", text)}
+    paths = (REPOSITORY / root).rglob("[a-z]*.py")
+    modules = {path.stem for path in paths if path.parent.name not in TOLD_AS_ONE}
+    assert modules
+    assert modules <= named
 
 
 def test_public_names_are_the_same_at_run_time_and_for_type_checkers() -> None:
