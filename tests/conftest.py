@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import hypothesis
+import platformdirs
 import pytest
 
 if TYPE_CHECKING:
@@ -62,12 +63,18 @@ def kitti_pole_map(kitti_root: Path) -> Path:
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """For child processes: this Python's scripts first, and a cache folder of the tests' own.
 
-    The demo is made there once for all tests.
+    The demo is made there once for all tests. Only what is compiled is the user's own: it is the
+    same, and takes a minute.
     """
     scripts = Path(sys.executable).parent
+    cache = tmp_path_factory.mktemp("cache")
+    compiled = platformdirs.user_cache_path("semviz") / "compiled"
+    compiled.mkdir(parents=True, exist_ok=True)
+    (cache / "semviz").mkdir()
+    (cache / "semviz" / "compiled").symlink_to(compiled, target_is_directory=True)
     return {
         **os.environ,
-        "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")),
+        "XDG_CACHE_HOME": str(cache),
         "PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}",
         "COLUMNS": "100",
     }

@@ -75,6 +75,7 @@ def python_of(page: Path) -> str:
     return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S))
 
 
+@pytest.mark.timeout(600)
 def test_python_of_the_docs(tmp_path: Path, environment: dict[str, str]) -> None:
     """The blocks of a page are one script; its first example finds the camera where it is."""
     done = subprocess.run(

@@ -1,5 +1,6 @@
 """What people are told while they wait."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,10 +25,9 @@ print(four_times(2), four_times(2.5))
 """
 
 
-def test_compiling_is_told_once_and_only_where_it_happens(
-    environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_compiling_is_told_once_and_only_where_it_happens(tmp_path: Path) -> None:
     (tmp_path / "sums.py").write_text(SUMS)
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
 
     def told() -> str:
         command = [sys.executable, "-c", FIRST_CALL]
