@@ -17,7 +17,7 @@ from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.detector_model import DetectorModel
 from semviz_core.evaluation.answers import Answer, MatchedMethod, Method
-from semviz_core.evaluation.problems import Problem
+from semviz_core.evaluation.problems import DETECTOR, Problem
 from semviz_core.pose import Pose, nearest_rotation, so3_exp
 from semviz_core.solving.least_squares import information
 from semviz_core.solving.matched import Failure, MatchedMethodName, localize_matches
@@ -133,7 +133,7 @@ class OwnMatched:
     name: str
     method: MatchedMethodName
     with_prior: bool = False
-    detector: DetectorModel | None = None
+    detector: DetectorModel = DETECTOR
     seed: int = 0
 
     def answer(self, problem: "MatchedProblem") -> Answer:

@@ -2,22 +2,25 @@
 
 from dataclasses import dataclass
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.compiled import compiled
 from semviz_core.frame import Prior
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, nearest_rotation
 from semviz_core.solving.association import associate
-from semviz_core.solving.least_squares import fit_pairs
+from semviz_core.solving.known import known_chi2
+from semviz_core.solving.least_squares import fit, fit_pairs
 from semviz_core.solving.matched.matches import NEEDED_PAIRS, Estimate, Matches
 from semviz_core.solving.refine import MOST_SIGMA_M, MOST_SIGMA_RAD, Failure
 from semviz_core.solving.residuals import SURE
-from semviz_core.solving.scene import Scene
+from semviz_core.solving.scene import Known, Scene
 
-SAMPLE_SIGMA_PX = 6.0
-"""How far off in the image the rest is under a pose from a minimal sample of true matches."""
+SIGMAS_PX = (6.0, 2.0, 0.0)
+"""Blur of ``Scenes``. The first is how far off in the image the rest is under a pose from a
+minimal sample of true matches."""
 CHANCE_FIT = 3e-4
 """Chance that a wrong match agrees with a wrong pose, counted on matches that were all wrong."""
 MOST_CHANCE = 0.01
@@ -25,57 +28,85 @@ MOST_CHANCE = 0.01
 LEAST_INFORMATION = 1e-3
 """Of the pose's weakest direction, whose sigma is then 30 m or rad: inverting stays exact."""
 _ROUNDS = 6
+_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
     """A pose fitted to the matches that agree with it."""
 
-    T_camera_map: Pose
-    information: FloatArray  # (6, 6) of the left perturbation
+    rotation: FloatArray  # (3, 3) T_camera_map
+    translation: FloatArray  # (3,)
     mapped: IntArray  # (m,) mapped row of each observed element, -1 for none
     gain: float
-    """How much better (nats) its matches explain what is seen than false detections do."""
+    """How much better (nats) its matches explain what is seen than false detections do, and how
+    well the pose fits what is known beforehand."""
 
     def inlier(self, pairs: IntArray) -> BoolArray:
         """(k,) which of ``pairs`` agree."""
         return np.asarray(self.mapped[pairs[:, 0]] == pairs[:, 1])
 
 
+class Scenes(NamedTuple):
+    """One scene of the given matches with detections blurred less and less.
+
+    Under a pose from a minimal sample everything else is off by many sigmas, where it is cut off
+    and bottoms pass for hidden: sharp eyes would settle on whatever fits by chance.
+    """
+
+    far: Scene
+    near: Scene
+    sharp: Scene
+
+    @classmethod
+    def of(cls, matches: Matches) -> "Scenes":
+        return cls(*(matches.scene(sigma_px) for sigma_px in SIGMAS_PX))
+
+
 @compiled
-def rate(blurred: Scene, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """(b,) gains (nats) of poses (b, 3, 3) and (b, 3), in a scene blurred by SAMPLE_SIGMA_PX."""
+def rate(far: Scene, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """(b,) gains (nats) of poses (b, 3, 3) and (b, 3) from minimal samples."""
     gains = np.zeros(len(rotation))
     for pose in range(len(rotation)):
-        mapped, gain = associate(blurred, rotation[pose], translation[pose], SURE)
+        mapped, gain = associate(far, rotation[pose], translation[pose], SURE)
         gains[pose] = _sum_of(mapped, gain)
     return gains
 
 
-def settle(scene: Scene, blurred: Scene, prior: Prior | None, start: Pose) -> Consensus | None:
-    """The consensus near a pose of a minimal sample; None where too few matches agree."""
-    pose = start
-    mapped, _ = associate(blurred, pose.rotation, pose.translation, SURE)
-    for _ in range(_ROUNDS):
-        seen = np.flatnonzero(mapped >= 0)
-        if len(seen) < NEEDED_PAIRS:
-            return None
-        fit = fit_pairs(scene, prior, pose, np.column_stack([seen, mapped[seen]]))
-        pose, before = fit.T_camera_map, mapped
-        mapped, gain = associate(scene, pose.rotation, pose.translation, SURE)
-        if np.array_equal(mapped, before):
-            break
-    return Consensus(pose, fit.information, mapped, float(_sum_of(mapped, gain)))
+def settle(scenes: Scenes, known: Known, R: FloatArray, t: FloatArray) -> Consensus:
+    """The consensus near a pose."""
+    return Consensus(*_settle(scenes, known, R, t))
 
 
-def estimate_of(matches: Matches, best: Consensus | None, hypotheses: int) -> Estimate | Failure:
+@compiled
+def _settle(
+    scenes: Scenes, known: Known, R: FloatArray, t: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray, float]:
+    for scene in (scenes.far, scenes.near, scenes.sharp):
+        mapped, gain = associate(scene, R, t, SURE)
+        for _ in range(_ROUNDS):
+            if (mapped >= 0).sum() < NEEDED_PAIRS:
+                return R, t, mapped, -np.inf
+            R, t, _, _ = fit(scene, known, R, t, mapped, _ITERATIONS)
+            before = mapped
+            mapped, gain = associate(scene, R, t, SURE)
+            if (mapped == before).all():
+                break
+    return R, t, mapped, _sum_of(mapped, gain) - 0.5 * known_chi2(known, R, t)
+
+
+def estimate_of(
+    matches: Matches, scene: Scene, prior: Prior | None, best: Consensus | None, hypotheses: int
+) -> Estimate | Failure:
     """The answer that a consensus gives, or why it gives none."""
     if best is None:
         return too_few_agree(matches, NEEDED_PAIRS - 1, hypotheses)
     inlier = best.inlier(matches.pairs)
     if (found := int(inlier.sum())) < needed_inliers(len(matches)):
         return too_few_agree(matches, found, hypotheses)
-    return sure_estimate(matches, best.T_camera_map, best.information, inlier, hypotheses)
+    start = Pose(nearest_rotation(best.rotation), best.translation)
+    fitted = fit_pairs(scene, prior, start, matches.pairs[inlier])
+    return sure_estimate(matches, fitted.T_camera_map, fitted.information, inlier, hypotheses)
 
 
 def needed_inliers(matches: int) -> int:

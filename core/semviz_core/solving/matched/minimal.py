@@ -10,17 +10,11 @@ import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.frame import Prior
-from semviz_core.pose import Pose, nearest_rotation
-from semviz_core.solving.matched.consensus import (
-    SAMPLE_SIGMA_PX,
-    Consensus,
-    estimate_of,
-    rate,
-    settle,
-)
+from semviz_core.solving.matched.consensus import Consensus, Scenes, estimate_of, rate, settle
 from semviz_core.solving.matched.matches import Estimate, Matches
 from semviz_core.solving.matched.samples import Constraints, sample_poses
 from semviz_core.solving.refine import Failure
+from semviz_core.solving.scene import Known
 
 BATCH = 100
 """Samples drawn and scored at once."""
@@ -43,19 +37,18 @@ def ransac_minimal(matches: Matches, prior: Prior | None, seed: int) -> Estimate
     """The pose that the most matches agree with, one-to-one, or why there is none."""
     rng = np.random.default_rng(seed)
     sampler = _Sampler.of(matches, prior)
-    scene, blurred = matches.scene(), matches.scene(SAMPLE_SIGMA_PX)
+    scenes, known = Scenes.of(matches), Known.of(prior)
     best: Consensus | None = None
     drawn = tried = 0
     while drawn < sampler.enough(matches, best):
         rotation, translation = sampler.poses(rng)
         drawn, tried = drawn + BATCH, tried + len(rotation)
-        rating = rate(blurred, rotation, translation)
+        rating = rate(scenes.far, rotation, translation)
         for row in np.argsort(-rating, kind="stable")[:OPTIMIZED]:
-            start = Pose(nearest_rotation(rotation[row]), translation[row])
-            found = settle(scene, blurred, prior, start)
-            if found is not None and (best is None or found.gain > best.gain):
+            found = settle(scenes, known, rotation[row], translation[row])
+            if found.gain > (0.0 if best is None else best.gain):
                 best = found
-    return estimate_of(matches, best, tried)
+    return estimate_of(matches, scenes.sharp, prior, best, tried)
 
 
 @dataclass(frozen=True, eq=False)
