@@ -176,6 +176,9 @@ def test_a_run_of_version_1_opens_without_the_road(
         patch.setattr(codec, "_kind", kind_of_version_1)
         patch.setattr(layout, "FORMAT_VERSION", 1)
         path = write_run(tmp_path / "run.rrd", written)
+        patch.setattr(layout, "FORMAT_VERSION", 0)
+        with pytest.raises(SemvizError, match="run version 1, this semviz reads up to 0"):
+            load_run(path)
     (frame, _) = load_run(path).frames
     assert frame.localization.prior.road_m is None
     assert_same(frame, written[0])

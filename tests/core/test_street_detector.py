@@ -5,7 +5,13 @@ import pytest
 
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
-from semviz_core.sources.street.detector import NOISE, RECALL, NoiseName, SimulatedDetector
+from semviz_core.sources.street.detector import (
+    DETECTOR_MODEL,
+    NOISE,
+    RECALL,
+    NoiseName,
+    SimulatedDetector,
+)
 from semviz_core.sources.street.layout import StreetOptions
 from semviz_core.sources.street.street import Street
 
@@ -118,3 +124,39 @@ def test_both_cameras_can_detect(street: Street) -> None:
     detector = SimulatedDetector(street, "low", 0)
     left, right = detector.detect(8, "left"), detector.detect(8, "right")
     assert not np.array_equal(left.element_id, right.element_id)
+
+
+@pytest.fixture(scope="module")
+def asked() -> tuple[FloatArray, FloatArray]:
+    """Distances of all mapped elements in view, hidden ones too, and whether each was detected;
+    on streets other than those the model was made on."""
+    distance_m, found = [], []
+    for seed in range(4, 8):
+        street = Street(seed)
+        elements, camera = street.truth_map.elements, street.rig.left
+        detector = SimulatedDetector(street, "low", seed)
+        for frame in street.frames[:60]:
+            assert frame.T_map_camera is not None
+            anchor_c = frame.T_map_camera.inverse().apply(elements.anchor_m)
+            in_view = (anchor_c[:, 2] > 0.0) & camera.contains(camera.project(anchor_c))
+            ids = elements.id[in_view]
+            distance_m.append(distances(street, ids, frame.index))
+            found.append(np.isin(ids, detector.detect(frame.index).element_id))
+    return np.concatenate(distance_m), np.concatenate(found).astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    ("nearest_m", "furthest_m", "share"),
+    [
+        (3.0, DETECTOR_MODEL.near_m, DETECTOR_MODEL.recall_near),
+        (36.0, DETECTOR_MODEL.far_m, DETECTOR_MODEL.recall_far),
+        (DETECTOR_MODEL.reach_m, 60.0, 0.0),
+    ],
+)
+def test_its_model_knows_how_many_mapped_elements_it_finds(
+    asked: tuple[FloatArray, FloatArray], nearest_m: float, furthest_m: float, share: float
+) -> None:
+    distance_m, found = asked
+    there = (distance_m > nearest_m) & (distance_m < furthest_m)
+    assert there.sum() > 300
+    assert found[there].mean() == pytest.approx(share, abs=0.07)
