@@ -3,6 +3,9 @@
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+
+from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.evaluation.problems import Difficulty, Problem, make_problem
 
 EXACT = Difficulty(
@@ -39,3 +42,20 @@ def flagged(problem: Problem) -> Problem:
     """The problem with hidden bottoms flagged, as in labels."""
     known = problem.observed.end_known & problem.end_visible
     return replace(problem, observed=replace(problem.observed, end_known=known))
+
+
+def signs_on_one_ray(problem: Problem) -> Problem:
+    """The camera of a problem, before it four signs that hide one another, 15 to 18 m ahead. The
+    prior is about the true place and says, by its sigmas, how well it is known."""
+    ahead = np.array([[0.0, 0.0, 15.0 + k] for k in range(4)])
+    T_map_camera = problem.T_camera_map.inverse()
+    class_id, none = [1, 2, 3, 1], np.full((4, 3), np.nan)
+    place = {"position_m": T_map_camera.translation, "vertical_sigma_m": 0.1, "road_m": None}
+    return replace(
+        problem,
+        observed=Elements2D.from_ends(problem.camera.project(ahead), none[:, :2], class_id),
+        submap=Elements3D.from_ends(range(4), T_map_camera.apply(ahead), none, class_id),
+        prior=replace(problem.prior, **place),
+        pairs=np.column_stack([np.arange(4), np.arange(4)]),
+        end_visible=np.zeros(4, dtype=bool),
+    )

@@ -32,8 +32,9 @@ VAGUE = {"horizontal_sigma_m": 1e5, "vertical_sigma_m": 1e5}
 
 def frame(seed: int, poles: int, signs: int, ends: bool = True, **prior: object) -> Problem:
     """A frame without noise, of elements 8 to 30 m ahead: ``observed`` and ``submap`` are true, and
-    state the noise that ``redrawn`` adds. ``ends``: whether poles' ends are known; ``prior``: fields
-    of the Prior at the true place.
+    state the noise that ``redrawn`` adds.
+
+    ``ends`` is whether poles' ends are known, ``prior`` fields of the Prior at the true place.
     """
     rng = np.random.default_rng(seed)
     n = poles + signs
