@@ -27,6 +27,8 @@ MOST_CHANCE = 0.01
 """Most wrong poses that are accepted per frame without a single true match."""
 LEAST_INFORMATION = 1e-3
 """Of the pose's weakest direction, whose sigma is then 30 m or rad: inverting stays exact."""
+LEAST_GAIN = 0.1
+"""Smaller improvements (nats) are not worth another round."""
 _ROUNDS = 6
 _ITERATIONS = 20
 
@@ -78,10 +80,20 @@ def settle(scenes: Scenes, known: Known, R: FloatArray, t: FloatArray) -> Consen
     return Consensus(*_settle(scenes, known, R, t))
 
 
+def polish(scenes: Scenes, known: Known, found: Consensus) -> Consensus:
+    """The best consensus near ``found``: one wrong match, or one bottom wrongly taken for seen or
+    hidden, can hold a pose away from it, so each match is left out in turn."""
+    return Consensus(
+        *_polish(scenes, known, found.rotation, found.translation, found.mapped, found.gain)
+    )
+
+
 @compiled
 def _settle(
     scenes: Scenes, known: Known, R: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray, float]:
+    mapped = np.zeros(0, np.int64)
+    total = -np.inf
     for scene in (scenes.far, scenes.near, scenes.sharp):
         mapped, gain = associate(scene, R, t, SURE)
         for _ in range(_ROUNDS):
@@ -92,7 +104,25 @@ def _settle(
             mapped, gain = associate(scene, R, t, SURE)
             if (mapped == before).all():
                 break
-    return R, t, mapped, _sum_of(mapped, gain) - 0.5 * known_chi2(known, R, t)
+        total = _sum_of(mapped, gain)
+    return R, t, mapped, total - 0.5 * known_chi2(known, R, t)
+
+
+@compiled
+def _polish(
+    scenes: Scenes, known: Known, R: FloatArray, t: FloatArray, mapped: IntArray, gain: float
+) -> tuple[FloatArray, FloatArray, IntArray, float]:
+    best, before = (R, t, mapped, gain), -np.inf
+    while best[3] > before + LEAST_GAIN:
+        R, t, mapped, before = best
+        for i in np.flatnonzero(mapped >= 0):
+            others = mapped.copy()
+            others[i] = -1
+            away_R, away_t, _, _ = fit(scenes.near, known, R, t, others, _ITERATIONS)
+            found = _settle(scenes, known, away_R, away_t)
+            if found[3] > best[3]:
+                best = found
+    return best
 
 
 def estimate_of(

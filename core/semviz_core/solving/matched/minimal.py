@@ -10,7 +10,14 @@ import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.frame import Prior
-from semviz_core.solving.matched.consensus import Consensus, Scenes, estimate_of, rate, settle
+from semviz_core.solving.matched.consensus import (
+    Consensus,
+    Scenes,
+    estimate_of,
+    polish,
+    rate,
+    settle,
+)
 from semviz_core.solving.matched.matches import Estimate, Matches
 from semviz_core.solving.matched.samples import Constraints, sample_poses
 from semviz_core.solving.refine import Failure
@@ -19,18 +26,20 @@ from semviz_core.solving.scene import Known
 BATCH = 100
 """Samples drawn and scored at once."""
 MOST_SAMPLES = 3000
-OPTIMIZED = 6
+OPTIMIZED = 12
 """Poses of each batch that are optimized locally."""
 MISS_PROBABILITY = 1e-3
 """Accepted chance that no sample of only the best pose's inliers was drawn."""
 NOISE_FACTOR = 3.0
 """Samples of inliers needed until one is good: noise spoils some."""
-TWO_MATCH_SHARE = 0.75
+TWO_MATCH_SHARE = 0.5
 """Of samples that are of two matches, where both kinds are possible."""
 LEAST_WEIGHT = 1e-3
 """Matches of score 0 are drawn too, seldom."""
 GPS_SIGMAS = 5.0
 """Poses further from the prior's position are not tried."""
+CONTRADICTION = 12.0
+"""A prior that takes more than this from the agreement of matches (nats) is itself wrong."""
 
 
 def ransac_minimal(matches: Matches, prior: Prior | None, seed: int) -> Estimate | Failure:
@@ -48,7 +57,24 @@ def ransac_minimal(matches: Matches, prior: Prior | None, seed: int) -> Estimate
             found = settle(scenes, known, rotation[row], translation[row])
             if found.gain > (0.0 if best is None else best.gain):
                 best = found
+    if best is not None:
+        best, prior = _polished(scenes, prior, best)
     return estimate_of(matches, scenes.sharp, prior, best, tried)
+
+
+def _polished(
+    scenes: Scenes, prior: Prior | None, found: Consensus
+) -> tuple[Consensus, Prior | None]:
+    """The best consensus near ``found``, and the prior unless the matches contradict it: a road's
+    height, say, is off by many sigmas where another road crosses."""
+    best = polish(scenes, Known.of(prior), found)
+    if prior is None:
+        return best, None
+    nothing = Known.of(None)
+    alone = polish(scenes, nothing, settle(scenes, nothing, best.rotation, best.translation))
+    if alone.gain > best.gain + CONTRADICTION:
+        return alone, None
+    return best, prior
 
 
 @dataclass(frozen=True, eq=False)
