@@ -8,7 +8,8 @@
 | two points and a line | p2p1ll | 6 |
 | a point and two lines | p1p2ll | 6 |
 
-A point is a peak, a sign's middle or, where the peak is unknown, a bottom. PoseLib 2.0.5's p2p1ll
+A point is a peak, a sign's middle or, where the peak is unknown, a bottom. Bottoms that may be
+hidden are points in samples of two only: three matches have enough in their lines. PoseLib 2.0.5's p2p1ll
 and p1p2ll give nothing or nonsense where a line passes through one of the points, and p3ll where
 lines are parallel, so lines are only taken from poles that give no point.
 """
@@ -34,6 +35,7 @@ class Constraints:
     """What each of k matches says of the pose, in the forms that minimal solvers take."""
 
     has_point: BoolArray  # (k,)
+    sure_point: BoolArray  # (k,) that is no bottom which may be hidden
     ray: FloatArray  # (k, 3) unit, through the observed point
     point_m: FloatArray  # (k, 3)
     is_line: BoolArray  # (k,)
@@ -44,9 +46,11 @@ class Constraints:
     def of(cls, matches: Matches) -> "Constraints":
         known = matches.known()
         by_peak = known[:, :1]
+        hidden = matches.detector is not None and matches.detector.hidden_bottoms > 0.0
         (first, last), (anchor, end) = matches.rays(), matches.points_m()
         return cls(
             has_point=known[:, 0] | known[:, 1],
+            sure_point=known[:, 0] | (known[:, 1] & (not hidden)),
             ray=np.where(by_peak, first, last),
             point_m=np.where(by_peak, anchor, end),
             is_line=matches.is_line,
@@ -93,11 +97,11 @@ def _three(of: Constraints, samples: IntArray) -> list[list[Any]]:
     """p3p, p2p1ll or p1p2ll, by how many of a sample's matches have a point."""
     import poselib
 
-    ordered = np.take_along_axis(samples, np.argsort(~of.has_point[samples], axis=1), axis=1)
+    ordered = np.take_along_axis(samples, np.argsort(~of.sure_point[samples], axis=1), axis=1)
     ray, point = of.ray[ordered], of.point_m[ordered]
     line = of.normal[ordered], point, of.direction[ordered]
     found: list[list[Any]] = []
-    for row, points in enumerate(of.has_point[samples].sum(axis=1)):
+    for row, points in enumerate(of.sure_point[samples].sum(axis=1)):
         seen, mapped = ray[row, :points], point[row, :points]
         lines = [one[row, points:] for one in line]
         if points == 3:
