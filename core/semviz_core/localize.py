@@ -7,6 +7,7 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
+from semviz_core.arrays import FloatArray
 from semviz_core.camera import Camera
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.detector_model import DetectorModel
@@ -77,13 +78,16 @@ class Localizer:
         scene = Scene.of(camera, observed, submap, self.detector)
         prior = assumed_upright(prior)  # the result keeps the prior as given
         modes = watch.time("search", lambda: search(scene, prior))
-        work = replace(work, search=_search_value(modes))
+        poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
+        work = replace(work, search=Search(modes.tried, poses, modes.score))
         if not len(modes.score):
             return replace(work, reason=_nothing_passed(modes, prior))
         work = replace(work, match=watch.time("match", lambda: posterior_match(
             modes.score, modes.gain, scene.compatible)))  # fmt: skip
 
-        refined = watch.time("refine", lambda: refine(scene, prior, _pose(modes, 0), pairs))
+        if pairs is None:
+            pairs = modes.pairs(0)
+        refined = watch.time("refine", lambda: refine(scene, prior, poses[0], pairs))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
         verdict = judge(modes, refined, observed, submap)
@@ -95,7 +99,7 @@ class Localizer:
             T_camera_map=refined.T_camera_map if answered else None,
             covariance=refined.covariance if answered else None,
             refinement=refined.refinement,
-            alternatives=_alternatives(modes),
+            alternatives=_alternatives(poses, modes.score),
         )
 
     def localize_many(
@@ -134,14 +138,9 @@ def _nothing_passed(modes: Modes, prior: Prior) -> str:
     )
 
 
-def _search_value(modes: Modes) -> Search:
-    poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
-    return Search(modes.tried, poses, modes.score)
-
-
-def _alternatives(modes: Modes) -> tuple[Alternative, ...]:
-    near = np.flatnonzero(modes.score >= modes.score[0] - SHOWN_NATS)[1:]
-    return tuple(Alternative(_pose(modes, row), float(modes.score[row])) for row in near)
+def _alternatives(poses: tuple[Pose, ...], score: FloatArray) -> tuple[Alternative, ...]:
+    near = np.flatnonzero(score >= score[0] - SHOWN_NATS)[1:]
+    return tuple(Alternative(poses[row], float(score[row])) for row in near)
 
 
 def _pose(modes: Modes, row: int) -> Pose:

@@ -25,7 +25,7 @@ class Pose:
 
     def __post_init__(self) -> None:
         rotation = float_array(self.rotation, (3, 3), "rotation")
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+        if not _is_rotation(rotation):
             raise SemvizError("rotation is not a rotation matrix (R R^T = I, det R = +1)")
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", float_array(self.translation, (3,), "translation"))
@@ -87,6 +87,15 @@ class Pose:
 
         quaternion: FloatArray = Rotation.from_matrix(self.rotation).as_quat(canonical=True)
         return quaternion
+
+
+def _is_rotation(matrix: FloatArray) -> bool:
+    """Rows of length 1, perpendicular, right-handed. Plain numbers: poses are made by the dozen."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    off = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
+    across = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return bool(max(map(abs, off + across)) <= 1e-6 and determinant > 0.0)
 
 
 def skew(vector: FloatArray) -> FloatArray:

@@ -4,12 +4,14 @@ meet, each refused with one line that says what, where and what to do.
 
 import numpy as np
 
-from semviz_core.arrays import BoolArray
+from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet
+from semviz_core.compiled import compiled
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Prior
+from semviz_core.solving.linear import cholesky
 
 LEAST_ELEMENTS, MARGIN = 4, 0.2
 """Whether elements lie in the image is only asked of so many; noise, and a detector's margin, put
@@ -45,8 +47,8 @@ def check_request(
 
 
 def _check_classes(elements: Elements2D | Elements3D, whose: str, classes: ClassSet) -> None:
-    rows = zip(elements.class_id.tolist(), elements.is_line.tolist(), strict=True)
-    for row, (class_id, is_line) in enumerate(rows):
+    rows = list(zip(elements.class_id.tolist(), elements.is_line.tolist(), strict=True))
+    for class_id, is_line in sorted(set(rows)):
         if class_id not in classes:
             known = ", ".join(f"{one.id} ({one.name})" for one in classes)
             raise SemvizError(f"{whose} elements have unknown class {class_id}; known: {known}")
@@ -54,18 +56,30 @@ def _check_classes(elements: Elements2D | Elements3D, whose: str, classes: Class
             what = "an end, but is a point; make it NaN"
             if not is_line:
                 what = "no end; give the last visible point and end_known False"
-            name = classes[class_id].name
+            row, name = rows.index((class_id, is_line)), classes[class_id].name
             raise SemvizError(f"{whose} element in row {row}, a {name}, has {what}")
 
 
 def _check_covariances(submap: Elements3D) -> None:
-    eigenvalues = np.linalg.eigvalsh(submap.covariance_m2)  # (n, 6), ascending
-    broken = eigenvalues[:, 0] < -1e-6 * (1.0 + eigenvalues[:, -1])  # rounding is far below
-    if broken.any():
-        first = int(submap.id[broken][0])
+    row = first_indefinite(submap.covariance_m2)
+    if row >= 0:
         raise SemvizError(
-            f"map element {first}: its covariance has a negative eigenvalue; repair or rebuild it"
+            f"map element {submap.id[row]}: its covariance has a negative eigenvalue; "
+            "repair or rebuild it"
         )
+
+
+@compiled
+def first_indefinite(covariance: FloatArray) -> int:
+    """Row of the first of (n, 6, 6) that is no covariance, -1 if none."""
+    for row in range(len(covariance)):
+        matrix = covariance[row].copy()
+        rounding = 1e-6 * (1.0 + np.trace(matrix))  # far above that of any computation
+        for k in range(6):
+            matrix[k, k] += rounding
+        if not cholesky(matrix, 6):
+            return row
+    return -1
 
 
 def _check_in_image(observed: Elements2D, camera: Camera) -> None:

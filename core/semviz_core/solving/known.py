@@ -10,6 +10,8 @@ MOST_ROWS = 12
 """Place 3, up 2, heading 1, belief 6."""
 ROAD_BLUR_M = 2.0
 """The road's height is averaged over places about this far from one another."""
+LEAST_WEIGHT_CHI2 = 25.0
+"""Places that would weigh less than exp(-12.5) of the nearest are left out."""
 SAME_ROAD_M = 1.5
 """Places whose heights differ by more are on roads that cross."""
 MOST_ROADS, ROAD_WIDTH_M = 3, 15.0
@@ -77,7 +79,10 @@ def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float
         if abs(road_m[k, 2] - nearest_z) > SAME_ROAD_M:
             continue
         dx, dy = road_m[k, 0] - x, road_m[k, 1] - y
-        weight = np.exp(-0.5 * (dx * dx + dy * dy - least) / ROAD_BLUR_M**2)
+        further = (dx * dx + dy * dy - least) / ROAD_BLUR_M**2
+        if further > LEAST_WEIGHT_CHI2:
+            continue
+        weight = np.exp(-0.5 * further)
         total += weight
         height += weight * road_m[k, 2]
         total_x += weight * dx

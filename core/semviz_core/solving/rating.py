@@ -17,6 +17,7 @@ MOST_CHI2 = 20.0
 _FALSE_TURN, _FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
 """A false detection is anywhere in a quarter turn and half a unit of slope."""
 
+
 @compiled
 def rate(scene: Scene, view: UprightView, known: Known, poses: FloatArray) -> FloatArray:
     """(h,) nats above nothing matched of poses (h, 5): pairs by class, at most one for each

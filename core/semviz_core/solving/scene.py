@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import Camera
+from semviz_core.compiled import compiled
 from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Belief, Prior
@@ -175,27 +176,43 @@ def _setting(camera: Camera, detector: DetectorModel) -> Record:
 def _seen(camera: Camera, observed: Elements2D) -> RecordArray:
     seen = np.zeros(len(observed), SEEN)
     line = observed.is_line
-    anchor = _ideal(camera, observed.anchor_px)
-    end = _ideal(camera, np.where(line[:, None], observed.end_px, observed.anchor_px))
-    along = end - anchor
-    length = np.hypot(along[:, 0], along[:, 1])
-    K_inverse = np.asarray(np.linalg.inv(camera.K), dtype=np.float64)
-    seen["anchor_px"], seen["end_px"] = anchor, end
-    seen["anchor_ray"], seen["end_ray"] = _rays(K_inverse, anchor), _rays(K_inverse, end)
-    normal = np.cross(seen["anchor_ray"], seen["end_ray"])
-    size = np.sqrt((normal**2).sum(axis=1, keepdims=True))
-    seen["plane"] = normal / np.maximum(size, _TINY)
-    down = np.array([0.0, 1.0])
-    is_long = length[:, None] > _TINY
-    seen["direction"] = np.where(is_long, along / np.maximum(length, _TINY)[:, None], down)
+    seen["anchor_px"] = _ideal(camera, observed.anchor_px)
+    end = np.where(line[:, None], observed.end_px, observed.anchor_px)
+    seen["end_px"] = _ideal(camera, end)
     seen["variance_px2"] = observed.sigma_px**2
     seen["is_line"] = line
     seen["known"][:, 0], seen["known"][:, 1] = observed.anchor_known, observed.end_known
-    lean = np.log(np.maximum(2.0 * CLUTTER_LEAN * length, 1.0))
-    seen["clutter"][:, 0] = -np.log(camera.width)
-    seen["clutter"][:, 1] = -np.where(line, lean, np.log(camera.height))
-    seen["clutter"][:, 2] = -np.log(camera.height)
+    K_inverse = np.asarray(np.linalg.inv(camera.K), dtype=np.float64)
+    _complete(seen, K_inverse, float(camera.width), float(camera.height))
     return seen
+
+
+@compiled
+def _complete(seen: RecordArray, K_inverse: FloatArray, width: float, height: float) -> None:
+    """Fill in what follows from pixels: rays, plane, direction and the density of clutter."""
+    for i in range(len(seen)):
+        one = seen[i]
+        _fill_ray(K_inverse, one.anchor_px, one.anchor_ray)
+        _fill_ray(K_inverse, one.end_px, one.end_ray)
+        normal = np.cross(one.anchor_ray, one.end_ray)
+        one.plane[:] = normal / max(np.sqrt((normal**2).sum()), _TINY)
+        du, dv = one.end_px[0] - one.anchor_px[0], one.end_px[1] - one.anchor_px[1]
+        length = np.hypot(du, dv)
+        is_long = length > _TINY
+        one.direction[0] = du / length if is_long else 0.0
+        one.direction[1] = dv / length if is_long else 1.0
+        one.clutter[0], one.clutter[2] = -np.log(width), -np.log(height)
+        lean = np.log(max(2.0 * CLUTTER_LEAN * length, 1.0))
+        one.clutter[1] = -lean if one.is_line else -np.log(height)
+
+
+@compiled
+def _fill_ray(K_inverse: FloatArray, pixel_px: FloatArray, ray: FloatArray) -> None:
+    for axis in range(3):
+        ray[axis] = (
+            K_inverse[axis, 0] * pixel_px[0] + K_inverse[axis, 1] * pixel_px[1] + K_inverse[axis, 2]
+        )
+    ray /= np.sqrt((ray**2).sum())
 
 
 def _mapped(elements: Elements3D) -> RecordArray:
@@ -213,9 +230,3 @@ def _ideal(camera: Camera, pixels_px: FloatArray) -> FloatArray:
         return pixels_px
     plane = camera.normalize(pixels_px)
     return plane @ camera.K[:2, :2].T + camera.K[:2, 2]
-
-
-def _rays(K_inverse: FloatArray, pixels_px: FloatArray) -> FloatArray:
-    ray = pixels_px @ K_inverse[:, :2].T + K_inverse[:, 2]
-    unit: FloatArray = ray / np.sqrt((ray**2).sum(axis=1, keepdims=True))
-    return unit

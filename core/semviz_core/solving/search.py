@@ -20,13 +20,13 @@ from semviz_core.solving.linear import inverse
 from semviz_core.solving.rating import rate
 from semviz_core.solving.residuals import SURE
 from semviz_core.solving.scene import Known, Scene
-from semviz_core.solving.upright import UprightView, upright_views
+from semviz_core.solving.upright import UprightView, likely_ups, upright_view
 
-STARTED, FINISHED = 32, 10
+STARTED, FINISHED = 20, 8
 """Candidates that are paired and fitted once, and those of them that are fitted to the end."""
 HOPEFUL_NATS = 30.0
 """Candidates rated lower than the best by more are not fitted."""
-BASIN_M, BASIN_RAD = 2.0, float(np.deg2rad(6.0))
+BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
 """Hypotheses closer than both are fitted to the same pose."""
 IMPROVED = 3
 """So many of the best are tried without each of their pairs."""
@@ -50,6 +50,11 @@ class Modes:
     score: FloatArray  # (b,) nats
     match: IntArray  # (b, m)
     gain: FloatArray  # (b, m, n)
+
+    def pairs(self, row: int) -> IntArray:
+        """(k, 2) observed and mapped rows of the pairs of one mode."""
+        seen = np.flatnonzero(self.match[row] >= 0)
+        return np.column_stack([seen, self.match[row, seen]])
 
 
 def apart(
@@ -76,7 +81,9 @@ def search(scene: Scene, prior: Prior) -> Modes:
     known = Known.of(prior)
     tried = passed = 0
     found: list[Candidates] = []
-    for view in upright_views(scene, prior):
+    ups, up_sigma_rad = likely_ups(scene, known)
+    for up in ups:
+        view = upright_view(scene, up, up_sigma_rad)
         candidates, view_tried, view_passed = _candidates(scene, view, known)
         tried, passed = tried + view_tried, passed + view_passed
         found.append(candidates)
@@ -97,12 +104,9 @@ def _candidates(scene: Scene, view: UprightView, known: Known) -> tuple[Candidat
     candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     for row in range(b):
         R, t = camera_pose(view, poses[chosen[row]])
-        doubt = COARSE
-        for _ in range(2):
-            match, _ = associate(scene, R, t, doubt)
-            R, t, information, _ = fit(scene, known, R, t, match, 3)
-            doubt = inverse(information) + FINE
-        match, gain = associate(scene, R, t, doubt)
+        match, _ = associate(scene, R, t, COARSE)
+        R, t, information, _ = fit(scene, known, R, t, match, 3)
+        match, gain = associate(scene, R, t, inverse(information) + FINE)
         candidates.rotation[row], candidates.translation[row] = R, t
         candidates.worth[row] = log_likelihood(scene, known, R, t, match, gain)
     return candidates, hypotheses.tried, len(poses)
@@ -223,8 +227,9 @@ def _improved(
         without = match.copy()
         without[i] = -1
         free_R, free_t, information, _ = fit(scene, known, R, t, without, 4)
-        _, others = associate(scene, free_R, free_t, inverse(information))
-        others[i, match[i]] = -np.inf
+        again, others = associate(scene, free_R, free_t, inverse(information))
+        if (again == match).all():
+            continue  # the others agree with it
         found = _fitted(scene, known, free_R, free_t, one_to_one(others))
         if found[4] > best[4]:
             best = found

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_core.arrays import FloatArray
+from semviz_core.compiled import compiled
 from semviz_core.frame import Prior
-from semviz_core.solving.scene import RecordArray, Scene, perpendicular
+from semviz_core.solving.scene import Known, RecordArray, Scene
 
 ASSUMED_UP = np.array([0.0, -1.0, 0.0])
 """Cameras on vehicles look about level: what is known without an IMU."""
@@ -25,7 +26,8 @@ DOUBTFUL_UP_RAD = float(np.deg2rad(1.5))
 """A camera whose up is less certain about an axis is tried at three angles about it."""
 TRIED_SIGMAS = 1.2
 """How far the outer two of the three angles are off."""
-
+STEEP = 0.05
+"""A camera whose axis is closer to the vertical than this (sine) has no heading of its own."""
 
 SIGHT = np.dtype(
     [
@@ -52,20 +54,6 @@ class UprightView(NamedTuple):
     """(m,) SIGHT"""
 
 
-def upright_views(scene: Scene, prior: Prior) -> list[UprightView]:
-    """The view with gravity from the prior and the poles, best guess first; several where
-    gravity stays doubtful."""
-    up, covariance = gravity(scene, prior)
-    sigma, axes = np.linalg.eigh(covariance)
-    sigma, axes = np.sqrt(sigma), axes.T @ perpendicular(up)
-    ups = [up]
-    for k in np.flatnonzero(sigma > DOUBTFUL_UP_RAD):
-        lean = TRIED_SIGMAS * sigma[k] * axes[k]
-        ups += [one + way * lean for one in ups for way in (-1.0, 1.0)]
-    left = min(float(sigma[-1]), DOUBTFUL_UP_RAD)
-    return [_view(scene, one / np.linalg.norm(one), left) for one in ups]
-
-
 def assumed_upright(prior: Prior) -> Prior:
     """The prior, with cameras taken to look about level where no IMU says more."""
     if prior.up_camera is not None:
@@ -73,54 +61,99 @@ def assumed_upright(prior: Prior) -> Prior:
     return replace(prior, up_camera=ASSUMED_UP, up_sigma_rad=ASSUMED_UP_SIGMA_RAD)
 
 
-def gravity(scene: Scene, prior: Prior) -> tuple[FloatArray, FloatArray]:
-    """Unit (3,) up in camera coordinates, and its covariance (2, 2) in rad^2 along the axes that
-    ``perpendicular`` gives.
+@compiled
+def likely_ups(scene: Scene, known: Known) -> tuple[FloatArray, float]:
+    """(k, 3) directions of up in camera coordinates worth trying, best guess first, several where
+    gravity stays doubtful; and how far each may be off (rad)."""
+    up, covariance = gravity(scene, known)
+    mean = 0.5 * (covariance[0, 0] + covariance[1, 1])
+    differ = 0.5 * (covariance[0, 0] - covariance[1, 1])
+    radius = np.hypot(differ, covariance[0, 1])
+    sigma = np.sqrt(np.array([max(mean - radius, 0.0), mean + radius]))  # of the principal axes
+    turn = 0.5 * np.arctan2(covariance[0, 1], differ)
+    across = known.value.across_up
+    major = np.cos(turn) * across[0] + np.sin(turn) * across[1]
+    minor = np.cos(turn) * across[1] - np.sin(turn) * across[0]
+    ups = np.empty((9, 3))
+    ups[0] = up
+    count = 1
+    for k in range(2):
+        if sigma[k] > DOUBTFUL_UP_RAD:
+            lean = TRIED_SIGMAS * sigma[k] * (minor if k == 0 else major)
+            for row in range(count):
+                ups[count + 2 * row] = ups[row] - lean
+                ups[count + 2 * row + 1] = ups[row] + lean
+            count *= 3
+    for row in range(count):
+        ups[row] /= np.sqrt((ups[row] ** 2).sum())
+    return ups[:count], min(sigma[1], DOUBTFUL_UP_RAD)
+
+
+@compiled
+def gravity(scene: Scene, known: Known) -> tuple[FloatArray, FloatArray]:
+    """Unit (3,) up in camera coordinates, and its covariance (2, 2) in rad^2 along ``across_up``.
 
     The vertical vanishing point of the observed poles, each of whose planes holds it, with the
     prior's up: least squares, reweighted since a false pole may lean anyhow.
     """
-    start = assumed_upright(prior)
-    assert start.up_camera is not None
-    poles = scene.seen[scene.seen["is_line"]]
-    normal = poles["plane"]
-    length = np.linalg.norm(poles["end_ray"] - poles["anchor_ray"], axis=1)
-    focal = scene.setting["K"][0, 0]
-    variance = poles["variance_px2"][:, 0] / (focal * np.maximum(length, 1e-4)) ** 2
-    variance = variance + POLE_LEAN_RAD**2
-    across = perpendicular(start.up_camera)
-    J, offset, tilt = normal @ across.T, normal @ start.up_camera, np.zeros(2)
+    start, across = known.value.up_camera, known.value.across_up
+    focal, information = scene.setting.K[0, 0], 1.0 / known.value.up_sigma_rad**2
+    tilt, covariance = np.zeros(2), np.zeros((2, 2))
     for _ in range(3):
-        weight = 1.0 / (variance + (offset + J @ tilt) ** 2 / CAUCHY_SIGMAS**2)
-        information = J.T @ (weight[:, None] * J) + np.eye(2) / start.up_sigma_rad**2
-        covariance = np.linalg.inv(information)
-        tilt = -covariance @ (J.T @ (weight * offset))
-    up = start.up_camera + tilt @ across
-    return up / np.linalg.norm(up), covariance
+        a = d = information
+        b = gradient0 = gradient1 = 0.0
+        for i in range(len(scene.seen)):
+            seen = scene.seen[i]
+            if not seen.is_line:
+                continue
+            length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
+            offset = (seen.plane * start).sum()
+            j0, j1 = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
+            left = offset + j0 * tilt[0] + j1 * tilt[1]
+            variance = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
+            weight = 1.0 / (variance + left * left / CAUCHY_SIGMAS**2)
+            a, b, d = a + weight * j0 * j0, b + weight * j0 * j1, d + weight * j1 * j1
+            gradient0 += weight * j0 * offset
+            gradient1 += weight * j1 * offset
+        determinant = a * d - b * b
+        covariance[0, 0], covariance[1, 1] = d / determinant, a / determinant
+        covariance[0, 1] = covariance[1, 0] = -b / determinant
+        tilt[0] = -(covariance[0, 0] * gradient0 + covariance[0, 1] * gradient1)
+        tilt[1] = -(covariance[1, 0] * gradient0 + covariance[1, 1] * gradient1)
+    up = start + tilt[0] * across[0] + tilt[1] * across[1]
+    return up / np.sqrt((up**2).sum()), covariance
 
 
+@compiled
+def upright_view(scene: Scene, up: FloatArray, up_sigma_rad: float) -> UprightView:
+    """What is seen, by azimuth and slope, where ``up`` (3,) in camera coordinates is up."""
+    R = level_rotation(up)
+    seen = np.zeros(len(scene.seen), SIGHT)
+    for i in range(len(seen)):
+        here = scene.seen[i]
+        first, last = R @ here.anchor_ray, R @ here.end_ray
+        x, y = first[0] + last[0], first[1] + last[1]
+        length = max(np.hypot(x, y), 1e-9)
+        seen[i].azimuth[0], seen[i].azimuth[1] = x / length, y / length
+        seen[i].azimuth_rad = np.arctan2(y, x)
+        seen[i].slope[0] = first[2] / max(np.hypot(first[0], first[1]), 1e-9)
+        seen[i].slope[1] = last[2] / max(np.hypot(last[0], last[1]), 1e-9)
+        seen[i].known[0] = here.known[0]
+        seen[i].known[1] = here.known[1] and here.is_line
+        seen[i].slope_sigma = np.sqrt(here.variance_px2[1]) / scene.setting.K[0, 0]
+    return UprightView(R, up_sigma_rad, seen)
+
+
+@compiled
 def level_rotation(up_camera: FloatArray) -> FloatArray:
     """(3, 3) R_level_camera: z up, x the optical axis laid flat."""
-    ahead = np.array([0.0, 0.0, 1.0])
-    x = ahead - up_camera * up_camera[2]
-    length = float(np.linalg.norm(x))
-    if length < 0.05:  # looks straight up or down: any heading will do
+    x = np.array([0.0, 0.0, 1.0]) - up_camera * up_camera[2]
+    length = np.sqrt((x**2).sum())
+    if length < STEEP:
         x = np.cross(up_camera, np.array([1.0, 0.0, 0.0]))
-        length = float(np.linalg.norm(x))
-    x = x / length
-    return np.stack([x, np.cross(up_camera, x), up_camera])
-
-
-def _view(scene: Scene, up: FloatArray, up_sigma_rad: float) -> UprightView:
-    R = level_rotation(up)
-    first, last = scene.seen["anchor_ray"] @ R.T, scene.seen["end_ray"] @ R.T
-    middle = (first + last)[:, :2]
-    seen = np.zeros(len(scene.seen), SIGHT)
-    seen["azimuth"] = middle / np.maximum(np.hypot(middle[:, :1], middle[:, 1:]), 1e-9)
-    seen["azimuth_rad"] = np.arctan2(middle[:, 1], middle[:, 0])
-    for end, ray in enumerate((first, last)):
-        seen["slope"][:, end] = ray[:, 2] / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-9)
-    seen["known"] = scene.seen["known"]
-    seen["known"][:, 1] &= scene.seen["is_line"]
-    seen["slope_sigma"] = np.sqrt(scene.seen["variance_px2"][:, 1]) / scene.setting["K"][0, 0]
-    return UprightView(R, up_sigma_rad, seen)
+        length = np.sqrt((x**2).sum())
+    R = np.empty((3, 3))
+    R[0] = x / length
+    R[1] = np.cross(up_camera, R[0])
+    R[2] = up_camera
+    return R
