@@ -13,7 +13,7 @@ from semviz.benchmark.methods import make_method
 from semviz.benchmark.plan import Plan, Task
 from semviz.benchmark.results import Results
 from semviz.benchmark.suites import Roads, Suite
-from semviz.progress import track
+from semviz.progress import tell_of_compiling, track
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.answers import Answer
 from semviz_core.evaluation.matched_problems import MatchedProblem
@@ -32,6 +32,7 @@ def complete(plan: Plan, path: Path, jobs: int) -> list[Outcome]:
 
     Interrupted, it keeps what is done; called again, it goes on from there.
     """
+    tell_of_compiling()
     with Results(path, plan.settings()) as results:
         tasks = plan.tasks(results.outcomes)
         for outcomes in track(_run(tasks, plan.roads, jobs), "benchmark", len(tasks)):
