@@ -13,15 +13,39 @@ from semviz_core.evaluation.problems import DETECTOR, Difficulty, Problem
 from semviz_core.solving.association import associate, log_likelihood, one_to_one
 from semviz_core.solving.hypotheses import BINS, GATE_SIGMAS, GATE_WIDER_M, upright_hypotheses
 from semviz_core.solving.residuals import SURE
-from semviz_core.solving.scene import Known, Scene, perpendicular
-from semviz_core.solving.search import APART_M, APART_RAD, apart, camera_pose, search
-from semviz_core.solving.upright import gravity, level_rotation, upright_views
+from semviz_core.solving.scene import Known, Scene
+from semviz_core.solving.search import (
+    APART_M,
+    APART_RAD,
+    BASIN_M,
+    BASIN_RAD,
+    apart,
+    camera_pose,
+    search,
+)
+from semviz_core.solving.upright import (
+    UprightView,
+    assumed_upright,
+    gravity,
+    level_rotation,
+    likely_ups,
+    upright_view,
+)
 
 GAINS = arrays(np.float64, (5, 7), elements=st.one_of(st.just(-np.inf), st.floats(-5.0, 20.0)))
 
 
 def scene_of(problem: Problem) -> Scene:
     return Scene.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+
+
+def known_of(problem: Problem) -> Known:
+    return Known.of(assumed_upright(problem.prior))
+
+
+def best_view(scene: Scene, known: Known) -> UprightView:
+    ups, sigma_rad = likely_ups(scene, known)
+    return upright_view(scene, ups[0], sigma_rad)
 
 
 @given(gain=GAINS)
@@ -38,9 +62,10 @@ def test_pairs_are_one_to_one_and_worth_their_gain(gain: np.ndarray) -> None:
 def test_gravity_is_as_sure_as_it_says(with_gravity: bool) -> None:
     chi2 = []
     for problem in frames(200, Difficulty(with_gravity=with_gravity)):
-        up, covariance = gravity(scene_of(problem), problem.prior)
+        known = known_of(problem)
+        up, covariance = gravity(scene_of(problem), known)
         assert np.linalg.norm(up) == pytest.approx(1.0)
-        off = perpendicular(up) @ problem.T_camera_map.rotation[:, 2]
+        off = known.value["across_up"] @ (up - problem.T_camera_map.rotation[:, 2])
         chi2.append(off @ np.linalg.solve(covariance, off))
     # a chi-square of two degrees of freedom each, whose variance is four
     assert np.mean(chi2) == pytest.approx(2.0, abs=3.3 * np.sqrt(4.0 / len(chi2)))
@@ -61,25 +86,25 @@ def test_where_gravity_is_doubtful_several_attitudes_are_tried() -> None:
     problem = frames(1, Difficulty(with_gravity=False))[0]
     signs = problem.observed[~problem.observed.is_line]
     scene = Scene.of(problem.camera, signs, problem.submap)
-    assert len(upright_views(scene, problem.prior)) == 9
+    assert len(likely_ups(scene, known_of(problem))[0]) == 9
     sure = frames(1)[0]
-    assert len(upright_views(scene_of(sure), sure.prior)) == 1
+    assert len(likely_ups(scene_of(sure), known_of(sure))[0]) == 1
 
 
 @pytest.mark.parametrize("number", range(6))
 def test_without_noise_some_hypothesis_is_the_true_pose(number: int) -> None:
-    """Near enough for the fit that follows: half the way to the next place and heading tried."""
+    """Near enough to be fitted to it."""
     problem = frames(6, EXACT)[number]
     prior = replace(problem.prior, up_camera=problem.T_camera_map.rotation[:, 2])
     scene = scene_of(problem)
-    view = upright_views(scene, prior)[0]
+    view = best_view(scene, Known.of(prior))
     hypotheses = upright_hypotheses(scene, view, Known.of(prior))
     assert hypotheses.tried >= len(hypotheses.pose) > 0
     poses = [camera_pose(view, one) for one in hypotheses.pose]
     rotation, translation = (np.array(one) for one in zip(*poses, strict=True))
     true = problem.T_camera_map
     away, angle = apart(true.rotation, true.translation, rotation, translation)
-    assert ((away < 1.0) & (angle < np.deg2rad(3.0))).any()
+    assert ((away < BASIN_M) & (angle < BASIN_RAD)).any()
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -98,7 +123,8 @@ def test_hypotheses_stay_within_the_gates() -> None:
     heading = float(np.arctan2(ahead[1], ahead[0]))
     prior = replace(problem.prior, heading_rad=heading)
     scene = scene_of(problem)
-    found = upright_hypotheses(scene, upright_views(scene, prior)[0], Known.of(prior))
+    known = Known.of(prior)
+    found = upright_hypotheses(scene, best_view(scene, known), known)
     assert len(found.pose) > 0
     away = np.linalg.norm(found.pose[:, :2] - prior.position_m[:2], axis=1)
     assert away.max() <= GATE_SIGMAS * prior.horizontal_sigma_m + GATE_WIDER_M
