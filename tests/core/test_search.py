@@ -67,8 +67,10 @@ def test_gravity_is_as_sure_as_it_says(with_gravity: bool) -> None:
         assert np.linalg.norm(up) == pytest.approx(1.0)
         off = known.value["across_up"] @ (up - problem.T_camera_map.rotation[:, 2])
         chi2.append(off @ np.linalg.solve(covariance, off))
-    # a chi-square of two degrees of freedom each, whose variance is four
-    assert np.mean(chi2) == pytest.approx(2.0, abs=3.3 * np.sqrt(4.0 / len(chi2)))
+    # chi-squares of two degrees of freedom, whose variance is four; poles lean by 0.7 deg here,
+    # where 1 deg is allowed for, so where they alone tell, the squares are down to half as large
+    within = 3.3 * np.sqrt(4.0 / len(chi2))
+    assert (2.0 if with_gravity else 1.0) - within < np.mean(chi2) < 2.0 + within
 
 
 def test_level_rotation_takes_up_to_z_and_the_optical_axis_ahead() -> None:
