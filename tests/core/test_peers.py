@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from semviz_core.evaluation import peers
+from semviz_core.evaluation.matched_problems import make_matched_problem
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.peers import MATCHED_METHODS, METHODS, Peer, possible_pairs
-from semviz_core.evaluation.problems import Difficulty, make_problem
+from semviz_core.evaluation.problems import Difficulty
 
-PROBLEM = make_problem(4, Difficulty(hidden_bottoms=0.0, moved=0.0, false_detections=0.0))
+PROBLEM = make_matched_problem(
+    4, difficulty=Difficulty(hidden_bottoms=0.0, moved=0.0, false_detections=0.0)
+).problem
 
 
 def matched(rows: int | None = None) -> SimpleNamespace:
@@ -58,7 +61,7 @@ def test_whole_frames_are_answered_or_not_but_never_break(name: str) -> None:
 def test_the_paper_s_back_end_with_the_true_p() -> None:
     errors = []
     for seed in range(8):
-        problem = make_problem(seed)
+        problem = make_matched_problem(seed).problem
         answer = peers.PaperBackEnd().answer(problem)
         if answer.T_camera_map is not None:
             errors.append(pose_error(answer.T_camera_map, problem.T_camera_map)[0])

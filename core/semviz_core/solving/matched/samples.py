@@ -8,10 +8,10 @@
 | two points and a line | p2p1ll | 6 |
 | a point and two lines | p1p2ll | 6 |
 
-A point is a peak, a sign's middle or, where the peak is unknown, a bottom. Bottoms that may be
-hidden are points in samples of two only: three matches have enough in their lines. PoseLib 2.0.5's p2p1ll
-and p1p2ll give nothing or nonsense where a line passes through one of the points, and p3ll where
-lines are parallel, so lines are only taken from poles that give no point.
+A point is a peak, a sign's middle or, where the peak is unknown, a bottom; but bottoms that may be
+hidden are points in samples of two only, since three matches have enough in their lines.
+PoseLib 2.0.5's p2p1ll and p1p2ll give nothing or nonsense where a line passes through one of the
+points, and p3ll where lines are parallel, so lines are only taken from poles that give no point.
 """
 
 from dataclasses import dataclass
