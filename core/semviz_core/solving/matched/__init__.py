@@ -37,9 +37,9 @@ def localize_matches(
     ``pairs`` (k, 2) are rows of ``observed`` and of ``submap``, in any number per element, most of
     which may be wrong; ``score`` (k,) in [0, 1] says how likely each is right. ``minimal`` is
     RANSAC over minimal samples of poles and signs; it uses the ``prior`` where there is one, unless
-    the matches contradict it, and what ``detector`` says of hidden bottoms. ``p3p`` is the paper's P3P-RANSAC with direct PnPL,
-    which uses neither. Repeatable with ``seed``, but for rounding: PoseLib's line solvers first
-    turn their problem by a random rotation that no seed reaches.
+    the matches contradict it, and what ``detector`` says of hidden bottoms. ``p3p`` is the paper's
+    P3P-RANSAC with direct PnPL, which uses neither. Repeatable with ``seed``, but for rounding:
+    PoseLib's line solvers first turn their problem by a random rotation that no seed reaches.
 
     Raises SemvizError for pairs and scores that cannot be.
     """
