@@ -12,8 +12,14 @@ ROAD_BLUR_M = 2.0
 """The road's height is averaged over places about this far from one another."""
 LEAST_WEIGHT_CHI2 = 25.0
 """Places that would weigh less than exp(-12.5) of the nearest are left out."""
-SAME_ROAD_M = 1.5
-"""Places whose heights differ by more are on roads that cross."""
+SAME_PASS_M, STEEPEST = 0.15, 0.15
+"""Places belong to one pass of a road if their heights differ by no more than this, and this much
+per metre between them. A map's trajectory comes by the same place again at another height: on a
+bridge, or by the drift of its own poses (0.5 m in KITTI's)."""
+HEIGHT_COUNTS = 10.0
+"""A metre up is as far from a pass as so many aside."""
+OTHER_HEIGHT_M = 0.5
+"""Passes whose heights differ by less are not tried apart."""
 MOST_ROADS, ROAD_WIDTH_M = 3, 15.0
 """Roads above one another that a place can be on, if no further from them than that."""
 _FAR_M2 = 1e18
@@ -65,24 +71,21 @@ def known_chi2(known: Known, R: FloatArray, t: FloatArray) -> float:
 def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Height of a camera on the road at (x, y), and its slopes along x and y.
 
-    Where roads cross, that of the road nearer to ``z``.
+    Of several passes, that of the one nearest to (x, y, z).
     """
-    nearest, nearest_z = _FAR_M2, z
+    nearest, first, least = _FAR_M2, 0, 0.0
     for k in range(len(road_m)):
         flat = (road_m[k, 0] - x) ** 2 + (road_m[k, 1] - y) ** 2
-        apart = flat + 25.0 * max(abs(road_m[k, 2] - z) - SAME_ROAD_M, 0.0) ** 2
+        apart = flat + (HEIGHT_COUNTS * (road_m[k, 2] - z)) ** 2
         if apart < nearest:
-            nearest, nearest_z = apart, road_m[k, 2]
-            least = flat
+            nearest, first, least = apart, k, flat
     total = height = height_x = height_y = total_x = total_y = 0.0
     for k in range(len(road_m)):
-        if abs(road_m[k, 2] - nearest_z) > SAME_ROAD_M:
-            continue
         dx, dy = road_m[k, 0] - x, road_m[k, 1] - y
         further = (dx * dx + dy * dy - least) / ROAD_BLUR_M**2
-        if further > LEAST_WEIGHT_CHI2:
+        if further > LEAST_WEIGHT_CHI2 or not _same_pass(road_m, first, k):
             continue
-        weight = np.exp(-0.5 * further)
+        weight = np.exp(-0.5 * max(further, 0.0))
         total += weight
         height += weight * road_m[k, 2]
         total_x += weight * dx
@@ -116,11 +119,18 @@ def road_heights(known: Known, x: float, y: float) -> FloatArray:
 
 
 @compiled
+def _same_pass(road_m: FloatArray, one: int, other: int) -> bool:
+    east, north = road_m[other, 0] - road_m[one, 0], road_m[other, 1] - road_m[one, 1]
+    rise = abs(road_m[other, 2] - road_m[one, 2])
+    return rise <= SAME_PASS_M + STEEPEST * np.sqrt(east * east + north * north)
+
+
+@compiled
 def _is_new(heights: FloatArray, height: float) -> bool:
+    new = True
     for one in heights:
-        if abs(one - height) <= SAME_ROAD_M:
-            return False
-    return True
+        new = new and abs(one - height) > OTHER_HEIGHT_M
+    return new
 
 
 @compiled
