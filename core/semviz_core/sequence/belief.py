@@ -62,12 +62,11 @@ class JointBelief:
             covariance=covariance,
         )
 
-    def corrected(self, elements: Elements3D) -> Elements3D:
-        """Mapped elements where they are believed to be; covariances stay the map's."""
-        row, known = self.rows(elements.id)
-        shift = np.where(known[:, None], self._padded_errors()[row], 0.0)
-        anchor_m, end_m = elements.anchor_m + shift[:, :3], elements.end_m + shift[:, 3:]
-        return replace(elements, anchor_m=anchor_m, end_m=end_m)
+    def errors_m(self, id: IntArray) -> FloatArray:
+        """(n, 6) believed to be added to the anchors and ends of mapped elements; 0 if not seen."""
+        row, known = self.rows(id)
+        padded = self.error_m if len(self.id) else np.zeros((1, 6))
+        return np.where(known[:, None], padded[row], 0.0)
 
     def cross_covariance(self, elements: Elements3D) -> tuple[FloatArray, FloatArray]:
         """(n, 6, 6) of pose with element, and (n, 6, 6) of each element's own error."""
@@ -131,6 +130,3 @@ class JointBelief:
         step = (pose.T_camera_map @ self.T_camera_map.inverse()).log()
         lost = gain @ (before - pose.covariance) @ gain.T
         return self.shifted(gain @ step, self.covariance - lost)
-
-    def _padded_errors(self) -> FloatArray:
-        return self.error_m if len(self.id) else np.zeros((1, 6))

@@ -3,16 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.frame import Belief
-from semviz_core.sequence.belief import POSE, JointBelief
+from semviz_core.sequence.belief import JointBelief
+from semviz_core.sequence.kalman import kalman_update
 from semviz_core.sequence.odometry import Odometry
-from semviz_core.sequence.rows import PairRows, pair_rows
+from semviz_core.sequence.rows import pair_rows
 from semviz_core.sequence.sight import Reading, Sight, read
 from semviz_core.solving.least_squares import fit_pairs
-from semviz_core.solving.scene import Scene
 
 PRIOR_FRAMES = 100
 """The errors of fixes, road heights and IMUs last: so many frames in a row say as much as one."""
@@ -42,8 +40,7 @@ def informed(belief: JointBelief, sight: Sight, frames: int) -> JointBelief:
         up_sigma_rad=prior.up_sigma_rad * often,
         heading_sigma_rad=prior.heading_sigma_rad * often,
     )
-    scene = Scene.of(sight.camera, sight.observed, sight.submap)
-    found = fit_pairs(scene, prior, belief.T_camera_map, _NO_PAIRS, belief=belief.pose)
+    found = fit_pairs(sight.scene, prior, belief.T_camera_map, _NO_PAIRS, belief=belief.pose)
     covariance = np.asarray(np.linalg.inv(found.information), dtype=np.float64)
     return belief.with_pose(Belief(found.T_camera_map, 0.5 * (covariance + covariance.T)))
 
@@ -57,26 +54,11 @@ def updated(belief: JointBelief, sight: Sight, reading: Reading) -> JointBelief:
     row, _ = before.rows(sight.submap.id[pairs[:, 1]])
     here, step = before, np.zeros(len(before.covariance))
     for _ in range(ITERATIONS):
-        scene = Scene.of(sight.camera, sight.observed, here.corrected(sight.submap))
-        rows = pair_rows(scene, here.T_camera_map, pairs)
-        used = rows.used & (bottom_seen[:, None] | ~rows.is_bottom)
-        H = _stacked(rows, row, len(step))[used.ravel()]
-        PH = before.covariance @ H.T
-        noise = rows.variance_px2[used]
-        gain = cho_solve(cho_factor(H @ PH + np.diag(noise)), PH.T).T
-        step = -gain @ (rows.residual_px[used] - H @ step)
-        here = before.shifted(step, before.covariance)
-    kept = np.eye(len(step)) - gain @ H  # Joseph's form: stays positive whatever the rounding
-    return before.shifted(step, kept @ before.covariance @ kept.T + (gain * noise) @ gain.T)
-
-
-def _stacked(rows: PairRows, row: IntArray, size: int) -> FloatArray:
-    """(4k, size) derivative of all rows by the whole state."""
-    H = np.zeros((len(row), 4, size))
-    H[:, :, POSE] = rows.by_pose
-    for pair, element in enumerate(row):
-        H[pair, :, 6 + 6 * element : 12 + 6 * element] = rows.by_element[pair]
-    return H.reshape(-1, size)
+        rows = pair_rows(sight.under(here), here.T_camera_map, pairs)
+        rows = replace(rows, used=rows.used & (bottom_seen[:, None] | ~rows.is_bottom))
+        step, covariance = kalman_update(before.covariance, rows, row, step)
+        here = before.shifted(step, covariance)
+    return here
 
 
 def _without_passed(belief: JointBelief, sight: Sight) -> JointBelief:

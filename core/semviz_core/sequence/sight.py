@@ -5,6 +5,7 @@ the pose, of the element and of their correlation.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import erfc
@@ -36,6 +37,19 @@ class Sight:
     submap: Elements3D
     prior: Prior
 
+    @cached_property
+    def scene(self) -> Scene:
+        """With elements where they are mapped."""
+        return Scene.of(self.camera, self.observed, self.submap)
+
+    def under(self, belief: JointBelief) -> Scene:
+        """With elements where they are believed to be; covariances stay the map's."""
+        error_m, mapped = belief.errors_m(self.submap.id), self.scene.mapped.copy()
+        ends = np.where(self.submap.is_line[:, None], error_m[:, 3:], error_m[:, :3])
+        mapped["anchor_m"] += error_m[:, :3]
+        mapped["end_m"] += ends
+        return self.scene._replace(mapped=mapped)
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:
@@ -59,11 +73,12 @@ class Reading:
 
 def read(belief: JointBelief, sight: Sight) -> Reading:
     """Pair the frame's elements with mapped ones, one-to-one, under ``belief``."""
-    elements = belief.corrected(sight.submap)
-    middle_c = belief.T_camera_map.apply(_middle(elements))
-    possible = _same_kind(sight.observed, elements) & (middle_c[:, 2] > NEAREST_M)
+    scene = sight.under(belief)
+    middle_m = 0.5 * (scene.mapped["anchor_m"] + scene.mapped["end_m"])
+    middle_c = belief.T_camera_map.apply(middle_m)
+    possible = scene.compatible & (middle_c[:, 2] > NEAREST_M)
     candidates = np.argwhere(possible)
-    gain, bottom_seen = _gains(belief, sight, elements, candidates)
+    gain, bottom_seen = _gains(belief, sight, scene, candidates)
     pairs, rank, certain = _one_to_one(gain, candidates, possible.shape)
 
     chance = _chance_of_detection(sight, middle_c)
@@ -86,11 +101,10 @@ def read(belief: JointBelief, sight: Sight) -> Reading:
 
 
 def _gains(
-    belief: JointBelief, sight: Sight, elements: Elements3D, candidates: IntArray
+    belief: JointBelief, sight: Sight, scene: Scene, candidates: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """(c,) nats of each pair over a false detection, -inf beyond the gate; and (c,) whether its
     bottom, if given, is rather seen than hidden."""
-    scene = Scene.of(sight.camera, sight.observed, elements)
     rows = pair_rows(scene, belief.T_camera_map, candidates)
     # unused rows are 0 with variance 1, apart from the others: they change nothing
     factor = np.linalg.cholesky(
@@ -165,14 +179,3 @@ def _chance_of_detection(sight: Sight, middle_c: FloatArray) -> FloatArray:
     chance = np.where(depth > detector.reach_m, BEYOND_REACH, chance)
     in_view = (depth > NEAREST_M) & sight.camera.contains(sight.camera.project(middle_c))
     return np.where(in_view, chance, 0.0)
-
-
-def _middle(elements: Elements3D) -> FloatArray:
-    end_m = np.where(elements.is_line[:, None], elements.end_m, elements.anchor_m)
-    return 0.5 * (elements.anchor_m + end_m)
-
-
-def _same_kind(observed: Elements2D, elements: Elements3D) -> BoolArray:
-    """(m, n)"""
-    alike = observed.class_id[:, None] == elements.class_id
-    return np.asarray(alike & (observed.is_line[:, None] == elements.is_line))
