@@ -54,6 +54,11 @@ class Refinement:
     """(k,) by the one definition in semviz_core.solving.residuals."""
     cost_trace: FloatArray
     """(iterations + 1,) cost at the start and after each step."""
+    support: FloatArray | None = None
+    """(k,) nats by which each pair is likelier than a false detection under the pose of the others
+    alone; None in sequences, where frames before support it too, and in runs of older versions."""
+    open_m: FloatArray | None = None
+    """(k,) how far the camera's place moves, or is uncertain, without each pair."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,7 @@ class Localizer:
         poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
         work = replace(work, search=Search(modes.tried, poses, modes.score))
         if not len(modes.score):
-            return replace(work, reason=_nothing_passed(modes, prior))
+            return replace(work, reason=_nothing_fits(prior))
         work = replace(work, match=watch.time("match", lambda: posterior_match(
             modes.score, modes.gain, scene.compatible)))  # fmt: skip
 
@@ -90,7 +90,7 @@ class Localizer:
         refined = watch.time("refine", lambda: refine(scene, prior, poses[0], pairs))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
-        verdict = judge(modes, refined, observed, submap)
+        verdict = judge(modes, refined, observed, submap, prior)
         answered = verdict.status != "cannot"
         return replace(
             work,
@@ -131,10 +131,11 @@ def _too_few(observed: Elements2D, submap: Elements3D) -> str:
     return ""
 
 
-def _nothing_passed(modes: Modes, prior: Prior) -> str:
+def _nothing_fits(prior: Prior) -> str:
+    heading = "" if prior.heading_rad is None else ", its heading"
     return (
-        f"None of {modes.tried} hypotheses lies within the prior's "
-        f"{prior.horizontal_sigma_m:.1f} m, height and heading."
+        f"No two elements fit one pose within the prior's fix ({prior.horizontal_sigma_m:.1f} m)"
+        f"{heading} and height: is one of them wrong, or the map?"
     )
 
 

@@ -45,7 +45,7 @@ def associate(
         for at in range(scene.seen[i].first, scene.seen[i].last):
             j = scene.candidate[at]
             if _is_near(scene, i, toward[j], variance[j]):
-                gain[i, j] = _pair_gain(scene, R, t, i, j, doubt, rows)
+                gain[i, j] = pair_gain(scene, R, t, i, j, doubt, rows)
     return one_to_one(gain), gain
 
 
@@ -123,7 +123,7 @@ def _is_near(scene: Scene, i: int, toward: FloatArray, variance: float) -> bool:
 
 
 @compiled
-def _pair_gain(
+def pair_gain(
     scene: Scene, R: FloatArray, t: FloatArray, i: int, j: int, doubt: FloatArray, rows: Record
 ) -> float:
     """Log-likelihood of a pair over that of a false detection; -inf where it is no inlier."""

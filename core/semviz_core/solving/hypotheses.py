@@ -1,11 +1,11 @@
 """Upright candidate poses: places round the fix, and the headings that the elements vote for there.
 
 At a place the distance of every mapped element is known, so its height tells which observed
-elements it can be; each such match votes for the heading that brings their azimuths together. Places
-and headings with the most different voters are the candidates. In contrast to poses made from pairs
-of matches, of which false ones are a hundred times as many as true ones, a walk over places misses
-no pose that is there, whatever is hidden, cut off or as high as the camera, and takes a time that is
-known beforehand.
+elements it can be; each such match votes for the heading that brings their azimuths together.
+Places and headings with the most different voters are the candidates. In contrast to poses made
+from pairs of matches, of which false ones are a hundred times as many as true ones, a walk over
+places misses no pose that is there, whatever is hidden, cut off or as high as the camera, and takes
+a time that is known beforehand.
 """
 
 from typing import NamedTuple

@@ -46,7 +46,7 @@ def fit_pairs(
     iterations: int = 20,
 ) -> PairFit:
     """Fit one pose to ``pairs`` (k, 2) of rows observed and mapped, from ``T_camera_map``."""
-    known, match = Known.of(prior, belief), _as_match(scene, pairs)
+    known, match = Known.of(prior, belief), as_match(scene, pairs)
     start = T_camera_map.rotation, T_camera_map.translation
     R, t, _, trace = fit(scene, known, *start, match, iterations)
     # covariances of residuals change with the pose: once more with those of the optimum
@@ -63,7 +63,7 @@ def information(
 ) -> FloatArray:
     """(6, 6) Fisher information of ``pairs``, prior and belief at a pose (left perturbation)."""
     start = T_camera_map.rotation, T_camera_map.translation
-    return fit(scene, Known.of(prior, belief), *start, _as_match(scene, pairs), 0)[2]
+    return fit(scene, Known.of(prior, belief), *start, as_match(scene, pairs), 0)[2]
 
 
 @compiled
@@ -220,7 +220,8 @@ def _step(information: FloatArray, gradient: FloatArray, damping: float) -> Floa
     return np.zeros(6)
 
 
-def _as_match(scene: Scene, pairs: IntArray) -> IntArray:
+def as_match(scene: Scene, pairs: IntArray) -> IntArray:
+    """Mapped row (m,) of each observed element, -1 for none, of ``pairs`` (k, 2)."""
     match = np.full(len(scene.seen), -1, dtype=np.int64)
     match[pairs[:, 0]] = pairs[:, 1]
     return match

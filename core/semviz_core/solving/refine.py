@@ -5,13 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.frame import Belief, Prior
+from semviz_core.frame import Prior
 from semviz_core.localization import Refinement
 from semviz_core.pose import Pose
 from semviz_core.solving.association import associate
-from semviz_core.solving.least_squares import fit, fit_pairs
+from semviz_core.solving.least_squares import as_match, fit, fit_pairs
 from semviz_core.solving.residuals import SURE, scene_residuals
 from semviz_core.solving.scene import Known, Scene
+from semviz_core.solving.shape import why_degenerate
+from semviz_core.solving.support import support_of_pairs
 
 NEEDED_PAIRS = 3
 """Two pairs fix an upright pose; a third is the first that can contradict them."""
@@ -46,26 +48,31 @@ def refine(
     prior: Prior,
     T_camera_map: Pose,
     pairs: IntArray | None = None,
-    belief: Belief | None = None,
 ) -> Refined | Failure:
-    """Robust least squares over pairs, prior and belief, from ``T_camera_map``.
+    """Robust least squares over pairs and prior, from ``T_camera_map``.
 
     With ``pairs`` (k, 2) those are kept (the paper's eq. 8 with a Boolean P); without, pairs are
     chosen one-to-one again after each fit until they stay the same.
     """
+    known = Known.of(prior)
     if pairs is None:
-        pairs = _settled_pairs(scene, Known.of(prior, belief), T_camera_map)
+        pairs = _settled_pairs(scene, known, T_camera_map)
     if len(pairs) < NEEDED_PAIRS:
         seen = len(scene.seen)
         return Failure(f"{len(pairs)} of {seen} elements fit one pose, {NEEDED_PAIRS} needed.")
-    best = fit_pairs(scene, prior, T_camera_map, pairs, belief=belief, iterations=_ITERATIONS)
+    best = fit_pairs(scene, prior, T_camera_map, pairs, iterations=_ITERATIONS)
     covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     if reason := _too_uncertain(covariance):
-        return Failure(reason)
+        return Failure(_why_degenerate(scene, pairs) or reason)
     residuals = scene_residuals(scene, best.T_camera_map, pairs)
+    support, open_m = support_of_pairs(
+        scene, known, best.T_camera_map.rotation, best.T_camera_map.translation,
+        as_match(scene, pairs),
+    )  # fmt: skip
     refinement = Refinement(
-        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.cost_trace
-    )
+        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.cost_trace,
+        support[pairs[:, 0]], open_m[pairs[:, 0]],
+    )  # fmt: skip
     return Refined(best.T_camera_map, covariance, refinement)
 
 
@@ -81,6 +88,12 @@ def _settled_pairs(scene: Scene, known: Known, T_camera_map: Pose) -> IntArray:
             break
     seen = np.flatnonzero(match >= 0)
     return np.column_stack([seen, match[seen]])
+
+
+def _why_degenerate(scene: Scene, pairs: IntArray) -> str:
+    seen, mapped = scene.seen[pairs[:, 0]], scene.mapped[pairs[:, 1]]
+    known = (seen["known"] & mapped["known"]).astype(bool)
+    return why_degenerate(mapped["anchor_m"], mapped["end_m"], known)
 
 
 def _too_uncertain(covariance: FloatArray) -> str:

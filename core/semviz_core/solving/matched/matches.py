@@ -12,13 +12,10 @@ from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 from semviz_core.solving.scene import Scene
+from semviz_core.solving.shape import why_degenerate
 
 NEEDED_PAIRS = 3
 """Two poles fix a pose; a third element is the first that can contradict them."""
-ONE_LINE_M = 0.1
-"""Points that lie nearer to one straight line than this count as collinear."""
-PARALLEL_RAD = float(np.deg2rad(2.0))
-"""Lines closer to one direction than poles lean count as parallel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,24 +123,7 @@ def why_unsolvable(matches: Matches) -> str:
             f"The matches join {seen} seen and {mapped} mapped elements; "
             f"{NEEDED_PAIRS} of each are needed."
         )
-    return _why_degenerate(matches)
-
-
-def _why_degenerate(matches: Matches) -> str:
-    anchor, end = matches.points_m()
-    points = np.concatenate([anchor, end])
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] < ONE_LINE_M * np.sqrt(len(points)):
-        return (
-            "All matched elements lie on one straight line, such as one post: "
-            "the camera could be anywhere around it."
-        )
-    if not matches.known().any() and _parallel(end - anchor):
-        return (
-            "All matches are parallel lines without a peak or bottom known on both sides: "
-            "the camera's height is not fixed."
-        )
-    return ""
+    return why_degenerate(*matches.points_m(), matches.known())
 
 
 def _only(scene: Scene, pairs: IntArray) -> Scene:
@@ -155,8 +135,3 @@ def _only(scene: Scene, pairs: IntArray) -> Scene:
     seen = scene.seen.copy()
     seen["first"], seen["last"] = first[:-1], first[1:]
     return scene._replace(seen=seen, candidate=candidate, compatible=compatible)
-
-
-def _parallel(directions: FloatArray) -> bool:
-    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
-    return bool((np.abs(unit @ unit[0]) > np.cos(PARALLEL_RAD)).all())
