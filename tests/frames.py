@@ -44,10 +44,11 @@ def flagged(problem: Problem) -> Problem:
     return replace(problem, observed=replace(problem.observed, end_known=known))
 
 
-def signs_on_one_ray(problem: Problem) -> Problem:
-    """The camera of a problem, before it four signs that hide one another, 15 to 18 m ahead. The
-    prior is about the true place and says, by its sigmas, how well it is known."""
-    ahead = np.array([[0.0, 0.0, 15.0 + k] for k in range(4)])
+def signs_on_one_ray(problem: Problem, nearest_m: float = 15.0, aside_m: float = 0.0) -> Problem:
+    """The camera of a problem, before it four signs that hide one another, a metre apart, every
+    other one ``aside_m`` off the ray. The prior is about the true place and says, by its sigmas,
+    how well it is known."""
+    ahead = np.array([[aside_m * (k % 2), 0.0, nearest_m + k] for k in range(4)])
     T_map_camera = problem.T_camera_map.inverse()
     class_id, none = [1, 2, 3, 1], np.full((4, 3), np.nan)
     place = {"position_m": T_map_camera.translation, "vertical_sigma_m": 0.1, "road_m": None}

@@ -135,7 +135,7 @@ def _nothing_fits(prior: Prior) -> str:
     heading = "" if prior.heading_rad is None else ", its heading"
     return (
         f"No two elements fit one pose within the prior's fix ({prior.horizontal_sigma_m:.1f} m)"
-        f"{heading} and height: is one of them wrong, or the map?"
+        f"{heading} and height: one of these is wrong, or the map."
     )
 
 

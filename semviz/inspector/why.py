@@ -13,7 +13,7 @@ from semviz_core.localization import Localization
 from semviz_core.localize import NEEDED_ELEMENTS
 from semviz_core.pose import Pose
 from semviz_core.solving.residuals import pair_residuals
-from semviz_core.solving.verdict import AMBIGUOUS_NATS
+from semviz_core.solving.verdict import AMBIGUOUS_NATS, SURE_PAIRS, hanging_pair
 
 SURE_AND_WRONG_M = 1.0
 FAR_OFF_SIGMAS = 4.0
@@ -57,8 +57,18 @@ def verdict(record: FrameRecord) -> str:
     if one.status == "cannot":
         return _failure(record)
     if one.status == "ambiguous":
-        return "two poses fit" if _rivals(one) == 2 else "several poses fit"
+        return _doubt(one)
     return "sure and wrong" if sure_and_wrong(one, errors_of(record)) else "healthy"
+
+
+def _doubt(localization: Localization) -> str:
+    """What keeps an answer from being sure."""
+    rivals, fit = _rivals(localization), localization.refinement
+    if rivals > 1 or fit is None:
+        return "two poses fit" if rivals == 2 else "several poses fit"
+    if fit.inlier.sum() < SURE_PAIRS:
+        return "few fit"
+    return "not sure" if hanging_pair(fit) is None else "hangs on one pair"
 
 
 def _failure(record: FrameRecord) -> str:

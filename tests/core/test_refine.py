@@ -11,6 +11,7 @@ from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import DETECTOR, Problem
 from semviz_core.frame import Belief
 from semviz_core.pose import Pose
+from semviz_core.solving.least_squares import fit_pairs
 from semviz_core.solving.refine import NEEDED_PAIRS, Failure, Refined, refine
 from semviz_core.solving.scene import Scene
 
@@ -136,12 +137,12 @@ def test_a_moved_element_does_not_pull_the_pose() -> None:
 def test_a_belief_counts_like_other_knowledge() -> None:
     """A sure belief is kept to, an unsure one changes nothing."""
     problem = frames(1, NOISY, 8)[0]
-    alone = refined(problem)
-    assert isinstance(alone, Refined)
+    scene = Scene.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+    given = scene, problem.prior, problem.T_camera_map, problem.pairs
+    alone = fit_pairs(*given).T_camera_map
     place = Pose.exp([0.05, 0.0, 0.05, 0.0, 0.002, 0.0]) @ problem.T_camera_map
-    for sigma, other in ((1e-5, place), (1e3, alone.T_camera_map)):
-        result = refined(problem, belief=Belief(place, sigma**2 * np.eye(6)))
-        assert isinstance(result, Refined)
+    for sigma, other in ((1e-5, place), (1e3, alone)):
+        result = fit_pairs(*given, belief=Belief(place, sigma**2 * np.eye(6)))
         np.testing.assert_allclose(result.T_camera_map.as_matrix(), other.as_matrix(), atol=1e-3)
 
 
@@ -154,7 +155,7 @@ def test_too_few_pairs_fail_with_numbers() -> None:
 
 
 def test_what_the_pairs_do_not_fix_is_named() -> None:
-    problem = signs_on_one_ray(frames(1)[0])
+    problem = signs_on_one_ray(frames(1)[0], 60.0, 0.25)
     sure = replace(problem.prior, horizontal_sigma_m=0.1)
     for prior, word in (
         (replace(sure, horizontal_sigma_m=5.0), "position"),
@@ -164,6 +165,9 @@ def test_what_the_pairs_do_not_fix_is_named() -> None:
         assert isinstance(result, Failure)
         assert word in result.reason
     assert isinstance(refined(replace(problem, prior=sure)), Refined)
+    on_one_ray = refined(signs_on_one_ray(frames(1)[0]))
+    assert isinstance(on_one_ray, Failure)
+    assert "one straight line" in on_one_ray.reason
 
 
 def test_flagged_bottoms_and_weighed_ones_give_the_same_pose() -> None:

@@ -70,6 +70,11 @@ class MatchedMethod(Protocol):
     @property
     def name(self) -> str: ...
 
+    @property
+    def with_prior(self) -> bool:
+        """Whether it makes use of the prior: the bound that it is measured against does too."""
+        ...
+
     def answer(self, problem: MatchedProblem) -> Answer:
         """Never looks at the truth in ``problem.problem``, nor at ``problem.true``."""
         ...
@@ -97,13 +102,15 @@ class TrueMatches:
     """
 
     name: str = "true matches"
+    with_prior: bool = True
 
     def answer(self, problem: Problem) -> Answer:
         start = perf_counter()
         known = problem.observed.end_known & problem.end_visible
         observed = replace(problem.observed, end_known=known)
         scene = Scene.of(problem.camera, observed, problem.submap)
-        fit = fit_pairs(scene, problem.prior, problem.T_camera_map, problem.pairs)
+        prior = problem.prior if self.with_prior else None
+        fit = fit_pairs(scene, prior, problem.T_camera_map, problem.pairs)
         time_ms = {"fit": (perf_counter() - start) * 1e3}
         if np.linalg.eigvalsh(fit.information)[0] < 1e-9:
             return Answer(None, None, "cannot", "The pairs do not fix a pose.", time_ms)
@@ -120,9 +127,10 @@ class Bound:
     """
 
     name: str = "bound"
+    with_prior: bool = True
 
     def answer(self, problem: Problem) -> Answer:
-        covariance = bound_covariance(problem)
+        covariance = bound_covariance(problem, with_prior=self.with_prior)
         if covariance is None:
             return Answer(None, None, "cannot", "Nothing bounds the pose.")
         seed = np.frombuffer(problem.T_camera_map.translation.tobytes(), dtype=np.uint32)
@@ -135,11 +143,15 @@ class Bound:
 class OnFrame:
     """A reference that answers frames with given matches as it answers the frames alone."""
 
-    reference: Method
+    reference: TrueMatches | Bound
 
     @property
     def name(self) -> str:
         return self.reference.name
+
+    @property
+    def with_prior(self) -> bool:
+        return self.reference.with_prior
 
     def answer(self, problem: MatchedProblem) -> Answer:
         return self.reference.answer(problem.problem)
@@ -153,5 +165,7 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 MATCHED_METHODS: dict[str, Callable[[], MatchedMethod]] = {
     "true matches": lambda: OnFrame(TrueMatches()),
+    "true matches without prior": lambda: OnFrame(TrueMatches("true matches without prior", False)),
     "bound": lambda: OnFrame(Bound()),
+    "bound without prior": lambda: OnFrame(Bound("bound without prior", False)),
 }

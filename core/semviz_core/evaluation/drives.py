@@ -63,7 +63,7 @@ def make_drive(
     noise: OdometryNoise | None = None,
     blackout: Blackout | None = None,
 ) -> Drive:
-    """A drive through ``problems``, consecutive frames of one road, world and map.
+    """A drive through ``problems``, consecutive frames of one road, world and map (``driving``).
 
     ``seed`` draws the odometry's errors.
     """

@@ -9,7 +9,6 @@ from scipy.special import chdtri, ndtri
 
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.evaluation.answers import Answer
-from semviz_core.evaluation.bound import bound_covariance
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Problem
 from semviz_core.localization import Status
@@ -24,7 +23,7 @@ WRONG_DEG = 1.0
 
 @dataclass(frozen=True)
 class Facts:
-    """What is true of a frame whatever method looks at it."""
+    """What is true of a frame, and how near to the truth it lets a method come."""
 
     detections: int
     true_matches: int | None = None
@@ -32,7 +31,8 @@ class Facts:
     recall: float | None = None
     """Share of the visible mapped elements that were detected; None where none is visible."""
     bound_m: float | None = None
-    """Median error of an efficient estimator's camera centre; None where nothing fixes the pose."""
+    """Median error of the camera centre by an efficient estimator that is given what the method is;
+    None where nothing fixes the pose, or the noise is not what is stated."""
     bound_rms_m: float | None = None
     """Root of its mean squared error."""
 
@@ -90,9 +90,8 @@ def errors(answer: Answer, T_camera_map: Pose) -> tuple[float | None, float | No
     return rte_m, rre_deg, float(off @ np.linalg.solve(answer.covariance, off))
 
 
-def facts_of(problem: Problem) -> Facts:
-    """What is true of ``problem``; ``bound_m`` and ``bound_rms_m`` from its Cramer-Rao bound."""
-    covariance = bound_covariance(problem)
+def facts_of(problem: Problem, covariance: FloatArray | None) -> Facts:
+    """What is true of ``problem``, given its Cramer-Rao bound (6, 6)."""
     visible = len(visible_rows(problem))
     return Facts(
         detections=len(problem.observed),

@@ -78,6 +78,7 @@ class Peer:
 
     name: str
     solve: Callable[[Correspondences], Found]
+    with_prior: bool = False
 
     def answer(self, problem: "MatchedProblem") -> Answer:
         return self.answer_pairs(problem.problem, problem.pairs, problem.score)

@@ -134,11 +134,14 @@ def make_problem(
     difficulty: Difficulty | None = None,
     road: Road | None = None,
     index: int | None = None,
+    *,
+    driving: bool = False,
 ) -> Problem:
     """A camera on a road, what it sees and what the map holds. Repeatable by seed.
 
     ``road`` is a simulated one if not given; ``index`` is the frame of its drive, drawn if not
-    given.
+    given. ``driving``: the camera is as far beside the road's pose in all frames of the seed, so
+    that it does not jump between them.
     """
     level = difficulty or Difficulty()
     road = road or default_road()
@@ -146,7 +149,8 @@ def make_problem(
         index = int(np.random.default_rng([seed, 0]).integers(len(road)))
     rng = np.random.default_rng([seed, 1, index])
     world, mapped = _world(road, seed), _mapped(road, seed, level)
-    T_camera_map = _query(road.T_map_camera[index], rng)
+    beside = np.random.default_rng([seed, 6]) if driving else rng
+    T_camera_map = _query(road.T_map_camera[index], beside)
     prior = _prior(road, T_camera_map, level, rng)
     observed, ids, end_visible = _observed(world, T_camera_map, level, rng)
     away = np.linalg.norm(mapped.elements.anchor_m[:, :2] - prior.position_m[:2], axis=1)

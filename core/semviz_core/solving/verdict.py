@@ -20,7 +20,7 @@ AMBIGUOUS_NATS = 14.0
 """Another pose within this of the best makes the answer ambiguous."""
 LEAST_SUPPORT_NATS = 7.0
 """A pair that the others support less may be wrong,"""
-OPEN_M = 0.2
+OPEN_M = 0.3
 """and matters where the place is open to more than this without it."""
 SURE_PAIRS = 4
 """Fewer that fit are no sure answer: of three, none is left to contradict a wrong one."""
@@ -121,14 +121,18 @@ def _few(fitting: int, seen: int) -> str:
     return f"Only {fitting} of {seen} elements fit; one more is needed to be sure."
 
 
-def _hanging(fit: Refinement, submap: Elements3D) -> str:
-    """The pair that the answer hangs on without being supported by the others."""
-    assert fit.support is not None
-    assert fit.open_m is not None
+def hanging_pair(fit: Refinement) -> int | None:
+    """Row of the pair that the answer hangs on while the others hardly support it, if any."""
+    if fit.support is None or fit.open_m is None:
+        return None
     weak = (fit.support < LEAST_SUPPORT_NATS) & (fit.open_m > OPEN_M)
-    if not weak.any():
+    return int(np.argmax(np.where(weak, fit.open_m, 0.0))) if weak.any() else None
+
+
+def _hanging(fit: Refinement, submap: Elements3D) -> str:
+    row = hanging_pair(fit)
+    if row is None or fit.open_m is None:
         return ""
-    row = int(np.argmax(np.where(weak, fit.open_m, 0.0)))
     i, j = fit.pairs[row]
     open_m = fit.open_m[row]
     how = f"is open to {open_m:.1f} m" if np.isfinite(open_m) else "is not fixed"
