@@ -10,6 +10,7 @@ import semviz_core
 from semviz import __version__
 from semviz.benchmark.methods import Kind
 from semviz.benchmark.suites import DRIVE_FRAMES, Noise, Roads, Suite
+from semviz_core.evaluation.answers import BOUNDS
 from semviz_core.evaluation.outcomes import Outcome
 
 TUNING_SEEDS = 1000
@@ -44,9 +45,14 @@ class Plan:
             (suite.name, noise, method, seed)
             for suite in self.suites
             for noise in self.noises
-            for method in self.methods[suite.kind]
+            for method in self.answering(suite)
             for seed in self.seeds
         ]
+
+    def answering(self, suite: Suite) -> list[str]:
+        """Methods for the suite; no bounds where there is none."""
+        named = self.methods[suite.kind]
+        return [method for method in named if suite.has_bound or method not in BOUNDS]
 
     def tasks(self, done: Iterable[Key]) -> list[Task]:
         """What is left to do, in the order of work: problem by problem."""
@@ -54,7 +60,7 @@ class Plan:
         tasks = [
             Task(suite, noise, seeds, tuple(
                 method
-                for method in self.methods[suite.kind]
+                for method in self.answering(suite)
                 if any((suite.name, noise, method, seed) not in finished for seed in seeds)
             ))
             for suite in self.suites

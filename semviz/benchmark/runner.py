@@ -8,14 +8,17 @@ from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from semviz.benchmark.methods import make_method
 from semviz.benchmark.plan import Plan, Task
 from semviz.benchmark.results import Results
 from semviz.benchmark.suites import Roads, Suite
 from semviz.progress import tell_of_compiling, track
+from semviz_core.arrays import FloatArray
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.answers import Answer
+from semviz_core.evaluation.bound import bound_covariance
 from semviz_core.evaluation.matched_problems import MatchedProblem
 from semviz_core.evaluation.outcomes import Facts, Outcome, errors, facts_of
 from semviz_core.evaluation.problems import Problem
@@ -76,11 +79,18 @@ def _answer_frame(task: Task, roads: Roads) -> Iterator[Answered]:
     (seed,) = task.seeds
     given = task.suite.problem(seed, task.noise, roads)
     problem = _frame_of(given)
-    facts = facts_of(problem)
     for name in task.methods:
         method = make_method(task.suite.kind, name)
+        facts = facts_of(problem, _bound(task.suite, method, problem))
         _first_call_ms(task.suite, name, roads)  # so that the next one is warm
         yield name, seed, facts, problem.T_camera_map, *_timed(partial(method.answer, given))
+
+
+def _bound(suite: Suite, method: Any, problem: Problem) -> FloatArray | None:
+    """(6, 6) the least covariance of an estimator that is given what ``method`` is."""
+    if not suite.has_bound:
+        return None
+    return bound_covariance(problem, with_prior=suite.kind == "single" or method.with_prior)
 
 
 def _answer_drive(task: Task, roads: Roads) -> Iterator[Answered]:

@@ -73,7 +73,7 @@ class Suite:
         start = int(np.random.default_rng(seeds[0]).integers(most + 1))
         difficulty = replace(self.difficulty, noise=noise)
         problems = [
-            make_problem(seeds[0], difficulty, road, index)
+            make_problem(seeds[0], difficulty, road, index, driving=True)
             for index in range(start, start + len(seeds))
         ]
         return make_drive(problems, seeds[0], blackout=BLACKOUT)
@@ -83,6 +83,12 @@ class Suite:
         difficulty = replace(self.difficulty, noise=noise)
         make = make_problem if self.kind == "single" else make_matched_problem
         return make(seed, difficulty=difficulty, road=roads.of_frame(seed))
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether noise is as stated; what is stated wrongly bounds nothing."""
+        stated = self.difficulty.stated_sigma_px, self.difficulty.stated_gps_sigma_m
+        return self.kind != "sequence" and stated == (None, None)
 
 
 SUITES: dict[str, Suite] = {

@@ -169,3 +169,5 @@ MATCHED_METHODS: dict[str, Callable[[], MatchedMethod]] = {
     "bound": lambda: OnFrame(Bound()),
     "bound without prior": lambda: OnFrame(Bound("bound without prior", False)),
 }
+BOUNDS = ("bound", "bound without prior")
+"""Those that mean nothing where the noise is not what is stated."""
