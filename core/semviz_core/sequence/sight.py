@@ -22,8 +22,8 @@ from semviz_core.solving.residuals import INLIER_CHI2
 from semviz_core.solving.scene import Scene
 
 TOLD_APART_NATS = 2.0
-"""A pair no better than another one of the same detection or element by this much is not used: two
-poles side by side, or one thing mapped twice."""
+"""A pair no better than another one of the same detection or element, or than a false detection, by
+this much is not used: two poles side by side, one thing mapped twice, or what fits a wide gate."""
 _ROOT_2PI = float(np.sqrt(2.0 * np.pi))
 
 
@@ -62,7 +62,7 @@ class Reading:
     element_id: IntArray
     """(k,) of the mapped elements."""
     certain: BoolArray
-    """(k,) told apart from every other pair."""
+    """(k,) told apart from every other pair and from false detections."""
     bottom_seen: BoolArray
     """(k,) False where a pole's given bottom is rather hidden."""
     log_likelihood: float
@@ -165,7 +165,7 @@ def _one_to_one(
         free_seen[i] = free_mapped[j] = False
         taken.append(int(one))
         rivals = np.concatenate([np.delete(table[i], j), np.delete(table[:, j], i)])
-        certain.append(bool(rivals.max(initial=-np.inf) < gain[one] - TOLD_APART_NATS))
+        certain.append(bool(rivals.max(initial=0.0) < gain[one] - TOLD_APART_NATS))
     rank = np.array(taken, dtype=np.int64)
     return candidates[rank], rank, np.array(certain, dtype=bool)
 
