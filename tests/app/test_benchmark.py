@@ -2,11 +2,9 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from semviz.benchmark import runner
@@ -14,10 +12,8 @@ from semviz.benchmark.methods import KNOWN
 from semviz.benchmark.report import Report
 from semviz.benchmark.suites import SUITES
 from semviz.cli import main
-from semviz_core.evaluation.answers import Answer
-from semviz_core.evaluation.outcomes import Facts, Outcome, errors, median_length
-from semviz_core.evaluation.tables import Row, rows
-from semviz_core.pose import Pose
+from semviz_core.evaluation.outcomes import Facts, Outcome
+from semviz_core.evaluation.tables import rows
 
 Run = Callable[..., tuple[int, str, str]]
 QUICK = ("--methods", "true matches,bound", "--noise", "low", "--no-plots", "--json")
@@ -179,88 +175,39 @@ def test_tuning_seeds_are_named_so(run: Run, tmp_path: Path) -> None:
     assert any("tuning" in note for note in json.loads(output)["notes"])
 
 
-# --- tables of outcomes with known answers ---
+def test_what_is_given_without_the_prior_is_measured_without_it(run: Run, tmp_path: Path) -> None:
+    """Each method's ratio is to the bound that it can reach; without the prior that is further."""
+    methods = "bound,bound alone,true matches,true matches alone"
+    options = ("--methods", methods, "--noise", "low", "--frames", 40, "--no-plots", "--json")
+    _, output, _ = run("--suite", "matched", *options, "--out", tmp_path)
+    all_frames = [row for row in json.loads(output)["rows"] if row["stratum"] == "all"]
+    row = {row["method"]: row for row in all_frames}
+    assert set(row) == set(methods.split(","))
+    for name in row:
+        assert row[name]["rms_over_bound"] == pytest.approx(1.0, abs=0.35)  # 3 sigma of 40
+    for name in ("bound", "true matches"):
+        assert row[f"{name} alone"]["rte_m"]["q2"] > row[name]["rte_m"]["q2"]
 
 
-def outcome(frame: int, **changes: Any) -> Outcome:
-    """A good one: 0.1 m off where 0.1 m is the bound."""
-    good = Outcome(
-        suite="frames", method="m", noise="low", frame=frame,
-        facts=Facts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
-        status="ok", rte_m=0.1, rre_deg=0.1, nees=6.0, total_ms=1.0,
-    )  # fmt: skip
-    return replace(good, **changes)
-
-
-def row_of(outcomes: list[Outcome], stratum: str = "all") -> Row:
-    (row,) = [row for row in rows(outcomes) if row.stratum == stratum]
-    return row
-
-
-def test_sure_and_wrong_is_counted_and_unsure_is_not() -> None:
-    planted = [
-        outcome(0),
-        outcome(1, rte_m=5.0, nees=900.0),
-        outcome(2, rte_m=1.4, nees=9.0),
-        outcome(3, rre_deg=2.0, nees=None),
-        outcome(4, rte_m=30.0, nees=900.0, status="ambiguous"),
-    ]
-    row = row_of(planted)
-    assert row.confident_wrong == pytest.approx(2 / 5)
-    assert row.ok_above_1m == pytest.approx(2 / 5)
-    assert row.coverage == pytest.approx(4 / 5)
-    assert row.success == pytest.approx(1 / 5)
-    assert row.nees_mean == pytest.approx(7.5)
-    assert row.accuracy.share_below_1m == pytest.approx(2 / 5)
-
-
-def test_frames_without_a_pose_count_against_the_bound_ratio() -> None:
-    lost = {"status": "cannot", "rte_m": None, "rre_deg": None, "nees": None}
-    mostly = [outcome(0), outcome(1), outcome(2, **lost)]
-    assert row_of(mostly).bound_ratio_median == pytest.approx(1.0)
-    assert row_of([*mostly, outcome(3, **lost), outcome(4, **lost)]).bound_ratio_median is None
-
-
-def test_strata() -> None:
-    facts = outcome(0).facts
-    group = [
-        outcome(matches, facts=replace(facts, true_matches=matches, detections=max(matches, 4)))
-        for matches in range(3, 10)
-    ]
-    group.append(outcome(99, facts=replace(facts, true_matches=3, detections=3)))
-    frames = {row.stratum: row.accuracy.frames for row in rows(group)}
-    assert frames == {
-        "all": 7, "< 4 true": 1, "4-5 true": 2, ">= 6 true": 4, ">= 8 true": 2, "< 4 seen": 1,
-    }  # fmt: skip
-
-
-def test_an_efficient_estimator_has_ratio_one_and_nees_six() -> None:
-    rng = np.random.default_rng(0)
-    outcomes = []
-    for frame in range(400):
-        scale = rng.uniform(0.01, 0.1, 6) * np.array([1, 1, 1, 0.1, 0.1, 0.1])
-        mixing = np.linalg.qr(rng.normal(size=(6, 6)))[0] * scale
-        covariance = mixing @ mixing.T
-        truth = Pose.exp(rng.normal(size=6))
-        pose = Pose.exp(mixing @ rng.normal(size=6)) @ truth
-        rte_m, rre_deg, nees = errors(Answer(pose, covariance, "ok", "drawn"), truth)
-        facts = replace(
-            outcome(0).facts,
-            bound_m=median_length(covariance[:3, :3]),
-            bound_rms_m=float(np.sqrt(np.trace(covariance[:3, :3]))),
-        )
-        outcomes.append(outcome(frame, facts=facts, rte_m=rte_m, rre_deg=rre_deg, nees=nees))
-    row = row_of(outcomes)
-    assert row.bound_ratio_median == pytest.approx(1.0, abs=0.06)
-    assert row.nees_mean == pytest.approx(6.0, abs=0.5)
-
-
-def test_median_length_of_known_gaussians() -> None:
-    assert median_length(0.04 * np.eye(3)) == pytest.approx(0.2 * 1.5382, rel=5e-3)
-    assert median_length(np.diag([0.09, 0.0, 0.0])) == pytest.approx(0.3 * 0.6745, rel=5e-3)
+def test_where_noise_is_misstated_there_is_no_bound(run: Run, tmp_path: Path) -> None:
+    options = ("--frames", 4, "--methods", "search,bound", "--noise", "low", "--json")
+    _, output, _ = run("--suite", "noise 3 px,noise 3 px unstated", *options, "--out", tmp_path)
+    rows = [row for row in json.loads(output)["rows"] if row["stratum"] == "all"]
+    bounded = {(row["suite"], row["method"]): row["rms_over_bound"] is not None for row in rows}
+    assert bounded == {
+        ("noise 3 px", "search"): True,
+        ("noise 3 px", "bound"): True,
+        ("noise 3 px unstated", "search"): False,
+    }
+    assert not list(tmp_path.glob("*unstated*bound.png"))
 
 
 def test_tables_fit_a_terminal() -> None:
-    long_name = [outcome(0, method="some method by others", total_ms=12345.6, nees=1234.5)]
-    text = Report({"seed": 1000}, (), tuple(rows(long_name))).as_text()
+    longest = max((name for named in KNOWN.values() for name in named), key=len)
+    wide = Outcome(
+        suite="frames", method=longest, noise="low", frame=0,
+        facts=Facts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
+        status="ok", rte_m=0.1, rre_deg=0.1, nees=1234.5, total_ms=12345.6,
+    )  # fmt: skip
+    text = Report({"seed": 1000}, (), tuple(rows([wide]))).as_text()
     assert max(map(len, text.splitlines())) <= 120

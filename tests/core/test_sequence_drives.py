@@ -1,13 +1,16 @@
 """Drives made of problems, and what their summaries count."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.drives import Blackout, Drive, make_drive, summarize_drive
+from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Problem, make_problem
+from semviz_core.evaluation.roads import simulated_road
 from semviz_core.pose import Pose
 from semviz_core.sequence.tracker import Track
 
@@ -92,6 +95,25 @@ def test_an_empty_drive_and_a_wrong_number_of_tracks_are_refused() -> None:
         make_drive([], seed=1)
     with pytest.raises(SemvizError, match="2 tracks but 3 frames"):
         summarize_drive(drive, planted(drive, 0.0, without=set())[:2])
+
+
+def test_a_drive_does_not_jump() -> None:
+    """It keeps its place beside the road's poses, a metre apart; single frames have each their
+    own."""
+    road = simulated_road(3)
+    drive = [make_problem(3, None, road, index, driving=True) for index in range(200, 230)]
+    single = [make_problem(3, None, road, index) for index in range(200, 230)]
+
+    def turns_deg(problems: list[Problem]) -> list[float]:
+        poses = [one.T_camera_map for one in problems]
+        return [pose_error(now, before)[1] for before, now in pairwise(poses)]
+
+    def roads_deg() -> list[float]:
+        poses = [one.inverse() for one in road.T_map_camera[200:230]]
+        return [pose_error(now, before)[1] for before, now in pairwise(poses)]
+
+    np.testing.assert_allclose(turns_deg(drive), roads_deg(), atol=1e-6)
+    assert np.mean(turns_deg(single)) > 2.0 + np.mean(turns_deg(drive))
 
 
 def test_the_map_of_a_drive_holds_each_element_once() -> None:

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semviz_core.evaluation.outcomes import Facts, Outcome
+from semviz_core.evaluation.answers import Answer
+from semviz_core.evaluation.outcomes import Facts, Outcome, errors, median_length
 from semviz_core.evaluation.tables import ALL, Row, Time, rows
 from semviz_core.localization import Status
+from semviz_core.pose import Pose
 
 
 def outcome(
@@ -97,14 +99,29 @@ def test_root_mean_square_over_the_bound_is_of_successes() -> None:
     assert row_of([outcome(5.0)]).rms_over_bound is None
 
 
-def test_errors_as_efficient_as_the_bound_give_ratios_of_one() -> None:
-    """Gaussian errors of the bound's covariance: both ratios are 1, within three sigma."""
-    rng, sigma_m, count = np.random.default_rng(0), 0.05, 4_000
-    length = np.linalg.norm(rng.normal(0.0, sigma_m, (count, 3)), axis=1)
-    facts = Facts(8, 6, 0.7, 1.5382 * sigma_m, np.sqrt(3.0) * sigma_m)  # of a chi of three
-    row = row_of([outcome(float(one), facts=facts) for one in length])
-    assert row.rms_over_bound == pytest.approx(1.0, abs=3.0 / np.sqrt(6.0 * count))
-    assert row.bound_ratio_median == pytest.approx(1.0, abs=0.02)
+def test_errors_as_efficient_as_the_bound_give_ratios_of_one_and_nees_six() -> None:
+    """Errors drawn from bounds of all shapes and sizes; within three sigma."""
+    rng, count = np.random.default_rng(0), 2_000
+    frames = []
+    for _ in range(count):
+        scale = rng.uniform(0.01, 0.1, 6) * [1.0, 1.0, 1.0, 0.03, 0.03, 0.03]
+        mixing = scale[:, None] * np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        covariance, truth = mixing @ mixing.T, Pose.exp(rng.normal(size=6))
+        answer = Answer(Pose.exp(mixing @ rng.normal(size=6)) @ truth, covariance, "ok", "drawn")
+        rte_m, rre_deg, nees = errors(answer, truth)
+        own = covariance[:3, :3]
+        facts = Facts(8, 6, 0.7, median_length(own), float(np.sqrt(np.trace(own))))
+        frames.append(outcome(rte_m, facts=facts, rre_deg=rre_deg or 0.0, nees=nees))
+    row = row_of(frames)
+    assert row.success == 1.0
+    assert row.rms_over_bound == pytest.approx(1.0, abs=1.5 / np.sqrt(count))
+    assert row.bound_ratio_median == pytest.approx(1.0, abs=3.0 / np.sqrt(count))
+    assert row.nees_mean == pytest.approx(6.0, abs=3.0 * np.sqrt(12.0 / count))
+
+
+def test_median_length_of_known_gaussians() -> None:
+    assert median_length(0.04 * np.eye(3)) == pytest.approx(0.2 * 1.5382, rel=5e-3)
+    assert median_length(np.diag([0.09, 0.0, 0.0])) == pytest.approx(0.3 * 0.6745, rel=5e-3)
 
 
 def test_times_are_of_the_frames_that_reached_a_stage() -> None:

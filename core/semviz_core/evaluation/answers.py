@@ -165,9 +165,10 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 MATCHED_METHODS: dict[str, Callable[[], MatchedMethod]] = {
     "true matches": lambda: OnFrame(TrueMatches()),
-    "true matches without prior": lambda: OnFrame(TrueMatches("true matches without prior", False)),
+    "true matches alone": lambda: OnFrame(TrueMatches("true matches alone", False)),
     "bound": lambda: OnFrame(Bound()),
-    "bound without prior": lambda: OnFrame(Bound("bound without prior", False)),
+    "bound alone": lambda: OnFrame(Bound("bound alone", False)),
 }
-BOUNDS = ("bound", "bound without prior")
+"""``alone``: without the prior."""
+BOUNDS = ("bound", "bound alone")
 """Those that mean nothing where the noise is not what is stated."""

@@ -159,7 +159,7 @@ class PaperBackEnd:
     A reference, not a method: it knows the answers.
     """
 
-    name: str = "paper's back-end with true P"
+    name: str = "paper with true P"
     seed: int = 0
 
     def answer(self, problem: Problem) -> Answer:
@@ -292,7 +292,7 @@ _PEERS: dict[str, tuple[str, Callable[[Correspondences], Found]]] = {
 
 METHODS: dict[str, Callable[[], Method]] = {
     **{name: partial(_on_frames, name) for name in _PEERS},
-    "paper's back-end with true P": PaperBackEnd,
+    "paper with true P": PaperBackEnd,
 }
 MATCHED_METHODS: dict[str, Callable[[], MatchedMethod]] = {
     "minimal": lambda: OwnMatched("minimal", "minimal"),
