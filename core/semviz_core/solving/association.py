@@ -90,19 +90,28 @@ def _sights(
 ) -> tuple[FloatArray, FloatArray]:
     """Of each mapped anchor from a pose: variance (rad^2) of its direction, and the direction."""
     n = len(scene.mapped)
-    moving = doubt[0, 0] + doubt[1, 1] + doubt[2, 2]
-    turning = doubt[3, 3] + doubt[4, 4] + doubt[5, 5]
+    moving, turning = _largest(doubt, 0), _largest(doubt, 3)
     variance, toward = np.empty(n), np.empty((n, 3))
     for j in range(n):
         x, y, z = moved(R, t, scene.mapped[j].anchor_m)
         square = x * x + y * y + z * z
         reach = max(np.sqrt(square), 1e-6)
         toward[j, 0], toward[j, 1], toward[j, 2] = x / reach, y / reach, z / reach
-        spread = moving
-        for k in range(6):
-            spread += scene.mapped[j].covariance_m2[k, k]
+        spread = moving + _largest(scene.mapped[j].covariance_m2, 0)
         variance[j] = spread / max(square, 1.0) + turning
     return variance, toward
+
+
+@compiled
+def _largest(covariance: FloatArray, first: int) -> float:
+    """At least the variance in any direction of three axes (Gershgorin), often not much more."""
+    largest = 0.0
+    for row in range(first, first + 3):
+        total = 0.0
+        for column in range(first, first + 3):
+            total += abs(covariance[row, column])
+        largest = max(largest, total)
+    return largest
 
 
 @compiled
