@@ -113,7 +113,7 @@ def test_sure_and_wrong_is_marked_and_named() -> None:
     run = run_of(localized(), localized(far), localized(far, "ambiguous", "Two poses fit."))
     rows = run_view("first", run)["frames"]
     assert [row["sureAndWrong"] for row in rows] == [False, True, False]
-    assert [row["verdict"] for row in rows] == ["healthy", "sure and wrong", "several poses fit"]
+    assert [row["verdict"] for row in rows] == ["healthy", "sure and wrong", "few fit"]
     assert rows[1]["errorM"] == pytest.approx(3.2)
     assert why_card(run.frames[1], MAP.classes)["title"] == "Sure and wrong"
 
