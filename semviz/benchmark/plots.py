@@ -44,8 +44,10 @@ def draw(outcomes: Iterable[Outcome], rows: Sequence[Row], folder: Path) -> None
         title = f"{suite}, noise {noise}"
         timed = [row for row in rows if (row.suite, row.noise, row.stratum) == (suite, noise, ALL)]
         figures = {"cumulative": cumulative(title, groups), "time": times(title, timed)}
-        if any(one.facts.bound_m for group in groups.values() for one in group):
+        facts = [one.facts for group in groups.values() for one in group]
+        if any(one.bound_m is not None for one in facts):
             figures["bound"] = against_bound(title, groups)
+        if any(one.recall is not None for one in facts):
             figures["recall"] = against_recall(title, groups)
         for name, figure in figures.items():
             figure.savefig(folder / f"{_file_name(suite)}-{noise}-{name}.png", dpi=120)
@@ -129,6 +131,10 @@ def against_recall(title: str, groups: Groups) -> "Figure":
         if axis.lines:
             axis.set_yscale("log")
             _plain(axis.yaxis)
+        else:
+            few = f"fewer than {LEAST_IN_BIN} frames at every recall"
+            axis.text(50.0, 0.5, few, ha="center", color="0.4")
+            axis.set_yticks([])
         _grid(axis)
     _legend(figure)
     return figure

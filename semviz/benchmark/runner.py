@@ -49,6 +49,9 @@ def _run(tasks: list[Task], roads: Roads, jobs: int) -> Iterator[list[Outcome]]:
         _use_one_core()
         yield from (run_task(task, roads, timed_alone=True) for task in tasks)
         return
+    for task in {task.suite.kind: task for task in reversed(tasks)}.values():
+        for name in task.methods:  # compiled once and told so, not by each process in silence
+            _first_call_ms(task.suite, name, roads)
     with ProcessPoolExecutor(jobs, get_context("spawn"), _start_worker) as pool:
         waiting = [pool.submit(run_task, task, roads, timed_alone=False) for task in tasks]
         try:
