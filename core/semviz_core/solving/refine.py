@@ -17,7 +17,7 @@ from semviz_core.solving.support import support_of_pairs
 
 NEEDED_PAIRS = 3
 """Two pairs fix an upright pose; a third is the first that can contradict them."""
-MOST_SIGMA_M = 2.0
+MOST_SIGMA_M = 3.0
 """A pose less certain than this along any direction is no answer."""
 MOST_SIGMA_RAD = float(np.deg2rad(5.0))
 START_DOUBT: FloatArray = np.diag([0.15**2] * 3 + [np.deg2rad(0.3) ** 2] * 3)
