@@ -25,6 +25,8 @@ NEAREST_M = 3.0
 """Elements closer to the camera are not missed when they are not seen."""
 BEYOND_REACH = 0.02
 """Chance that something beyond the detector's reach is detected all the same."""
+LEAST_CHANCE = 1e-200
+"""Smaller products come near to what a number can hold."""
 _NONE = -np.inf
 _LOG_2PI = np.log(2.0 * np.pi)
 
@@ -74,14 +76,15 @@ def log_likelihood(
         if match[i] >= 0:
             total += gain[i, match[i]]
             paired[match[i]] = True
+    chance = 1.0  # of what is and is not detected; one logarithm in the end
     for j in range(len(paired)):
         recall = _recall(scene, R, t, j)
-        if paired[j]:
-            # a pair beyond the stated reach of detection is unlikely, not impossible
-            total += np.log(max(recall, BEYOND_REACH))
-        else:
-            total += np.log1p(-recall)
-    return total
+        # a pair beyond the stated reach of detection is unlikely, not impossible
+        chance *= max(recall, BEYOND_REACH) if paired[j] else 1.0 - recall
+        if chance < LEAST_CHANCE:
+            total += np.log(chance)
+            chance = 1.0
+    return total + np.log(chance)
 
 
 @compiled

@@ -37,7 +37,7 @@ AGREEING_SIGMAS = 3.3
 RUNS = 3
 """Headings kept of a place: those with the most voters, and with one less."""
 LEAST_VOTERS = 2
-MOST_HYPOTHESES = 700
+MOST_HYPOTHESES = 500
 MOST_VOTERS = 60
 """Observed elements that vote; they share the bits of one number."""
 _TURN = 2.0 * np.pi
@@ -181,9 +181,25 @@ def _vote(
             if i >= MOST_VOTERS:
                 break
             if is_new:
-                bearing, is_new = np.arctan2(north, east), False
+                bearing, is_new = _quick_arctan2(north, east), False
             heading = bearing - view.seen[i].azimuth_rad
             _vote_around(votes, heading, slack + SURE_RAD, 1 << i)
+
+
+@compiled
+def _quick_arctan2(y: float, x: float) -> float:
+    """Within 2e-4 rad, in a quarter of the time (Abramowitz and Stegun 1964, 4.4.49)."""
+    steep = abs(y) > abs(x)
+    ratio = min(abs(x), abs(y)) / max(abs(x), abs(y), 1e-300)
+    s = ratio * ratio
+    angle = ratio * (
+        0.9998660 + s * (-0.3302995 + s * (0.1801410 + s * (-0.0851330 + s * 0.0208351)))
+    )
+    if steep:
+        angle = 0.5 * np.pi - angle
+    if x < 0.0:
+        angle = np.pi - angle
+    return -angle if y < 0.0 else angle
 
 
 @compiled

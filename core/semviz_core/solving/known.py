@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.compiled import compiled
 from semviz_core.solving.scene import Known
 
@@ -102,18 +102,18 @@ def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float
 def road_heights(known: Known, x: float, y: float) -> FloatArray:
     """(l,) heights that a camera at (x, y) can have: one for each road near by."""
     road = known.road_m
-    heights = np.empty(MOST_ROADS)
+    chosen, heights = np.empty(MOST_ROADS, dtype=np.int64), np.empty(MOST_ROADS)
     heights[0] = known.value.place_m[2]
     count = 0
     while count < MOST_ROADS:
         least, best = _FAR_M2, -1
         for k in range(len(road)):
             square = (road[k, 0] - x) ** 2 + (road[k, 1] - y) ** 2
-            if square < least and _is_new(heights[:count], road[k, 2]):
+            if square < least and _is_new(road, chosen[:count], k):
                 least, best = square, k
         if best < 0 or (count and least > ROAD_WIDTH_M**2):
             break
-        heights[count] = road[best, 2]
+        chosen[count], heights[count] = best, road[best, 2]
         count += 1
     return heights[: max(count, 1)]
 
@@ -126,10 +126,12 @@ def _same_pass(road_m: FloatArray, one: int, other: int) -> bool:
 
 
 @compiled
-def _is_new(heights: FloatArray, height: float) -> bool:
+def _is_new(road_m: FloatArray, chosen: IntArray, row: int) -> bool:
+    """Whether a place is on another pass than those chosen, and at another height."""
     new = True
-    for one in heights:
-        new = new and abs(one - height) > OTHER_HEIGHT_M
+    for one in chosen:
+        apart = abs(road_m[one, 2] - road_m[row, 2])
+        new = new and apart > OTHER_HEIGHT_M and not _same_pass(road_m, one, row)
     return new
 
 

@@ -18,6 +18,8 @@ from semviz_core.frame import Belief, Prior
 
 CLUTTER_LEAN = 0.1
 """False poles lean evenly up to this slope to either side."""
+ROAD_SIGMAS, ROAD_WIDER_M = 3.0, 10.0
+"""Of the fix: how far from it the road is looked at."""
 _TINY = 1e-9
 
 Record: TypeAlias = Any
@@ -135,7 +137,7 @@ class Known(NamedTuple):
                 prior.horizontal_sigma_m, prior.horizontal_sigma_m, prior.vertical_sigma_m,
             )  # fmt: skip
             if prior.road_m is not None:
-                road = np.ascontiguousarray(prior.road_m)
+                road = _near_fix(prior.road_m, prior)
             if prior.up_camera is not None:
                 value["has_up"], value["up_sigma_rad"] = True, prior.up_sigma_rad
                 value["up_camera"] = prior.up_camera
@@ -149,6 +151,14 @@ class Known(NamedTuple):
             value["belief_translation"] = belief.T_camera_map.translation
             value["belief_white"] = np.linalg.inv(np.linalg.cholesky(belief.covariance))
         return cls(value, road)
+
+
+def _near_fix(road_m: FloatArray, prior: Prior) -> FloatArray:
+    """The part of the road on which poses within the gates of the prior are; all where that is none."""
+    off = road_m[:, :2] - prior.position_m[:2]
+    reach = ROAD_SIGMAS * prior.horizontal_sigma_m + ROAD_WIDER_M
+    near = (off * off).sum(axis=1) < reach * reach
+    return np.ascontiguousarray(road_m[near] if near.any() else road_m)
 
 
 def perpendicular(unit: FloatArray) -> FloatArray:

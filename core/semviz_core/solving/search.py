@@ -22,7 +22,7 @@ from semviz_core.solving.residuals import SURE
 from semviz_core.solving.scene import Known, Scene
 from semviz_core.solving.upright import UprightView, likely_ups, upright_view
 
-STARTED, FINISHED = 20, 8
+STARTED, FINISHED = 16, 6
 """Candidates that are paired and fitted once, and those of them that are fitted to the end."""
 HOPEFUL_NATS = 30.0
 """Candidates rated lower than the best by more are not fitted."""
