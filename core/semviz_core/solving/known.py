@@ -85,7 +85,7 @@ def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float
         further = (dx * dx + dy * dy - least) / ROAD_BLUR_M**2
         if further > LEAST_WEIGHT_CHI2 or not _same_pass(road_m, first, k):
             continue
-        weight = np.exp(-0.5 * max(further, 0.0))
+        weight = np.exp(-0.5 * further)
         total += weight
         height += weight * road_m[k, 2]
         total_x += weight * dx

@@ -154,7 +154,7 @@ class Known(NamedTuple):
 
 
 def _near_fix(road_m: FloatArray, prior: Prior) -> FloatArray:
-    """The part of the road on which poses within the gates of the prior are; all where that is none."""
+    """The part of the road on which poses within the prior are; all of it where that is none."""
     off = road_m[:, :2] - prior.position_m[:2]
     reach = ROAD_SIGMAS * prior.horizontal_sigma_m + ROAD_WIDER_M
     near = (off * off).sum(axis=1) < reach * reach
