@@ -66,9 +66,9 @@ def _doubt(localization: Localization) -> str:
     rivals, fit = _rivals(localization), localization.refinement
     if rivals > 1 or fit is None:
         return "two poses fit" if rivals == 2 else "several poses fit"
-    if fit.inlier.sum() < SURE_PAIRS:
-        return "few fit"
-    return "not sure" if hanging_pair(fit) is None else "hangs on one pair"
+    if fit.inlier.sum() >= SURE_PAIRS and hanging_pair(fit) is not None:
+        return "hangs on one pair"
+    return "few fit"
 
 
 def _failure(record: FrameRecord) -> str:

@@ -44,15 +44,20 @@ def judge(
     modes: Modes, refined: Refined, observed: Elements2D, submap: Elements3D, prior: Prior
 ) -> Verdict:
     """Judge the refined best of ``modes``."""
-    fit, seen = refined.refinement, len(observed)
-    fitting = int(fit.inlier.sum())
-    if reason := _too_few(fitting, observed, submap):
-        return Verdict("cannot", reason)
+    fit = refined.refinement
+    fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
+    half = int(np.ceil(LEAST_SHARE * explicable))
+    needed = max(NEEDED_PAIRS, min(half, SURE_PAIRS))
+    of_all = f"{fitting} of {len(observed)} elements"
+    if explicable < len(observed):
+        of_all += f" ({explicable} can be in the submap)"
+    if fitting < needed:
+        return Verdict("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(refined.covariance[:3, :3])))
     doubts = (
         _rivals(modes, refined.T_camera_map),
         *_contradictions(refined.T_camera_map, prior),
-        _few(fitting, seen),
+        _few(fitting, max(SURE_PAIRS, half), of_all),
         _hanging(fit, submap),
         _open(sigma_m),
     )
@@ -60,16 +65,7 @@ def judge(
         return Verdict("ambiguous", doubt)
     gap = modes.score[0] - modes.score
     next_best = f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
-    return Verdict("ok", f"{fitting} of {seen} elements fit, {sigma_m:.2f} m{next_best}.")
-
-
-def _too_few(fitting: int, observed: Elements2D, submap: Elements3D) -> str:
-    seen, explicable = len(observed), _explicable(observed, submap)
-    needed = max(NEEDED_PAIRS, int(np.ceil(LEAST_SHARE * explicable)))
-    if fitting >= needed:
-        return ""
-    mapped = "" if explicable == seen else f" ({explicable} can be in the submap)"
-    return f"Only {fitting} of {seen} elements{mapped} fit the best pose; {needed} needed."
+    return Verdict("ok", f"{of_all} fit, {sigma_m:.2f} m{next_best}.")
 
 
 def _explicable(observed: Elements2D, submap: Elements3D) -> int:
@@ -115,10 +111,8 @@ def _contradiction(piece: str, off: float, sigma: float, text: str) -> str:
     return f"The pairs contradict the prior: its {piece} is {text} off, {off / sigma:.1f} sigma."
 
 
-def _few(fitting: int, seen: int) -> str:
-    if fitting >= SURE_PAIRS:
-        return ""
-    return f"Only {fitting} of {seen} elements fit; one more is needed to be sure."
+def _few(fitting: int, needed: int, of_all: str) -> str:
+    return "" if fitting >= needed else f"Only {of_all} fit; {needed} are needed to be sure."
 
 
 def hanging_pair(fit: Refinement) -> int | None:
