@@ -84,13 +84,11 @@ def test_frames_fail_for_the_reasons_that_were_planted(workspace: Workspace, run
     assert set(hurt) & set(MOVED_IN_FRAMES)
 
 
-def test_most_frames_are_right_and_only_a_moved_pole_makes_them_sure_and_wrong(run: Run) -> None:
+def test_most_frames_are_right_and_none_is_sure_and_wrong(run: Run) -> None:
     errors = errors_m(run)
     assert len(errors) > len(run.frames) / 2
     assert np.median(list(errors.values())) < 0.1
-    wrong = {index for index, error_m in errors.items() if error_m > 1.0}
-    assert wrong <= set(MOVED_IN_FRAMES)
-    assert len(wrong) <= 1
+    assert max(errors.values()) < 0.5
 
 
 @pytest.mark.browser
