@@ -37,7 +37,7 @@ AGREEING_SIGMAS = 3.3
 RUNS = 3
 """Headings kept of a place: those with the most voters, and with one less."""
 LEAST_VOTERS = 2
-MOST_HYPOTHESES = 500
+MOST_HYPOTHESES = 350
 MOST_VOTERS = 60
 """Observed elements that vote; they share the bits of one number."""
 _TURN = 2.0 * np.pi

@@ -46,7 +46,14 @@ def fit_pairs(
     iterations: int = 20,
 ) -> PairFit:
     """Fit one pose to ``pairs`` (k, 2) of rows observed and mapped, from ``T_camera_map``."""
-    known, match = Known.of(prior, belief), as_match(scene, pairs)
+    return fit_known(scene, Known.of(prior, belief), T_camera_map, pairs, iterations)
+
+
+def fit_known(
+    scene: Scene, known: Known, T_camera_map: Pose, pairs: IntArray, iterations: int = 20
+) -> PairFit:
+    """As ``fit_pairs``, with prior and belief as records."""
+    match = as_match(scene, pairs)
     start = T_camera_map.rotation, T_camera_map.translation
     R, t, _, trace = fit(scene, known, *start, match, iterations)
     # covariances of residuals change with the pose: once more with those of the optimum

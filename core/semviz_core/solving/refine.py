@@ -9,7 +9,7 @@ from semviz_core.frame import Prior
 from semviz_core.localization import Refinement
 from semviz_core.pose import Pose
 from semviz_core.solving.association import associate
-from semviz_core.solving.least_squares import as_match, fit, fit_pairs
+from semviz_core.solving.least_squares import as_match, fit, fit_known
 from semviz_core.solving.residuals import SURE, scene_residuals
 from semviz_core.solving.scene import Known, Scene
 from semviz_core.solving.shape import why_degenerate
@@ -60,7 +60,7 @@ def refine(
     if len(pairs) < NEEDED_PAIRS:
         seen = len(scene.seen)
         return Failure(f"{len(pairs)} of {seen} elements fit one pose, {NEEDED_PAIRS} needed.")
-    best = fit_pairs(scene, prior, T_camera_map, pairs, iterations=_ITERATIONS)
+    best = fit_known(scene, known, T_camera_map, pairs, _ITERATIONS)
     covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     if reason := _too_uncertain(covariance):
         return Failure(_why_degenerate(scene, pairs) or reason)

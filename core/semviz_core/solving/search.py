@@ -25,7 +25,7 @@ from semviz_core.solving.upright import UprightView, likely_ups, upright_view
 STARTED, FINISHED = 16, 6
 """Candidates that are paired and fitted once, and those of them that are fitted to the end."""
 HOPEFUL_NATS = 30.0
-"""Candidates rated lower than the best by more are not fitted."""
+"""Candidates lower than the best by more are not fitted further."""
 BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
 """Hypotheses closer than both are fitted to the same pose."""
 IMPROVED = 3
@@ -155,7 +155,7 @@ def _settle(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
     """Candidates fitted to the end, scored, sorted; those that ran into a better one left out."""
     m, n = scene.compatible.shape
-    kept = _distinct(candidates)[:FINISHED]
+    kept = _hopeful(candidates, _distinct(candidates)[:FINISHED])
     b = len(kept)
     settled = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     matches, gains = np.empty((b, m), dtype=np.int64), np.empty((b, m, n))
@@ -164,7 +164,7 @@ def _settle(
         match, _ = associate(scene, R, t, FINE)
         _put(settled, matches, gains, row, _fitted(scene, known, R, t, match))
     best = _distinct(settled)
-    for row in best[:IMPROVED]:
+    for row in _hopeful(settled, best[:IMPROVED]):
         here = settled.rotation[row], settled.translation[row], matches[row], gains[row]
         _put(settled, matches, gains, row, _improved(scene, known, *here, settled.worth[row]))
     best = _distinct(settled)
@@ -253,6 +253,17 @@ def _distinct(candidates: Candidates) -> IntArray:
             kept[count] = row
             count += 1
     return kept[:count]
+
+
+@compiled
+def _hopeful(candidates: Candidates, order: IntArray) -> IntArray:
+    """The first of ``order``, best first, that are not far below the best."""
+    count = 0
+    while count < len(order):
+        if candidates.worth[order[count]] < candidates.worth[order[0]] - HOPEFUL_NATS:
+            break
+        count += 1
+    return order[:count]
 
 
 @compiled

@@ -92,11 +92,12 @@ def _rivals(modes: Modes, T_camera_map: Pose) -> str:
 
 def _contradictions(T_camera_map: Pose, prior: Prior) -> Iterator[str]:
     """Pieces of the prior that the pose is too far from."""
-    R, center = T_camera_map.rotation, T_camera_map.inverse().translation
+    R = T_camera_map.rotation
+    center = -R.T @ T_camera_map.translation
     off_m = float(np.hypot(*(center - prior.position_m)[:2]))
     yield _contradiction("fix", off_m, prior.horizontal_sigma_m, f"{off_m:.1f} m")
     if prior.up_camera is not None:
-        tilt = float(np.linalg.norm(np.cross(R[:, 2], prior.up_camera)))
+        tilt = float(np.arccos(np.clip(R[:, 2] @ prior.up_camera, -1.0, 1.0)))
         yield _contradiction("gravity", tilt, prior.up_sigma_rad, f"{np.rad2deg(tilt):.1f} deg")
     if prior.heading_rad is not None:
         turn = np.arctan2(R[2, 1], R[2, 0]) - prior.heading_rad
