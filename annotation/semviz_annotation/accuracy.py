@@ -14,7 +14,8 @@ import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.observe import map_ids
-from semviz_annotation.triangulate import View, across_px, rig_view
+from semviz_annotation.triangulate import across_px
+from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap

@@ -13,7 +13,8 @@ import numpy as np
 
 from semviz_annotation.fuse import Sighting, Thing, fuse
 from semviz_annotation.labels import LabelElement, Labels, Observation
-from semviz_annotation.triangulate import Failed, Triangulated, View, rig_view, triangulate
+from semviz_annotation.triangulate import Failed, Triangulated, triangulate
+from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements3D

@@ -1,14 +1,12 @@
-"""Where a pixel of one image can lie in the other, for any two calibrated cameras of a rig."""
+"""Where a pixel of one image can lie in another: of the other camera, or of another frame."""
 
 from itertools import pairwise
 
 import numpy as np
 
+from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
-from semviz_core.camera import Camera, Rig
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
-from semviz_core.sources.source import Side
+from semviz_core.camera import Camera
 
 PLAUSIBLE_DEPTH_M = (2.0, 80.0)
 """Nearer things are cut off by the image; further ones cannot be triangulated (BENCHMARK: 3-40)."""
@@ -16,36 +14,21 @@ _SAMPLES = 33
 """Points along the curve that distortion makes of the line."""
 
 
-def other(side: Side) -> Side:
-    """The side that is not ``side``."""
-    return "right" if side == "left" else "left"
-
-
-def camera_of(rig: Rig, side: Side) -> tuple[Camera, Pose]:
-    """The camera on one side with its pose ``T_camera_left``; SemvizError where there is none."""
-    if side == "left":
-        return rig.left, Pose.identity()
-    if rig.right is None or rig.T_right_left is None:
-        raise SemvizError("this sequence has no right camera")
-    return rig.right, rig.T_right_left
-
-
 def epipolar_segment(
-    rig: Rig,
-    side: Side,
+    here: View,
+    there: View,
     pixel_px: tuple[float, float],
     depth_m: tuple[float, float] = PLAUSIBLE_DEPTH_M,
 ) -> FloatArray:
-    """(k, 2) px: the epipolar line of a pixel on ``side``, in the other image, near end first.
+    """(k, 2) px: the epipolar line of a pixel of ``here`` in ``there``, near end first.
 
-    ``depth_m`` bounds the depth in the camera of ``side``; its upper bound can be infinite. k is 2,
-    more where the other camera has distortion, and 0 where no such point is in the other image.
+    ``depth_m`` bounds the depth in ``here``; its upper bound can be infinite. k is 2, more where
+    the other camera has distortion, and 0 where no such point is in the other image.
     Hartley & Zisserman, 9.1; rectification is not assumed.
     """
-    camera, T_camera_left = camera_of(rig, side)
-    target, T_target_left = camera_of(rig, other(side))
-    T_target_camera = T_target_left @ T_camera_left.inverse()
-    ray = np.append(camera.normalize(np.array([pixel_px]))[0], 1.0)
+    target = there.camera
+    T_target_camera = there.T_camera_map @ here.T_camera_map.inverse()
+    ray = np.append(here.camera.normalize(np.array([pixel_px]))[0], 1.0)
     towards, offset = T_target_camera.rotation @ ray, T_target_camera.translation
     inverse_depths = _ahead(1.0 / depth_m[1], 1.0 / depth_m[0], towards[2], offset[2])
     if inverse_depths is None:

@@ -7,9 +7,9 @@ import numpy as np
 
 from semviz_annotation.labels import Observation
 from semviz_annotation.stereo import epipolar_segment
-from semviz_annotation.triangulate import Failed, Triangulated, View
+from semviz_annotation.triangulate import Failed, Triangulated
+from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
-from semviz_core.camera import Rig
 
 ANYWHERE_M = (0.1, float("inf"))
 THIN_DEG = 1.0
@@ -44,24 +44,23 @@ def card(place: Triangulated | Failed, view: View, views: int) -> dict[str, Any]
     return numbers
 
 
-def epipolar_error_px(rig: Rig, here: Sequence[Observation]) -> float | None:
-    """Largest distance of a known end in the right image from the left one's epipolar line, px.
+def epipolar_error_px(pair: Sequence[tuple[View, Observation]]) -> float | None:
+    """Largest distance of a known end of the second from the epipolar line of the first's, px.
 
-    ``here`` is one element in one frame; None where it lacks an image, or no end is known in both,
-    or the left one's line does not cross the right image.
+    ``pair`` is one element in two images; None where there are not two, or no end is known in both,
+    or the first one's line does not cross the second image.
     """
-    by_side = {one.side: one for one in here}
-    if len(by_side) < 2:
+    if len(pair) != 2:
         return None
-    left, right = by_side["left"], by_side["right"]
-    pairs = [(left.anchor_px, right.anchor_px)] * (left.anchor_known and right.anchor_known)
-    if left.end_px is not None and right.end_px is not None:
-        pairs += [(left.end_px, right.end_px)] * (left.end_known and right.end_known)
+    (here, one), (there, two) = pair
+    ends = [(one.anchor_px, two.anchor_px)] * (one.anchor_known and two.anchor_known)
+    if one.end_px is not None and two.end_px is not None:
+        ends += [(one.end_px, two.end_px)] * (one.end_known and two.end_known)
     distances = [
-        _distance(epipolar_segment(rig, "left", one, ANYWHERE_M), np.array(two))
-        for one, two in pairs
+        _distance(epipolar_segment(here, there, from_px, ANYWHERE_M), np.array(to_px))
+        for from_px, to_px in ends
     ]
-    return max((one for one in distances if np.isfinite(one)), default=None)
+    return max((gap for gap in distances if np.isfinite(gap)), default=None)
 
 
 def _sigma(place: Triangulated, gradient: FloatArray) -> float:

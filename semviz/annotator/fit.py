@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from semviz_annotation.labels import Observation
-from semviz_annotation.triangulate import Failed, View, across_px, triangulate
+from semviz_annotation.triangulate import Failed, across_px, triangulate
+from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_annotation.labels import Labels, Pixel
-from semviz_annotation.stereo import camera_of
 from semviz_annotation.triangulate import Triangulated
+from semviz_annotation.view import camera_of
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import Rig
 from semviz_core.pose import Pose

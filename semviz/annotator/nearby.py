@@ -9,7 +9,7 @@ from semviz.annotator.fit import seen_at
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.places import Places
 from semviz_annotation.labels import Labels, Pixel
-from semviz_annotation.triangulate import View, rig_view
+from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import Rig
 from semviz_core.sources.source import Side

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from semviz.annotator.fit import best_ends
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.triangulate import Failed, Triangulated, View, rig_view, triangulate
+from semviz_annotation.triangulate import Failed, Triangulated, triangulate
+from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import Rig
 from semviz_core.frame import Frame

@@ -18,9 +18,10 @@ from semviz.annotator.views import Json
 from semviz.workspace import Workspace
 from semviz_annotation.edits import AddObservation, edit_from_json
 from semviz_annotation.labels import STRICT, Id, Index, Labels, Observation, Pixel
-from semviz_annotation.stereo import camera_of, epipolar_segment, other
+from semviz_annotation.stereo import epipolar_segment
 from semviz_annotation.store import Operation
-from semviz_annotation.triangulate import Triangulated, rig_view
+from semviz_annotation.triangulate import Triangulated
+from semviz_annotation.view import camera_of, other, rig_view
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
@@ -262,9 +263,10 @@ class LabelSession:
         return guides
 
     def _guide(self, side: Side, pixel: Pixel) -> Json:
+        here, there = rig_view(self.rig, side), rig_view(self.rig, other(side))
         return {
-            "line": epipolar_segment(self.rig, side, pixel, WHOLE_LINE_M).tolist(),
-            "plausible": epipolar_segment(self.rig, side, pixel).tolist(),
+            "line": epipolar_segment(here, there, pixel, WHOLE_LINE_M).tolist(),
+            "plausible": epipolar_segment(here, there, pixel).tolist(),
         }
 
     def _card(
@@ -282,7 +284,9 @@ class LabelSession:
         }
         return card(place, rig_view(self.rig, "left", T_camera_map), count) | {
             "length_px": lengths,
-            "epipolar_px": epipolar_error_px(self.rig, here),
+            "epipolar_px": epipolar_error_px(
+                [(rig_view(self.rig, one.side), one) for one in sorted(here, key=lambda x: x.side)]
+            ),
         }
 
     def _partner(self, frame_index: int, drawing: Drawing, selected_id: str | None) -> Partner:

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from semviz_annotation.stereo import PLAUSIBLE_DEPTH_M, epipolar_segment, other
-from semviz_annotation.triangulate import rig_view
+from semviz_annotation.stereo import PLAUSIBLE_DEPTH_M, epipolar_segment
+from semviz_annotation.view import other, rig_view
 from semviz_core.camera import Camera, Rig
 from semviz_core.pose import Pose
 
@@ -24,6 +24,11 @@ BENT = Rig(
 )
 
 
+def pair(rig, side):
+    """The view on ``side`` and the one across from it."""
+    return rig_view(rig, side), rig_view(rig, other(side))
+
+
 def distance_px(line_px, point_px) -> float:
     """From a point to a polyline."""
     starts, steps = line_px[:-1], np.diff(line_px, axis=0)
@@ -39,37 +44,37 @@ def distance_px(line_px, point_px) -> float:
 )
 def test_the_partner_lies_on_the_segment(case, side, point):
     rig, tolerance_px = case
-    here, there = rig_view(rig, side), rig_view(rig, other(side))
+    here, there = pair(rig, side)
     points = np.array([point])
     depth = here.depth_m(points)[0]
     pixel, partner = here.project(points)[0], there.project(points)[0]
     assume(here.camera.contains(pixel)[0] and there.camera.contains(partner)[0])
     assume(PLAUSIBLE_DEPTH_M[0] < depth < PLAUSIBLE_DEPTH_M[1])
-    segment = epipolar_segment(rig, side, tuple(pixel))
+    segment = epipolar_segment(here, there, tuple(pixel))
     assert distance_px(segment, partner) < tolerance_px
     assert there.camera.contains(segment).all()
 
 
 def test_rectified_lines_are_level_and_end_at_the_depths_asked_for():
-    segment = epipolar_segment(RECTIFIED, "left", (800.0, 100.0), (5.0, 50.0))
+    segment = epipolar_segment(*pair(RECTIFIED, "left"), (800.0, 100.0), (5.0, 50.0))
     assert np.allclose(segment, [[800 - 720 * 0.54 / 5, 100], [800 - 720 * 0.54 / 50, 100]])
-    segment = epipolar_segment(RECTIFIED, "right", (800.0, 100.0), (5.0, np.inf))
+    segment = epipolar_segment(*pair(RECTIFIED, "right"), (800.0, 100.0), (5.0, np.inf))
     assert np.allclose(segment, [[800 + 720 * 0.54 / 5, 100], [800.0, 100]])
 
 
 def test_clipped_at_the_border_and_empty_outside():
-    segment = epipolar_segment(RECTIFIED, "left", (20.0, 100.0), (5.0, 50.0))
+    segment = epipolar_segment(*pair(RECTIFIED, "left"), (20.0, 100.0), (5.0, 50.0))
     assert np.allclose(segment, [[-0.5, 100.0], [20 - 720 * 0.54 / 50, 100.0]])
-    assert epipolar_segment(RECTIFIED, "left", (3.0, 100.0), (5.0, 50.0)).shape == (0, 2)
-    assert epipolar_segment(RECTIFIED, "left", (800.0, -40.0)).shape == (0, 2)
+    assert epipolar_segment(*pair(RECTIFIED, "left"), (3.0, 100.0), (5.0, 50.0)).shape == (0, 2)
+    assert epipolar_segment(*pair(RECTIFIED, "left"), (800.0, -40.0)).shape == (0, 2)
 
 
 def test_nothing_behind_the_other_camera():
     """The other camera is 6 m ahead: what is nearer is behind it and must not be drawn."""
     ahead = Rig(LEFT, LEFT, Pose(np.eye(3), np.array([-0.54, 0.0, -6.0])))
-    segment = epipolar_segment(ahead, "left", (630.0, 170.0), (2.0, 80.0))
+    segment = epipolar_segment(*pair(ahead, "left"), (630.0, 170.0), (2.0, 80.0))
     far = rig_view(ahead, "right").project(rig_view(ahead, "left").rays(np.array([[630.0, 170.0]])))
     assert np.isnan(far).all()
     assert len(segment) == 2
     assert LEFT.contains(segment).all()
-    assert epipolar_segment(ahead, "left", (630.0, 170.0), (2.0, 5.0)).shape == (0, 2)
+    assert epipolar_segment(*pair(ahead, "left"), (630.0, 170.0), (2.0, 5.0)).shape == (0, 2)

@@ -13,11 +13,10 @@ from semviz_annotation.triangulate import (
     MIN_ANGLE_RAD,
     Failed,
     Triangulated,
-    View,
-    rig_view,
     triangulate,
     triangulate_pair,
 )
+from semviz_annotation.view import View, rig_view
 from semviz_core.camera import Camera, Rig
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose

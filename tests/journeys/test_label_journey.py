@@ -12,7 +12,8 @@ from journeys.driver import POLE, LabelDriver, Pixel, Side
 from semviz.annotator.server import Annotator
 from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.triangulate import Triangulated, rig_view, triangulate
+from semviz_annotation.triangulate import Triangulated, triangulate
+from semviz_annotation.view import rig_view
 from semviz_core.sources.street.street import Street
 
 if TYPE_CHECKING:
