@@ -1,20 +1,16 @@
-// Everything around the images: top bar, lists, card, hints and frames. Rebuilt from the state.
-import { byId, el, fixed, svg } from "/static/dom.js";
+// Around the images: classes, elements, card, hints and frames. Rebuilt from the state.
+import { byId, el, fixed } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
+import { Aids } from "./aids.js";
+import { editing } from "./commands.js";
 import { hints } from "./hints.js";
-import { editing, neighbour } from "./commands.js";
-import { SIDES, spaced } from "./state.js";
+import { History } from "./history.js";
+import { SIDES } from "./state.js";
 import { Strip } from "./strip.js";
+import { TopBar } from "./topbar.js";
+import { Kept, capital, header, row } from "./widgets.js";
 
 const TOLD_MS = 6000;
-
-const AIDS = [
-  ["loupe", "Loupe", "L"],
-  ["guides", "Epipolar line", "I"],
-  ["ghosts", "Ghosts", "G"],
-  ["bright", "Brightness", "B"],
-  ["map", "3D map", "F"],
-];
 
 export class Panels {
   constructor(state, images, keys, actions) {
@@ -22,26 +18,16 @@ export class Panels {
     this.images = images;
     this.actions = actions;
     this.edit = editing(state, actions);
-    this.strip = new Strip(state, actions);
+    this.parts = [new TopBar(state, keys, actions), new Aids(state), new History(state, actions), new Strip(state, actions)];
     this.timer = 0;
-    const press = (id, run) => byId(id).addEventListener("click", run);
-    press("undo", () => actions.submit({ kind: "undo" }));
-    press("redo", () => actions.submit({ kind: "redo" }));
-    press("help", () => keys.showHelp("Keys"));
-    press("step", (event) => {
-      const box = event.currentTarget.getBoundingClientRect();
-      actions.go(neighbour(state, event.clientX - box.left < box.width / 2 ? -1 : 1));
-    });
-    this.drawn = {};
+    this.kept = new Kept(state);
     state.onChange(() => this.#queue());
   }
 
   /** What never changes after the first greeting. */
   start() {
-    const { workspace, source, author, images } = this.state.hello;
+    const { workspace, images } = this.state.hello;
     document.title = `${workspace} · semviz annotate`;
-    byId("workspace").replaceChildren(workspace, el("span", { class: "dim", text: ` ${source}` }));
-    byId("author").textContent = author;
     for (const side of SIDES) {
       const size = images[side] ? `${images[side].width} × ${images[side].height}` : "none";
       byId(`${side}-image`).querySelector(".about").textContent = size;
@@ -70,60 +56,17 @@ export class Panels {
 
   #show() {
     const { state } = this;
-    this.#saved();
-    this.#top();
     byId("scene").hidden = !state.aids.map; // a hidden scene costs no time
-    // lists are rebuilt only when what they show has changed: a click needs its row to stay
-    this.#list("classes", [state.classId, state.labels.counts], () => this.#classes());
-    this.#list("aids", state.aids, () => this.#aids());
-    this.#list("history", state.labels.history, () => this.#history());
-    this.#list("elements", [state.elements, state.expected, state.selected], () => this.#elements());
-    this.#list("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
-    this.#list("hints", hints(state), () => hints(state).map(hintItem));
+    this.parts.forEach((part) => part.show());
+    this.kept.show("classes", [state.classId, state.labels.counts], () => this.#classes());
+    this.kept.show("elements", [state.elements, state.expected, state.selected], () => this.#elements());
+    this.kept.show("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
+    this.kept.show("hints", hints(state), () => hints(state).map(hintItem));
     this.#status();
-    this.strip.show();
   }
 
   #glyph(one) {
     return classGlyph(one, this.state.colorOf(one));
-  }
-
-  #list(id, shown, build) {
-    const key = JSON.stringify([shown, this.state.theme]);
-    if (this.drawn[id] === key) return;
-    this.drawn[id] = key;
-    byId(id).replaceChildren(...build());
-  }
-
-  #saved() {
-    const { pending, connected, trouble, labels } = this.state;
-    const node = byId("saved");
-    const [kind, text] = trouble
-      ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
-      : !connected
-        ? ["offline", `Offline, ${pending.length} kept here`]
-        : pending.length
-          ? ["saving", `Saving ${pending.length} …`]
-          : ["saved", `Saved operation ${spaced(labels.operation)}`];
-    node.className = `chip ${kind}`;
-    node.textContent = text;
-  }
-
-  #top() {
-    const { labels, frame, order } = this.state;
-    const place = order.indexOf(frame);
-    byId("step").replaceChildren(
-      el("kbd", { text: "," }),
-      el("b", { text: `Frame ${frame}` }),
-      el("span", { class: "dim", text: `${place + 1} of ${order.length}` }),
-      el("kbd", { text: "." }));
-    const done = labels.frames.filter(({ state }) => state.startsWith("reviewed")).length;
-    const bar = svg("svg", { class: "bar", viewBox: "0 0 100 6", preserveAspectRatio: "none" },
-      svg("rect", { class: "track", width: 100, height: 6 }),
-      svg("rect", { class: "done", width: (100 * done) / order.length, height: 6 }));
-    byId("reviewed").replaceChildren("Reviewed ", bar, el("b", { text: ` ${done}` }), ` / ${order.length}`);
-    byId("undo").disabled = !labels.can_undo;
-    byId("redo").disabled = !labels.can_redo;
   }
 
   #classes() {
@@ -133,21 +76,6 @@ export class Panels {
         el("kbd", { text: place + 1 }), this.#glyph(one),
         el("span", { class: "fill", text: capital(one.name) }),
         el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
-  }
-
-  #aids() {
-    return AIDS.map(([aid, text, key]) => {
-      const on = this.state.aids[aid];
-      const toggle = () => this.state.set({ aids: { ...this.state.aids, [aid]: !on } });
-      return row({ onclick: toggle, role: "switch", "aria-checked": on },
-        el("i", { class: on ? "switch on" : "switch" }), el("span", { class: "fill", text }), el("kbd", { text: key }));
-    });
-  }
-
-  #history() {
-    return this.state.labels.history.map((one, place) =>
-      row({ chosen: place === 0, title: `${one.author}, frame ${one.frame ?? "none"}`, onclick: () => this.actions.go(one.frame) },
-        el("span", { class: "faint", text: spaced(one.number) }), el("span", { class: "fill", text: one.text })));
   }
 
   #elements() {
@@ -227,17 +155,6 @@ export class Panels {
 /** Why an element that is not labelled here is offered. */
 const whence = ({ labelled_in, depth_m }) =>
   labelled_in === undefined ? `expected · ${depth_m.toFixed(0)} m` : `labelled in frame ${labelled_in}`;
-
-const capital = (text) => text[0].toUpperCase() + text.slice(1);
-
-function row({ chosen = false, ...properties }, ...children) {
-  return el("button", { class: chosen ? "row chosen" : "row", ...properties }, ...children);
-}
-
-function header(name, about, ...more) {
-  const [glyph, end] = more;
-  return el("header", {}, glyph ?? null, el("h2", { text: name }), el("span", { class: "about", text: about }), end ?? null);
-}
 
 function hintItem({ keys, text, push }) {
   return el("span", { class: push ? "push dim" : "hint" }, ...keys.map((key) => el("kbd", { text: key })), text);
