@@ -1,0 +1,36 @@
+"""Carry pixels of one view into another at supposed depths."""
+
+import numpy as np
+
+from semviz_annotation.view import View
+from semviz_core.arrays import FloatArray
+
+
+def transfer(here: View, there: View, pixels_px: FloatArray, depths_m: FloatArray) -> FloatArray:
+    """(d, n, 2) px in ``there`` of pixels (n, 2) of ``here`` at depths (d,) or (d, n) in ``here``.
+
+    NaN behind the camera.
+    """
+    T = there.T_camera_map @ here.T_camera_map.inverse()
+    plane = here.camera.normalize(pixels_px)
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+    depths = np.broadcast_to(
+        depths_m if depths_m.ndim == 2 else depths_m[:, None], (len(depths_m), len(plane))
+    )
+    points = T.apply(rays * depths[..., None])
+    return there.camera.project(points.reshape(-1, 3)).reshape(*depths.shape, 2)
+
+
+def inverse_depths(
+    here: View, there: View, pixel_px: FloatArray, depth_m: tuple[float, float], step_px: float
+) -> FloatArray:
+    """Depths (d,) in ``here``, near first, about ``step_px`` apart in ``there``."""
+    many = 1.0 / np.linspace(1.0 / depth_m[0], 1.0 / depth_m[1], 65)
+    places = transfer(here, there, pixel_px[None], many)[:, 0]
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    ok = np.isfinite(steps)
+    if not ok.any():
+        return np.zeros(0)
+    length = np.concatenate([[0.0], np.cumsum(np.where(ok, steps, 0.0))])
+    count = int(np.ceil(length[-1] / step_px)) + 1
+    return np.asarray(1.0 / np.interp(np.linspace(0.0, length[-1], count), length, 1.0 / many))
