@@ -1,9 +1,11 @@
 """Labels to a map, as in the paper (section III-A): stereo triangulation, true poses, DBSCAN.
 
-Two rules go beyond the paper: observations that the annotator gave to one label element are never
-torn apart, and label elements seen together in one image are never merged.
+Three rules go beyond the paper: observations that the annotator gave to one label element are never
+torn apart, label elements seen together in one image are never merged, and an element without a
+pair that tells its place is placed by the motion between its frames.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -13,6 +15,7 @@ import numpy as np
 
 from semviz_annotation.fuse import Sighting, Thing, fuse
 from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz_annotation.motion import place_by_motion
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray, IntArray
@@ -21,7 +24,7 @@ from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import Provenance, SemanticMap
-from semviz_core.sources.source import Source
+from semviz_core.sources.source import Side, Source
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,14 @@ class BuildOptions:
     clicks of 1 px in KITTI's geometry), so 1 m is well above two estimates of one thing. Single far
     pairs scatter by metres: they need the annotator's identity, not a larger radius."""
     min_points: int = 1
-    """DBSCAN's core size, in stereo pairs. A pair that a person drew is no noise, so 1; labels from
-    a detector want 2 or 3."""
+    """DBSCAN's core size, in frames. What a person drew is no noise, so 1; labels from a detector
+    want 2 or 3."""
     sigma_px: float = 1.0
     """How well labels are placed."""
     min_angle_deg: float = 0.5
     """Pairs under this ray angle are left out: 62 m with KITTI's baseline, where 1 px is 10 m.
-    An element with no other pairs is placed by the motion between its frames."""
+    An element with no other pairs, or none at all, is placed by the motion between its frames,
+    if that gives this angle."""
 
     def __post_init__(self) -> None:
         for name in ("eps_m", "min_points", "sigma_px", "min_angle_deg"):
@@ -67,6 +71,8 @@ class BuildReport:
 
     pairs: int
     """Stereo pairs that were triangulated."""
+    by_motion: int
+    """Label elements that were placed by the motion between their frames."""
     merged: tuple[tuple[str, ...], ...]
     """Names of label elements that became one map element, two or more each."""
     kept_apart: tuple[tuple[str, str], ...]
@@ -78,10 +84,11 @@ class BuildReport:
         by_name: dict[str, list[Rejection]] = {}
         for one in self.rejected:
             by_name.setdefault(one.name, []).append(one)
-        lines = [f"{self.pairs} stereo pairs triangulated, {len(self.rejected)} left out"]
+        moved = f", {self.by_motion} elements placed by motion" if self.by_motion else ""
+        lines = [f"{self.pairs} stereo pairs triangulated{moved}, {len(self.rejected)} left out"]
         for name in sorted(by_name):
             first, *more = by_name[name]
-            lines.append(f"left out: {first}" + (f" (and {len(more)} more pairs)" if more else ""))
+            lines.append(f"left out: {first}" + (f" (and {len(more)} more)" if more else ""))
         lines += [f"merged: {', '.join(names)}" for names in self.merged]
         lines += [
             f"kept apart: {one} and {two} are seen in the same image"
@@ -113,15 +120,15 @@ def build_map(
     frames: Collection[int] | None = None,
     classes: ClassSet = DEFAULT_CLASSES,
 ) -> tuple[SemanticMap, BuildReport]:
-    """A map of what is labelled in both images of ``frames`` (None: all), and what became of it.
+    """A map of what is labelled in two or more images of ``frames`` (None: all), and what became
+    of the labels.
 
     Raises SemvizError where a labelled frame is not in the source or has no pose, or nothing is
-    labelled in both images.
+    labelled twice.
     """
     notes = _Notes(classes)
     posed = _posed_frames(labels, source, frames)
-    sightings = list(_triangulate(_pairs(labels, source, posed), options, notes))
-    _note_unpaired(labels, posed, notes)
+    sightings = list(_triangulate(_seen(labels, source, posed), options, notes))
     alone = [fuse(group, options.sigma_px) for group in _by_element(sightings)]
     things = [
         fuse([one for thing in group for one in thing.sightings], options.sigma_px)
@@ -129,8 +136,10 @@ def build_map(
     ]
     if not things:
         raise SemvizError(f"nothing could be triangulated; the first of all: {notes.rejected[0]}")
+    by_motion = sum(one.by_motion for one in sightings)
     report = BuildReport(
-        pairs=len(sightings),
+        pairs=len(sightings) - by_motion,
+        by_motion=by_motion,
         merged=tuple(notes.merged),
         kept_apart=tuple(notes.kept_apart),
         rejected=tuple(notes.rejected),
@@ -150,76 +159,96 @@ def _posed_frames(
             raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")
         if poses[index] is None:
             raise SemvizError(f"frame {index} is labelled but has no pose; a map needs true poses")
-    if not any(True for index in labelled for _ in labels.pairs(index)):
+    views = Counter(row.element_id for index in labelled for row in labels.in_frame(index))
+    if max(views.values(), default=0) < 2:
         raise SemvizError(
-            "no element is labelled in both images of a frame; label partners in 'semviz annotate'"
+            "no element is labelled in two images; in 'semviz annotate', label elements in left "
+            "and right, or in several frames"
         )
     return {index: pose for index, pose in poses.items() if index in chosen and pose is not None}
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """An element in several views, not yet triangulated."""
+    """An element in the chosen frames, not yet triangulated: its views in the map frame."""
 
     element: LabelElement
     views: tuple[View, ...]
     observations: tuple[Observation, ...]
 
+    def pairs(self) -> Iterator["_Seen"]:
+        """The stereo pairs in it, frame by frame."""
+        frames: dict[int, list[int]] = {}
+        for place, row in enumerate(self.observations):
+            frames.setdefault(row.frame_index, []).append(place)
+        for _, places in sorted(frames.items()):
+            if len(places) == 2:
+                yield self._only(places)
 
-def _pairs(labels: Labels, source: Source, posed: dict[int, Pose]) -> Iterator[_Seen]:
-    """Every element of every stereo pair, its views in the map frame by the true pose."""
-    for index, T_map_camera in posed.items():
-        T_left_map = T_map_camera.inverse()
-        left_view = rig_view(source.rig, "left", T_left_map)
-        right_view = rig_view(source.rig, "right", T_left_map)
-        for element, left, right in labels.pairs(index):
-            yield _Seen(element, (left_view, right_view), (left, right))
+    def outside(self, frames: Collection[int]) -> "_Seen":
+        """It without the views in some frames."""
+        rows = enumerate(self.observations)
+        return self._only([place for place, row in rows if row.frame_index not in frames])
+
+    def _only(self, places: Sequence[int]) -> "_Seen":
+        return _Seen(
+            self.element,
+            tuple(self.views[place] for place in places),
+            tuple(self.observations[place] for place in places),
+        )
+
+
+def _seen(labels: Labels, source: Source, posed: dict[int, Pose]) -> Iterator[_Seen]:
+    """Every element that is labelled in the frames ``posed`` (``T_map_camera``), by number."""
+    sides: tuple[Side, ...] = ("left", "right") if source.rig.right is not None else ("left",)
+    views = {
+        (index, side): rig_view(source.rig, side, pose.inverse())
+        for index, pose in posed.items()
+        for side in sides
+    }
+    elements = {row.element_id for index in posed for row in labels.in_frame(index)}
+    for element in sorted(map(labels.element, elements), key=lambda one: one.number):
+        rows = labels.of_element(element.id)
+        chosen = sorted(
+            (row for row in rows if row.frame_index in posed),
+            key=lambda row: (row.frame_index, row.side),
+        )
+        where = tuple(views[row.frame_index, row.side] for row in chosen)
+        yield _Seen(element, where, tuple(chosen))
 
 
 def _triangulate(
-    pairs: Iterable[_Seen], options: BuildOptions, notes: _Notes
+    elements: Iterable[_Seen], options: BuildOptions, notes: _Notes
 ) -> Iterator[Sighting]:
-    """The pairs one by one; those of an element that is too far for each of its pairs, together."""
-    placed: set[LabelElement] = set()
-    failed: dict[LabelElement, list[tuple[_Seen, Failed]]] = {}
-    for pair in pairs:
-        result = _place(pair, options)
-        if isinstance(result, Failed):
-            failed.setdefault(pair.element, []).append((pair, result))
-        else:
-            placed.add(pair.element)
-            yield Sighting(pair.element, pair.views, pair.observations, result)
-    for element, tries in failed.items():
-        far = [seen for seen, failure in tries if failure.too_narrow]
-        if element not in placed and far:
-            together = _together(far)
-            result = _place(together, options)
-            if not isinstance(result, Failed):
-                yield Sighting(element, together.views, together.observations, result)
-                continue
-        for seen, failure in tries:
-            notes.reject(element, failure.reason, seen.observations[0].frame_index)
-
-
-def _place(seen: _Seen, options: BuildOptions) -> Triangulated | Failed:
+    """Each element's pairs one by one; where they do not tell its place, by all its views."""
     angle = float(np.deg2rad(options.min_angle_deg))
-    return triangulate(seen.views, seen.observations, options.sigma_px, angle)
+    for seen in elements:
+        failed: list[tuple[int, Failed]] = []
+        placed = False
+        for pair in seen.pairs():
+            result = triangulate(pair.views, pair.observations, options.sigma_px, angle)
+            if isinstance(result, Failed):
+                failed.append((pair.observations[0].frame_index, result))
+                continue
+            placed = True
+            yield Sighting(seen.element, pair.views, pair.observations, result)
+        if not placed:
+            wrong = {index for index, failure in failed if not failure.too_narrow}
+            rest = seen.outside(wrong)
+            moved = _by_motion(rest, options.sigma_px, angle)
+            if not isinstance(moved, Failed):
+                yield Sighting(seen.element, rest.views, rest.observations, moved)
+                failed = [one for one in failed if one[0] in wrong]
+            elif not failed:
+                notes.reject(seen.element, moved.reason)
+        for frame_index, failure in failed:
+            notes.reject(seen.element, failure.reason, frame_index)
 
 
-def _together(pairs: Sequence[_Seen]) -> _Seen:
-    return _Seen(
-        pairs[0].element,
-        tuple(view for pair in pairs for view in pair.views),
-        tuple(row for pair in pairs for row in pair.observations),
-    )
-
-
-def _note_unpaired(labels: Labels, posed: dict[int, Pose], notes: _Notes) -> None:
-    seen = {row.element_id for index in posed for row in labels.in_frame(index)}
-    paired = {pair.element.id for index in posed for pair in labels.pairs(index)}
-    unpaired = (labels.element(element_id) for element_id in seen - paired)
-    for element in sorted(unpaired, key=lambda one: one.number):
-        notes.reject(element, "never labelled in both images of a frame")
+def _by_motion(seen: _Seen, sigma_px: float, min_angle_rad: float) -> Triangulated | Failed:
+    if len(seen.views) < 2:
+        return Failed("labelled in one image only")
+    return place_by_motion(seen.views, seen.observations, sigma_px, min_angle_rad)
 
 
 def _by_element(sightings: Iterable[Sighting]) -> list[list[Sighting]]:
@@ -244,7 +273,7 @@ def _merge(
                 groups += _split_covisible(members, labels, options, notes)
                 continue
             for one in members:
-                few = f"fewer than {options.min_points} stereo pairs within {options.eps_m} m"
+                few = f"seen in fewer than {options.min_points} frames within {options.eps_m} m"
                 notes.reject(one.elements[0], few)
     notes.merged += [
         tuple(notes.name(thing.elements[0]) for thing in group)
@@ -255,10 +284,10 @@ def _merge(
 
 
 def _dbscan(things: Sequence[Thing], options: BuildOptions) -> IntArray:
-    """(n,) cluster of each thing, -1 for noise. Each counts as many points as it has pairs."""
+    """(n,) cluster of each thing, -1 for noise. Each counts as many points as it has frames."""
     import open3d
 
-    counts = [len(thing.sightings) for thing in things]
+    counts = [len({row.frame_index for row in thing.observations}) for thing in things]
     positions = np.repeat([_position(thing) for thing in things], counts, axis=0)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions))
     clusters = np.asarray(cloud.cluster_dbscan(options.eps_m, options.min_points), dtype=np.int64)
@@ -334,7 +363,7 @@ def _assemble(
         classes=classes,
         trajectory_m=np.array([pose.translation for pose in posed.values()]),
         provenance=tuple(_provenance(thing) for thing in things),
-        made_by=f"semviz {version('semviz')}: stereo triangulation ({options.sigma_px} px), "
+        made_by=f"semviz {version('semviz')}: triangulation ({options.sigma_px} px), "
         f"DBSCAN ({options.eps_m} m, {options.min_points} points)",
         operation=labels.operation,
     )
@@ -343,5 +372,5 @@ def _assemble(
 def _provenance(thing: Thing) -> Provenance:
     return Provenance(
         label_ids=tuple(element.id for element in thing.elements),
-        observation_ids=tuple(row.id for one in thing.sightings for row in one.observations),
+        observation_ids=tuple(row.id for row in thing.observations),
     )

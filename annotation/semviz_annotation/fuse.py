@@ -16,12 +16,17 @@ _UNSEEN_SIGMA_M = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One label element triangulated from one stereo pair (or more views), in the map frame."""
+    """One label element from one stereo pair, or from all its views together; in the map frame."""
 
     element: LabelElement
     views: tuple[View, ...]
     observations: tuple[Observation, ...]
     result: Triangulated
+
+    @property
+    def by_motion(self) -> bool:
+        """Whether it took more than one frame to see where it is."""
+        return len({row.frame_index for row in self.observations}) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,11 @@ class Thing:
         return tuple(
             sorted({one.element for one in self.sightings}, key=lambda element: element.number)
         )
+
+    @property
+    def observations(self) -> tuple[Observation, ...]:
+        """All that it was triangulated from."""
+        return tuple(row for one in self.sightings for row in one.observations)
 
 
 def fuse(sightings: Sequence[Sighting], sigma_px: float) -> Thing:
