@@ -1,6 +1,6 @@
 // What helps the eye, each with its switch.
 import { el } from "/static/dom.js";
-import { Kept, row } from "./widgets.js";
+import { Kept, badge, row } from "./widgets.js";
 
 const AIDS = [
   ["loupe", "Loupe", "L"],
@@ -11,8 +11,9 @@ const AIDS = [
 ];
 
 export class Aids {
-  constructor(state) {
+  constructor(state, keys) {
     this.state = state;
+    this.keys = keys;
     this.kept = new Kept(state);
   }
 
@@ -24,6 +25,6 @@ export class Aids {
     const on = this.state.aids[aid];
     const toggle = () => this.state.set({ aids: { ...this.state.aids, [aid]: !on } });
     return row({ onclick: toggle, role: "switch", "aria-checked": on },
-      el("i", { class: on ? "switch on" : "switch" }), el("span", { class: "fill", text }), el("kbd", { text: key }));
+      el("i", { class: on ? "switch on" : "switch" }), el("span", { class: "fill", text }), badge(this.keys, key));
   }
 }

@@ -1,5 +1,6 @@
 // Every command of the page with its key: the help overlay and the key handler read this one list.
 import { switchTheme } from "/static/theme.js";
+import { backToImages, nextPanel } from "./focus.js";
 import { SIDES, uuid7 } from "./state.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help. */
@@ -8,36 +9,36 @@ export function commands(state, images, tools, actions) {
   const step = (by) => actions.go(neighbour(state, by));
   const toggle = (aid) => () => state.set({ aids: { ...state.aids, [aid]: !state.aids[aid] } });
   const nudge = (key, du, dv) => [
-    { key, group: "Edit", title: "Nudge 0.1 px", run: () => edit.nudge(0.1 * du, 0.1 * dv) },
-    { key, shift: true, group: "Edit", title: "Nudge 1 px", run: () => edit.nudge(du, dv) },
+    { key, group: "Draw", title: "Nudge 0.1 px", run: () => edit.nudge(0.1 * du, 0.1 * dv) },
+    { key, shift: true, group: "Draw", title: "Nudge 1 px", run: () => edit.nudge(du, dv) },
   ];
+  const keyed = state.hello.classes.slice(0, 9).map((one, place) => ({ ...one, key: String(place + 1) }));
   return [
     { key: "Click", group: "Draw", title: "Pole: peak, then bottom. Sign: middle" },
     { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: in one stroke" },
     { key: "Click", shift: true, group: "Draw", title: "Draw, even on top of an element" },
-    ...["1", "2", "3", "4"].map((key, id) => ({
-      key, group: "Draw", title: `Class: ${CLASS_NAMES[id]}`, run: () => edit.chooseClass(id),
+    ...keyed.map(({ id, key, name }) => ({
+      key, group: "Draw", title: `Class: ${name}`, run: () => edit.chooseClass(id),
     })),
     { key: "Escape", group: "Draw", title: "Cancel the drawing; clear the selection", run: () => {
-      if (!tools.cancel()) actions.select(null);
+      if (!backToImages() && !tools.cancel()) actions.select(null);
     } },
 
-    { key: "Click element", group: "Edit", title: "Select; drag moves an end, or all of it" },
-    { key: "Click element", ctrl: true, group: "Edit", title: "Select a second one, to link" },
-    { key: "p", group: "Edit", title: "Link the two selected: one thing", run: edit.link },
-    { key: "u", group: "Edit", title: "Unlink: this view shows another thing", run: edit.unlink },
-    ...[1, 2, 3].map((id) => ({
-      key: String(id + 1), shift: true, group: "Edit", title: `Selected sign becomes ${CLASS_NAMES[id]}`,
-      run: () => edit.setClass(id),
+    { key: "Click element", group: "Draw", title: "Select; drag moves an end, or all of it" },
+    { key: "Click element", ctrl: true, group: "Draw", title: "Select a second one, to link" },
+    { key: "p", group: "Draw", title: "Link the two selected: one thing", run: edit.link },
+    { key: "u", group: "Draw", title: "Unlink: this view shows another thing", run: edit.unlink },
+    ...keyed.filter(({ kind }) => kind === "point").map(({ id, key, name }) => ({
+      key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, run: () => edit.setClass(id),
     })),
-    { key: "o", group: "Edit", title: "Bottom hidden, or seen again", run: () => edit.flag("end_known") },
-    { key: "c", group: "Edit", title: "Peak cut off, or seen again", run: () => edit.flag("anchor_known") },
-    { key: "r", group: "Edit", title: "Swap peak and bottom", run: edit.swap },
+    { key: "o", group: "Draw", title: "Bottom hidden, or seen again", run: () => edit.flag("end_known") },
+    { key: "c", group: "Draw", title: "Peak cut off, or seen again", run: () => edit.flag("anchor_known") },
+    { key: "r", group: "Draw", title: "Swap peak and bottom", run: edit.swap },
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
-    { key: "v", group: "Edit", title: "The other end, for the arrows", run: edit.otherEnd },
-    { key: "Delete", group: "Edit", title: "Delete this view of the element", run: edit.remove },
-    { key: "Delete", shift: true, group: "Edit", title: "Delete the element in all frames", run: edit.removeAll },
+    { key: "v", group: "Draw", title: "The other end, for the arrows", run: edit.otherEnd },
+    { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
+    { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },
 
     { key: "Wheel", group: "See", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "See", title: "Pan; also middle button, or Alt" },
@@ -46,7 +47,7 @@ export function commands(state, images, tools, actions) {
     { key: "l", group: "See", title: "Loupe", run: toggle("loupe") },
     { key: "i", group: "See", title: "Epipolar line", run: toggle("guides") },
     { key: "g", group: "See", title: "Ghosts of mapped elements", run: toggle("ghosts") },
-    { key: "b", group: "See", title: "Brightness", run: toggle("bright") },
+    { key: "b", group: "See", title: "Brightness and contrast", run: toggle("bright") },
     { key: "f", group: "See", title: "3D map; off is faster on slow machines", run: toggle("map") },
 
     { key: ",", group: "Frames", title: "Frame before", run: () => step(-1) },
@@ -64,11 +65,12 @@ export function commands(state, images, tools, actions) {
       switchTheme();
       actions.sendTheme();
     } },
+    { key: "k", ctrl: true, group: "Anywhere", title: "All commands", run: actions.palette },
     { key: "?", group: "Anywhere", title: "These keys", run: actions.help },
+    { key: "F6", group: "Anywhere", title: "Next panel, by keys; then Tab, arrows, Enter", run: () => nextPanel(1) },
+    { key: "F6", shift: true, group: "Anywhere", title: "Panel before", run: () => nextPanel(-1) },
   ];
 }
-
-const CLASS_NAMES = ["pole", "triangular sign", "rectangular sign", "rounded sign"];
 
 /** What the editing keys do with the selected observation. Each is one edit, or none. */
 export function editing(state, { submit, select }) {

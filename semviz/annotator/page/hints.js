@@ -10,7 +10,7 @@ export function hints(state) {
   if (element) return withElement(state, element, selected);
   if (ghost) return [hint(`${ghost.name} here`, "Click"), hint("next", "Tab"), hint("zoom to it", "Z"), hint("not this one", "Esc")];
   return [
-    draw, hint("class", "1", "2", "3", "4"), hint("zoom", "Wheel"), hint("pan", "Right drag"),
+    draw, hint("class", ...state.hello.classes.slice(0, 9).map((_, place) => `${place + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
 }

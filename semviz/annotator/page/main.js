@@ -4,13 +4,16 @@ import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
 import { commands } from "./commands.js";
+import { watchLists } from "./focus.js";
 import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Pictures } from "./pictures.js";
 import { State, isIdle } from "./state.js";
 import { Tools } from "./tools.js";
+import { showHelp } from "/static/help.js";
 import { Keys } from "/static/keys.js";
+import { showPalette } from "/static/palette.js";
 
 startTheme();
 const state = new State();
@@ -92,6 +95,7 @@ const received = {
   hello(message) {
     const first = state.hello === null;
     state.hello = message;
+    keys.use(commands(state, images, tools, { ...actions, help, palette, sendTheme }));
     outbox ??= new Outbox(message.key, (one) => socket.send(one));
     const frames = message.state.frames;
     state.set({ labels: { ...message.state, frame: state.labels?.frame ?? null } });
@@ -176,9 +180,13 @@ function select(element, side = null) {
 
 const actions = { submit, look, go, select };
 const tools = new Tools(state, images, actions);
-const keys = new Keys(commands(state, images, tools, { ...actions, help: () => keys.showHelp("Keys"), sendTheme }));
-const panels = new Panels(state, images, keys, actions);
+const keys = new Keys("annotate");
+const help = () => showHelp(keys, "Keys");
+const palette = () => showPalette(keys);
+const panels = new Panels(state, images, keys, { ...actions, help });
+keys.onchange = () => state.set({ changedKeys: keys.changed });
 keys.listen(window);
+watchLists();
 
 const socket = new Socket({
   onmessage: (message) => received[message.type]?.(message),

@@ -8,7 +8,7 @@ import { History } from "./history.js";
 import { SIDES } from "./state.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
-import { Kept, capital, header, row } from "./widgets.js";
+import { Kept, badge, capital, header, row } from "./widgets.js";
 
 const TOLD_MS = 6000;
 
@@ -16,9 +16,10 @@ export class Panels {
   constructor(state, images, keys, actions) {
     this.state = state;
     this.images = images;
+    this.keys = keys;
     this.actions = actions;
     this.edit = editing(state, actions);
-    this.parts = [new TopBar(state, keys, actions), new Aids(state), new History(state, actions), new Strip(state, actions)];
+    this.parts = [new TopBar(state, keys, actions), new Aids(state, keys), new History(state, actions), new Strip(state, actions)];
     this.timer = 0;
     this.kept = new Kept(state);
     state.onChange(() => this.#queue());
@@ -61,7 +62,7 @@ export class Panels {
     this.kept.show("classes", [state.classId, state.labels.counts], () => this.#classes());
     this.kept.show("elements", [state.elements, state.expected, state.selected], () => this.#elements());
     this.kept.show("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
-    this.kept.show("hints", hints(state), () => hints(state).map(hintItem));
+    this.kept.show("hints", hints(state), () => hints(state).map((one) => hintItem(one, this.keys)));
     this.#status();
   }
 
@@ -73,7 +74,7 @@ export class Panels {
     const { hello, classId, labels } = this.state;
     return hello.classes.map((one, place) =>
       row({ chosen: one.id === classId, onclick: () => this.edit.chooseClass(one.id) },
-        el("kbd", { text: place + 1 }), this.#glyph(one),
+        badge(this.keys, `${place + 1}`), this.#glyph(one),
         el("span", { class: "fill", text: capital(one.name) }),
         el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
   }
@@ -117,7 +118,7 @@ export class Panels {
     const observation = this.state.selectedObservation;
     const { kind } = this.state.classOf(element.class);
     const button = (text, key, run, pressed) =>
-      el("button", { class: "small", "aria-pressed": pressed, onclick: run }, text, el("kbd", { text: key }));
+      el("button", { class: "small", "aria-pressed": pressed, onclick: run }, text, badge(this.keys, key));
     if (kind === "point") return el("div", { class: "buttons" }, ...this.#reclass(element), button("Delete", "Del", this.edit.remove));
     return el("div", { class: "buttons" },
       button("Hidden", "O", () => this.edit.flag("end_known"), String(observation?.end_known === false)),
@@ -156,8 +157,8 @@ export class Panels {
 const whence = ({ labelled_in, depth_m }) =>
   labelled_in === undefined ? `expected · ${depth_m.toFixed(0)} m` : `labelled in frame ${labelled_in}`;
 
-function hintItem({ keys, text, push }) {
-  return el("span", { class: push ? "push dim" : "hint" }, ...keys.map((key) => el("kbd", { text: key })), text);
+function hintItem({ keys: names, text, push }, keys) {
+  return el("span", { class: push ? "push dim" : "hint" }, ...names.map((name) => badge(keys, name)), text);
 }
 
 function numbers(card, side) {

@@ -12,16 +12,20 @@ export class State {
     this.classId = 0; // for the next element
     this.selected = null; // {element, side} or null; side of the observation in hand
     this.vertex = "anchor"; // which end of the selected pole the arrows move
-    this.aids = { loupe: true, guides: true, ghosts: true, bright: false, map: true };
+    this.aids = { snap: true, loupe: true, guides: true, ghosts: true, bright: false, map: true };
     this.drawing = null; // {side, class, anchor, end, box}: the element under the pen
     this.dragged = null; // {observation, anchor, end}: what the pen moves
-    this.look = null; // guides and card of what is in hand, from the server
+    this.look = null; // guides, snapped drawing and card of what is in hand, from the server
+    this.swapped = new Set(); // ids of offers whose runner-up is taken for the best
+    this.conflict = null; // {edit, theirs, text}: somebody changed what an edit starts from
     this.pending = []; // [{request, edit}] on their way, oldest first
     this.connected = false;
     this.theme = "dark";
+    this.changedKeys = {}; // as `Keys.changed`: badges are drawn again
     this.trouble = null; // why the server could not save
     this.listeners = [];
-    this.shown = null; // `elements`, kept until something changes: they are asked for many times
+    this.shown = null; // `elements` and `offers`, kept until something changes: they are asked
+    this.offered = null; // for many times
   }
 
   onChange(listener) {
@@ -30,7 +34,7 @@ export class State {
 
   /** Sets fields and tells every listener once. */
   set(fields) {
-    Object.assign(this, fields, { shown: null });
+    Object.assign(this, fields, { shown: null, offered: null });
     this.listeners.forEach((listener) => listener());
   }
 
@@ -50,17 +54,51 @@ export class State {
     return elements;
   }
 
-  /** Mapped elements that are expected in an image and not yet labelled in it, then weak ones: of
-   * elements labelled in a frame nearby (`labelled_in`), with a place where there is any. */
-  get ghosts() {
-    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
-    return [...this.labels.frame.ghosts, ...this.labels.frame.nearby];
+  /** What is proposed in the images of the frame on screen, by element: `{id, name, class, score,
+   * sure, left, right}`. `left` and `right` are marks, there where something is proposed. */
+  get offers() {
+    this.offered ??= this.#offers();
+    return this.offered;
   }
 
-  /** Ghosts of elements that are not labelled in either image of this frame. */
+  #offers() {
+    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
+    const observed = new Map(this.elements.map((one) => [one.id, one.observations]));
+    return this.labels.frame.offers.map((offer) => {
+      const shown = { ...offer };
+      for (const side of SIDES) {
+        if (!offer[side]) continue;
+        if (observed.get(offer.id)?.[side] || isSettled(this.pending, offer[side].id)) delete shown[side];
+        else if (this.swapped.has(offer[side].id)) shown[side] = swapped(offer[side]);
+      }
+      return shown;
+    }).filter((offer) => SIDES.some((side) => offer[side]));
+  }
+
+  /** Elements to continue of which nobody knows where they are: `{id, name, class, labelled_in}`. */
+  get nearby() {
+    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
+    const here = new Set([...this.elements, ...this.offers].map((one) => one.id));
+    return this.labels.frame.nearby.filter((one) => !here.has(one.id));
+  }
+
+  /** Offers of elements that are not labelled in either image of this frame. */
   get expected() {
     const here = new Set(this.elements.map((one) => one.id));
-    return this.ghosts.filter((ghost) => !here.has(ghost.id));
+    return this.offers.filter((offer) => !here.has(offer.id));
+  }
+
+  /** What the proposal keys act on: the selected element's offer, or else the first of all. */
+  get currentOffer() {
+    const { offers, selected } = this;
+    if (!this.aids.ghosts || this.drawing) return null;
+    const mine = offers.find((offer) => offer.id === selected?.element);
+    return mine ?? (this.selectedElement ? null : offers[0] ?? null);
+  }
+
+  /** Offers of which every mark is sure. */
+  get sureOffers() {
+    return this.aids.ghosts ? this.offers.filter((offer) => offer.sure) : [];
   }
 
   /** Numbers of all frames, in order of time. */
@@ -72,8 +110,10 @@ export class State {
     return this.elements.find((element) => element.id === this.selected?.element) ?? null;
   }
 
+  /** A selected element that is not labelled here: proposed or only known from nearby. */
   get selectedGhost() {
-    return this.ghosts.find((ghost) => ghost.id === this.selected?.element) ?? null;
+    const id = this.selected?.element;
+    return this.offers.find((one) => one.id === id) ?? this.nearby.find((one) => one.id === id) ?? null;
   }
 
   /** The observation in hand: the selected element's on the selected side. */
@@ -105,8 +145,9 @@ export function isIdle(elements, edit) {
 export function withPending(elements, pending, frame) {
   const result = structuredClone(elements);
   for (const { edit } of pending) {
-    if (edit.kind === "draw" && edit.frame_index === frame) {
-      if (!find(result, edit.observation_id)) result.push(drawn(edit));
+    const marks = edit.kind === "draw" ? [edit] : edit.kind === "accept" ? edit.marks : null;
+    if (marks) {
+      for (const mark of marks) if (mark.frame_index === frame) add(result, mark);
       continue;
     }
     const found = edit.observation_id && find(result, edit.observation_id);
@@ -135,6 +176,25 @@ const APPLY = {
   },
 };
 
+/** Shows a mark that is on its way: of an element that is there, or of a new one. */
+function add(elements, mark) {
+  if (find(elements, mark.observation_id)) return;
+  const known = elements.find((one) => one.id === mark.element_id);
+  if (known) known.observations[mark.side] ??= observed(mark);
+  else elements.push(drawn(mark));
+}
+
+/** Whether an offer has been accepted or turned down by an edit that is on its way. */
+function isSettled(pending, id) {
+  return pending.some(({ edit }) => edit.kind === "dismiss" && edit.dismissals.some((one) => one.id === id));
+}
+
+/** A mark with its runner-up in its place, and the other way round. */
+function swapped({ runner_up: other, ...mark }) {
+  const { anchor, end, anchor_known, end_known, score } = mark;
+  return { ...mark, ...other, runner_up: { anchor, end, anchor_known, end_known, score } };
+}
+
 function find(elements, observation) {
   for (const element of elements) {
     const side = SIDES.find((one) => element.observations[one]?.id === observation);
@@ -143,20 +203,23 @@ function find(elements, observation) {
   return null;
 }
 
-function drawn(edit) {
-  const observation = {
-    id: edit.observation_id,
-    anchor: edit.anchor_px,
-    end: edit.end_px,
-    anchor_known: edit.anchor_known,
-    end_known: edit.end_known,
-  };
+function observed(mark) {
   return {
-    id: edit.element_id,
-    name: "new",
-    class: edit.class_id,
+    id: mark.observation_id,
+    anchor: mark.anchor_px,
+    end: mark.end_px,
+    anchor_known: mark.anchor_known,
+    end_known: mark.end_known,
+  };
+}
+
+function drawn(mark) {
+  return {
+    id: mark.element_id,
+    name: mark.name ?? "new",
+    class: mark.shown_class ?? mark.class_id,
     kept: true, // not on disk yet
-    observations: { [edit.side]: observation },
+    observations: { [mark.side]: observed(mark) },
     card: null,
   };
 }

@@ -2,16 +2,17 @@
 import { byId, el, svg } from "/static/dom.js";
 import { neighbour } from "./commands.js";
 import { spaced } from "./state.js";
-import { Kept } from "./widgets.js";
+import { Kept, badge } from "./widgets.js";
 
 export class TopBar {
   constructor(state, keys, actions) {
     this.state = state;
+    this.keys = keys;
     this.kept = new Kept(state);
     const press = (id, run) => byId(id).addEventListener("click", run);
     press("undo", () => actions.submit({ kind: "undo" }));
     press("redo", () => actions.submit({ kind: "redo" }));
-    press("help", () => keys.showHelp("Keys"));
+    press("help", actions.help);
     press("step", (event) => {
       const box = event.currentTarget.getBoundingClientRect();
       actions.go(neighbour(state, event.clientX - box.left < box.width / 2 ? -1 : 1));
@@ -48,10 +49,10 @@ export class TopBar {
   #step() {
     const { frame, order } = this.state;
     return [
-      el("kbd", { text: "," }),
+      badge(this.keys, ","),
       el("b", { text: `Frame ${frame}` }),
       el("span", { class: "dim", text: `${order.indexOf(frame) + 1} of ${order.length}` }),
-      el("kbd", { text: "." }),
+      badge(this.keys, "."),
     ];
   }
 }

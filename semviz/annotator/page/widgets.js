@@ -8,18 +8,27 @@ export class Kept {
     this.shown = {};
   }
 
-  /** Fills the element `id` with what `build` returns, if `shown` or the theme is another than last time. */
+  /** Fills the element `id` with what `build` returns, if `shown`, theme or keys are others than last time. */
   show(id, shown, build) {
-    const key = JSON.stringify([shown, this.state.theme]);
+    const { theme, changedKeys } = this.state;
+    const key = JSON.stringify([shown, theme, changedKeys]);
     if (this.shown[id] === key) return;
     this.shown[id] = key;
-    byId(id).replaceChildren(...build());
+    const list = byId(id);
+    const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
+    list.replaceChildren(...build());
+    if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
   }
 }
 
 /** A line of a list that can be pressed. */
 export function row({ chosen = false, ...properties }, ...children) {
   return el("button", { class: chosen ? "row chosen" : "row", ...properties }, ...children);
+}
+
+/** The key of a command as it is now, by the name of the command's own key. */
+export function badge(keys, name) {
+  return el("kbd", { text: keys.shown(name) });
 }
 
 /** A panel's title, what it is about, and maybe a glyph before and a chip after them. */

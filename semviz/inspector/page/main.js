@@ -1,7 +1,9 @@
 /* The inspector's page: the server holds the state, each panel draws its part of it. */
 
 import { byId, el } from "/static/dom.js";
+import { showHelp } from "/static/help.js";
 import { Keys } from "/static/keys.js";
+import { showPalette } from "/static/palette.js";
 import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
@@ -26,7 +28,7 @@ class Page {
     this.list = new FrameList(this);
     this.matrix = new MatrixPanel(this);
     this.panels = [new Bar(this), this.list, new SpacePanel(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
-    this.keys = new Keys(this.commands());
+    this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
     this.socket = new Socket({
       onmessage: (message) => this.receive(message),
@@ -168,6 +170,7 @@ class Page {
       { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
       { key: "Escape", group: "Selection", title: "Clear the selection", run: () => this.select() },
       { key: "t", group: "Page", title: "Dark or light", run: () => this.switchTheme() },
+      { key: "k", ctrl: true, group: "Page", title: "All commands", run: () => showPalette(this.keys) },
       { key: "?", group: "Page", title: "This help", run: () => this.help() },
     ];
   }
@@ -203,7 +206,7 @@ class Page {
   }
 
   help() {
-    this.keys.showHelp("Keys of the inspector");
+    showHelp(this.keys, "Keys of the inspector");
   }
 
   askForFrame() {

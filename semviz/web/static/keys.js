@@ -1,13 +1,14 @@
-/* One place for all keys of a page: no clashes, and a help overlay that cannot miss one. */
+/* One place for all keys of a page: no clashes, every key can be changed, none is missing in the help. */
 
-import { el } from "./dom.js";
-
-const NAMES = { " ": "Space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", Delete: "Del" };
+const NAMES = { " ": "Space", arrowleft: "←", arrowright: "→", arrowup: "↑", arrowdown: "↓", escape: "Esc", delete: "Del" };
 const CAMERA_KEYS = new Set(["w", "a", "s", "d", "q", "e", "arrowleft", "arrowright", "arrowup", "arrowdown"]);
+const BROWSER_KEYS = new Set(["ctrl+n", "ctrl+t", "ctrl+w", "ctrl+r", "ctrl+l", "f5", "f11", "f12"]);
+const CONTROLS = "button, select, input, a[href], summary";
+const CONTROL_KEYS = new Set(["enter", " ", "tab", "home", "end", "pageup", "pagedown", "arrowleft", "arrowright", "arrowup", "arrowdown"]);
 
 /** What a key is called on badges: `Shift Space`, `Ctrl K`. */
 export function keyName({ key, shift, ctrl }) {
-  const plain = NAMES[key] ?? (key.length === 1 ? key.toUpperCase() : key);
+  const plain = NAMES[key.toLowerCase()] ?? (key.length === 1 ? key.toUpperCase() : key);
   return [ctrl && "Ctrl", shift && "Shift", plain].filter(Boolean).join(" ");
 }
 
@@ -15,70 +16,123 @@ function signature({ key, shift = false, ctrl = false }) {
   return `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
 }
 
-/** What was pressed, as a signature. Keys made with Shift on some layouts only (such as ?) are
- * found with and without it. */
+/** What was pressed, as it is most likely meant. Keys made with Shift on some layouts only (such as ?)
+ * are found with and without it. */
 function pressed(event) {
+  const { shiftKey: shift } = event;
   const ctrl = event.ctrlKey || event.metaKey;
   const codes = { Comma: ",", Period: "." }; // Shift , is < on many layouts, Shift 1 is !
   const code = codes[event.code] ?? event.code.match(/^Digit(\d)$/)?.[1];
-  const key = event.shiftKey && code ? code : event.key;
-  const exact = signature({ key, shift: event.shiftKey, ctrl });
-  return [exact, signature({ key, ctrl })].slice(0, event.shiftKey && /^[^a-z0-9 ,.]$/i.test(key) ? 2 : 1);
+  const key = shift && code ? code : event.key;
+  const isSymbol = shift && /^[^a-z0-9 ,.]$/i.test(key);
+  return isSymbol ? [{ key, shift, ctrl }, { key, shift: false, ctrl }] : [{ key, shift, ctrl }];
 }
 
-/** The commands of a page: `{key, shift, ctrl, group, title, run}`. Two with one key are refused. */
+/** The commands of a page, `{key, shift, ctrl, group, title, run}`, each under the key that the person
+ * chose. Entries without `run` are gestures of the mouse, for the help only. A command's own key, as
+ * written in the list, also names it where changed keys are kept. */
 export class Keys {
-  constructor(commands) {
-    this.commands = commands;
-    this._bySignature = new Map();
-    for (const command of commands) {
-      const id = signature(command);
-      const other = this._bySignature.get(id);
-      if (other) throw new Error(`${keyName(command)} is both "${other.title}" and "${command.title}"`);
-      this._bySignature.set(id, command);
-    }
+  /** `page` names the place in localStorage. */
+  constructor(page, commands = []) {
+    this.place = `semviz.keys.${page}`;
+    this.onchange = () => {};
+    this.use(commands);
   }
 
-  /** Listens on a window. In the 3D pane (`isScene`) the keys that move its camera stay its own. */
+  /** Takes over a list of commands. Throws where two of them have one key. */
+  use(commands) {
+    this.commands = commands;
+    const found = new Map();
+    for (const command of commands) {
+      const other = found.get(signature(command));
+      if (other) throw new Error(`${keyName(command)} is both "${other.title}" and "${command.title}"`);
+      found.set(signature(command), command);
+    }
+    this._apply(JSON.parse(localStorage.getItem(this.place) ?? "{}"));
+  }
+
+  /** The key that `command` has now: `{key, shift, ctrl}`. */
+  of(command) {
+    return this.changed[signature(command)] ?? command;
+  }
+
+  /** The badge of a command as it is now, by the name of its own key, such as `Shift Enter`. */
+  shown(name) {
+    const command = this.commands.find((one) => one.run && keyName(one) === name);
+    return command ? keyName(this.of(command)) : name;
+  }
+
+  /** Whether a person may give `command` another key. */
+  canChange(command) {
+    return Boolean(command.run) && command.key !== "Escape";
+  }
+
+  /** Gives `command` the key that was pressed. Returns why not, or "" where it has it now. */
+  change(command, event) {
+    const key = pressed(event).at(-1);
+    const [id, name] = [signature(key), keyName(key)];
+    const other = this._find.get(id);
+    if (other && other !== command) return `${name} is both “${other.title}” and “${command.title}”: nothing was changed.`;
+    const isOwn = id === signature(command);
+    if (!isOwn && !key.ctrl && CAMERA_KEYS.has(key.key.toLowerCase())) return `${name} moves the camera of the 3D scene: nothing was changed.`;
+    if (BROWSER_KEYS.has(id)) return `${name} belongs to the browser: nothing was changed.`;
+    const changed = { ...this.changed, [signature(command)]: key };
+    if (isOwn) delete changed[id];
+    this._keep(changed);
+    return "";
+  }
+
+  /** Every command has its own key again. */
+  reset() {
+    this._keep({});
+  }
+
+  /** Listens on a window. In the 3D pane (`isScene`) the keys that move its camera stay its own; a
+   * control that was reached by keys keeps those that work it. */
   listen(target, isScene = false) {
     target.addEventListener("keydown", (event) => {
       if (event.altKey || isTyping(event.target)) return;
-      if (isScene && !event.ctrlKey && CAMERA_KEYS.has(event.key.toLowerCase())) return;
-      const command = pressed(event).map((id) => this._bySignature.get(id)).find(Boolean);
-      if (!command || document.querySelector("dialog[open]")) return;
+      const key = event.key.toLowerCase();
+      if (isScene && !event.ctrlKey && CAMERA_KEYS.has(key)) return;
+      if (!isScene && CONTROL_KEYS.has(key) && event.target.matches?.(CONTROLS)) return;
+      const command = pressed(event).map((one) => this._find.get(signature(one))).find(Boolean);
+      if (!command?.run || document.querySelector("dialog[open]")) return;
       event.preventDefault();
       event.stopImmediatePropagation();
       command.run(event);
     }, { capture: true });
+    if (isScene) return;
+    // the mouse presses a button, but the keys stay where they are
+    target.addEventListener("mousedown", (event) => {
+      if (event.target.closest?.("button")) event.preventDefault();
+    });
   }
 
-  /** Opens the overlay with every key, in groups. */
-  showHelp(title) {
-    const groups = Map.groupBy(this.commands, (command) => command.group);
-    const sections = [...groups].map(([name, commands]) =>
-      el("section", {}, el("h3", { text: name }), el("ul", {}, ...Map.groupBy(commands, helpKey).values().map(helpRow))));
-    const close = el("button", { class: "small", text: "Close", onclick: () => dialog.close() });
-    const dialog = el("dialog", { class: "help" },
-      el("h2", { text: title }), el("div", { class: "groups" }, ...sections), close);
-    dialog.addEventListener("close", () => dialog.remove());
-    dialog.addEventListener("keydown", (event) => { if (event.key === "?") dialog.close(); });
-    dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
-    document.body.append(dialog);
-    dialog.showModal();
+  _keep(changed) {
+    localStorage.setItem(this.place, JSON.stringify(changed));
+    this._apply(changed);
+    this.onchange();
   }
-}
 
-/** Commands with one title and the same modifiers share a row. */
-function helpKey({ title, ctrl = false, shift = false }) {
-  return `${title} ${ctrl} ${shift}`;
-}
-
-function helpRow([first, ...more]) {
-  const plain = more.map(({ key }) => keyName({ key }));
-  const badges = [...keyName(first).split(" "), ...plain].map((name) => el("kbd", { text: name }));
-  return el("li", {}, el("span", { class: "keys" }, ...badges), el("span", { text: first.title }));
+  /** A changed key that the list gives to another command by now falls back to the command's own. */
+  _apply(changed) {
+    const found = new Map();
+    for (const command of this.commands) {
+      const [own, key] = [signature(command), changed[signature(command)] ?? command];
+      const other = found.get(signature(key));
+      if (other) {
+        const { [own in changed ? own : signature(other)]: _, ...rest } = changed;
+        this._apply(rest);
+        return;
+      }
+      found.set(signature(key), command);
+    }
+    this.changed = changed;
+    this._find = found;
+  }
 }
 
 function isTyping(target) {
-  return target instanceof HTMLElement && target.matches("input:not([type=checkbox]), textarea, select, [contenteditable]");
+  return target instanceof HTMLElement
+    && target.matches("input:not([type=checkbox], [type=range]), textarea, select, [contenteditable]");
 }
