@@ -5,76 +5,28 @@ An edit that makes no sense raises SemvizError and changes nothing.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from semviz_annotation.labels import (
+from semviz_annotation.labels import Draft, Labels, ReviewState
+from semviz_annotation.rows import (
     STRICT,
     Change,
+    Dismissal,
     Id,
     Index,
     LabelElement,
-    Labels,
     Observation,
     Pixel,
     Review,
-    ReviewState,
+    proposal_id,
 )
-from semviz_core.camera import Rig
-from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
-
-MIN_LENGTH_PX = 0.5
-"""A pole whose ends are nearer to each other than this has no direction."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rules:
-    """What observations are checked against."""
-
-    classes: ClassSet = DEFAULT_CLASSES
-    rig: Rig | None = None
-    """Gives the size of each image; None accepts every pixel."""
-
-    def check_class(self, element: LabelElement) -> LabelElement:
-        """Return ``element``; raises SemvizError where its class is not known."""
-        self.classes[element.class_id]
-        return element
-
-    def check(self, row: Observation, class_id: int) -> Observation:
-        """Return ``row``; raises SemvizError where it is no observation of this class."""
-        one = self.classes[class_id]
-        if one.kind == "line" and row.end_px is None:
-            raise SemvizError(f"a {one.name} needs two points: peak and bottom")
-        if one.kind == "point" and row.end_px is not None:
-            raise SemvizError(f"a {one.name} has one point, its middle, not two")
-        for point in (row.anchor_px, row.end_px):
-            if point is not None:
-                self._check_inside(point, row.side)
-        if row.end_px is not None and np.hypot(*np.subtract(row.anchor_px, row.end_px)) < (
-            MIN_LENGTH_PX
-        ):
-            raise SemvizError("peak and bottom are the same point; click them apart")
-        return row
-
-    def _check_inside(self, point: Pixel, side: Side) -> None:
-        if not np.isfinite(point).all():
-            raise SemvizError("a point is not a number; nothing was changed")
-        if self.rig is None:
-            return
-        camera = self.rig.left if side == "left" else self.rig.right
-        if camera is None:
-            raise SemvizError("this sequence has no right camera")
-        if not camera.contains(np.array([point]))[0]:
-            raise SemvizError(
-                f"point ({point[0]:.1f}, {point[1]:.1f}) is outside the {side} image "
-                f"({camera.width}x{camera.height})"
-            )
 
 
 @dataclass(frozen=True)
@@ -121,6 +73,28 @@ class AddObservation:
         if self.class_id is not None:
             yield Change(None, element)
         yield Change(None, row)
+        proposals = (proposal_id(element.id, self.frame_index, self.side), self.observation_id)
+        yield from _forget(labels.dismissals.get(one) for one in proposals)
+
+
+@dataclass(frozen=True)
+class AddMany:
+    """Several observations, all or none.
+
+    One may be of an element that an earlier one makes; its ``class_id`` is None then.
+    """
+
+    observations: Annotated[tuple[AddObservation, ...], Field(min_length=1)]
+    kind: Literal["add many"] = "add many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
+        draft = Draft(labels)
+        for one in self.observations:
+            changes = tuple(one.changes(draft.labels(), rules))
+            draft.apply(changes)
+            yield from changes
 
 
 @dataclass(frozen=True)
@@ -196,7 +170,7 @@ class SwapEnds:
 
 @dataclass(frozen=True)
 class DeleteObservation:
-    """Delete one observation; with the last one of its element goes the element."""
+    """Delete one observation; with the last one of its element go element and dismissals."""
 
     observation_id: Id
     kind: Literal["delete"] = "delete"
@@ -208,11 +182,12 @@ class DeleteObservation:
         yield Change(row, None)
         if len(labels.of_element(row.element_id)) == 1:
             yield Change(labels.element(row.element_id), None)
+            yield from _forget(labels.dismissed_of(row.element_id))
 
 
 @dataclass(frozen=True)
 class DeleteElement:
-    """Delete an element with all its observations."""
+    """Delete an element with all its observations and dismissals."""
 
     element_id: Id
     kind: Literal["delete element"] = "delete element"
@@ -223,6 +198,7 @@ class DeleteElement:
         yield Change(labels.element(self.element_id), None)
         for row in labels.of_element(self.element_id):
             yield Change(row, None)
+        yield from _forget(labels.dismissed_of(self.element_id))
 
 
 @dataclass(frozen=True)
@@ -242,6 +218,9 @@ class Link:
         yield Change(gone, None)
         for row in labels.of_element(gone.id):
             yield Change(row, replace(row, element_id=kept.id))
+            proposal = proposal_id(kept.id, row.frame_index, row.side)
+            yield from _forget([labels.dismissals.get(proposal)])
+        yield from _forget(labels.dismissed_of(gone.id))
 
     @staticmethod
     def _check(kept: LabelElement, gone: LabelElement, labels: Labels, rules: Rules) -> None:
@@ -320,8 +299,45 @@ class ReviewFrame:
             yield Change(before, after)
 
 
+@dataclass(frozen=True)
+class Dismiss:
+    """Turn proposals down, all or none."""
+
+    dismissals: Annotated[tuple[Dismissal, ...], Field(min_length=1)]
+    kind: Literal["dismiss"] = "dismiss"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
+        for row in self.dismissals:
+            rules.camera(row.side)
+            self._check(row, labels, rules)
+            before = labels.dismissals.get(row.id)
+            if before != row:
+                yield Change(before, row)
+
+    @staticmethod
+    def _check(row: Dismissal, labels: Labels, rules: Rules) -> None:
+        if row.id in labels.observations:
+            raise SemvizError("this proposal was accepted; delete its observation instead")
+        if row.element_id is None:
+            return
+        element = labels.element(row.element_id)
+        if row.id != proposal_id(element.id, row.frame_index, row.side):
+            raise SemvizError("this is not the id of a proposal of this element in this image")
+        if labels.find(element.id, row.frame_index, row.side):
+            name = rules.classes.element_name(element.class_id, element.number)
+            raise SemvizError(f"{name} is labelled in this {row.side} image; delete it there first")
+
+
+def _forget(dismissals: Iterable[Dismissal | None]) -> Iterator[Change]:
+    return (Change(row, None) for row in dismissals if row is not None)
+
+
 Edit: TypeAlias = (
     AddObservation
+    | AddMany
+    | Dismiss
     | MoveObservation
     | SetKnown
     | SwapEnds

@@ -6,12 +6,14 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from semviz_annotation.edits import first_fault
-from semviz_annotation.store import BrokenOperationError, LabelStore, Operation
+from semviz_annotation.operations import NO_HASH, BrokenOperationError, Operation, sealed
+from semviz_annotation.store import LabelStore
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 
 FORMAT = "semviz-operations"
-VERSION = 1
+VERSION = 2
+"""Version 1 had neither hashes nor texts."""
 _OPERATION = TypeAdapter(Operation)
 
 
@@ -50,8 +52,8 @@ def _read(path: Path) -> list[Operation]:
         lines = path.read_bytes().splitlines()
     except OSError as error:
         raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
-    _check_header(path, lines[0] if lines else b"")
-    operations = []
+    version = _read_header(path, lines[0] if lines else b"")
+    operations: list[Operation] = []
     for number, line in enumerate(lines[1:], 1):
         try:
             operation = _OPERATION.validate_json(line)
@@ -61,11 +63,14 @@ def _read(path: Path) -> list[Operation]:
             raise SemvizError(
                 f"{path}, line {number + 1}: {first_fault(error)}; nothing imported"
             ) from None
+        if version == 1:
+            operation = sealed(operation, operations[-1].hash if operations else NO_HASH)
         operations.append(operation)
     return operations
 
 
-def _check_header(path: Path, line: bytes) -> None:
+def _read_header(path: Path, line: bytes) -> int:
+    """The version of the log."""
     try:
         header = json.loads(line)
         known = header["format"] == FORMAT
@@ -78,3 +83,4 @@ def _check_header(path: Path, line: bytes) -> None:
         raise SemvizError(
             f"{path}: log version {version}, this semviz reads up to {VERSION}; update"
         )
+    return version

@@ -1,126 +1,50 @@
-"""Labels: what people said is where, as one immutable state.
+"""Labels: what people said is where, as one immutable state."""
 
-A label element is the physical thing; an observation is that thing in one image. Left and right
-image, and all frames, are paired by belonging to one element.
-"""
-
-import os
-import time
-import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
-from pydantic import ConfigDict, Discriminator, Field, Tag
-
+from semviz_annotation.rows import (
+    STRICT,
+    Change,
+    Dismissal,
+    Id,
+    Index,
+    Key,
+    LabelElement,
+    Observation,
+    Pixel,
+    Review,
+    Row,
+    new_id,
+    proposal_id,
+    row_key,
+)
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 
-Id: TypeAlias = Annotated[
-    str, Field(pattern=r"^[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}$")
+__all__ = [
+    "STRICT",
+    "Change",
+    "Dismissal",
+    "Draft",
+    "Id",
+    "Index",
+    "Key",
+    "LabelElement",
+    "Labels",
+    "Observation",
+    "Pixel",
+    "Review",
+    "ReviewState",
+    "Row",
+    "StereoPair",
+    "new_id",
+    "proposal_id",
+    "row_key",
 ]
-Index: TypeAlias = Annotated[int, Field(ge=0, lt=2**31)]
-Pixel: TypeAlias = tuple[float, float]
-"""(u, v); (0, 0) is the centre of the top-left pixel."""
+
 ReviewState: TypeAlias = Literal["unseen", "in work", "reviewed", "reviewed, empty"]
-
-STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-"""How pydantic reads these values from JSON: nothing missing, nothing more, no conversions."""
-
-
-def new_id() -> str:
-    """A UUID of version 7: sortable by the millisecond of its making (RFC 9562, 5.7)."""
-    milliseconds = time.time_ns() // 1_000_000
-    value = (milliseconds & (2**48 - 1)) << 80 | int.from_bytes(os.urandom(10))
-    value = value & ~(0xF << 76) | 7 << 76  # version
-    value = value & ~(0b11 << 62) | 0b10 << 62  # variant
-    return str(uuid.UUID(int=value))
-
-
-@dataclass(frozen=True)
-class LabelElement:
-    """One physical pole or sign."""
-
-    id: Id
-    number: Annotated[int, Field(ge=1, lt=2**31)]
-    """For people; unique in the workspace and never used again."""
-    class_id: Index
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-
-@dataclass(frozen=True)
-class Observation:
-    """An element in one image. An element has at most one in each image."""
-
-    id: Id
-    element_id: Id
-    frame_index: Index
-    side: Side
-    anchor_px: Pixel
-    """Peak of a pole, middle of a sign."""
-    end_px: Pixel | None
-    """Bottom of a pole; None for signs."""
-    anchor_known: bool
-    """False where the peak is cut off or hidden: ``anchor_px`` is then only on the line."""
-    end_known: bool
-    """False where the bottom is cut off or hidden, and for signs."""
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-
-@dataclass(frozen=True)
-class Review:
-    """What a person said about a frame as a whole."""
-
-    frame_index: Index
-    state: Literal["in work", "reviewed", "reviewed, empty"]
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-
-Row: TypeAlias = LabelElement | Observation | Review
-Key: TypeAlias = tuple[type[Row], str | int]
-
-
-def _row_tag(row: object) -> str:
-    """Which row it is, parsed or not, so that what is wrong in it is reported as of that row."""
-    names = row if isinstance(row, dict) else vars(row) if isinstance(row, Row) else {}
-    return "review" if "state" in names else "element" if "number" in names else "observation"
-
-
-_Tagged: TypeAlias = Annotated[
-    Annotated[LabelElement, Tag("element")]
-    | Annotated[Observation, Tag("observation")]
-    | Annotated[Review, Tag("review")],
-    Discriminator(_row_tag),
-]
-
-
-@dataclass(frozen=True)
-class Change:
-    """One row before and after; None where it did not exist. Its inverse swaps the two."""
-
-    before: _Tagged | None
-    after: _Tagged | None
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-    def inverse(self) -> "Change":
-        return Change(self.after, self.before)
-
-    @property
-    def key(self) -> Key:
-        """The row's type and id."""
-        row = self.before if self.after is None else self.after
-        if row is None:
-            raise SemvizError("a change has neither a row before nor one after")
-        return row_key(row)
-
-
-def row_key(row: Row) -> Key:
-    """Type and id of a row."""
-    return (Review, row.frame_index) if isinstance(row, Review) else (type(row), row.id)
 
 
 class StereoPair(NamedTuple):
@@ -133,7 +57,7 @@ class StereoPair(NamedTuple):
 
 @dataclass(frozen=True)
 class Labels:
-    """The whole current state. Equal where elements, observations and reviews are.
+    """The whole current state. Equal where its rows are.
 
     Change it with ``changed``; the mappings are for reading.
     """
@@ -141,12 +65,15 @@ class Labels:
     elements: Mapping[str, LabelElement] = field(default_factory=dict)
     observations: Mapping[str, Observation] = field(default_factory=dict)
     reviews: Mapping[int, Review] = field(default_factory=dict)
+    dismissals: Mapping[str, Dismissal] = field(default_factory=dict)
     next_number: int = field(default=1, compare=False)
     """What the next new element is called. Only grows, also over undo."""
     operation: int = field(default=0, compare=False)
     """Number of the last durable operation in this state; 0 outside a store."""
     _in_frame: Mapping[int, tuple[str, ...]] = field(default_factory=dict, compare=False)
     _of_element: Mapping[str, tuple[str, ...]] = field(default_factory=dict, compare=False)
+    _dismissed_in: Mapping[int, tuple[str, ...]] = field(default_factory=dict, compare=False)
+    _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=dict, compare=False)
 
     @classmethod
     def from_rows(cls, rows: Iterable[Row], next_number: int = 1, operation: int = 0) -> "Labels":
@@ -165,6 +92,23 @@ class Labels:
         draft.apply(changes)
         return draft.labels()
 
+    def row(self, key: Key) -> Row | None:
+        """The row of a type and id, if there is one."""
+        kind, name = key
+        return self._tables()[kind].get(name)
+
+    def rows(self) -> Iterator[Row]:
+        """All rows."""
+        return (row for table in self._tables().values() for row in table.values())
+
+    def _tables(self) -> dict[type[Row], Mapping[Any, Row]]:
+        return {
+            LabelElement: self.elements,
+            Observation: self.observations,
+            Review: self.reviews,
+            Dismissal: self.dismissals,
+        }
+
     def element(self, element_id: str) -> LabelElement:
         """Raises SemvizError where there is none."""
         try:
@@ -180,13 +124,25 @@ class Labels:
             raise SemvizError(f"no observation {observation_id}; it may be deleted") from None
 
     def of_element(self, element_id: str) -> tuple[Observation, ...]:
-        """An element's observations, oldest first; empty where there is no such element."""
-        return tuple(self.observations[one] for one in sorted(self._of_element.get(element_id, ())))
+        """An element's observations by frame, left first; empty where it does not exist."""
+        rows = (self.observations[one] for one in self._of_element.get(element_id, ()))
+        return tuple(sorted(rows, key=lambda row: (row.frame_index, row.side)))
 
     def in_frame(self, frame_index: int, side: Side | None = None) -> tuple[Observation, ...]:
-        """What is labelled in a frame (in one image of it), oldest first."""
-        rows = (self.observations[one] for one in sorted(self._in_frame.get(frame_index, ())))
-        return tuple(row for row in rows if side is None or row.side == side)
+        """What is labelled in a frame (in one image of it), by element number, left first."""
+        rows = (self.observations[one] for one in self._in_frame.get(frame_index, ()))
+        seen = (row for row in rows if side is None or row.side == side)
+        return tuple(sorted(seen, key=lambda row: (self.elements[row.element_id].number, row.side)))
+
+    def dismissed_in(self, frame_index: int) -> tuple[Dismissal, ...]:
+        """What was turned down in a frame, by id."""
+        return tuple(
+            self.dismissals[one] for one in sorted(self._dismissed_in.get(frame_index, ()))
+        )
+
+    def dismissed_of(self, element_id: str) -> tuple[Dismissal, ...]:
+        """Where an element was expected and turned down, by id."""
+        return tuple(self.dismissals[one] for one in sorted(self._dismissed_of.get(element_id, ())))
 
     def find(self, element_id: str, frame_index: int, side: Side) -> Observation | None:
         """The observation of an element in one image, if there is one."""
@@ -224,23 +180,27 @@ class Draft:
         self._elements = dict(labels.elements)
         self._observations = dict(labels.observations)
         self._reviews = dict(labels.reviews)
+        self._dismissals = dict(labels.dismissals)
         self.next_number = labels.next_number
         self._operation = labels.operation
         self._numbers = {row.number for row in labels.elements.values()}
         self._in_frame = dict(labels._in_frame)
         self._of_element = dict(labels._of_element)
+        self._dismissed_in = dict(labels._dismissed_in)
+        self._dismissed_of = dict(labels._dismissed_of)
 
     def apply(self, changes: Iterable[Change]) -> None:
         """Apply ``changes`` together; the draft must be thrown away where this raises.
 
         Raises SemvizError where a row is not as a change found it, or afterwards an element has
-        no observation or two in one image, an observation no element, or a number is taken twice.
+        no observation or two in one image, another row no element, or a number is taken twice.
         """
         changes = tuple(changes)
         if len({change.key for change in changes}) < len(changes):
             raise SemvizError("one operation changes the same row twice")
+        now = self.labels()
         for change in changes:
-            if self._row(change.key) != change.before:
+            if now.row(change.key) != change.before:
                 raise SemvizError(f"{self._name(change)} was changed by someone else meanwhile")
         for change in changes:
             self._remove(change)
@@ -254,32 +214,29 @@ class Draft:
         """Add rows that are not there yet, in any order; as ``apply``, but faster."""
         for row in rows:
             self._add(row)
-        for element_id in self._elements.keys() | self._of_element.keys():
+        for element_id in (
+            self._elements.keys() | self._of_element.keys() | self._dismissed_of.keys()
+        ):
             self._check(element_id)
 
     def labels(self) -> Labels:
-        """The state as it is now; the draft is used up."""
+        """The state as it is now; it holds until the draft is changed again."""
         return Labels(
             self._elements,
             self._observations,
             self._reviews,
+            self._dismissals,
             self.next_number,
             self._operation,
             self._in_frame,
             self._of_element,
+            self._dismissed_in,
+            self._dismissed_of,
         )
 
     def class_of(self, row: Observation) -> int:
         """Class of an observation's element."""
         return self._elements[row.element_id].class_id
-
-    def _row(self, key: Key) -> Row | None:
-        kind, name = key
-        if kind is Review:
-            return self._reviews.get(int(name))
-        if kind is Observation:
-            return self._observations.get(str(name))
-        return self._elements.get(str(name))
 
     def _remove(self, change: Change) -> None:
         row = change.before
@@ -292,6 +249,11 @@ class Draft:
             _discard(self._of_element, row.element_id, row.id)
         elif isinstance(row, Review):
             del self._reviews[row.frame_index]
+        elif isinstance(row, Dismissal):
+            del self._dismissals[row.id]
+            _discard(self._dismissed_in, row.frame_index, row.id)
+            if row.element_id is not None:
+                _discard(self._dismissed_of, row.element_id, row.id)
 
     def _add(self, row: Row) -> None:
         if isinstance(row, LabelElement):
@@ -304,8 +266,13 @@ class Draft:
             if row.end_px is None and row.end_known:
                 raise SemvizError("an observation without an end has it marked as known")
             self._observations[row.id] = row
-            self._in_frame[row.frame_index] = (*self._in_frame.get(row.frame_index, ()), row.id)
-            self._of_element[row.element_id] = (*self._of_element.get(row.element_id, ()), row.id)
+            _include(self._in_frame, row.frame_index, row.id)
+            _include(self._of_element, row.element_id, row.id)
+        elif isinstance(row, Dismissal):
+            self._dismissals[row.id] = row
+            _include(self._dismissed_in, row.frame_index, row.id)
+            if row.element_id is not None:
+                _include(self._dismissed_of, row.element_id, row.id)
         else:
             self._reviews[row.frame_index] = row
 
@@ -314,6 +281,8 @@ class Draft:
         if element_id not in self._elements:
             if rows:
                 raise SemvizError("observations of others would be left without their element")
+            if element_id in self._dismissed_of:
+                raise SemvizError("something turned down would be left without its element")
             return
         number = self._elements[element_id].number
         if not rows:
@@ -325,6 +294,8 @@ class Draft:
         row = change.before or change.after
         if isinstance(row, Review):
             return f"the review of frame {row.frame_index}"
+        if isinstance(row, Dismissal):
+            return f"what was turned down in frame {row.frame_index}"
         element_id = row.element_id if isinstance(row, Observation) else str(change.key[1])
         element = self._elements.get(element_id)
         return f"element {element.number}" if element else "an element that is no longer there"
@@ -334,8 +305,12 @@ def _elements_of(change: Change) -> Iterator[str]:
     for row in (change.before, change.after):
         if isinstance(row, LabelElement):
             yield row.id
-        elif isinstance(row, Observation):
+        elif isinstance(row, Observation | Dismissal) and row.element_id is not None:
             yield row.element_id
+
+
+def _include(index: dict[Any, tuple[str, ...]], key: object, row_id: str) -> None:
+    index[key] = (*index.get(key, ()), row_id)
 
 
 def _discard(index: dict[Any, tuple[str, ...]], key: object, row_id: str) -> None:

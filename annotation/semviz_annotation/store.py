@@ -9,99 +9,49 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from semviz_annotation.edits import Edit, Rules, first_fault
-from semviz_annotation.labels import (
-    STRICT,
-    Change,
-    Draft,
-    Id,
-    LabelElement,
-    Labels,
-    Observation,
-    new_id,
+from semviz_annotation.conflicts import Witness
+from semviz_annotation.connection import connect, damaged, in_words
+from semviz_annotation.edits import Edit, first_fault
+from semviz_annotation.history import History, difference, replayed, rewound
+from semviz_annotation.labels import Draft, Labels
+from semviz_annotation.operations import (
+    NO_HASH,
+    BrokenOperationError,
+    ConflictError,
+    Operation,
+    Origin,
+    Writer,
+    sealed,
 )
-from semviz_annotation.tables import connect, read_labels, write_changes
+from semviz_annotation.rows import LabelElement, Observation, new_id
+from semviz_annotation.rules import Rules
+from semviz_annotation.tables import (
+    hash_of,
+    last_writer,
+    named_operations,
+    operation_of_request,
+    read_labels,
+    read_operations,
+    write_changes,
+    write_operation,
+)
 from semviz_core.camera import Rig
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 
-Origin: TypeAlias = Literal["human", "machine"]
-Number: TypeAlias = Annotated[int, Field(ge=1, lt=2**53)]
+__all__ = ["BrokenOperationError", "ConflictError", "LabelStore", "Operation", "Origin", "Writer"]
 
-_CHANGES: TypeAdapter[tuple[Change, ...]] = TypeAdapter(tuple[Change, ...])
-_COLUMNS = "number, request_id, author, origin, time, kind, changes, undoes, redoes"
-
-
-@dataclass(frozen=True)
-class Operation:
-    """One durable entry of the log."""
-
-    number: Number
-    """1, 2, 3, ... without gaps."""
-    request_id: Id
-    author: str
-    origin: Origin
-    time: str
-    """UTC, ISO 8601, of the writer's clock; order is by number."""
-    kind: str
-    """The edit's kind, or ``undo`` or ``redo``."""
-    changes: tuple[Change, ...]
-    undoes: Number | None = None
-    """Number of the edit that this operation takes back."""
-    redoes: Number | None = None
-    """Number of the edit that this operation does once more."""
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-
-class BrokenOperationError(SemvizError):
-    """An operation of a foreign log does not follow from those before it."""
-
-    def __init__(self, number: int, why: object) -> None:
-        super().__init__(f"operation {number}: {why}")
-        self.number = number
-
-
-class _History:
-    """What each author can undo and redo: numbers of edits, latest last."""
-
-    def __init__(self) -> None:
-        self._done: dict[str, list[int]] = {}
-        self._undone: dict[str, list[int]] = {}
-
-    def add(self, one: Operation) -> None:
-        self.add_numbers(one.number, one.author, one.undoes, one.redoes)
-
-    def add_numbers(self, number: int, author: str, undoes: int | None, redoes: int | None) -> None:
-        done = self._done.setdefault(author, [])
-        undone = self._undone.setdefault(author, [])
-        if undoes is not None:
-            _move_last(undoes, done, undone)
-        elif redoes is not None:
-            _move_last(redoes, undone, done)
-        else:
-            done.append(number)
-            undone.clear()
-
-    def undoable(self, author: str) -> int | None:
-        return next(reversed(self._done.get(author, ())), None)
-
-    def redoable(self, author: str) -> int | None:
-        return next(reversed(self._undone.get(author, ())), None)
-
-
-def _move_last(number: int, source: list[int], target: list[int]) -> None:
-    if not source or source[-1] != number:
-        raise SemvizError(f"operation {number} is not the author's last to undo or redo")
-    target.append(source.pop())
+LOOK_BACK = 200
+"""So many edits are tried for one that can be undone, where others have overtaken the last."""
+LONGEST_NAME = 100
 
 
 class LabelStore:
@@ -112,8 +62,7 @@ class LabelStore:
         self.rules = rules
         self._connection = connection
         self._lock = threading.RLock()
-        self._labels = Labels()
-        self._history = _History()
+        self._seen_version = 0
         self._reload()
 
     @classmethod
@@ -126,15 +75,12 @@ class LabelStore:
         """
         if not path.parent.is_dir():
             raise SemvizError(f"{path}: there is no such folder; make it with 'semviz new'")
+        connection = connect(path)
         try:
-            connection = connect(path)
-            try:
-                return cls(path, connection, Rules(classes, rig))
-            except BaseException:
-                connection.close()
-                raise
-        except sqlite3.Error as error:
-            raise _plain(error, path, "Not opened") from None
+            return cls(path, connection, Rules(classes, rig))
+        except BaseException:
+            connection.close()
+            raise
 
     def close(self) -> None:
         with self._lock:
@@ -156,64 +102,114 @@ class LabelStore:
     @property
     def labels(self) -> Labels:
         """The current state, with what other processes have written."""
-        with self._lock:
-            self._catch_up()
+        with self._reading():
             return self._labels
 
     @property
     def last_operation(self) -> int:
-        """Number of the last durable operation; 0 where there is none."""
-        with self._lock:
-            self._catch_up()
+        """Number of the last durable operation; 0 where there is none.
+
+        It grows, but for a backup that someone restored.
+        """
+        with self._reading():
             return self._labels.operation
 
-    def operations(self, after: int = 0) -> tuple[Operation, ...]:
-        """The log from number ``after`` + 1 on."""
-        with self._lock:
-            return self._operations(after)
+    def operations(
+        self, after: int = 0, limit: int | None = None, before: int | None = None
+    ) -> tuple[Operation, ...]:
+        """The log between two numbers, oldest first.
+
+        Of more than ``limit`` those next to ``before`` are given, without it those next to
+        ``after``.
+        """
+        with self._reading():
+            return tuple(read_operations(self._connection, after, limit, before))
+
+    def labels_at(self, number: int) -> Labels:
+        """The state after operation ``number``, from the nearer end of the log; 0 is the start.
+
+        Raises SemvizError where there is no such operation.
+        """
+        with self._reading():
+            return self._labels_at(number)
+
+    def named(self) -> tuple[Operation, ...]:
+        """The operations of kind ``name``: each gave its ``text`` to the state before it."""
+        with self._reading():
+            return tuple(named_operations(self._connection))
+
+    def last_writers(self, observation_ids: Iterable[str]) -> dict[str, Writer]:
+        """Who wrote each observation last; without those that never were."""
+        with self._reading():
+            found = {
+                one: last_writer(self._connection, [(Observation, one)]) for one in observation_ids
+            }
+        return {one: writer for one, writer in found.items() if writer is not None}
 
     def undoable(self, author: str) -> int | None:
-        """Number of the edit that ``undo`` would take back."""
-        with self._lock:
-            self._catch_up()
-            return self._history.undoable(author)
+        """Number of the author's last edit that stands."""
+        with self._reading():
+            return next(self._history.done(author), None)
 
     def redoable(self, author: str) -> int | None:
-        """Number of the edit that ``redo`` would do once more."""
-        with self._lock:
-            self._catch_up()
-            return self._history.redoable(author)
+        """Number of the author's last edit that was undone."""
+        with self._reading():
+            return next(self._history.undone(author), None)
 
     # -- writing
 
     def apply(
-        self, edit: Edit, author: str, request_id: str | None = None, origin: Origin = "human"
+        self,
+        edit: Edit,
+        author: str,
+        request_id: str | None = None,
+        origin: Origin = "human",
+        expects: Observation | None = None,
     ) -> Operation:
         """Do ``edit``; returns when it is on disk. The same request again returns its operation.
 
-        Raises SemvizError where the edit is refused or could not be saved; nothing is changed then.
+        ``expects`` is the observation that the edit is about, as the author saw it. A machine may
+        add rows, and change and delete those that no human has ever written.
+
+        Raises ConflictError where the observation is another one now, SemvizError where the edit is
+        refused or could not be saved; nothing is changed then.
         """
 
         def operation(number: int, request_id: str) -> Operation:
+            if expects is not None:
+                self._witness().check_seen(expects)
             changes = tuple(edit.changes(self._labels, self.rules))
             return Operation(number, request_id, author, origin, _now(), edit.kind, changes)
 
         return self._commit(operation, edit.kind, author, request_id)
 
-    def undo(self, author: str, request_id: str | None = None) -> Operation:
-        """Take back the author's last edit that stands; the undo is itself an operation.
+    def undo(
+        self, author: str, request_id: str | None = None, number: int | None = None
+    ) -> Operation:
+        """Take back the author's last edit that still can be, or edit ``number``.
 
-        Raises SemvizError where there is none, or someone else has changed its rows since.
+        The undo is itself an operation. Where others have overtaken the author's last edit, an
+        earlier one is taken, and the operation's ``text`` says which was left and why.
+
+        Raises SemvizError where there is none; it says who changed what since.
         """
 
-        def operation(number: int, request_id: str) -> Operation:
-            target = self._history.undoable(author)
-            if target is None:
-                raise SemvizError("Nothing to undo.")
-            changes = tuple(one.inverse() for one in self._changes_of(target))
-            self._check_fit(changes, f"Cannot undo operation {target}")
+        def operation(new: int, request_id: str) -> Operation:
+            if number is not None and not self._history.stands(author, number):
+                raise SemvizError(f"Cannot undo operation {number}: it is no edit of yours.")
+            numbers = self._history.done(author) if number is None else iter([number])
+            one, text = self._first_that_fits("undo", numbers)
+            changes = tuple(change.inverse() for change in one.changes)
             return Operation(
-                number, request_id, author, "human", _now(), "undo", changes, undoes=target
+                number=new,
+                request_id=request_id,
+                author=author,
+                origin=one.origin,
+                time=_now(),
+                kind="undo",
+                changes=changes,
+                undoes=one.number,
+                text=text,
             )
 
         return self._commit(operation, "undo", author, request_id)
@@ -221,17 +217,55 @@ class LabelStore:
     def redo(self, author: str, request_id: str | None = None) -> Operation:
         """Do the author's last undone edit once more; like ``undo``."""
 
-        def operation(number: int, request_id: str) -> Operation:
-            target = self._history.redoable(author)
-            if target is None:
-                raise SemvizError("Nothing to redo.")
-            changes = self._changes_of(target)
-            self._check_fit(changes, f"Cannot redo operation {target}")
+        def operation(new: int, request_id: str) -> Operation:
+            one, text = self._first_that_fits("redo", self._history.undone(author))
             return Operation(
-                number, request_id, author, "human", _now(), "redo", changes, redoes=target
+                number=new,
+                request_id=request_id,
+                author=author,
+                origin=one.origin,
+                time=_now(),
+                kind="redo",
+                changes=one.changes,
+                redoes=one.number,
+                text=text,
             )
 
         return self._commit(operation, "redo", author, request_id)
+
+    def restore(self, number: int, author: str, request_id: str | None = None) -> Operation:
+        """Bring back the state after operation ``number``: a new operation that can be undone.
+
+        Raises SemvizError where there is no such operation, or nothing has changed since.
+        """
+
+        def operation(new: int, request_id: str) -> Operation:
+            changes = tuple(difference(self._labels, self._labels_at(number)))
+            if not changes:
+                raise SemvizError(f"the labels are already as after operation {number}")
+            text = f"operation {number}"
+            return Operation(
+                new, request_id, author, "human", _now(), "restore", changes, text=text
+            )
+
+        return self._commit(operation, "restore", author, request_id)
+
+    def name_state(self, name: str, author: str, request_id: str | None = None) -> Operation:
+        """Give the current state a name; see ``named``.
+
+        Raises SemvizError where the name is empty, too long, or in use.
+        """
+        name = " ".join(name.split())
+        if not 0 < len(name) <= LONGEST_NAME:
+            raise SemvizError(f"a name has 1 to {LONGEST_NAME} characters")
+
+        def operation(new: int, request_id: str) -> Operation:
+            for one in named_operations(self._connection):
+                if one.text == name:
+                    raise SemvizError(f"operation {one.number} is named '{name}' already")
+            return Operation(new, request_id, author, "human", _now(), "name", (), text=name)
+
+        return self._commit(operation, "name", author, request_id)
 
     def extend(self, operations: Iterable[Operation]) -> None:
         """Append operations of another log as they are, all or none.
@@ -241,9 +275,10 @@ class LabelStore:
         with self._lock:
             try:
                 with self._transaction():
-                    draft = Draft(self._labels)
+                    draft, hash_before = Draft(self._labels), self._hash
                     for number, one in enumerate(operations, self._labels.operation + 1):
-                        self._append(one, number, draft)
+                        self._append(one, number, hash_before, draft)
+                        hash_before = one.hash
             finally:
                 self._reload()
 
@@ -258,7 +293,7 @@ class LabelStore:
     ) -> Operation:
         with self._lock:
             with self._transaction():
-                earlier = self._of_request(request_id)
+                earlier = operation_of_request(self._connection, request_id or "")
                 if earlier is not None:
                     if (earlier.author, earlier.kind) != (author, kind):
                         raise SemvizError(
@@ -266,10 +301,13 @@ class LabelStore:
                         )
                     return earlier
                 operation = make(self._labels.operation + 1, request_id or new_id())
+                operation = sealed(operation, self._hash)
+                if operation.origin == "machine":
+                    self._witness().check_machine(operation.changes)
                 labels = self._labels.changed(operation.changes)
-                self._write(operation, labels.next_number)
-            self._labels = replace(labels, operation=operation.number)
-            self._history.add(operation)
+                write_operation(self._connection, operation)
+                write_changes(self._connection, operation.changes, labels.next_number)
+            self._take_over(labels, [operation])
             return operation
 
     @contextmanager
@@ -286,132 +324,115 @@ class LabelStore:
                     self._connection.execute("ROLLBACK")
                 raise
         except sqlite3.Error as error:
-            raise _plain(error, self.path, "Not saved") from None
+            raise in_words(error, self.path, "Not saved") from None
+        except ValidationError as error:
+            raise damaged(self.path, first_fault(error)) from None
 
-    def _write(self, operation: Operation, next_number: int) -> None:
-        self._connection.execute(
-            f"INSERT INTO operations ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                operation.number,
-                operation.request_id,
-                operation.author,
-                operation.origin,
-                operation.time,
-                operation.kind,
-                _CHANGES.dump_json(operation.changes).decode(),
-                operation.undoes,
-                operation.redoes,
-            ),
-        )
-        write_changes(self._connection, operation.changes, next_number)
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """One look at the newest state: nobody writes in between."""
+        with self._lock:
+            if self._connection.in_transaction:
+                yield
+                return
+            try:
+                self._connection.execute("BEGIN")
+                try:
+                    self._catch_up()
+                    yield
+                finally:
+                    self._connection.execute("ROLLBACK")
+            except sqlite3.Error as error:
+                raise in_words(error, self.path, "Not read") from None
+            except ValidationError as error:
+                raise damaged(self.path, first_fault(error)) from None
 
-    def _append(self, operation: Operation, number: int, draft: Draft) -> None:
+    def _append(self, operation: Operation, number: int, hash_before: str, draft: Draft) -> None:
         try:
             if operation.number != number:
                 raise SemvizError(f"expected number {number}")
+            if operation != sealed(operation, hash_before):
+                raise SemvizError("its hash is wrong; it was altered after it was written")
             draft.apply(operation.changes)
             for change in operation.changes:
                 if isinstance(change.after, LabelElement):
                     self.rules.check_class(change.after)
                 elif isinstance(change.after, Observation):
                     self.rules.check(change.after, draft.class_of(change.after))
-            self._write(operation, draft.next_number)
             self._history.add(operation)
+            write_operation(self._connection, operation)
+            write_changes(self._connection, operation.changes, draft.next_number)
         except (SemvizError, sqlite3.IntegrityError) as error:
             raise BrokenOperationError(operation.number, error) from None
 
     def _reload(self) -> None:
-        """Read the state from the file, as of one moment."""
-        self._connection.execute("BEGIN")
-        try:
-            self._labels = self._read_labels()
-            self._history = _History()
-            for row in self._connection.execute(
-                "SELECT number, author, undoes, redoes FROM operations ORDER BY number"
-            ):
-                self._history.add_numbers(*row)
-        finally:
-            self._connection.execute("ROLLBACK")
-
-    def _read_labels(self) -> Labels:
-        try:
-            return read_labels(self._connection)
-        except SemvizError as error:
-            raise _damaged(self.path, str(error)) from None
+        """Forget the state, and read it from the file."""
+        self._labels, self._hash, self._seen_version = Labels(), "", 0
+        with self._reading():
+            pass
 
     def _catch_up(self) -> None:
-        """Take over what other processes have written since."""
-        newer = self._operations(self._labels.operation)
-        if not newer:
+        """Take over what other processes have written since, or a backup they restored."""
+        (version,) = self._connection.execute("PRAGMA data_version").fetchone()
+        if version == self._seen_version:
             return
-        draft = Draft(self._labels)
-        for operation in newer:
-            draft.apply(operation.changes)
-            self._history.add(operation)
-        self._labels = replace(draft.labels(), operation=newer[-1].number)
+        known = self._labels.operation
+        if known and hash_of(self._connection, known) == self._hash:
+            newer = tuple(read_operations(self._connection, known))
+            draft = Draft(self._labels)
+            for operation in newer:
+                draft.apply(operation.changes)
+            self._take_over(draft.labels(), newer)
+        else:
+            self._load()
+        self._seen_version = version
 
-    def _operations(self, after: int) -> tuple[Operation, ...]:
-        rows = self._connection.execute(
-            f"SELECT {_COLUMNS} FROM operations WHERE number > ? ORDER BY number", (after,)
-        )
+    def _load(self) -> None:
         try:
-            return tuple(_operation(row) for row in rows)
-        except ValidationError as error:
-            raise _damaged(self.path, first_fault(error)) from None
-
-    def _of_request(self, request_id: str | None) -> Operation | None:
-        row = self._connection.execute(
-            f"SELECT {_COLUMNS} FROM operations WHERE request_id = ?", (request_id,)
-        ).fetchone()
-        return None if row is None else _operation(row)
-
-    def _changes_of(self, number: int) -> tuple[Change, ...]:
-        (text,) = self._connection.execute(
-            "SELECT changes FROM operations WHERE number = ?", (number,)
-        ).fetchone()
-        return _CHANGES.validate_json(text)
-
-    def _check_fit(self, changes: tuple[Change, ...], what: str) -> None:
-        try:
-            self._labels.changed(changes)
+            self._labels = read_labels(self._connection)
         except SemvizError as error:
-            raise SemvizError(f"{what}: {error}") from None
+            raise damaged(self.path, str(error)) from None
+        self._hash = hash_of(self._connection, self._labels.operation) or NO_HASH
+        self._history = History()
+        for row in self._connection.execute(
+            "SELECT number, author, kind, undoes, redoes FROM operations ORDER BY number"
+        ):
+            self._history.add_numbers(*row)
 
+    def _take_over(self, labels: Labels, operations: Iterable[Operation]) -> None:
+        for operation in operations:
+            labels = replace(labels, operation=operation.number)
+            self._hash = operation.hash
+            self._history.add(operation)
+        self._labels = labels
 
-def _operation(row: tuple[Any, ...]) -> Operation:
-    number, request_id, author, origin, time, kind, changes, undoes, redoes = row
-    return Operation(
-        number=number,
-        request_id=request_id,
-        author=author,
-        origin=origin,
-        time=time,
-        kind=kind,
-        changes=_CHANGES.validate_json(changes),
-        undoes=undoes,
-        redoes=redoes,
-    )
+    def _labels_at(self, number: int) -> Labels:
+        last = self._labels.operation
+        if not 0 <= number <= last:
+            raise SemvizError(f"there is no operation {number}; the last one is {last}")
+        if number > last // 2:
+            later = read_operations(self._connection, number)
+            return replace(rewound(self._labels, later), operation=number)
+        earlier = read_operations(self._connection, before=number + 1)
+        return replace(replayed(earlier, self._labels.next_number), operation=number)
+
+    def _first_that_fits(self, what: str, numbers: Iterator[int]) -> tuple[Operation, str]:
+        """The first of some edits that still fits; which one was passed over for it, and why."""
+        passed = ""
+        for number in islice(numbers, LOOK_BACK):
+            (one,) = read_operations(self._connection, number - 1, limit=1)
+            changes = one.changes
+            if what == "undo":
+                changes = tuple(change.inverse() for change in changes)
+            why = self._witness().misfit(changes, one)
+            if why is None:
+                return one, passed
+            passed = passed or f"operation {number} ({one.kind}): {why}"
+        raise SemvizError(f"Cannot {what} {passed}." if passed else f"Nothing to {what}.")
+
+    def _witness(self) -> Witness:
+        return Witness(self._connection, self._labels, self.rules.classes)
 
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def _damaged(path: Path, why: str) -> SemvizError:
-    return SemvizError(f"{path}: the label file is damaged ({why}); restore a copy")
-
-
-def _plain(error: sqlite3.Error, path: Path, what: str) -> SemvizError:
-    """The line for people to read."""
-    match getattr(error, "sqlite_errorcode", 0) & 0xFF:
-        case sqlite3.SQLITE_FULL:
-            return SemvizError(f"{what}: disk full.")
-        case sqlite3.SQLITE_BUSY | sqlite3.SQLITE_LOCKED:
-            return SemvizError(f"{what}: another program keeps {path} locked; close it, try again.")
-        case sqlite3.SQLITE_READONLY | sqlite3.SQLITE_CANTOPEN | sqlite3.SQLITE_PERM:
-            return SemvizError(f"{what}: {path} or its folder cannot be written; make it writable.")
-        case sqlite3.SQLITE_NOTADB:
-            return SemvizError(f"{path}: not a label file")
-        case sqlite3.SQLITE_CORRUPT:
-            return _damaged(path, str(error))
-    return SemvizError(f"{what}: {path}: {error}")

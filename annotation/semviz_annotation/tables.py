@@ -1,121 +1,28 @@
-"""The tables of a label file, and rows in and out of them. SQL lives here only."""
+"""Rows and operations in and out of the tables of a label file (see ``schema``)."""
 
 import sqlite3
-import time
 from collections.abc import Iterable, Iterator
-from pathlib import Path
+from typing import Any
 
-from semviz_annotation.labels import Change, LabelElement, Labels, Observation, Review, Row
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels import Labels
+from semviz_annotation.operations import CHANGES, NO_HASH, Operation, Writer
+from semviz_annotation.rows import (
+    TAGS,
+    Change,
+    Dismissal,
+    Key,
+    LabelElement,
+    Observation,
+    Review,
+    Row,
+)
 
-APPLICATION_ID = 0x53564C42
-"""Marks a SQLite file as ours ("SVLB")."""
-VERSION = 1
-WAIT_S = 10.0
-"""How long to wait for another program that is writing."""
-
-_SCHEMA = f"""
-CREATE TABLE operations (
-    number INTEGER PRIMARY KEY,
-    request_id TEXT NOT NULL UNIQUE,
-    author TEXT NOT NULL,
-    origin TEXT NOT NULL CHECK (origin IN ('human', 'machine')),
-    time TEXT NOT NULL,
-    kind TEXT NOT NULL,
-    changes TEXT NOT NULL,
-    undoes INTEGER REFERENCES operations,
-    redoes INTEGER REFERENCES operations
-);
-CREATE TRIGGER operations_stay BEFORE UPDATE ON operations
-    BEGIN SELECT RAISE(ABORT, 'the log is append-only'); END;
-CREATE TRIGGER operations_last BEFORE DELETE ON operations
-    BEGIN SELECT RAISE(ABORT, 'the log is append-only'); END;
-CREATE TABLE elements (
-    id TEXT PRIMARY KEY,
-    number INTEGER NOT NULL UNIQUE,
-    class_id INTEGER NOT NULL
-);
-CREATE TABLE observations (
-    id TEXT PRIMARY KEY,
-    element_id TEXT NOT NULL REFERENCES elements DEFERRABLE INITIALLY DEFERRED,
-    frame_index INTEGER NOT NULL,
-    side TEXT NOT NULL CHECK (side IN ('left', 'right')),
-    anchor_u REAL NOT NULL,
-    anchor_v REAL NOT NULL,
-    end_u REAL,
-    end_v REAL,
-    anchor_known INTEGER NOT NULL,
-    end_known INTEGER NOT NULL,
-    UNIQUE (element_id, frame_index, side)
-);
-CREATE TABLE reviews (frame_index INTEGER PRIMARY KEY, state TEXT NOT NULL);
-CREATE TABLE counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
-INSERT INTO counters VALUES ('next element number', 1);
-PRAGMA application_id = {APPLICATION_ID};
-PRAGMA user_version = {VERSION};
-"""
-
-
-def connect(path: Path) -> sqlite3.Connection:
-    """Open or make a label file; SemvizError where ``path`` is another file or a newer version."""
-    connection = sqlite3.connect(
-        path, isolation_level=None, check_same_thread=False, timeout=WAIT_S
-    )
-    try:
-        connection.execute("BEGIN IMMEDIATE")  # looking and making are one: others may come too
-        try:
-            _make_or_check(connection, path)
-            connection.execute("COMMIT")
-        except BaseException:
-            connection.execute("ROLLBACK")
-            raise
-        _use_wal(connection)
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA foreign_keys = ON")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _make_or_check(connection: sqlite3.Connection, path: Path) -> None:
-    if connection.execute("PRAGMA application_id").fetchone()[0] == APPLICATION_ID:
-        version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version > VERSION:
-            raise SemvizError(
-                f"{path}: labels of version {version}, this semviz reads up to {VERSION}; update"
-            )
-    elif connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-        raise SemvizError(f"{path}: a SQLite file, but not labels of semviz")
-    else:
-        for statement in _statements(_SCHEMA):
-            connection.execute(statement)
-
-
-def _use_wal(connection: sqlite3.Connection) -> None:
-    """SQLite does not wait for others when it changes the mode, so this does."""
-    deadline = time.monotonic() + WAIT_S
-    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.01)
-
-
-def _statements(script: str) -> Iterator[str]:
-    """One by one: ``executescript`` would commit the transaction it runs in."""
-    pending = ""
-    for line in script.splitlines(keepends=True):
-        pending += line
-        if sqlite3.complete_statement(pending):
-            yield pending
-            pending = ""
+_OPERATION = "number, request_id, author, origin, time, kind, changes, undoes, redoes, text, hash"
+_WRITER = "number, author, origin, time, kind"
 
 
 def read_labels(connection: sqlite3.Connection) -> Labels:
-    """The current state."""
+    """The current state; SemvizError where its rows do not hold together."""
     next_number = connection.execute(
         "SELECT coalesce(max(value), 1) FROM counters WHERE name = 'next element number'"
     ).fetchone()[0]
@@ -134,6 +41,8 @@ def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
         yield Observation(id_, element, frame, side, (u, v), end_px, bool(anchor), bool(end))
     for row in connection.execute("SELECT frame_index, state FROM reviews"):
         yield Review(*row)
+    for row in connection.execute("SELECT id, frame_index, side, why, element_id FROM dismissals"):
+        yield Dismissal(*row)
 
 
 def write_changes(
@@ -153,32 +62,145 @@ def write_changes(
 
 
 def _delete(connection: sqlite3.Connection, row: Row) -> None:
-    if isinstance(row, LabelElement):
-        connection.execute("DELETE FROM elements WHERE id = ?", (row.id,))
-    elif isinstance(row, Observation):
-        connection.execute("DELETE FROM observations WHERE id = ?", (row.id,))
-    else:
+    if isinstance(row, Review):
         connection.execute("DELETE FROM reviews WHERE frame_index = ?", (row.frame_index,))
+    else:
+        connection.execute(f"DELETE FROM {TAGS[type(row)]}s WHERE id = ?", (row.id,))
 
 
 def _insert(connection: sqlite3.Connection, row: Row) -> None:
-    if isinstance(row, LabelElement):
+    values: tuple[object, ...]
+    match row:
+        case LabelElement():
+            values = (row.id, row.number, row.class_id)
+        case Observation():
+            end_px = row.end_px or (None, None)
+            known = (row.anchor_known, row.end_known)
+            place = (row.id, row.element_id, row.frame_index, row.side)
+            values = (*place, *row.anchor_px, *end_px, *known)
+        case Review():
+            values = (row.frame_index, row.state)
+        case Dismissal():
+            values = (row.id, row.frame_index, row.side, row.why, row.element_id)
+    marks = ", ".join("?" * len(values))
+    connection.execute(f"INSERT INTO {TAGS[type(row)]}s VALUES ({marks})", values)
+
+
+def write_operation(connection: sqlite3.Connection, one: Operation) -> None:
+    """Append to the log, and note who wrote which rows."""
+    connection.execute(
+        f"INSERT INTO operations ({_OPERATION}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            one.number,
+            one.request_id,
+            one.author,
+            one.origin,
+            one.time,
+            one.kind,
+            CHANGES.dump_json(one.changes).decode(),
+            one.undoes,
+            one.redoes,
+            one.text,
+            one.hash,
+        ),
+    )
+    by_human = one.origin == "human"
+    connection.executemany(
+        "INSERT INTO writers VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE "
+        "SET number = excluded.number, by_human = max(by_human, excluded.by_human)",
+        [(*_writer_key(change.key), one.number, by_human) for change in one.changes],
+    )
+
+
+def _writer_key(key: Key) -> tuple[str, str]:
+    return TAGS[key[0]], str(key[1])
+
+
+def read_operations(
+    connection: sqlite3.Connection,
+    after: int = 0,
+    limit: int | None = None,
+    before: int | None = None,
+) -> Iterator[Operation]:
+    """Operations between two numbers, ascending; see ``LabelStore.operations``.
+
+    Raises pydantic's ValidationError where one cannot be read.
+    """
+    end, order = (2**53, "ASC") if before is None else (before, "DESC")
+    rows = connection.execute(
+        f"SELECT {_OPERATION} FROM operations WHERE number > ? AND number < ? "
+        f"ORDER BY number {order} LIMIT ?",
+        (after, end, -1 if limit is None else limit),
+    )
+    return map(operation_of_row, rows if before is None else reversed(rows.fetchall()))
+
+
+def operation_of_request(connection: sqlite3.Connection, request_id: str) -> Operation | None:
+    """The operation that a request led to, if it was done."""
+    row = connection.execute(
+        f"SELECT {_OPERATION} FROM operations WHERE request_id = ?", (request_id,)
+    ).fetchone()
+    return None if row is None else operation_of_row(row)
+
+
+def named_operations(connection: sqlite3.Connection) -> Iterator[Operation]:
+    """The operations that gave a name to a state, oldest first."""
+    return map(
+        operation_of_row,
         connection.execute(
-            "INSERT INTO elements VALUES (?, ?, ?)", (row.id, row.number, row.class_id)
+            f"SELECT {_OPERATION} FROM operations WHERE kind = 'name' ORDER BY number"
+        ),
+    )
+
+
+def operation_of_row(row: tuple[Any, ...]) -> Operation:
+    """An operation from the values of its columns; pydantic's ValidationError where it is none."""
+    number, request_id, author, origin, time, kind, changes, undoes, redoes, text, hash_ = row
+    return Operation(
+        number=number,
+        request_id=request_id,
+        author=author,
+        origin=origin,
+        time=time,
+        kind=kind,
+        changes=CHANGES.validate_json(changes),
+        undoes=undoes,
+        redoes=redoes,
+        text=text,
+        hash=hash_,
+    )
+
+
+def hash_of(connection: sqlite3.Connection, number: int) -> str | None:
+    """Hash of an operation; None where there is none of that number."""
+    if number == 0:
+        return NO_HASH
+    row = connection.execute("SELECT hash FROM operations WHERE number = ?", (number,)).fetchone()
+    return None if row is None else str(row[0])
+
+
+def last_writer(connection: sqlite3.Connection, keys: Iterable[Key]) -> Writer | None:
+    """The newest operation that wrote one of some rows."""
+    numbers = [
+        number
+        for key in keys
+        for (number,) in connection.execute(
+            "SELECT number FROM writers WHERE row_tag = ? AND row_id = ?", _writer_key(key)
         )
-    elif isinstance(row, Observation):
-        connection.execute(
-            "INSERT INTO observations VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                row.id,
-                row.element_id,
-                row.frame_index,
-                row.side,
-                *row.anchor_px,
-                *(row.end_px or (None, None)),
-                row.anchor_known,
-                row.end_known,
-            ),
-        )
-    else:
-        connection.execute("INSERT INTO reviews VALUES (?, ?)", (row.frame_index, row.state))
+    ]
+    if not numbers:
+        return None
+    row = connection.execute(
+        f"SELECT {_WRITER} FROM operations WHERE number = ?", (max(numbers),)
+    ).fetchone()
+    return Writer(*row)
+
+
+def first_of_human(connection: sqlite3.Connection, keys: Iterable[Key]) -> Key | None:
+    """The first of some rows that a human has ever written."""
+    for key in keys:
+        if connection.execute(
+            "SELECT 1 FROM writers WHERE row_tag = ? AND row_id = ? AND by_human", _writer_key(key)
+        ).fetchone():
+            return key
+    return None

@@ -5,13 +5,14 @@ from dataclasses import replace
 import pytest
 
 from semviz_annotation.edits import (
+    AddMany,
     AddObservation,
     DeleteElement,
     DeleteObservation,
+    Dismiss,
     Link,
     MoveObservation,
     ReviewFrame,
-    Rules,
     SetClass,
     SetKnown,
     SwapEnds,
@@ -19,7 +20,8 @@ from semviz_annotation.edits import (
     edit_from_json,
     edit_to_json,
 )
-from semviz_annotation.labels import Labels, new_id
+from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 
 RULES = Rules()
@@ -120,6 +122,72 @@ def test_a_verdict_is_overtaken_by_later_labels():
     assert after(Labels(), ReviewFrame(4, "in work")).review(4) == "in work"
 
 
+def dismissal(element_id: str, frame: int, side: str = "left", why: str = "absent") -> Dismissal:
+    return Dismissal(proposal_id(element_id, frame, side), frame, side, why, element_id)
+
+
+def of_detector(frame: int) -> Dismissal:
+    return Dismissal(new_id(), frame, "left", "rejected", None)
+
+
+def test_ids_of_proposals_depend_on_element_frame_and_side_only():
+    one, other = new_id(), new_id()
+    ids = {proposal_id(e, f, s) for e in (one, other) for f in (1, 11) for s in ("left", "right")}
+    assert len(ids) == 8
+    assert all(dismissal(one, 1).id in ids and len(x) == 36 and x[14] == "8" for x in ids)
+    fixed = proposal_id("01a1fda4-ce72-7ec6-ab2d-ece8376e7e3d", 3, "left")
+    assert fixed == "57976abb-55a0-8b7d-83f6-a3a0f939f8df"
+
+
+def test_drawing_where_it_was_turned_down_takes_that_back():
+    a = pole()
+    there, elsewhere, foreign = (
+        dismissal(a.element_id, 1),
+        dismissal(a.element_id, 2),
+        of_detector(1),
+    )
+    labels = after(Labels(), a, Dismiss((there, elsewhere, foreign)))
+    assert set(labels.dismissed_in(1)) == {there, foreign}
+    assert labels.dismissals.keys() == {there.id, elsewhere.id, foreign.id}
+    drawn = replace(a, observation_id=new_id(), frame_index=1, class_id=None)
+    labels = after(labels, drawn)
+    assert labels.dismissed_in(1) == (foreign,)
+    accepted = pole(frame=1, observation_id=foreign.id)
+    assert set(after(labels, accepted).dismissals) == {elsewhere.id}
+    again = after(labels, Dismiss((replace(elsewhere, why="occluded"),)))
+    assert [one.why for one in again.dismissed_in(2)] == ["occluded"]
+    assert list(Dismiss((elsewhere,)).changes(labels, RULES)) == []
+
+
+def test_dismissals_go_with_their_element():
+    a, b = pole(), pole(frame=1)
+    turned_down = Dismiss((dismissal(a.element_id, 1), dismissal(b.element_id, 2), of_detector(2)))
+    labels = after(Labels(), a, b, turned_down)
+    for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
+        assert [one.element_id for one in after(labels, gone).dismissals.values()] == [
+            a.element_id,
+            None,
+        ]
+    linked = after(labels, Link(b.element_id, a.element_id))  # b is seen where a was turned down
+    assert [one.element_id for one in linked.dismissals.values()] == [None]
+
+
+def test_many_are_added_together_or_not_at_all():
+    first, lonely = pole(), pole(frame=4)
+    down = dismissal(first.element_id, 1)
+    labels = after(Labels(), AddMany((first, partner(first), lonely)))
+    assert len(list(labels.pairs(0))) == 1
+    assert sorted(one.number for one in labels.elements.values()) == [1, 2]
+    more = [replace(partner(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
+    labels = after(
+        labels,
+        Dismiss((replace(down, side="right", id=proposal_id(first.element_id, 1, "right")),)),
+    )
+    assert after(labels, AddMany(tuple(more))).dismissals == {}
+    with pytest.raises(SemvizError, match="P-01 is labelled already"):
+        after(labels, AddMany((more[0], replace(more[0], observation_id=new_id()))))
+
+
 A, B, S = pole(), pole(), sign(frame=3)
 
 
@@ -149,6 +217,12 @@ A, B, S = pole(), pole(), sign(frame=3)
         (DeleteElement(new_id()), "no element"),
         (ReviewFrame(0, "reviewed, empty"), "not empty"),
         (ReviewFrame(8, "reviewed"), "no labels"),
+        (AddMany((pole(frame=7), A)), "exists already"),
+        (Dismiss((dismissal(A.element_id, 0),)), "P-01 is labelled in this left image"),
+        (Dismiss((dismissal(new_id(), 0),)), "no element"),
+        (Dismiss((replace(of_detector(1), id=A.observation_id),)), "was accepted"),
+        (Dismiss((replace(dismissal(A.element_id, 1), id=new_id()),)), "not the id"),
+        (Dismiss((dismissal(A.element_id, 1),) * 2), "same row twice"),
     ],
 )
 def test_nonsense_is_refused_in_words(edit, words):
@@ -168,6 +242,8 @@ def test_points_must_be_in_the_image_of_their_side(world):
     alone = Rules(rig=replace(world.rig, right=None, T_right_left=None))
     with pytest.raises(SemvizError, match="no right camera"):
         list(pole(side="right").changes(Labels(), alone))
+    with pytest.raises(SemvizError, match="no right camera"):
+        list(Dismiss((replace(of_detector(1), side="right"),)).changes(Labels(), alone))
 
 
 EVERY = [
@@ -182,6 +258,8 @@ EVERY = [
     Unlink(A.observation_id, new_id()),
     SetClass(A.element_id, 3),
     ReviewFrame(3, "reviewed, empty"),
+    AddMany((A, S)),
+    Dismiss((dismissal(A.element_id, 1), of_detector(2))),
 ]
 
 
@@ -210,6 +288,12 @@ def test_broken_json_is_refused_by_field(change, field):
     with pytest.raises(SemvizError, match=field) as caught:
         edit_from_json(edit_to_json(A) | change)
     assert "\n" not in str(caught.value)
+
+
+def test_an_empty_list_is_no_edit():
+    for edit in (AddMany(()), Dismiss(())):
+        with pytest.raises(SemvizError, match="at least 1 item"):
+            edit_from_json(edit_to_json(edit))
 
 
 @pytest.mark.parametrize("data", [None, 3, [], "x", {}, {"kind": "add"}, {"kind": []}, object()])

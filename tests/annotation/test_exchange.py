@@ -71,12 +71,44 @@ def changed(line: str, **values: object) -> str:
     return json.dumps(json.loads(line) | values)
 
 
+def as_version_1(log: Path) -> str:
+    """The text of a log as semviz wrote it before there were hashes."""
+    lines = ['{"format": "semviz-operations", "version": 1}']
+    for line in log.read_text(encoding="utf-8").split("\n")[1:-1]:
+        values = json.loads(line)
+        del values["hash"], values["text"]
+        lines.append(json.dumps(values, separators=(",", ":")))
+    return "\n".join([*lines, ""])
+
+
+def test_a_log_of_version_1_gives_the_same_store(log, tmp_path):
+    old = tmp_path / "old.jsonl"
+    old.write_text(as_version_1(log), encoding="utf-8")
+    with LabelStore.open(tmp_path / "old.db") as store:
+        assert import_operations(old, store) == 7
+        assert import_operations(log, store) == 0
+        export_operations(store, tmp_path / "new.jsonl")
+    assert (tmp_path / "new.jsonl").read_bytes() == log.read_bytes()
+
+
+@pytest.mark.parametrize("line", range(2, 9))
+def test_an_altered_line_is_named(log, tmp_path, line):
+    lines = log.read_text(encoding="utf-8").split("\n")
+    lines[line - 1] = changed(lines[line - 1], time="2020-01-01")
+    log.write_text("\n".join(lines), encoding="utf-8")
+    words = f"line {line}: operation {line - 1}: its hash is wrong"
+    with LabelStore.open(tmp_path / "second.db") as second:
+        with pytest.raises(SemvizError, match=words):
+            import_operations(log, second)
+        assert second.labels == Labels()
+
+
 @pytest.mark.parametrize(
     ("line", "break_it", "words"),
     [
         (1, lambda line: "{}", "not a log of label operations"),
         (1, lambda line: "[]", "not a log"),
-        (1, lambda line: changed(line, version=2), "version 2, this semviz reads up to 1"),
+        (1, lambda line: changed(line, version=3), "version 3, this semviz reads up to 2"),
         (3, lambda line: line[:-10], "line 3: Invalid JSON"),
         (4, lambda line: "", "line 4: Invalid JSON"),
         (4, lambda line: changed(line, number=9), "line 4: number 9 where 3 follows"),
@@ -92,7 +124,7 @@ def changed(line: str, **values: object) -> str:
     ],
 )
 def test_a_broken_line_is_named_and_nothing_imported(log, tmp_path, line, break_it, words):
-    lines = log.read_text(encoding="utf-8").split("\n")
+    lines = as_version_1(log).split("\n")
     lines[line - 1] = break_it(lines[line - 1])
     log.write_text("\n".join(lines), encoding="utf-8")
     with LabelStore.open(tmp_path / "second.db") as second:

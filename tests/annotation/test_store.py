@@ -162,22 +162,25 @@ def test_undo_and_redo_are_per_person_and_survive_a_restart(path):
         assert store.labels.frames == (1, 2)
 
 
-def test_undo_is_refused_where_someone_else_changed_the_rows(store):
+def test_a_refused_undo_names_what_who_and_which_operation(store):
     edit = pole()
     store.apply(edit, "ann")
     store.apply(MoveObservation(edit.observation_id, (9.0, 9.0)), "bea")
-    before = store.labels
-    with pytest.raises(SemvizError, match="Cannot undo operation 1: element 1 was changed by some"):
+    with pytest.raises(SemvizError) as caught:
         store.undo("ann")
+    assert str(caught.value) == (
+        "Cannot undo operation 1 (add): bea changed P-01 in the left image of frame 0 since "
+        "(operation 2, move)."
+    )
     store.undo("bea")
-    more = AddObservation(new_id(), edit.element_id, 1, "left", (1.0, 2.0), (3.0, 40.0))
-    store.apply(more, "bea")
-    with pytest.raises(SemvizError, match="observations of others would be left"):
+    store.apply(
+        AddObservation(new_id(), edit.element_id, 1, "left", (1.0, 2.0), (3.0, 40.0)), "bea"
+    )
+    with pytest.raises(SemvizError, match=r"P-01 in the left image of frame 1 .*operation 4, add"):
         store.undo("ann")
     store.undo("bea")
     store.undo("ann")
     assert store.labels == Labels()
-    assert before != Labels()
 
 
 def test_the_same_request_is_done_once(store):
@@ -323,7 +326,7 @@ def test_what_is_not_a_label_file_is_named(tmp_path, path):
     LabelStore.open(path).close()
     with sqlite3.connect(path) as other:
         other.execute("PRAGMA user_version = 99")
-    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 1"):
+    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 2"):
         LabelStore.open(path)
     assert text.read_text().startswith("poles and signs")
 
@@ -360,7 +363,7 @@ def test_a_read_only_folder_is_named(tmp_path, path):
     "damage",
     [
         "INSERT INTO elements VALUES ('lonely', 7, 0)",
-        "INSERT INTO operations VALUES (2, 'r', 'ann', 'human', 't', 'add', '{', NULL, NULL)",
+        "INSERT INTO operations VALUES (2, 'r', 'a', 'human', 't', 'add', NULL, NULL, '', '', '{')",
     ],
 )
 def test_damage_inside_is_named_with_its_file(path: Path, damage: str) -> None:
