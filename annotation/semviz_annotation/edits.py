@@ -7,7 +7,7 @@ An edit that makes no sense raises SemvizError and changes nothing.
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -27,6 +27,19 @@ from semviz_annotation.rows import (
 from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
+
+
+class AnyEdit(Protocol):
+    """What a store can apply: an ``Edit``, or one that no page sends, such as an import."""
+
+    @property
+    def kind(self) -> str:
+        """What the log calls it."""
+        ...
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
+        """The rows that change; SemvizError where it makes no sense in ``labels``."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from semviz_annotation.conflicts import Witness
 from semviz_annotation.connection import connect, damaged, in_words
-from semviz_annotation.edits import Edit, first_fault
+from semviz_annotation.edits import AnyEdit, first_fault
 from semviz_annotation.history import History, difference, replayed, rewound
 from semviz_annotation.labels import Draft, Labels
 from semviz_annotation.operations import (
@@ -160,7 +160,7 @@ class LabelStore:
 
     def apply(
         self,
-        edit: Edit,
+        edit: AnyEdit,
         author: str,
         request_id: str | None = None,
         origin: Origin = "human",
