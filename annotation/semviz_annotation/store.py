@@ -6,24 +6,18 @@ processes wait for it and then see its work.
 """
 
 import sqlite3
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
 
-from pydantic import ValidationError
-
 from semviz_annotation.conflicts import Witness
-from semviz_annotation.connection import connect, damaged, in_words
-from semviz_annotation.edits import AnyEdit, first_fault
-from semviz_annotation.history import History, difference, replayed, rewound
+from semviz_annotation.edits import AnyEdit
+from semviz_annotation.history import difference
+from semviz_annotation.label_file import LabelFile
 from semviz_annotation.labels import Draft, Labels
 from semviz_annotation.operations import (
-    NO_HASH,
     BrokenOperationError,
     ConflictError,
     Operation,
@@ -34,14 +28,11 @@ from semviz_annotation.operations import (
 from semviz_annotation.rows import LabelElement, Observation, new_id
 from semviz_annotation.rules import Rules
 from semviz_annotation.tables import (
-    hash_of,
     last_writer,
     named_operations,
     operation_of_request,
-    read_labels,
+    read_history,
     read_operations,
-    write_changes,
-    write_operation,
 )
 from semviz_core.camera import Rig
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
@@ -57,13 +48,10 @@ LONGEST_NAME = 100
 class LabelStore:
     """An open label file. Threads may share it; several processes may open the same file."""
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, rules: Rules) -> None:
-        self.path = path
+    def __init__(self, file: LabelFile, rules: Rules) -> None:
+        self.path = file.path
         self.rules = rules
-        self._connection = connection
-        self._lock = threading.RLock()
-        self._seen_version = 0
-        self._reload()
+        self._file = file
 
     @classmethod
     def open(
@@ -75,16 +63,10 @@ class LabelStore:
         """
         if not path.parent.is_dir():
             raise SemvizError(f"{path}: there is no such folder; make it with 'semviz new'")
-        connection = connect(path)
-        try:
-            return cls(path, connection, Rules(classes, rig))
-        except BaseException:
-            connection.close()
-            raise
+        return cls(LabelFile(path), Rules(classes, rig))
 
     def close(self) -> None:
-        with self._lock:
-            self._connection.close()
+        self._file.close()
 
     def __enter__(self) -> "LabelStore":
         return self
@@ -102,8 +84,8 @@ class LabelStore:
     @property
     def labels(self) -> Labels:
         """The current state, with what other processes have written."""
-        with self._reading():
-            return self._labels
+        with self._file.reading():
+            return self._file.labels
 
     @property
     def last_operation(self) -> int:
@@ -111,8 +93,8 @@ class LabelStore:
 
         It grows, but for a backup that someone restored.
         """
-        with self._reading():
-            return self._labels.operation
+        with self._file.reading():
+            return self._file.labels.operation
 
     def operations(
         self, after: int = 0, limit: int | None = None, before: int | None = None
@@ -122,39 +104,40 @@ class LabelStore:
         Of more than ``limit`` those next to ``before`` are given, without it those next to
         ``after``.
         """
-        with self._reading():
-            return tuple(read_operations(self._connection, after, limit, before))
+        with self._file.reading():
+            return tuple(read_operations(self._file.connection, after, limit, before))
 
     def labels_at(self, number: int) -> Labels:
         """The state after operation ``number``, from the nearer end of the log; 0 is the start.
 
         Raises SemvizError where there is no such operation.
         """
-        with self._reading():
-            return self._labels_at(number)
+        with self._file.reading():
+            return self._file.labels_at(number)
 
     def named(self) -> tuple[Operation, ...]:
         """The operations of kind ``name``: each gave its ``text`` to the state before it."""
-        with self._reading():
-            return tuple(named_operations(self._connection))
+        with self._file.reading():
+            return tuple(named_operations(self._file.connection))
 
     def last_writers(self, observation_ids: Iterable[str]) -> dict[str, Writer]:
         """Who wrote each observation last; without those that never were."""
-        with self._reading():
+        with self._file.reading():
             found = {
-                one: last_writer(self._connection, [(Observation, one)]) for one in observation_ids
+                one: last_writer(self._file.connection, [(Observation, one)])
+                for one in observation_ids
             }
         return {one: writer for one, writer in found.items() if writer is not None}
 
     def undoable(self, author: str) -> int | None:
         """Number of the author's last edit that stands."""
-        with self._reading():
-            return next(self._history.done(author), None)
+        with self._file.reading():
+            return next(self._file.history.done(author), None)
 
     def redoable(self, author: str) -> int | None:
         """Number of the author's last edit that was undone."""
-        with self._reading():
-            return next(self._history.undone(author), None)
+        with self._file.reading():
+            return next(self._file.history.undone(author), None)
 
     # -- writing
 
@@ -178,7 +161,7 @@ class LabelStore:
         def operation(number: int, request_id: str) -> Operation:
             if expects is not None:
                 self._witness().check_seen(expects)
-            changes = tuple(edit.changes(self._labels, self.rules))
+            changes = tuple(edit.changes(self._file.labels, self.rules))
             return Operation(number, request_id, author, origin, _now(), edit.kind, changes)
 
         return self._commit(operation, edit.kind, author, request_id)
@@ -195,9 +178,9 @@ class LabelStore:
         """
 
         def operation(new: int, request_id: str) -> Operation:
-            if number is not None and not self._history.stands(author, number):
+            if number is not None and not self._file.history.stands(author, number):
                 raise SemvizError(f"Cannot undo operation {number}: it is no edit of yours.")
-            numbers = self._history.done(author) if number is None else iter([number])
+            numbers = self._file.history.done(author) if number is None else iter([number])
             one, text = self._first_that_fits("undo", numbers)
             changes = tuple(change.inverse() for change in one.changes)
             return Operation(
@@ -218,7 +201,7 @@ class LabelStore:
         """Do the author's last undone edit once more; like ``undo``."""
 
         def operation(new: int, request_id: str) -> Operation:
-            one, text = self._first_that_fits("redo", self._history.undone(author))
+            one, text = self._first_that_fits("redo", self._file.history.undone(author))
             return Operation(
                 number=new,
                 request_id=request_id,
@@ -240,7 +223,7 @@ class LabelStore:
         """
 
         def operation(new: int, request_id: str) -> Operation:
-            changes = tuple(difference(self._labels, self._labels_at(number)))
+            changes = tuple(difference(self._file.labels, self._file.labels_at(number)))
             if not changes:
                 raise SemvizError(f"the labels are already as after operation {number}")
             text = f"operation {number}"
@@ -260,7 +243,7 @@ class LabelStore:
             raise SemvizError(f"a name has 1 to {LONGEST_NAME} characters")
 
         def operation(new: int, request_id: str) -> Operation:
-            for one in named_operations(self._connection):
+            for one in named_operations(self._file.connection):
                 if one.text == name:
                     raise SemvizError(f"operation {one.number} is named '{name}' already")
             return Operation(new, request_id, author, "human", _now(), "name", (), text=name)
@@ -272,15 +255,19 @@ class LabelStore:
 
         Raises BrokenOperationError for the first that does not follow from those before it.
         """
-        with self._lock:
-            try:
-                with self._transaction():
-                    draft, hash_before = Draft(self._labels), self._hash
-                    for number, one in enumerate(operations, self._labels.operation + 1):
-                        self._append(one, number, hash_before, draft)
-                        hash_before = one.hash
-            finally:
-                self._reload()
+        with self._file.writing():
+            draft, hash_before = Draft(self._file.labels), self._file.hash
+            history = read_history(self._file.connection)
+            for number, one in enumerate(operations, self._file.labels.operation + 1):
+                try:
+                    self._check_follows(one, number, hash_before)
+                    draft.apply(one.changes)
+                    self._check_rows(one, draft)
+                    history.add(one)
+                    self._file.append(one, draft.labels())
+                except (SemvizError, sqlite3.IntegrityError) as error:
+                    raise BrokenOperationError(one.number, error) from None
+                hash_before = one.hash
 
     # -- inside
 
@@ -291,136 +278,39 @@ class LabelStore:
         author: str,
         request_id: str | None,
     ) -> Operation:
-        with self._lock:
-            with self._transaction():
-                earlier = operation_of_request(self._connection, request_id or "")
-                if earlier is not None:
-                    if (earlier.author, earlier.kind) != (author, kind):
-                        raise SemvizError(
-                            "this request id was used for another edit; take a new one"
-                        )
-                    return earlier
-                operation = make(self._labels.operation + 1, request_id or new_id())
-                operation = sealed(operation, self._hash)
-                if operation.origin == "machine":
-                    self._witness().check_machine(operation.changes)
-                labels = self._labels.changed(operation.changes)
-                write_operation(self._connection, operation)
-                write_changes(self._connection, operation.changes, labels.next_number)
-            self._take_over(labels, [operation])
+        with self._file.writing():
+            labels, connection = self._file.labels, self._file.connection
+            earlier = operation_of_request(connection, request_id or "")
+            if earlier is not None:
+                if (earlier.author, earlier.kind) != (author, kind):
+                    raise SemvizError("this request id was used for another edit; take a new one")
+                return earlier
+            operation = make(labels.operation + 1, request_id or new_id())
+            operation = sealed(operation, self._file.hash)
+            if operation.origin == "machine":
+                self._witness().check_machine(operation.changes)
+            self._file.append(operation, labels.changed(operation.changes))
             return operation
 
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """One transaction on the newest state; after a failure nothing of it is left."""
-        try:
-            self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                self._catch_up()
-                yield
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
-        except sqlite3.Error as error:
-            raise in_words(error, self.path, "Not saved") from None
-        except ValidationError as error:
-            raise damaged(self.path, first_fault(error)) from None
+    @staticmethod
+    def _check_follows(one: Operation, number: int, hash_before: str) -> None:
+        if one.number != number:
+            raise SemvizError(f"expected number {number}")
+        if one != sealed(one, hash_before):
+            raise SemvizError("its hash is wrong; it was altered after it was written")
 
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """One look at the newest state: nobody writes in between."""
-        with self._lock:
-            if self._connection.in_transaction:
-                yield
-                return
-            try:
-                self._connection.execute("BEGIN")
-                try:
-                    self._catch_up()
-                    yield
-                finally:
-                    self._connection.execute("ROLLBACK")
-            except sqlite3.Error as error:
-                raise in_words(error, self.path, "Not read") from None
-            except ValidationError as error:
-                raise damaged(self.path, first_fault(error)) from None
-
-    def _append(self, operation: Operation, number: int, hash_before: str, draft: Draft) -> None:
-        try:
-            if operation.number != number:
-                raise SemvizError(f"expected number {number}")
-            if operation != sealed(operation, hash_before):
-                raise SemvizError("its hash is wrong; it was altered after it was written")
-            draft.apply(operation.changes)
-            for change in operation.changes:
-                if isinstance(change.after, LabelElement):
-                    self.rules.check_class(change.after)
-                elif isinstance(change.after, Observation):
-                    self.rules.check(change.after, draft.class_of(change.after))
-            self._history.add(operation)
-            write_operation(self._connection, operation)
-            write_changes(self._connection, operation.changes, draft.next_number)
-        except (SemvizError, sqlite3.IntegrityError) as error:
-            raise BrokenOperationError(operation.number, error) from None
-
-    def _reload(self) -> None:
-        """Forget the state, and read it from the file."""
-        self._labels, self._hash, self._seen_version = Labels(), "", 0
-        with self._reading():
-            pass
-
-    def _catch_up(self) -> None:
-        """Take over what other processes have written since, or a backup they restored."""
-        (version,) = self._connection.execute("PRAGMA data_version").fetchone()
-        if version == self._seen_version:
-            return
-        known = self._labels.operation
-        if known and hash_of(self._connection, known) == self._hash:
-            newer = tuple(read_operations(self._connection, known))
-            draft = Draft(self._labels)
-            for operation in newer:
-                draft.apply(operation.changes)
-            self._take_over(draft.labels(), newer)
-        else:
-            self._load()
-        self._seen_version = version
-
-    def _load(self) -> None:
-        try:
-            self._labels = read_labels(self._connection)
-        except SemvizError as error:
-            raise damaged(self.path, str(error)) from None
-        self._hash = hash_of(self._connection, self._labels.operation) or NO_HASH
-        self._history = History()
-        for row in self._connection.execute(
-            "SELECT number, author, kind, undoes, redoes FROM operations ORDER BY number"
-        ):
-            self._history.add_numbers(*row)
-
-    def _take_over(self, labels: Labels, operations: Iterable[Operation]) -> None:
-        for operation in operations:
-            labels = replace(labels, operation=operation.number)
-            self._hash = operation.hash
-            self._history.add(operation)
-        self._labels = labels
-
-    def _labels_at(self, number: int) -> Labels:
-        last = self._labels.operation
-        if not 0 <= number <= last:
-            raise SemvizError(f"there is no operation {number}; the last one is {last}")
-        if number > last // 2:
-            later = read_operations(self._connection, number)
-            return replace(rewound(self._labels, later), operation=number)
-        earlier = read_operations(self._connection, before=number + 1)
-        return replace(replayed(earlier, self._labels.next_number), operation=number)
+    def _check_rows(self, one: Operation, draft: Draft) -> None:
+        for change in one.changes:
+            if isinstance(change.after, LabelElement):
+                self.rules.check_class(change.after)
+            elif isinstance(change.after, Observation):
+                self.rules.check(change.after, draft.class_of(change.after))
 
     def _first_that_fits(self, what: str, numbers: Iterator[int]) -> tuple[Operation, str]:
         """The first of some edits that still fits; which one was passed over for it, and why."""
         passed = ""
         for number in islice(numbers, LOOK_BACK):
-            (one,) = read_operations(self._connection, number - 1, limit=1)
+            (one,) = read_operations(self._file.connection, number - 1, limit=1)
             changes = one.changes
             if what == "undo":
                 changes = tuple(change.inverse() for change in changes)
@@ -431,7 +321,7 @@ class LabelStore:
         raise SemvizError(f"Cannot {what} {passed}." if passed else f"Nothing to {what}.")
 
     def _witness(self) -> Witness:
-        return Witness(self._connection, self._labels, self.rules.classes)
+        return Witness(self._file.connection, self._file.labels, self.rules.classes)
 
 
 def _now() -> str:

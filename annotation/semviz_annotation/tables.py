@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from semviz_annotation.history import History
 from semviz_annotation.labels import Labels
 from semviz_annotation.operations import CHANGES, NO_HASH, Operation, Writer
 from semviz_annotation.rows import (
@@ -169,6 +170,16 @@ def operation_of_row(row: tuple[Any, ...]) -> Operation:
         text=text,
         hash=hash_,
     )
+
+
+def read_history(connection: sqlite3.Connection) -> History:
+    """What each author can undo and redo."""
+    history = History()
+    for row in connection.execute(
+        "SELECT number, author, kind, undoes, redoes FROM operations ORDER BY number"
+    ):
+        history.add_numbers(*row)
+    return history
 
 
 def hash_of(connection: sqlite3.Connection, number: int) -> str | None:

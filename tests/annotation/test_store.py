@@ -276,7 +276,7 @@ def test_kill_minus_nine_loses_nothing_acknowledged(path):
 
 def test_disk_full_changes_nothing_and_passes_when_there_is_room(store):
     store.apply(pole(), "ann")
-    connection = store._connection
+    connection = store._file.connection
     pages = connection.execute("PRAGMA page_count").fetchone()[0]
     connection.execute(f"PRAGMA max_page_count = {pages}")
 
@@ -296,7 +296,7 @@ def test_disk_full_changes_nothing_and_passes_when_there_is_room(store):
 def test_a_busy_file_is_named(store):
     other = sqlite3.connect(store.path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
-    store._connection.execute("PRAGMA busy_timeout = 50")
+    store._file.connection.execute("PRAGMA busy_timeout = 50")
     with pytest.raises(SemvizError, match=r"Not saved: another program keeps .* locked"):
         store.apply(pole(), "ann")
     other.execute("ROLLBACK")
