@@ -2,6 +2,8 @@
 
 semviz.toml          where the images come from
 labels.db            labels and their history
+proposals.parquet    what a detector proposes, if one did
+kept/                what other labelling tools wrote beside labels, if any did
 maps/NAME.parquet
 runs/NAME.rrd
 """
@@ -210,6 +212,11 @@ class Workspace:
     @property
     def labels_path(self) -> Path:
         return self.path / "labels.db"
+
+    @property
+    def proposals_path(self) -> Path:
+        """What a detector proposes; there is none before 'semviz labels propose'."""
+        return self.path / "proposals.parquet"
 
     def map_path(self, name: str) -> Path:
         """Where the map called ``name`` is or would be."""
