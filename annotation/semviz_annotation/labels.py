@@ -163,6 +163,16 @@ class Labels:
             if row.element_id in right:
                 yield StereoPair(self.element(row.element_id), row, right[row.element_id])
 
+    def differing(self, before: "Labels") -> set[str]:
+        """Ids of all elements, here or there, whose observations differ; perhaps of a few more.
+
+        Quick where one state comes from the other by ``changed``: nothing is compared by value.
+        """
+        here, there = self._of_element, before._of_element
+        return {one for one, rows in here.items() if there.get(one) is not rows} | (
+            there.keys() - here.keys()
+        )
+
     def review(self, frame_index: int) -> ReviewState:
         """How far a frame is. A verdict that its labels have overtaken counts as in work."""
         has_labels = frame_index in self._in_frame
