@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands.annotate import Annotate
 from semviz.commands.benchmark import Benchmark
 from semviz.commands.evaluate import Evaluate
-from semviz.commands.labels import LabelsExport, LabelsImport
+from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
 from semviz.commands.localize import Localize
 from semviz.commands.maps import MapBuild, MapCheck
 from semviz.commands.new import New
@@ -24,8 +24,10 @@ MapCommands = Annotated[
     subcommand("map", description="Build a map from labels, and check it against them."),
 ]
 LabelCommands = Annotated[
-    Annotated[LabelsExport, subcommand("export")] | Annotated[LabelsImport, subcommand("import")],
-    subcommand("labels", description="Take the log of all label operations out, or in."),
+    Annotated[LabelsExport, subcommand("export")]
+    | Annotated[LabelsImport, subcommand("import")]
+    | Annotated[LabelsPropose, subcommand("propose")],
+    subcommand("labels", description="Labels in and out, and what a detector proposes."),
 ]
 Command = (
     Annotated[Serve, subcommand("serve")]
