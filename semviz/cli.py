@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands.annotate import Annotate
 from semviz.commands.benchmark import Benchmark
 from semviz.commands.evaluate import Evaluate
+from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
 from semviz.commands.localize import Localize
 from semviz.commands.maps import MapBuild, MapCheck
@@ -26,8 +27,11 @@ MapCommands = Annotated[
 LabelCommands = Annotated[
     Annotated[LabelsExport, subcommand("export")]
     | Annotated[LabelsImport, subcommand("import")]
-    | Annotated[LabelsPropose, subcommand("propose")],
-    subcommand("labels", description="Labels in and out, and what a detector proposes."),
+    | Annotated[LabelsPropose, subcommand("propose")]
+    | Annotated[LabelsCheck, subcommand("check")]
+    | Annotated[LabelsBackup, subcommand("backup")]
+    | Annotated[LabelsRestore, subcommand("restore")],
+    subcommand("labels", description="Labels in and out, checked, backed up; proposals in."),
 ]
 Command = (
     Annotated[Serve, subcommand("serve")]

@@ -207,6 +207,15 @@ def last_writer(connection: sqlite3.Connection, keys: Iterable[Key]) -> Writer |
     return Writer(*row)
 
 
+def read_writers(connection: sqlite3.Connection) -> set[tuple[Key, int, bool]]:
+    """Of every row that ever was: the operation that wrote it last, and whether a human did."""
+    kinds = {tag: kind for kind, tag in TAGS.items()}
+    return {
+        ((kinds[tag], int(name) if tag == TAGS[Review] else name), number, bool(by_human))
+        for tag, name, number, by_human in connection.execute("SELECT * FROM writers")
+    }
+
+
 def first_of_human(connection: sqlite3.Connection, keys: Iterable[Key]) -> Key | None:
     """The first of some rows that a human has ever written."""
     for key in keys:
