@@ -9,14 +9,15 @@ from typing import Protocol
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from semviz.annotator.images import Images
+from semviz.annotator.hand import Look
 from semviz.annotator.scene_view import SceneView, Shown
-from semviz.annotator.session import LabelSession, Look
-from semviz.annotator.views import Json, element_name
+from semviz.annotator.session import LabelSession
+from semviz.annotator.views import Json, element_name, observation_json
 from semviz.web.colors import Theme
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send
 from semviz_annotation.edits import first_fault
+from semviz_annotation.operations import ConflictError
 from semviz_core.errors import SemvizError
 
 _LOOK: TypeAdapter[Look] = TypeAdapter(Look)
@@ -34,14 +35,16 @@ class Shared(Protocol):
         ...
 
     @property
-    def images(self) -> Images: ...
-
-    @property
     def scenes(self) -> Scenes: ...
 
     @property
     def painter(self) -> Executor:
         """One thread that draws all 3D scenes, so that no edit waits for one."""
+        ...
+
+    @property
+    def observer(self) -> Executor:
+        """One thread that looks at the images for all pages."""
         ...
 
     @property
@@ -63,6 +66,7 @@ class OpenedPage:
         self._scene: SceneView | None = None
         self._theme: Theme = "dark"
         self._stale = threading.Event()
+        self._curious = threading.Event()
 
     # -- as the web tools' sessions call it
 
@@ -79,12 +83,19 @@ class OpenedPage:
         frame = self._session.frame(self._frame)
         self._send({"type": kind, "state": state, "frame": frame} | (more or {}))
         self._redraw()
+        self._observe()
+
+    def send_facts(self, frames: list[Json]) -> None:
+        """Sends what is new in the list of frames."""
+        self._send({"type": "facts", "frames": frames})
 
     def receive(self, message: Message) -> None:
         verbs: dict[object, Callable[[Message], None]] = {
             "go": self._go,
             "look": self._look,
             "edit": self._edit,
+            "at": self._at,
+            "history": self._history,
             "theme": self._set_theme,
         }
         if message.get("type") not in verbs:
@@ -105,8 +116,9 @@ class OpenedPage:
             frame = self._session.frame(index)
         self._frame = index
         self._send({"type": "frame", "frame": frame})
-        self._shared.images.prefetch(index)
+        self._session.images.prefetch(index)
         self._redraw()
+        self._observe()
 
     def _look(self, message: Message) -> None:
         look = _look_of(message.get("look"))
@@ -125,6 +137,9 @@ class OpenedPage:
         with self._shared.lock:
             try:
                 done = self._session.do(request, edit)
+            except ConflictError as error:
+                self._send({"type": "conflict", "request": request} | _conflict(error))
+                return
             except SemvizError as error:
                 # what the disk refused stays with the page; what makes no sense is dropped there
                 kept = str(error).startswith("Not saved")
@@ -140,9 +155,44 @@ class OpenedPage:
                 if page is not self:
                     page.tell("news", state)
 
+    def _at(self, message: Message) -> None:
+        """An earlier state of a frame, to look at."""
+        with self._shared.lock:
+            past = self._session.past.frame(message.get("operation"), message.get("frame"))
+        self._send({"type": "past"} | past)
+
+    def _history(self, message: Message) -> None:
+        with self._shared.lock:
+            operations = self._session.past.operations(message.get("before"))
+        self._send({"type": "history"} | operations)
+
     def _set_theme(self, message: Message) -> None:
         self._theme = "light" if message.get("theme") == "light" else "dark"
         self._redraw()
+
+    # -- proposals
+
+    def _observe(self) -> None:
+        """Asks the images about what is proposed in this frame, soon."""
+        if not self._curious.is_set():
+            self._curious.set()
+            self._shared.observer.submit(self._ask)
+
+    def _ask(self) -> None:
+        self._curious.clear()
+        index = self._frame
+        with self._shared.lock:
+            questions = self._session.unanswered(index)
+        for question in questions:
+            if self._curious.is_set():
+                return  # something has changed: it is asked for again
+            self._session.looker.answer(question)
+        if not questions:
+            return
+        with self._shared.lock:
+            frame = self._session.frame(index)
+        if self._frame == index:
+            self._send({"type": "frame", "frame": frame})
 
     # -- the 3D scene
 
@@ -186,6 +236,15 @@ class OpenedPage:
         for element in self._session.labels.elements.values():
             if element.number == number:
                 self._send({"type": "select", "element": element.id})
+
+
+def _conflict(error: ConflictError) -> Json:
+    """What others have made of the observation; null where they have deleted it."""
+    row = error.current
+    theirs = None if row is None else observation_json(row) | {"element": row.element_id}
+    if theirs is not None:
+        del theirs["id"]
+    return {"text": str(error), "theirs": theirs}
 
 
 def _look_of(data: object) -> Look:

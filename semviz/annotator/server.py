@@ -10,7 +10,6 @@ from pathlib import Path
 
 from aiohttp import web
 
-from semviz.annotator.images import Images
 from semviz.annotator.opened_page import OpenedPage
 from semviz.annotator.session import LabelSession
 from semviz.web.scenes import Scenes
@@ -22,6 +21,9 @@ from semviz_core.sources.source import Side
 PAGE = Path(__file__).parent / "page"
 NEWS_EVERY_S = 1.0
 """How often to look for what other processes have written: one query."""
+LEARN_AT_ONCE = 8
+"""Frames; some milliseconds."""
+PAUSE_S = 0.01
 KEEP_IMAGE = "private, max-age=3600"
 
 
@@ -34,13 +36,15 @@ class Annotator:
     def __init__(self, workspace: Workspace, author: str | None = None) -> None:
         self.session = LabelSession(workspace, author or _login_name())
         self.lock = threading.RLock()
-        self.images = Images(self.session.source)
         self.scenes = Scenes()
         self.painter = ThreadPoolExecutor(1, "semviz-scenes")
+        self.observer = ThreadPoolExecutor(1, "semviz-observer")
         self._pages: list[OpenedPage] = []
         self._closing = threading.Event()
         self._listener = threading.Thread(target=self._listen, name="semviz-news", daemon=True)
         self._listener.start()
+        self._learner = threading.Thread(target=self._learn, name="semviz-facts", daemon=True)
+        self._learner.start()
         self._sessions = Sessions(self._open)
 
     @property
@@ -58,8 +62,9 @@ class Annotator:
         """Stops the threads and closes the label file."""
         self._closing.set()
         self._listener.join()
-        self.painter.shutdown(wait=True, cancel_futures=True)
-        self.images.close()
+        self._learner.join()
+        for pool in (self.painter, self.observer):
+            pool.shutdown(wait=True, cancel_futures=True)
         self.session.close()
 
     def routes(self) -> list[web.AbstractRouteDef]:
@@ -83,6 +88,16 @@ class Annotator:
             with contextlib.suppress(sqlite3.Error):
                 self._tell_news()
 
+    def _learn(self) -> None:
+        """Works out what is worth a visit, a few frames at a time: edits come first."""
+        wait_s = NEWS_EVERY_S
+        while not self._closing.wait(wait_s):
+            with contextlib.suppress(sqlite3.Error), self.lock:
+                frames = self.session.learn(LEARN_AT_ONCE)
+                for page in self.pages if frames else ():
+                    page.send_facts(frames)
+            wait_s = PAUSE_S if frames else NEWS_EVERY_S
+
     def _tell_news(self) -> None:
         with self.lock:
             if self._pages and self.session.has_news():
@@ -95,11 +110,11 @@ class Annotator:
 
     async def _image(self, request: web.Request) -> web.Response:
         side: Side = "left" if request.match_info["side"] == "left" else "right"
-        future = self.images.png(int(request.match_info["frame"]), side)
+        future = self.session.images.png(int(request.match_info["frame"]), side)
         return await _picture(future, "image/png")
 
     async def _thumbnail(self, request: web.Request) -> web.Response:
-        future = self.images.thumbnail(int(request.match_info["frame"]))
+        future = self.session.images.thumbnail(int(request.match_info["frame"]))
         return await _picture(future, "image/jpeg")
 
 

@@ -2,34 +2,34 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from pydantic import Field
-from pydantic.dataclasses import dataclass as checked_dataclass
-
 from semviz.annotator import views
-from semviz.annotator.cards import card, epipolar_error_px
-from semviz.annotator.ghosts import Ghost, ghosts_in
-from semviz.annotator.nearby import nearby_in
+from semviz.annotator.facts import Facts
+from semviz.annotator.hand import Drawing, Hand, Look, seen_from_json
+from semviz.annotator.images import Images
+from semviz.annotator.looker import Looker
+from semviz.annotator.offer_views import offers_json, snapped_json
+from semviz.annotator.offers import Question
 from semviz.annotator.pairing import Partner, partner_of
+from semviz.annotator.panes import Panes
+from semviz.annotator.past import Past, operation_number
 from semviz.annotator.places import Places
+from semviz.annotator.proposing import Proposing
 from semviz.annotator.views import Json
 from semviz.workspace import Workspace
-from semviz_annotation.edits import AddObservation, edit_from_json
-from semviz_annotation.labels import STRICT, Id, Index, Labels, Observation, Pixel
-from semviz_annotation.stereo import epipolar_segment
+from semviz_annotation.edits import AddMany, AddObservation, edit_from_json
+from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.proposals import load_proposals
 from semviz_annotation.store import Operation
 from semviz_annotation.triangulate import Triangulated
-from semviz_annotation.view import camera_of, other, rig_view
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
-from semviz_core.sources.source import Side
 
 HISTORY = 100
 """So many operations the page lists."""
-WHOLE_LINE_M = (0.5, float("inf"))
 
 
 @dataclass(frozen=True)
@@ -45,33 +45,11 @@ class Done:
     """What people should know about it."""
 
 
-@checked_dataclass(frozen=True, config=STRICT)
-class Drawing:
-    """What is under the pen: not saved yet."""
-
-    side: Side
-    class_id: Index
-    anchor_px: Pixel
-    end_px: Pixel | None
-    anchor_known: bool = True
-    end_known: bool = True
-
-
-@checked_dataclass(frozen=True, config=STRICT)
-class Look:
-    """What the page has in hand, for which it wants guides and numbers."""
-
-    frame_index: Index
-    selected_id: Id | None = None
-    side: Side = "left"
-    """Of the selected observation."""
-    drawing: Drawing | None = None
-    moved: dict[Id, tuple[Pixel, Pixel | None]] = Field(default_factory=dict)
-    """Observations that are being dragged, with where they are now."""
-
-
 class LabelSession:
-    """The labels of one workspace under the hands of one author. One thread at a time."""
+    """The labels of one workspace under the hands of one author. One thread at a time.
+
+    ``images`` and ``looker`` may be used by any thread.
+    """
 
     def __init__(self, workspace: Workspace, author: str) -> None:
         self.workspace = workspace
@@ -80,11 +58,20 @@ class LabelSession:
         self.rig = self.source.rig
         self.classes = workspace.classes
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
-        self._order = tuple(self.frames)
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
+        detected = load_proposals(workspace.proposals_path, self.classes)
         self._store = workspace.open_labels()
+        self.images = Images(self.source)
+        self._panes = Panes(self.rig, self.source.frames)
         self._places = Places(self.rig, self.source.frames)
+        self.looker = Looker(self.images, self._panes, self.classes)
+        self._hand = Hand(self._panes, self._places)
+        self._proposing = Proposing(
+            self.rig, self._panes, self._places, self.looker, tuple(self.frames), detected
+        )
+        self._facts = Facts(tuple(self.frames), self._places, self._proposing)
+        self.past = Past(self._store, self._panes, self.frames, self.classes)
         self._history: deque[Json] = deque(maxlen=HISTORY)
         """Newest first."""
         self._told = max(0, self._store.last_operation - HISTORY)
@@ -95,6 +82,7 @@ class LabelSession:
         """Frames that operations since then have changed."""
 
     def close(self) -> None:
+        self.images.close()
         self._store.close()
 
     @property
@@ -105,7 +93,8 @@ class LabelSession:
 
     def describe(self) -> Json:
         """What stays the same while the page is open."""
-        cameras = {"left": self.rig.left, "right": self.rig.right}
+        second = self.rig.left if self.rig.right is None else self.rig.right  # another frame
+        cameras = {"left": self.rig.left, "right": second}
         path = str(self.workspace.path.resolve())
         return {
             "workspace": self.workspace.name,
@@ -114,15 +103,16 @@ class LabelSession:
             "author": self.author,
             "classes": [vars(one) for one in self.classes],
             "images": {
-                side: None if camera is None else {"width": camera.width, "height": camera.height}
+                side: {"width": camera.width, "height": camera.height}
                 for side, camera in cameras.items()
             },
+            "has_right": self.rig.right is not None,
         }
 
     def summary(self) -> Json:
         """Everything about the labels but the frame on screen."""
         labels = self.labels
-        return self._state(labels) | {"frames": views.frames_json(labels, self.frames)}
+        return self._state(labels) | {"frames": self._frames_json(labels, self.frames)}
 
     def has_news(self) -> bool:
         """Whether anybody, here or in another process, has done something since ``news``."""
@@ -135,21 +125,35 @@ class LabelSession:
         touched = sorted(self._touched & self.frames.keys())
         self._touched.clear()
         self._announced = self._told
-        return state | {"frames": views.frames_json(labels, touched)}
+        return state | {"frames": self._frames_json(labels, touched)}
+
+    def learn(self, most: int) -> list[Json]:
+        """Up to ``most`` frames of which something new is known; [] where nothing is.
+
+        To be called again and again, in the background.
+        """
+        labels = self.labels
+        self._places.settle(labels)
+        return self._frames_json(labels, self._facts.learn(labels, most))
 
     def frame(self, index: int) -> Json:
-        """One frame: what is labelled in it, what is expected, and what else may go on in it."""
+        """One frame: what is labelled in it, what is proposed, and what else may go on in it."""
         self._known(index)
         labels = self.labels
-        ghosts = self._ghosts(index, labels)
-        expected = {one.element_id for one in ghosts}
-        nearby = nearby_in(index, self._order, expected, labels, self.rig, self._places)
+        panes = self._panes.of(index)
+        offers = self._proposing.offers(index, labels)
+        nearby = self._proposing.nearby(index, labels)
         return {
             "index": index,
-            "elements": views.elements_json(labels, index, self.classes),
-            "ghosts": views.ghosts_json(ghosts, labels, self.classes),
+            "panes": {side: vars(pane) for side, pane in panes.items()},
+            "elements": views.elements_json(labels, panes, self.classes),
+            "offers": offers_json(offers, panes, labels, self.rig, self.classes),
             "nearby": views.nearby_json(nearby, labels, self.classes),
         }
+
+    def unanswered(self, index: int) -> list[Question]:
+        """What ``looker`` should be asked, for ``frame`` to know all about its proposals."""
+        return self._proposing.unanswered(index, self.labels)
 
     def elements_3d(self) -> Elements3D:
         """All elements that have a place, their numbers as ids."""
@@ -182,29 +186,60 @@ class LabelSession:
                 return self._done(self._store.redo(self.author, request_id))
             case "draw":
                 return self._draw(request_id, dict(edit))
-        operation = self._store.apply(edit_from_json(edit), self.author, request_id)
-        return self._done(operation)
+            case "name":
+                name = str(edit.get("name", ""))
+                return self._done(self._store.name_state(name, self.author, request_id))
+            case "restore":
+                number = operation_number(edit.get("number"))
+                return self._done(self._store.restore(number, self.author, request_id))
+            case "accept":
+                return self._accept(request_id, dict(edit))
+            case _:
+                return self._change(request_id, dict(edit))
 
     def _draw(self, request_id: str, edit: Json) -> Done:
         """A new observation: of the element it belongs to, or of a new one."""
-        selected_id = edit.pop("selected_id", None)
-        drawn = edit_from_json(edit | {"kind": "add"})
-        if not isinstance(drawn, AddObservation) or drawn.class_id is None:
-            raise SemvizError("a drawing needs its class")
-        self._known(drawn.frame_index)
-        seen = Drawing(
-            side=drawn.side,
-            class_id=drawn.class_id,
-            anchor_px=drawn.anchor_px,
-            end_px=drawn.end_px,
-            anchor_known=drawn.anchor_known,
-            end_known=drawn.end_known,
-        )
-        partner = self._partner(drawn.frame_index, seen, selected_id)
+        added, note = self._added(edit)
+        operation = self._store.apply(added, self.author, request_id)
+        return replace(self._done(operation), note=note)
+
+    def _accept(self, request_id: str, edit: Json) -> Done:
+        """Proposals as the page showed them: each like a drawing, all or none."""
+        marks = edit.get("marks")
+        if not isinstance(marks, list) or not all(isinstance(one, dict) for one in marks):
+            raise SemvizError("no proposals to accept")
+        added = tuple(self._added(one)[0] for one in marks)
+        return self._done(self._store.apply(AddMany(added), self.author, request_id))
+
+    def _change(self, request_id: str, edit: Json) -> Done:
+        """Another edit; ``seen`` is its observation as the page showed it."""
+        seen = edit.pop("seen", None)
+        change = edit_from_json(edit)
+        expects = None if seen is None else seen_from_json(seen).as_row(edit["observation_id"])
+        return self._done(self._store.apply(change, self.author, request_id, expects=expects))
+
+    def _added(self, drawn: Json) -> tuple[AddObservation, str]:
+        """A drawing as the edit that adds it, and what people should know.
+
+        ``side`` is that of the page. Without a ``class_id`` it is of element ``element_id``. With
+        one it is of ``selected_id``, or of what is expected there, or of a new ``element_id``.
+        """
+        drawn = dict(drawn)
+        selected_id, snap = drawn.pop("selected_id", None), drawn.pop("snap", False)
+        added = edit_from_json(drawn | {"kind": "add"})
+        if not isinstance(added, AddObservation):
+            raise SemvizError("not a drawing; reload the page")
+        self._known(added.frame_index)
+        pane = self._panes.pane(added.frame_index, added.side)
+        on_pane = replace(added, frame_index=pane.frame_index, side=pane.side)
+        if added.class_id is None:
+            return on_pane, ""
+        drawing = self._snapped(_drawing(added, added.class_id, snap is True), added.frame_index)
+        partner = self._partner(added.frame_index, drawing, selected_id)
+        placed = replace(on_pane, anchor_px=drawing.anchor_px, end_px=drawing.end_px)
         if partner.element_id is not None:
-            drawn = replace(drawn, element_id=partner.element_id, class_id=None)
-        operation = self._store.apply(drawn, self.author, request_id)
-        return replace(self._done(operation), note=partner.note)
+            placed = replace(placed, element_id=partner.element_id, class_id=None)
+        return placed, partner.note
 
     def _done(self, operation: Operation) -> Done:
         rows = [change.after for change in operation.changes]
@@ -220,99 +255,54 @@ class LabelSession:
     # -- what is in hand
 
     def look(self, look: Look) -> Json:
-        """Guides in both images, the element that a drawing joins, and the numbers of its card."""
+        """Guides in both images, the element that a drawing joins, and the numbers of its card.
+
+        ``snapped`` is where a drawing that snaps will be saved, None where it stays as it is.
+        """
         self._known(look.frame_index)
         labels = self.labels
-        partner = Partner(look.selected_id)
+        partner, snapped = Partner(look.selected_id), None
         if look.drawing is not None:
-            partner = self._partner(look.frame_index, look.drawing, look.selected_id)
-        observations = self._in_hand(look, partner.element_id, labels)
-        here = [one for one in observations if one.frame_index == look.frame_index]
+            drawing = self._snapped(look.drawing, look.frame_index)
+            snapped = None if drawing is look.drawing else snapped_json(look.drawing, drawing)
+            look = replace(look, drawing=drawing)
+            partner = self._partner(look.frame_index, drawing, look.selected_id)
         element = labels.elements.get(partner.element_id or "")
         name = None if element is None else views.element_name(element, self.classes)
-        return {
-            "guides": self._guides(look, here),
+        return self._hand.about(look, partner.element_id, labels) | {
+            "snapped": snapped,
             "joins": name if look.drawing is not None else None,
-            "card": self._card(look.frame_index, observations, here) if observations else None,
         }
 
-    def _in_hand(
-        self, look: Look, element_id: str | None, labels: Labels
-    ) -> tuple[Observation, ...]:
-        """The element's observations as they would be if the pen were lifted now."""
-        observations = [] if element_id is None else list(labels.of_element(element_id))
-        for place, one in enumerate(observations):
-            if one.id in look.moved:
-                anchor, end = look.moved[one.id]
-                observations[place] = replace(one, anchor_px=anchor, end_px=end)
-        if look.drawing is not None:
-            observations.append(_observation(look.drawing, look.frame_index))
-        return tuple(observations)
-
-    def _guides(self, look: Look, here: list[Observation]) -> dict[str, list[Json]]:
-        """Epipolar lines of what is in hand, in the images across from it."""
-        guides: dict[str, list[Json]] = {"left": [], "right": []}
-        if self.rig.right is None:
-            return guides
-        for one in here:
-            if look.drawing is None and one.side != look.side:
-                continue
-            guides[other(one.side)].append(self._guide(one.side, one.anchor_px))
-            if one.end_px is not None and one.end_px != one.anchor_px:
-                guides[other(one.side)].append(self._guide(one.side, one.end_px))
-        return guides
-
-    def _guide(self, side: Side, pixel: Pixel) -> Json:
-        here, there = rig_view(self.rig, side), rig_view(self.rig, other(side))
-        return {
-            "line": epipolar_segment(here, there, pixel, WHOLE_LINE_M).tolist(),
-            "plausible": epipolar_segment(here, there, pixel).tolist(),
-        }
-
-    def _card(
-        self, frame_index: int, observations: tuple[Observation, ...], here: list[Observation]
-    ) -> Json:
-        T_camera_map = self._places.T_camera_map(frame_index)
-        if T_camera_map is None:
-            place, count = self._places.of_pair(here), len(here)
-        else:
-            place, count = self._places.of_observations(observations), len(observations)
-        lengths = {
-            one.side: _length_px(one.anchor_px, one.end_px)
-            for one in here
-            if one.end_px is not None
-        }
-        return card(place, rig_view(self.rig, "left", T_camera_map), count) | {
-            "length_px": lengths,
-            "epipolar_px": epipolar_error_px(
-                [(rig_view(self.rig, one.side), one) for one in sorted(here, key=lambda x: x.side)]
-            ),
-        }
+    def _snapped(self, drawing: Drawing, frame_index: int) -> Drawing:
+        """On the edges it is meant to be on, where it snaps and they are clear."""
+        if not drawing.snap:
+            return drawing
+        pane = self._panes.pane(frame_index, drawing.side)
+        found = self.looker.snap(pane, drawing.mark, drawing.class_id)
+        if found is None:
+            return drawing
+        return replace(drawing, anchor_px=found.mark.anchor_px, end_px=found.mark.end_px)
 
     def _partner(self, frame_index: int, drawing: Drawing, selected_id: str | None) -> Partner:
-        camera_of(self.rig, drawing.side)
         labels = self.labels
+        observation = self._hand.observation(drawing, frame_index)
+        pane = self._panes.pane(frame_index, drawing.side)
         return partner_of(
-            _observation(drawing, frame_index),
+            observation,
             drawing.class_id,
             selected_id,
-            self._ghosts(frame_index, labels),
+            self._proposing.ghosts(pane, labels),
             labels,
             self._places,
             self.classes,
         )
 
-    def _ghosts(self, frame_index: int, labels: Labels) -> tuple[Ghost, ...]:
-        T_camera_map = self._places.T_camera_map(frame_index)
-        if T_camera_map is None:
-            return ()
-        mapped = self._places.mapped(labels)
-        return ghosts_in(frame_index, T_camera_map, self.rig, labels, mapped)
-
     def _state(self, labels: Labels) -> Json:
         for one in self._store.operations(after=self._told):
             self._history.appendleft(views.operation_json(one, labels, self.classes))
             self._touched.update(views.frames_touched(one))
+            self._facts.forget(one, labels)
             self._told = one.number
         return {
             "operation": self._told,
@@ -323,24 +313,21 @@ class LabelSession:
             "history": list(self._history),
         }
 
+    def _frames_json(self, labels: Labels, indices: Iterable[int]) -> list[Json]:
+        return [views.frame_json(labels, one, self._facts.of(one)) for one in indices]
+
     def _known(self, index: int) -> None:
         if index not in self.frames:
             raise SemvizError(f"frame {index} is not in this sequence")
 
 
-def _observation(drawing: Drawing, frame_index: int) -> Observation:
-    """A drawing as the observation that it would become."""
-    return Observation(
-        id="",
-        element_id="",
-        frame_index=frame_index,
-        side=drawing.side,
-        anchor_px=drawing.anchor_px,
-        end_px=drawing.end_px,
-        anchor_known=drawing.anchor_known,
-        end_known=drawing.end_known,
+def _drawing(added: AddObservation, class_id: int, snap: bool) -> Drawing:
+    return Drawing(
+        side=added.side,
+        class_id=class_id,
+        anchor_px=added.anchor_px,
+        end_px=added.end_px,
+        anchor_known=added.anchor_known,
+        end_known=added.end_known,
+        snap=snap,
     )
-
-
-def _length_px(anchor: Pixel, end: Pixel) -> float:
-    return float(((anchor[0] - end[0]) ** 2 + (anchor[1] - end[1]) ** 2) ** 0.5)

@@ -1,14 +1,16 @@
 """Labels as the page gets them: plain JSON values."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from semviz.annotator.ghosts import Ghost
+from semviz.annotator.facts import FrameFacts
 from semviz.annotator.nearby import Nearby
+from semviz.annotator.panes import Pane
 from semviz_annotation.labels import LabelElement, Labels, Observation, Review, Row
 from semviz_annotation.store import Operation
 from semviz_core.classes import ClassSet
+from semviz_core.sources.source import Side
 
 Json = dict[str, Any]
 
@@ -30,48 +32,48 @@ def element_name(element: LabelElement, classes: ClassSet) -> str:
     return classes.element_name(element.class_id, element.number)
 
 
-def elements_json(labels: Labels, frame_index: int, classes: ClassSet) -> list[Json]:
-    """The elements labelled in a frame by number, with what was drawn in each image."""
+def element_json(element: LabelElement, classes: ClassSet) -> Json:
+    """What an element is called and of which class it is."""
+    return {
+        "id": element.id,
+        "name": element_name(element, classes),
+        "class": element.class_id,
+    }
+
+
+def elements_json(labels: Labels, panes: Mapping[Side, Pane], classes: ClassSet) -> list[Json]:
+    """The elements labelled in the images on the page by number, with what was drawn in each."""
     observations: dict[str, dict[str, Json]] = {}
-    for row in labels.in_frame(frame_index):
-        observations.setdefault(row.element_id, {})[row.side] = _observation_json(row)
+    for side, pane in panes.items():
+        for row in labels.in_frame(pane.frame_index, pane.side):
+            observations.setdefault(row.element_id, {})[side] = observation_json(row)
     elements = sorted(map(labels.element, observations), key=lambda one: one.number)
     return [
-        _element_json(one, classes)
+        element_json(one, classes)
         | {"observations": observations[one.id], "views": len(labels.of_element(one.id))}
         for one in elements
     ]
 
 
-def ghosts_json(ghosts: Iterable[Ghost], labels: Labels, classes: ClassSet) -> list[Json]:
-    """Expected elements, with their place in each image in which they should be."""
-    found: dict[str, Json] = {}
-    for one in ghosts:
-        fresh = _element_json(labels.element(one.element_id), classes) | {"depth_m": one.depth_m}
-        found.setdefault(one.element_id, fresh).update(_ghost_json(one))
-    return list(found.values())
-
-
 def nearby_json(nearby: Iterable[Nearby], labels: Labels, classes: ClassSet) -> list[Json]:
-    """Elements to continue, like ghosts, but with the frame they are known from, not a depth."""
+    """Elements to continue, with the frame they are known from."""
     return [
-        _element_json(labels.element(one.element_id), classes)
-        | {"labelled_in": one.labelled_in}
-        | {side: place for ghost in one.ghosts for side, place in _ghost_json(ghost).items()}
+        element_json(labels.element(one.element_id), classes) | {"labelled_in": one.labelled_in}
         for one in nearby
     ]
 
 
-def frames_json(labels: Labels, indices: Iterable[int]) -> list[Json]:
-    """State of review and number of elements of some frames."""
-    return [
-        {
-            "index": index,
-            "state": labels.review(index),
-            "elements": len({row.element_id for row in labels.in_frame(index)}),
-        }
-        for index in indices
-    ]
+def frame_json(labels: Labels, index: int, facts: FrameFacts | None) -> Json:
+    """A frame in the list of all: how far it is, and what is known of its labels."""
+    summary: Json = {
+        "index": index,
+        "state": labels.review(index),
+        "elements": len({row.element_id for row in labels.in_frame(index)}),
+    }
+    if facts is not None:
+        worst = {"px": facts.worst_px, "element": facts.worst_id}
+        summary |= {"worst": worst, "proposed": facts.proposed}
+    return summary
 
 
 def class_counts(labels: Labels) -> dict[int, int]:
@@ -85,6 +87,8 @@ def operation_json(operation: Operation, labels: Labels, classes: ClassSet) -> J
         "number": operation.number,
         "text": _describe(operation, labels, classes),
         "author": operation.author,
+        "time": operation.time,
+        "kind": operation.kind,
         "frame": frame_of(operation, labels),
     }
 
@@ -133,6 +137,10 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         frame = frame_of(operation, labels)
         state = labels.review(frame) if frame is not None else "unseen"
         return f"Frame {frame} {_said(operation) or state}"
+    if operation.kind == "name":
+        return f"Name this state “{operation.text}”"
+    if operation.kind == "restore":
+        return f"Restore {operation.text}"
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
     return f"{verb} {_subject(operation, labels, classes)}".strip()
 
@@ -154,25 +162,16 @@ def _subject(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     return f"{name} {sides.pop()}" if len(sides) == 1 else name
 
 
-def _element_json(element: LabelElement, classes: ClassSet) -> Json:
-    return {
-        "id": element.id,
-        "name": element_name(element, classes),
-        "class": element.class_id,
-    }
-
-
-def _ghost_json(ghost: Ghost) -> Json:
-    return {ghost.side: {"anchor": ghost.anchor_px, "end": ghost.end_px}}
-
-
-def _observation_json(row: Observation) -> Json:
+def observation_json(row: Observation) -> Json:
+    """What is labelled in one image."""
     return {
         "id": row.id,
         "anchor": row.anchor_px,
         "end": row.end_px,
         "anchor_known": row.anchor_known,
         "end_known": row.end_known,
+        "frame": row.frame_index,
+        "side": row.side,
     }
 
 

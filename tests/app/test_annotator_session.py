@@ -134,12 +134,12 @@ def test_a_hidden_bottom_does_not_hinder_pairing(session: LabelSession) -> None:
 def test_ghosts_lie_where_the_element_is_in_other_frames(session: LabelSession) -> None:
     first = draw(session, pole(session, 0, "left"))
     draw(session, pole(session, 0, "right", first))
-    (ghost,) = session.frame(2)["ghosts"]
+    (ghost,) = session.frame(2)["offers"]
     assert ghost["id"] == first
     for side in ("left", "right"):
         np.testing.assert_allclose(ghost[side]["anchor"], pixel(session, PEAK, 2, side), atol=1e-4)
         np.testing.assert_allclose(ghost[side]["end"], pixel(session, BOTTOM, 2, side), atol=1e-4)
-    assert session.frame(0)["ghosts"] == []
+    assert session.frame(0)["offers"] == []
 
 
 @pytest.mark.parametrize(("shift", "joins"), [((4.0, -3.0), True), ((40.0, 0.0), False)])
@@ -338,14 +338,14 @@ def test_what_is_too_far_to_triangulate_is_offered_nearby_and_continued(
     session: LabelSession,
 ) -> None:
     first = draw(session, far_pole(session, 0, "left", 300.0))
-    (offered,) = session.frame(3)["nearby"]
-    assert (offered["id"], offered["labelled_in"]) == (first, 0)
-    assert "left" not in offered  # one view tells no place
+    (nearby,) = session.frame(3)["nearby"]
+    assert (nearby["id"], nearby["labelled_in"]) == (first, 0)
+    assert session.frame(3)["offers"] == []  # one view tells no place
     draw(session, far_pole(session, 0, "right", 300.0, first))
     assert session.place(first) is None
     seen = session.frame(3)
-    assert seen["ghosts"] == []
-    (offered,) = seen["nearby"]
+    (offered,) = seen["offers"]
+    assert (offered["id"], offered["sure"], offered["depth_m"]) == (first, False, None)
     for side in ("left", "right"):
         true = far_pole(session, 3, side, 300.0)
         np.testing.assert_allclose(offered[side]["anchor"], true["anchor_px"], atol=0.5)
@@ -363,7 +363,7 @@ def test_what_is_expected_or_passed_or_labelled_long_ago_is_not_offered(tmp_path
     draw(session, pole(session, 0, "right", first))
     once = draw(session, sign(0, "left", (700.0, 120.0)))
     offered = {frame: {one["id"] for one in session.frame(frame)["nearby"]} for frame in range(12)}
-    expected = {frame: {one["id"] for one in session.frame(frame)["ghosts"]} for frame in range(12)}
+    expected = {frame: {one["id"] for one in session.frame(frame)["offers"]} for frame in range(12)}
     assert expected[1] == {first}
     assert all(first not in ids for ids in offered.values())
     assert [once in offered[frame] for frame in range(12)] == [False] + [True] * 5 + [False] * 6

@@ -45,15 +45,18 @@ class LabelDriver:
     def __init__(self, page: "Page") -> None:
         self.page = page
 
-    def open(self, url: str, with_map: bool = False) -> None:
+    def open(self, url: str, with_map: bool = False, with_snap: bool = False) -> None:
         """Goes to the address that the terminal printed, and waits for the first image.
 
-        The 3D map is switched off unless asked for: without a graphics card it slows all down.
+        The 3D map is switched off unless asked for: without a graphics card it slows all down. So
+        is snapping: what is clicked is what is meant.
         """
         self.page.goto(url)
         self.page.wait_for_selector("#saved.saved", timeout=WAIT_MS)
         if not with_map:
             self.page.keyboard.press("f")
+        if not with_snap:
+            self.page.keyboard.press("m")
         self._wait_for_images(self.frame)
 
     @property

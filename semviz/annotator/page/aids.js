@@ -3,6 +3,7 @@ import { el } from "/static/dom.js";
 import { Kept, badge, row } from "./widgets.js";
 
 const AIDS = [
+  ["snap", "Snap to edge", "M"],
   ["loupe", "Loupe", "L"],
   ["guides", "Epipolar line", "I"],
   ["ghosts", "Ghosts", "G"],

@@ -1,6 +1,9 @@
 // Every command of the page with its key: the help overlay and the key handler read this one list.
 import { switchTheme } from "/static/theme.js";
 import { backToImages, nextPanel } from "./focus.js";
+import { toggleHistory } from "./history.js";
+import { jumpCommands } from "./jumps.js";
+import { proposalCommands, proposing } from "./proposals.js";
 import { SIDES, uuid7 } from "./state.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help. */
@@ -8,10 +11,18 @@ export function commands(state, images, tools, actions) {
   const edit = editing(state, actions);
   const step = (by) => actions.go(neighbour(state, by));
   const toggle = (aid) => () => state.set({ aids: { ...state.aids, [aid]: !state.aids[aid] } });
-  const nudge = (key, du, dv) => [
-    { key, group: "Draw", title: "Nudge 0.1 px", run: () => edit.nudge(0.1 * du, 0.1 * dv) },
-    { key, shift: true, group: "Draw", title: "Nudge 1 px", run: () => edit.nudge(du, dv) },
-  ];
+  const { cursor, past, tour } = actions;
+  const nudge = (key, du, dv) => {
+    const by = (px, cursorPx) => () => {
+      if (cursor.takesArrows) cursor.move(cursorPx * du, cursorPx * dv);
+      else edit.nudge(px * du, px * dv);
+    };
+    return [
+      { key, group: "Draw", title: "Nudge 0.1 px; the cursor 1 px", run: by(0.1, 1) },
+      { key, shift: true, group: "Draw", title: "Nudge 1 px; the cursor 10 px", run: by(1, 10) },
+      { key, ctrl: true, group: "Draw", title: "The cursor 0.1 px", run: () => cursor.move(0.1 * du, 0.1 * dv) },
+    ];
+  };
   const keyed = state.hello.classes.slice(0, 9).map((one, place) => ({ ...one, key: String(place + 1) }));
   return [
     { key: "Click", group: "Draw", title: "Pole: peak, then bottom. Sign: middle" },
@@ -21,7 +32,9 @@ export function commands(state, images, tools, actions) {
       key, group: "Draw", title: `Class: ${name}`, run: () => edit.chooseClass(id),
     })),
     { key: "Escape", group: "Draw", title: "Cancel the drawing; clear the selection", run: () => {
-      if (!backToImages() && !tools.cancel()) actions.select(null);
+      if (backToImages() || tools.cancel()) return;
+      tour.end();
+      if (!past.back() && !cursor.hide()) actions.select(null);
     } },
 
     { key: "Click element", group: "Draw", title: "Select; drag moves an end, or all of it" },
@@ -31,19 +44,26 @@ export function commands(state, images, tools, actions) {
     ...keyed.filter(({ kind }) => kind === "point").map(({ id, key, name }) => ({
       key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, run: () => edit.setClass(id),
     })),
-    { key: "o", group: "Draw", title: "Bottom hidden, or seen again", run: () => edit.flag("end_known") },
+    { key: "o", group: "Draw", title: "Bottom hidden, or seen again; a proposal: all of it is hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or seen again", run: () => edit.flag("anchor_known") },
     { key: "r", group: "Draw", title: "Swap peak and bottom", run: edit.swap },
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
+    { key: "+", group: "Draw", title: "Cursor for the keys; again: a point there", run: () => cursor.setPoint() },
+    { key: "-", group: "Draw", title: "Cursor to the other image", run: () => cursor.cross() },
     { key: "v", group: "Draw", title: "The other end, for the arrows", run: edit.otherEnd },
     { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
     { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },
 
+    ...proposalCommands(state, actions, () => step(1)),
+
     { key: "Wheel", group: "See", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "See", title: "Pan; also middle button, or Alt" },
     { key: "z", group: "See", title: "Zoom to the selection", run: () => lookAt(state, images) },
+    { key: "PageUp", group: "See", title: "Zoom in, at the cursor if there is one", run: () => images.zoomBy(1.5, state.cursor?.pixel) },
+    { key: "PageDown", group: "See", title: "Zoom out", run: () => images.zoomBy(1 / 1.5, state.cursor?.pixel) },
     { key: "0", group: "See", title: "Whole image", run: () => images.fit() },
+    { key: "m", group: "See", title: "Snap to edges", run: toggle("snap") },
     { key: "l", group: "See", title: "Loupe", run: toggle("loupe") },
     { key: "i", group: "See", title: "Epipolar line", run: toggle("guides") },
     { key: "g", group: "See", title: "Ghosts of mapped elements", run: toggle("ghosts") },
@@ -52,14 +72,14 @@ export function commands(state, images, tools, actions) {
 
     { key: ",", group: "Frames", title: "Frame before", run: () => step(-1) },
     { key: ".", group: "Frames", title: "Frame after", run: () => step(1) },
+    ...jumpCommands(state, actions),
     { key: "Enter", group: "Frames", title: "Reviewed", run: () => edit.review("reviewed") },
     { key: "Enter", shift: true, group: "Frames", title: "Reviewed, empty", run: () => edit.review("reviewed, empty") },
-    { key: "Tab", group: "Frames", title: "Next element of the list", run: () => cycle(state, actions, 1) },
-    { key: "Tab", shift: true, group: "Frames", title: "Element before", run: () => cycle(state, actions, -1) },
 
     { key: "z", ctrl: true, group: "Safety", title: "Undo, also after a restart", run: () => actions.submit({ kind: "undo" }) },
     { key: "z", ctrl: true, shift: true, group: "Safety", title: "Redo", run: () => actions.submit({ kind: "redo" }) },
-    { key: "h", group: "Safety", title: "History: show or hide", run: () => document.body.classList.toggle("history") },
+    { key: "h", group: "Safety", title: "History: show or hide; its “look” goes back to any state", run: toggleHistory },
+    { key: "b", ctrl: true, group: "Safety", title: "Name this state", run: actions.nameState },
 
     { key: "t", group: "Anywhere", title: "Dark or light", run: () => {
       switchTheme();
@@ -67,6 +87,7 @@ export function commands(state, images, tools, actions) {
     } },
     { key: "k", ctrl: true, group: "Anywhere", title: "All commands", run: actions.palette },
     { key: "?", group: "Anywhere", title: "These keys", run: actions.help },
+    { key: "F1", group: "Anywhere", title: "Tour in 3 steps", run: () => tour.open() },
     { key: "F6", group: "Anywhere", title: "Next panel, by keys; then Tab, arrows, Enter", run: () => nextPanel(1) },
     { key: "F6", shift: true, group: "Anywhere", title: "Panel before", run: () => nextPanel(-1) },
   ];
@@ -99,6 +120,10 @@ export function editing(state, { submit, select }) {
       } else if (observation() && kind() === "line") {
         submit({ kind: "set known", observation_id: observation().id, [end]: !observation()[end] });
       }
+    },
+    hide() {
+      if (state.drawing || observation()) this.flag("end_known");
+      else proposing(state, { submit, select }).dismiss("occluded");
     },
     swap: withPole((one) => submit({ kind: "swap ends", observation_id: one.id })),
     otherEnd: withPole(() => state.set({ vertex: state.vertex === "anchor" ? "end" : "anchor" })),
@@ -137,11 +162,4 @@ function lookAt(state, images) {
   const here = state.selectedElement?.observations ?? state.selectedGhost ?? {};
   const side = here[state.selected?.side] ? state.selected.side : SIDES.find((one) => here[one]);
   if (side) images.lookAt([here[side].anchor, here[side].end].filter(Boolean));
-}
-
-function cycle(state, actions, by) {
-  const ids = [...state.elements, ...state.expected].map((one) => one.id);
-  if (!ids.length) return;
-  const place = ids.indexOf(state.selected?.element);
-  actions.select(ids[(place + by + ids.length + (place < 0 && by < 0 ? 1 : 0)) % ids.length]);
 }

@@ -7,11 +7,24 @@ export function hints(state) {
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
   if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
+  const offer = state.currentOffer;
+  if (offer && (!element || element.id === offer.id)) return withOffer(state, offer);
   if (element) return withElement(state, element, selected);
-  if (ghost) return [hint(`${ghost.name} here`, "Click"), hint("next", "Tab"), hint("zoom to it", "Z"), hint("not this one", "Esc")];
+  if (ghost) return [hint(`${ghost.name} here`, "Click"), hint("not this one", "Esc")];
   return [
     draw, hint("class", ...state.hello.classes.slice(0, 9).map((_, place) => `${place + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
+  ];
+}
+
+function withOffer(state, offer) {
+  const sure = state.sureOffers.length;
+  const other = offer.left?.runner_up || offer.right?.runner_up;
+  return [
+    hint(`accept ${offer.name}`, "Space"),
+    ...(sure > 1 ? [hint(`accept ${sure} sure ones`, "Shift Space"), hint("and on", "Ctrl Enter")] : []),
+    hint("reject", "X"), hint("next", "Tab"), ...(other ? [hint("runner-up", "K")] : []),
+    hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
   ];
 }
 

@@ -70,6 +70,20 @@ export class Images {
     this.#keepInside();
   }
 
+  /** Zooms at `pixel`, or at the middle of what is in sight. */
+  zoomBy(factor, pixel = null) {
+    this.zoomAt(pixel ? this.view.toScreen(pixel) : this.stage.map((side) => side / 2), factor);
+  }
+
+  /** Pans as little as brings `pixel` into sight, away from the rim. */
+  reveal(pixel) {
+    const by = this.view.toScreen(pixel).map((at, axis) => {
+      const rim = Math.min(40, this.stage[axis] / 4);
+      return Math.min(Math.max(at, rim), this.stage[axis] - rim) - at;
+    });
+    if (by[0] || by[1]) this.panBy(...by);
+  }
+
   /** Puts `pixels` into the middle, as large as they fit up to 12x. */
   lookAt(pixels) {
     const [us, vs] = [0, 1].map((axis) => pixels.map((pixel) => pixel[axis]));
@@ -142,10 +156,11 @@ export class Images {
   #paintMarks(side, context) {
     const { scale, x, y } = this.view;
     this.canvas(side).dataset.view = `${scale} ${x} ${y}`;
-    this.panels[side].classList.toggle("bright", this.state.aids.bright);
+    this.backgrounds[side].canvas.style.filter = this.state.filter;
     const bitmap = this.bitmaps[side];
     if (!bitmap || !this.state.labels) return;
     this.#paintElements(side, context);
+    if (this.state.cursor?.side === side) paint.cursor(context, this.view.toScreen(this.state.cursor.pixel));
     if (this.state.aids.loupe && this.pointer?.side === side) this.#paintLoupe(side, context, bitmap);
   }
 
@@ -154,8 +169,9 @@ export class Images {
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id));
     const isSelected = (one) => one.id === state.selected?.element || one.id === state.selected?.also;
     if (state.aids.guides) painter.guides(state.look?.guides[side] ?? []);
-    for (const ghost of state.aids.ghosts ? state.ghosts : []) {
-      if (ghost[side]) painter.ghost(ghost, ghost[side], isSelected(ghost));
+    for (const offer of state.aids.ghosts ? state.offers : []) {
+      const marked = { selected: isSelected(offer), current: offer.id === state.currentOffer?.id };
+      if (offer[side]) painter.offer(offer, offer[side], marked);
     }
     for (const element of state.elements) {
       const observation = element.observations[side];
@@ -165,7 +181,10 @@ export class Images {
       const hovered = this.hovered?.observation === observation.id;
       painter.element(element, observation, { selected, hovered, vertex: inHand ? state.vertex : null });
     }
-    if (state.drawing?.side === side) painter.drawing(state.drawing);
+    if (state.drawing?.side === side) {
+      painter.drawing(state.drawing);
+      if (state.look?.snapped) painter.snapped(state.drawing, state.look.snapped);
+    }
     painter.labels(this.stage[0]);
   }
 
@@ -183,7 +202,7 @@ export class Images {
       zoom,
       drawing,
       color: this.state.classOf(drawing?.class ?? this.state.classId).color,
-      bright: this.state.aids.bright,
+      filter: this.state.filter,
     });
   }
 }

@@ -3,13 +3,18 @@ import { byId } from "/static/dom.js";
 import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
-import { commands } from "./commands.js";
+import { commands, editing } from "./commands.js";
+import { Cursor } from "./cursor.js";
 import { watchLists } from "./focus.js";
+import { History } from "./history.js";
 import { Images } from "./images.js";
+import { Light } from "./light.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
+import { Past } from "./past.js";
 import { Pictures } from "./pictures.js";
-import { State, isIdle } from "./state.js";
+import { SIDES, State, drawnAgain, isIdle, seen, startOf, spaced } from "./state.js";
+import { Tour } from "./tour.js";
 import { Tools } from "./tools.js";
 import { showHelp } from "/static/help.js";
 import { Keys } from "/static/keys.js";
@@ -25,11 +30,41 @@ let session = "";
 
 /** Keeps an edit and sends it; the page shows it at once. One that changes nothing is dropped. */
 function submit(edit) {
+  if (!mayEdit()) return;
   if (isIdle(state.elements, edit)) return;
-  outbox.add(edit);
+  const start = startOf(state.elements, edit);
+  if (start) outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class });
+  else outbox.add(edit);
   if (edit.kind === "draw") {
     state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
   }
+  refreshPending();
+}
+
+/** Whether labels can be changed now; says why not. */
+function mayEdit() {
+  if (state.past) panels.tell(`This is the state after operation ${spaced(state.past.operation)}: Esc goes back to now.`, "wrong");
+  return !state.past;
+}
+
+/** The server has an edit on disk, or nobody wants it any more. */
+function settle(request) {
+  outbox.settle(request);
+  if (state.conflict?.entry.request === request) state.set({ conflict: null });
+}
+
+/** Somebody else changed what an edit starts from: both versions are there, one is chosen. */
+function resolve(isMine) {
+  const { entry, theirs } = state.conflict;
+  const { request, edit, shown } = entry;
+  if (isMine && theirs) {
+    outbox.replace(entry, { ...edit, seen: theirs });
+  } else {
+    settle(request);
+    const again = isMine && drawnAgain(edit, shown);
+    if (again) outbox.add(again);
+  }
+  state.set({ conflict: null });
   refreshPending();
 }
 
@@ -78,16 +113,20 @@ function go(index) {
   look();
 }
 
+/** The images of the frame on screen; the neighbours' are fetched ahead. */
 async function showPictures(index) {
-  const sides = state.hasRight ? ["left", "right"] : ["left"];
-  if (!state.hasRight) images.show("right", index, null, "This sequence has no right camera.");
-  await Promise.all(sides.map(async (side) => {
-    const { bitmap, message } = await pictures.get(index, side);
+  await Promise.all(SIDES.map(async (side) => {
+    const pane = state.panes[side];
+    const { bitmap, message } = pane
+      ? await pictures.get(pane.frame, pane.side)
+      : { bitmap: null, message: "No right camera, and no other frame with a pose to match with." };
     if (state.frame === index) images.show(side, index, bitmap, message);
   }));
   const place = state.order.indexOf(index);
   for (const near of [state.order[place + 1], state.order[place - 1]]) {
-    if (near !== undefined) sides.forEach((side) => pictures.get(near, side));
+    if (near === undefined) continue;
+    pictures.get(near, "left");
+    if (state.hasRight) pictures.get(near, "right");
   }
 }
 
@@ -95,12 +134,13 @@ const received = {
   hello(message) {
     const first = state.hello === null;
     state.hello = message;
-    keys.use(commands(state, images, tools, { ...actions, help, palette, sendTheme }));
+    keys.use(commands(state, images, tools, commanded));
     outbox ??= new Outbox(message.key, (one) => socket.send(one));
     const frames = message.state.frames;
     state.set({ labels: { ...message.state, frame: state.labels?.frame ?? null } });
     refreshPending();
     panels.start();
+    light.start();
     images.fit();
     const asked = Number(new URLSearchParams(location.search).get("frame") ?? frames[0].index);
     const known = frames.some(({ index }) => index === asked);
@@ -110,7 +150,11 @@ const received = {
   },
   frame({ frame }) {
     state.set({ labels: { ...state.labels, frame } });
+    if (!state.hasRight && frame.index === state.frame) showPictures(frame.index); // the companion is known now
     look();
+  },
+  facts({ frames }) {
+    state.set({ labels: { ...state.labels, frames: merged(frames) } });
   },
   news(message) {
     take(message);
@@ -118,9 +162,9 @@ const received = {
   },
   saved(message) {
     const sent = outbox.entries.find(({ request }) => request === message.request);
-    outbox.settle(message.request);
+    settle(message.request);
     take(message, { pending: outbox.entries, trouble: null });
-    const isDrawing = sent?.edit.kind === "draw";
+    const isDrawing = sent?.edit.kind === "draw" || sent?.edit.kind === "accept";
     const isInHand = isDrawing && state.selected?.element === sent.edit.element_id;
     if (message.element && (isInHand || !isDrawing)) {
       state.set({ selected: { element: message.element, side: state.selected?.side ?? "left" } });
@@ -129,12 +173,22 @@ const received = {
     if (message.frame.index !== state.frame && isStep(sent)) go(message.frame.index);
     else look();
   },
+  conflict({ request, text, theirs }) {
+    const entry = outbox.entries.find((one) => one.request === request);
+    if (entry) state.set({ conflict: { entry, text, theirs } });
+  },
   refused({ request, text, kept }) {
     if (kept) outbox.retry();
-    else outbox.settle(request);
+    else settle(request);
     if (!kept || state.trouble !== text) panels.tell(text, "wrong"); // once, not at every retry
     state.set({ trouble: kept ? text : null, pending: outbox.entries });
     look();
+  },
+  past(message) {
+    past.received(message);
+  },
+  history(message) {
+    operations.received(message);
   },
   look({ look: answer }) {
     looking.waiting = false;
@@ -157,10 +211,15 @@ const received = {
 
 /** Takes over what an operation changed, together with `more` fields of the state. */
 function take({ state: news, frame }, more = {}) {
-  const changed = new Map(news.frames.map((one) => [one.index, one]));
-  const frames = state.labels.frames.map((one) => changed.get(one.index) ?? one);
+  const frames = merged(news.frames);
   const mine = frame.index === state.frame ? frame : state.labels.frame;
   state.set({ labels: { ...news, frames, frame: mine }, ...more });
+}
+
+/** The list of all frames with some of them anew. */
+function merged(some) {
+  const changed = new Map(some.map((one) => [one.index, one]));
+  return state.labels.frames.map((one) => changed.get(one.index) ?? one);
 }
 
 function sendTheme() {
@@ -178,12 +237,21 @@ function select(element, side = null) {
   look();
 }
 
-const actions = { submit, look, go, select };
+const actions = {
+  submit, mayEdit, look, go, select, resolve,
+  review: () => editing(state, actions).review("reviewed"),
+};
 const tools = new Tools(state, images, actions);
 const keys = new Keys("annotate");
-const help = () => showHelp(keys, "Keys");
+const send = (message) => socket.send(message);
+const past = new Past(state, keys, { send, submit });
+const operations = new History(state, keys, past, { go, send, submit });
+const light = new Light(state);
+const tour = new Tour(state, keys);
+const help = () => showHelp(keys, "Keys", [{ text: "Tour in 3 steps", run: () => tour.open() }]);
 const palette = () => showPalette(keys);
-const panels = new Panels(state, images, keys, { ...actions, help });
+const panels = new Panels(state, images, keys, { ...actions, help }, [past, operations, light, tour]);
+const commanded = { ...actions, cursor: new Cursor(state, images, tools), help, nameState: () => operations.startNaming(), palette, past, sendTheme, tour };
 keys.onchange = () => state.set({ changedKeys: keys.changed });
 keys.listen(window);
 watchLists();

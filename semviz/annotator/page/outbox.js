@@ -15,24 +15,28 @@ export class Outbox {
     this.timer = 0;
   }
 
-  /** [{request, edit}], oldest first: version 7 UUIDs sort by the time of their making. */
+  /** [{request, place, edit, shown}], oldest first. Their order is counted, not timed: clocks jump. */
   get entries() {
     return Object.keys(localStorage)
       .filter((key) => key.startsWith(this.prefix))
-      .sort()
-      .map((key) => JSON.parse(localStorage.getItem(key)));
+      .map((key) => JSON.parse(localStorage.getItem(key)))
+      .sort((one, two) => one.place - two.place || (one.request < two.request ? -1 : 1));
   }
 
-  add(edit) {
+  /** `shown` stays here: where on the page the edit was made. */
+  add(edit, shown = null) {
     const request = uuid7();
-    localStorage.setItem(this.prefix + request, JSON.stringify({ request, edit }));
+    const place = (this.entries.at(-1)?.place ?? 0) + 1;
+    localStorage.setItem(this.prefix + request, JSON.stringify({ request, place, edit, shown }));
     this.flush();
   }
 
   /** Sends the oldest edit, unless an answer is still to come. */
   flush() {
     const [oldest] = this.sent ? [] : this.entries;
-    if (oldest && this.send({ type: "edit", ...oldest })) this.sent = oldest.request;
+    if (!oldest) return;
+    const { request, edit } = oldest;
+    if (this.send({ type: "edit", request, edit })) this.sent = request;
   }
 
   /** The connection is gone: whatever was not acknowledged goes out again with the next one. */
@@ -45,6 +49,13 @@ export class Outbox {
     this.sent = null;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.flush(), RETRY_MS);
+  }
+
+  /** Another edit in the place of one that the server has not done. */
+  replace(entry, edit) {
+    localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, edit }));
+    this.sent = null;
+    this.flush();
   }
 
   /** The server has it on disk, or refused it for good. */

@@ -6,7 +6,6 @@ const HANDLE_HIT = 8; // a handle is taken hold of within this radius
 const GLYPH = 7;
 const SELECTED_GLYPH = 8;
 const LABEL_SIZE = 11;
-const BRIGHT = "brightness(1.7) contrast(1.15)"; // as in annotate.css
 
 /** Paints one frame's overlay of one image; `labels` last, so that they lie above all lines. */
 export class Painter {
@@ -38,20 +37,31 @@ export class Painter {
     this.#label(text, anchor, selected ? 3 : 2, observation.end);
   }
 
-  /** Where a mapped element should be in this image: dashed, never filled; a weak one dotted. */
-  ghost(ghost, place, selected) {
-    const { color, shape, kind } = this.classOf(ghost.class);
-    const anchor = this.view.toScreen(place.anchor);
-    const weak = ghost.labelled_in !== undefined;
+  /** A proposal: dashed, never filled; what isn't sure is dotted. The current one says so. */
+  offer(offer, mark, { selected, current }) {
+    const { score, runner_up } = mark;
+    this.#proposed(offer, mark, { selected, dash: offer.sure ? [5, 4] : [1.5, 4] });
+    const said = [offer.name, score === null ? "" : score.toFixed(2), current ? "Space" : ""];
+    const text = current ? said.filter(Boolean).join(" · ") : offer.name;
+    this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : offer.sure ? 1 : 0, mark.end);
+    if (!runner_up || !current) return;
+    this.#proposed(offer, runner_up, { dash: [1, 5] });
+    this.#label(`runner-up ${runner_up.score.toFixed(2)} · K`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
+  }
+
+  #proposed({ class: id }, { anchor, end, anchor_known, end_known }, { selected = false, dash }) {
+    const { color, shape, kind } = this.classOf(id);
+    const from = this.view.toScreen(anchor);
     if (kind === "line") {
-      const end = this.view.toScreen(place.end);
-      if (selected) this.#halo(anchor, end);
-      drawLine(this.context, anchor, end, color, 1.5, weak ? [1.5, 4] : [5, 4]);
+      const to = this.view.toScreen(end);
+      if (selected) this.#halo(from, to);
+      drawLine(this.context, from, to, color, 1.5, dash);
+      if (!anchor_known) this.#onward(from, to, color);
+      if (!end_known) this.#onward(to, from, color);
     } else {
-      if (selected) this.#ring(anchor, GLYPH + 6);
-      drawGlyph(this.context, shape, ...anchor, GLYPH, color, 1.5, weak ? [1.5, 3] : [4, 3]);
+      if (selected) this.#ring(from, GLYPH + 6);
+      drawGlyph(this.context, shape, ...from, GLYPH, color, 1.5, dash);
     }
-    this.#label(ghost.name, anchor, selected ? 3 : weak ? 0 : 1, place.end);
   }
 
   /** Epipolar lines: thin over the whole image, brighter where the depth is plausible. */
@@ -60,6 +70,12 @@ export class Painter {
       this.#path(line, "rgba(255,255,255,.55)", 1);
       this.#path(plausible, "rgba(255,255,255,.9)", 2);
     }
+  }
+
+  /** Where the element under the pen will be, once it has snapped to the edges. */
+  snapped({ class: id }, { anchor, end, by_px }) {
+    this.#proposed({ class: id }, { anchor, end, anchor_known: true, end_known: true }, { dash: [3, 2] });
+    this.#label(`snapped, ${by_px.toFixed(1)} px`, this.view.toScreen(end ?? anchor), 3, null);
   }
 
   /** The element under the pen. */
@@ -106,16 +122,19 @@ export class Painter {
   /** A handle; where the end is not seen, hollow and with an arrow that points on along the pole. */
   #poleEnd(kind, at, from, color, known, active) {
     const { context } = this;
-    if (!known) {
-      const length = Math.hypot(at[0] - from[0], at[1] - from[1]) || 1;
-      const ahead = (distance) => at.map((one, axis) => one + ((one - from[axis]) / length) * distance);
-      drawArrow(context, ahead(6), ahead(14), color, 1.6);
-    }
+    if (!known) this.#onward(at, from, color);
     drawHandle(context, kind, ...at, color, known);
     if (!active) return;
     context.strokeStyle = ACCENT;
     context.lineWidth = 2.2;
     context.strokeRect(at[0] - 6, at[1] - 6, 12, 12);
+  }
+
+  /** An arrow that points on along the pole. */
+  #onward(at, from, color) {
+    const length = Math.hypot(at[0] - from[0], at[1] - from[1]) || 1;
+    const ahead = (distance) => at.map((one, axis) => one + ((one - from[axis]) / length) * distance);
+    drawArrow(this.context, ahead(6), ahead(14), color, 1.6);
   }
 
   #halo(from, to) {
@@ -161,7 +180,7 @@ export function picture(context, bitmap, view) {
 }
 
 /** The magnifier around pixel (u, v): nearest neighbour, never smoothed, with the coordinates. */
-export function loupe(context, bitmap, [u, v], { corner: [x, y], size, zoom, drawing, color, bright }) {
+export function loupe(context, bitmap, [u, v], { corner: [x, y], size, zoom, drawing, color, filter }) {
   const caption = 20;
   const place = ([pu, pv]) => [x + size / 2 + (pu - u) * zoom, y + size / 2 + (pv - v) * zoom];
   const first = [u, v].map((one) => Math.floor(one - size / zoom / 2));
@@ -173,7 +192,7 @@ export function loupe(context, bitmap, [u, v], { corner: [x, y], size, zoom, dra
   context.clip();
   context.fillStyle = "#0A0B0D";
   context.fillRect(x, y, size, size + caption);
-  context.filter = bright ? BRIGHT : "none";
+  context.filter = filter;
   context.imageSmoothingEnabled = false;
   context.drawImage(bitmap, ...first, count, count, left, top, count * zoom, count * zoom);
   context.filter = "none";
@@ -188,6 +207,20 @@ export function loupe(context, bitmap, [u, v], { corner: [x, y], size, zoom, dra
   context.strokeStyle = "#A3A8AF";
   context.lineWidth = 1;
   context.strokeRect(x + 0.5, y + 0.5, size - 1, size + caption - 1);
+}
+
+/** Where the keys would set a point. */
+export function cursor(context, [x, y]) {
+  for (const [color, width] of [[CASING, 3.2], [ACCENT, 1.6]]) {
+    context.strokeStyle = color;
+    context.lineWidth = width;
+    context.beginPath();
+    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+      context.moveTo(x + dx * 5, y + dy * 5);
+      context.lineTo(x + dx * 22, y + dy * 22);
+    }
+    context.stroke();
+  }
 }
 
 function crosshair(context, x, y, reach) {

@@ -1,10 +1,11 @@
 // Around the images: classes, elements, card, hints and frames. Rebuilt from the state.
-import { byId, el, fixed } from "/static/dom.js";
+import { byId, el, fixed, svg } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { Aids } from "./aids.js";
+import { Conflict } from "./conflict.js";
 import { editing } from "./commands.js";
 import { hints } from "./hints.js";
-import { History } from "./history.js";
+import { Jumps } from "./jumps.js";
 import { SIDES } from "./state.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
@@ -13,13 +14,14 @@ import { Kept, badge, capital, header, row } from "./widgets.js";
 const TOLD_MS = 6000;
 
 export class Panels {
-  constructor(state, images, keys, actions) {
+  /** `more`: further parts of the page, each with `show()`. */
+  constructor(state, images, keys, actions, more) {
     this.state = state;
     this.images = images;
     this.keys = keys;
     this.actions = actions;
     this.edit = editing(state, actions);
-    this.parts = [new TopBar(state, keys, actions), new Aids(state, keys), new History(state, actions), new Strip(state, actions)];
+    this.parts = [new TopBar(state, keys, actions), new Aids(state, keys), new Jumps(state, keys, actions), new Strip(state, actions), new Conflict(state, actions), ...more];
     this.timer = 0;
     this.kept = new Kept(state);
     state.onChange(() => this.#queue());
@@ -60,7 +62,7 @@ export class Panels {
     byId("scene").hidden = !state.aids.map; // a hidden scene costs no time
     this.parts.forEach((part) => part.show());
     this.kept.show("classes", [state.classId, state.labels.counts], () => this.#classes());
-    this.kept.show("elements", [state.elements, state.expected, state.selected], () => this.#elements());
+    this.kept.show("elements", [state.elements, state.offers, state.nearby, state.selected], () => this.#elements());
     this.kept.show("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
     this.kept.show("hints", hints(state), () => hints(state).map((one) => hintItem(one, this.keys)));
     this.#status();
@@ -87,17 +89,18 @@ export class Panels {
     const seen = state.elements.map((one) => {
       const sides = SIDES.filter((side) => one.observations[side]);
       const lacks = state.hasRight && sides.length < 2;
+      const offer = state.offers.find(({ id }) => id === one.id);
       return line(one, [
+        offer ? scoreBar(offer) : null,
         el("span", { class: lacks ? "warning" : "dim", text: lacks ? `${sides[0]} only` : "left, right" }),
         el("span", { class: "views dim", text: one.views ? `${one.views}` : "" })]);
     });
-    const expected = state.expected.map((one) =>
-      line(one, [el("span", { class: "faint", text: whence(one) })]));
-    const near = state.expected.filter((one) => one.labelled_in !== undefined).length;
-    const counts = [`${seen.length} here`, `${expected.length - near} expected`, near ? `${near} nearby` : ""];
-    byId("elements-about").textContent = counts.filter(Boolean).join(", ");
+    const offered = state.expected.map((one) => line(one, [scoreBar(one), el("span", { class: "views dim", text: about(one) })]));
+    const near = state.nearby.map((one) => line(one, [el("span", { class: "faint", text: whence(one) })]));
+    const count = (list, what) => (list.length ? `${list.length} ${what}` : "");
+    byId("elements-about").textContent = [`${seen.length} here`, count(offered, "proposed"), count(near, "nearby")].filter(Boolean).join(", ");
     byId("map-about").textContent = `${state.labels.mapped} elements`;
-    return [...seen, ...expected];
+    return [...seen, ...offered, ...near];
   }
 
   #card() {
@@ -153,9 +156,19 @@ export class Panels {
   }
 }
 
-/** Why an element that is not labelled here is offered. */
-const whence = ({ labelled_in, depth_m }) =>
-  labelled_in === undefined ? `expected · ${depth_m.toFixed(0)} m` : `labelled in frame ${labelled_in}`;
+/** Why an element that is not labelled here is listed. */
+const whence = (one) => (one.labelled_in === undefined ? `proposed, ${about(one)}` : `labelled in frame ${one.labelled_in}`);
+
+/** What there is to say of a proposal: its depth, or where it comes from. */
+const about = ({ depth_m, origin }) => (depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
+
+/** How sure a proposal is, and that it is weak. */
+function scoreBar({ score, sure }) {
+  if (score === null) return el("span", { class: "faint", text: "looking …" });
+  const bar = svg("svg", { class: sure ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
+    svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
+  return el("span", { class: "scored" }, bar, el("span", { class: "dim", text: score.toFixed(2) }), sure ? null : el("span", { class: "faint", text: "weak" }));
+}
 
 function hintItem({ keys: names, text, push }, keys) {
   return el("span", { class: push ? "push dim" : "hint" }, ...names.map((name) => badge(keys, name)), text);

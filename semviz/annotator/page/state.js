@@ -3,6 +3,9 @@
 export const SIDES = ["left", "right"];
 export const other = (side) => (side === "left" ? "right" : "left");
 
+/** What `bright` does unless a person wants it otherwise. */
+export const PLAIN_LIGHT = { brightness: 1.7, contrast: 1.15 };
+
 /** The page's state: server truth (`labels`), what hangs in the outbox, and what only this page has. */
 export class State {
   constructor() {
@@ -13,10 +16,14 @@ export class State {
     this.selected = null; // {element, side} or null; side of the observation in hand
     this.vertex = "anchor"; // which end of the selected pole the arrows move
     this.aids = { snap: true, loupe: true, guides: true, ghosts: true, bright: false, map: true };
+    this.light = { ...PLAIN_LIGHT }; // of the images, while the aid `bright` is on
+    this.past = null; // {operation, done, frame}: the earlier state that the images show
+    this.cursor = null; // {side, pixel}: where the keys would set a point
     this.drawing = null; // {side, class, anchor, end, box}: the element under the pen
     this.dragged = null; // {observation, anchor, end}: what the pen moves
     this.look = null; // guides, snapped drawing and card of what is in hand, from the server
     this.swapped = new Set(); // ids of offers whose runner-up is taken for the best
+    this.jump = "unreviewed"; // the list that the jump keys go through; see jumps.js
     this.conflict = null; // {edit, theirs, text}: somebody changed what an edit starts from
     this.pending = []; // [{request, edit}] on their way, oldest first
     this.connected = false;
@@ -38,6 +45,12 @@ export class State {
     this.listeners.forEach((listener) => listener());
   }
 
+  /** The labels of the frame on screen, now or as they were; null until they have come. */
+  get shownFrame() {
+    const frame = this.past?.frame ?? this.labels?.frame;
+    return frame?.index === this.frame ? frame : null;
+  }
+
   /** Labelled elements of the frame on screen, as they will be once the outbox is empty. */
   get elements() {
     this.shown ??= this.#elements();
@@ -45,8 +58,10 @@ export class State {
   }
 
   #elements() {
-    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
-    const elements = withPending(this.labels.frame.elements, this.pending, this.frame);
+    if (!this.shownFrame) return [];
+    const { elements: saved, offers } = this.shownFrame;
+    if (this.past) return saved;
+    const elements = withPending(saved, this.pending, this.frame, offers);
     if (this.dragged) {
       const found = find(elements, this.dragged.observation);
       if (found) Object.assign(found.element.observations[found.side], { ...this.dragged, id: this.dragged.observation });
@@ -62,9 +77,9 @@ export class State {
   }
 
   #offers() {
-    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
+    if (!this.shownFrame) return [];
     const observed = new Map(this.elements.map((one) => [one.id, one.observations]));
-    return this.labels.frame.offers.map((offer) => {
+    return this.shownFrame.offers.map((offer) => {
       const shown = { ...offer };
       for (const side of SIDES) {
         if (!offer[side]) continue;
@@ -77,9 +92,9 @@ export class State {
 
   /** Elements to continue of which nobody knows where they are: `{id, name, class, labelled_in}`. */
   get nearby() {
-    if (!this.labels?.frame || this.labels.frame.index !== this.frame) return [];
+    if (!this.shownFrame) return [];
     const here = new Set([...this.elements, ...this.offers].map((one) => one.id));
-    return this.labels.frame.nearby.filter((one) => !here.has(one.id));
+    return this.shownFrame.nearby.filter((one) => !here.has(one.id));
   }
 
   /** Offers of elements that are not labelled in either image of this frame. */
@@ -92,8 +107,7 @@ export class State {
   get currentOffer() {
     const { offers, selected } = this;
     if (!this.aids.ghosts || this.drawing) return null;
-    const mine = offers.find((offer) => offer.id === selected?.element);
-    return mine ?? (this.selectedElement ? null : offers[0] ?? null);
+    return offers.find((offer) => offer.id === selected?.element) ?? offers[0] ?? null;
   }
 
   /** Offers of which every mark is sure. */
@@ -121,6 +135,19 @@ export class State {
     return this.selectedElement?.observations[this.selected.side] ?? null;
   }
 
+  /** The CSS filter of the images and the loupe. */
+  get filter() {
+    return this.aids.bright ? `brightness(${this.light.brightness}) contrast(${this.light.contrast})` : "none";
+  }
+
+  /** The images on the page: `{left: {frame, side}, right}`; with one camera, right is another
+   * frame's left image, or missing. */
+  get panes() {
+    const known = this.labels?.frame?.index === this.frame ? this.labels.frame.panes : null;
+    const left = { frame: this.frame, side: "left" };
+    return known ?? (this.hasRight ? { left, right: { frame: this.frame, side: "right" } } : { left });
+  }
+
   classOf(id) {
     return this.hello.classes.find((one) => one.id === id);
   }
@@ -131,8 +158,42 @@ export class State {
   }
 
   get hasRight() {
-    return this.hello?.images.right != null;
+    return this.hello?.has_right;
   }
+}
+
+/** What `edit` starts from, `{element, side, observation}`, as it is shown; null where from nothing. */
+export function startOf(elements, edit) {
+  const found = edit.observation_id ? find(elements, edit.observation_id) : null;
+  return found && { ...found, observation: found.element.observations[found.side] };
+}
+
+/** What the server compares with what is there now: has somebody else changed it meanwhile? */
+export function seen({ element, observation }) {
+  const { anchor, end, anchor_known, end_known, frame, side } = observation;
+  return { element: element.id, frame, side, anchor, end, anchor_known, end_known };
+}
+
+/** An edit of an observation that somebody has deleted, as a drawing of what it would have made;
+ * null where it would have deleted it too. `shown` is {frame, side, class}. */
+export function drawnAgain(edit, { frame, side, class: id }) {
+  const observations = { [side]: { ...edit.seen } };
+  APPLY[edit.kind]?.(observations, side, edit);
+  const mark = observations[side];
+  return mark ? {
+    kind: "draw",
+    observation_id: uuid7(),
+    element_id: uuid7(),
+    frame_index: frame,
+    side,
+    class_id: id,
+    anchor_px: mark.anchor,
+    end_px: mark.end,
+    anchor_known: mark.anchor_known,
+    end_known: mark.end_known,
+    selected_id: edit.seen.element,
+    snap: false,
+  } : null;
 }
 
 /** Whether `edit` leaves `elements` as they are, such as a drag that ends where it began. */
@@ -141,13 +202,14 @@ export function isIdle(elements, edit) {
   return JSON.stringify(withPending(elements, [{ edit }], null)) === JSON.stringify(elements);
 }
 
-/** `elements` with the edits of `pending` that touch `frame` applied; pure. */
-export function withPending(elements, pending, frame) {
+/** `elements` with the edits of `pending` that touch `frame` applied; pure. `offers` names what is
+ * accepted of them. */
+export function withPending(elements, pending, frame, offers = []) {
   const result = structuredClone(elements);
   for (const { edit } of pending) {
     const marks = edit.kind === "draw" ? [edit] : edit.kind === "accept" ? edit.marks : null;
     if (marks) {
-      for (const mark of marks) if (mark.frame_index === frame) add(result, mark);
+      for (const mark of marks) if (mark.frame_index === frame) add(result, mark, offers);
       continue;
     }
     const found = edit.observation_id && find(result, edit.observation_id);
@@ -177,16 +239,18 @@ const APPLY = {
 };
 
 /** Shows a mark that is on its way: of an element that is there, or of a new one. */
-function add(elements, mark) {
+function add(elements, mark, offers) {
   if (find(elements, mark.observation_id)) return;
   const known = elements.find((one) => one.id === mark.element_id);
   if (known) known.observations[mark.side] ??= observed(mark);
-  else elements.push(drawn(mark));
+  else elements.push(drawn(mark, offers.find((one) => one.id === mark.element_id)));
 }
 
 /** Whether an offer has been accepted or turned down by an edit that is on its way. */
 function isSettled(pending, id) {
-  return pending.some(({ edit }) => edit.kind === "dismiss" && edit.dismissals.some((one) => one.id === id));
+  return pending.some(({ edit }) =>
+    (edit.kind === "dismiss" && edit.dismissals.some((one) => one.id === id)) ||
+    (edit.kind === "accept" && edit.marks.some((one) => one.observation_id === id)));
 }
 
 /** A mark with its runner-up in its place, and the other way round. */
@@ -213,11 +277,11 @@ function observed(mark) {
   };
 }
 
-function drawn(mark) {
+function drawn(mark, offer) {
   return {
     id: mark.element_id,
-    name: mark.name ?? "new",
-    class: mark.shown_class ?? mark.class_id,
+    name: offer?.name ?? "new",
+    class: offer?.class ?? mark.class_id,
     kept: true, // not on disk yet
     observations: { [mark.side]: observed(mark) },
     card: null,

@@ -5,12 +5,14 @@ import { SIDES, uuid7 } from "./state.js";
 const DRAG_FROM = 4; // CSS pixels; a shorter way is a click
 
 export class Tools {
-  /** `submit(edit)` keeps and sends an edit; `look()` asks for guides and numbers. */
-  constructor(state, images, { submit, look }) {
+  /** `submit(edit)` keeps and sends an edit; `look()` asks for guides and numbers; `mayEdit()` says
+   * whether labels can be changed now, and tells the person why not. */
+  constructor(state, images, { submit, look, mayEdit }) {
     this.state = state;
     this.images = images;
     this.submit = submit;
     this.look = look;
+    this.mayEdit = mayEdit;
     this.press = null; // the button that is down: {side, from, moved, mode, ...}
     for (const side of SIDES) {
       const canvas = images.canvas(side);
@@ -48,8 +50,26 @@ export class Tools {
     } else {
       const hit = event.shiftKey ? null : this.images.hit(side, point);
       if (hit) this.#take(side, hit, event);
-      else this.#begin(side, event);
+      else if (this.#begin(side, this.images.view.toImage(point))) this.press.mode = "draw";
     }
+  }
+
+  // -- without a mouse
+
+  /** A point at `pixel`, as by a click there: begins a drawing, or finishes it. */
+  setPoint(side, pixel) {
+    const { drawing } = this.state;
+    if (drawing && drawing.side !== side) this.cancel();
+    else if (drawing) this.#finish(pixel);
+    else if (this.#begin(side, pixel) && !this.state.drawing.end) this.#save(pixel, null);
+  }
+
+  /** The rubber band goes to `pixel`, if there is one on this side. */
+  stretchTo(side, pixel) {
+    const { drawing } = this.state;
+    if (drawing?.side !== side || !drawing.end) return;
+    this.state.set({ drawing: { ...drawing, end: pixel } });
+    this.look();
   }
 
   /** Takes hold of an observation: a click selects it, a drag moves its vertex or all of it. */
@@ -67,17 +87,17 @@ export class Tools {
     this.look();
   }
 
-  #begin(side, event) {
-    const anchor = this.images.view.toImage(pointerAt(event));
-    if (!this.images.bitmaps[side] || !this.#inside(side, anchor)) return;
+  /** Returns whether something is being drawn now. */
+  #begin(side, anchor) {
+    if (!this.images.bitmaps[side] || !this.#inside(side, anchor) || !this.mayEdit()) return false;
     const id = this.state.classId;
     const kind = this.state.classOf(id).kind;
-    Object.assign(this.press, { mode: "draw", kind });
     this.state.set({ drawing: {
       side, class: id, anchor, end: kind === "line" ? anchor : null,
       anchor_known: true, end_known: kind === "line",
     } });
     this.look();
+    return true;
   }
 
   #move(side, event) {
@@ -90,7 +110,7 @@ export class Tools {
     if (press?.mode === "pan") {
       this.images.panBy(point[0] - press.last[0], point[1] - press.last[1]);
       press.last = point;
-    } else if (press?.mode === "drag" && press.moved) {
+    } else if (press?.mode === "drag" && press.moved && this.mayEdit()) {
       this.#drag(side, event);
     } else if (this.state.drawing?.side === side) {
       this.#stretch(side, event);
@@ -105,12 +125,12 @@ export class Tools {
     const at = this.images.view.toImage(pointerAt(event));
     const { drawing } = this.state;
     if (drawing.end) {
-      this.state.set({ drawing: { ...drawing, end: at } });
+      this.stretchTo(side, at);
     } else if (this.press?.moved) {
       const from = this.images.view.toImage(this.press.start);
       this.state.set({ drawing: { ...drawing, box: [from, at], anchor: middle(from, at) } });
+      this.look();
     }
-    this.look();
   }
 
   #drag(side, event) {
@@ -154,7 +174,7 @@ export class Tools {
   #released(press) {
     const { drawing } = this.state;
     if (!drawing) return;
-    if (press.kind === "point") this.#save(drawing.anchor, null);
+    if (!drawing.end) this.#save(drawing.anchor, null);
     else if (press.moved) this.#save(drawing.anchor, drawing.end);
   }
 
@@ -163,7 +183,7 @@ export class Tools {
   }
 
   #save(anchor, end) {
-    const { side, class: id, anchor_known, end_known } = this.state.drawing;
+    const { side, class: id, anchor_known, end_known, box } = this.state.drawing;
     const [element, observation] = [uuid7(), uuid7()];
     this.state.set({ drawing: null });
     this.submit({
@@ -178,6 +198,7 @@ export class Tools {
       anchor_known,
       end_known,
       selected_id: this.state.selected?.element ?? null,
+      snap: this.state.aids.snap && !box,
     });
   }
 

@@ -1,0 +1,86 @@
+"""What is worth a visit: how well each frame's labels fit, and how much is proposed in it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz.annotator.places import Places
+from semviz.annotator.proposing import Proposing
+from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz_annotation.store import Operation
+from semviz_annotation.triangulate import Triangulated, across_px
+
+AROUND = 60
+"""A mapped element changes what is proposed in so many frames before and after its own."""
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """About one frame."""
+
+    worst_px: float
+    """Largest distance of a label from the projection of its element; 0 where nothing is mapped."""
+    worst_id: str | None
+    """Its element."""
+    proposed: int
+    """Mapped elements that are expected in its images and neither labelled nor turned down there,
+    and what a detector found. Geometry alone: nobody has looked."""
+
+
+class Facts:
+    """Keeps the facts of all frames up to date, a few frames at a time."""
+
+    def __init__(self, order: Sequence[int], places: Places, proposing: Proposing) -> None:
+        self._order = order
+        self._place_in_time = {index: place for place, index in enumerate(order)}
+        self._places = places
+        self._proposing = proposing
+        self._facts: dict[int, FrameFacts] = {}
+        self._stale: dict[int, None] = dict.fromkeys(order)
+
+    def of(self, frame_index: int) -> FrameFacts | None:
+        """None where it is not known yet."""
+        return self._facts.get(frame_index)
+
+    def forget(self, operation: Operation, labels: Labels) -> None:
+        """``operation`` has been done: what it bears on is to be learnt anew."""
+        rows = [row for one in operation.changes for row in (one.before, one.after)]
+        elements = {row.element_id for row in rows if isinstance(row, Observation)}
+        elements |= {row.id for row in rows if isinstance(row, LabelElement)}
+        seen = [one for element_id in elements for one in labels.of_element(element_id)]
+        seen += [row for row in rows if isinstance(row, Observation)]
+        for index in sorted({one.frame_index for one in seen}):
+            place = self._place_in_time.get(index)
+            if place is not None:
+                around = self._order[max(0, place - AROUND) : place + AROUND + 1]
+                self._stale.update(dict.fromkeys(around))
+
+    def learn(self, labels: Labels, most: int) -> list[int]:
+        """Up to ``most`` frames that are known now and were not, or not rightly; [] when done."""
+        frames = list(self._stale)[:most]
+        for index in frames:
+            del self._stale[index]
+            self._facts[index] = self._learnt(index, labels)
+        return frames
+
+    def _learnt(self, frame_index: int, labels: Labels) -> FrameFacts:
+        residuals = list(self._residuals_px(labels.in_frame(frame_index), labels))
+        worst_px, worst_id = max(residuals, default=(0.0, None), key=lambda one: one[0])
+        return FrameFacts(worst_px, worst_id, self._proposing.count(frame_index, labels))
+
+    def _residuals_px(
+        self, rows: Iterable[Observation], labels: Labels
+    ) -> Iterable[tuple[float, str]]:
+        for row in rows:
+            place = self._places.of_element(labels, row.element_id)
+            if not isinstance(place, Triangulated):
+                continue
+            view = self._places.view(row)
+            if row.end_px is None:
+                seen = view.project(place.anchor_m[None])[0]
+                yield float(np.linalg.norm(seen - row.anchor_px)), row.element_id
+            else:
+                line = view.project(np.stack([place.anchor_m, place.end_m]))
+                across = across_px(line, np.array([row.anchor_px, row.end_px]))
+                yield float(np.abs(across).max()), row.element_id

@@ -1,0 +1,102 @@
+"""Everything that is proposed for a frame: what geometry expects, as the images confirm it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from semviz.annotator.ghosts import Ghost, ghosts_in
+from semviz.annotator.looker import Looker
+from semviz.annotator.nearby import Nearby, nearby_in
+from semviz.annotator.offers import Expected, Offer, Question, checked, offers_in
+from semviz.annotator.panes import Pane, Panes
+from semviz.annotator.places import Places
+from semviz_annotation.labels import Labels
+from semviz_annotation.proposals import Proposals
+from semviz_core.camera import Rig
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """What is proposed for a frame before anybody has looked at its images."""
+
+    offers: tuple[Offer, ...]
+    nearby: tuple[Nearby, ...]
+
+
+class Proposing:
+    """Proposes observations for the images of a frame."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        panes: Panes,
+        places: Places,
+        looker: Looker,
+        order: Sequence[int],
+        detected: Proposals,
+    ) -> None:
+        self._rig = rig
+        self._panes = panes
+        self._places = places
+        self._looker = looker
+        self._order = order
+        self._place_in_time = {index: place for place, index in enumerate(order)}
+        self._detected = detected
+        self._labels = Labels()
+        self._known: dict[int, _Geometry] = {}
+        """By frame, for these labels."""
+
+    def offers(self, frame_index: int, labels: Labels) -> list[Offer]:
+        """What is proposed, as far as the images have been looked at."""
+        offers = self._geometry(frame_index, labels).offers
+        return checked(self._looker.answered(offers), labels)
+
+    def unanswered(self, frame_index: int, labels: Labels) -> list[Question]:
+        """What the images should be asked."""
+        return self._looker.unanswered(self._geometry(frame_index, labels).offers)
+
+    def nearby(self, frame_index: int, labels: Labels) -> tuple[Nearby, ...]:
+        """Elements that are labelled around here, but have no place in space yet."""
+        return self._geometry(frame_index, labels).nearby
+
+    def count(self, frame_index: int, labels: Labels) -> int:
+        """Elements that are proposed for a frame by geometry, and a detector's finds."""
+        offers = self._found(frame_index, labels).offers
+        return len({one.element_id or one.id for one in offers if one.origin != "partner"})
+
+    def ghosts(self, pane: Pane, labels: Labels) -> list[Ghost]:
+        """Mapped elements that are expected in an image and not labelled there."""
+        T_camera_map = self._panes.T_camera_map(pane.frame_index)
+        if T_camera_map is None:
+            return []
+        near = self._places.near(labels, pane.frame_index)
+        found = ghosts_in(pane.frame_index, T_camera_map, self._rig, labels, near)
+        return [one for one in found if one.side == pane.side]
+
+    def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
+        """As ``_found``, kept: it is asked for several times after each edit."""
+        if labels is not self._labels:
+            self._labels = labels
+            self._known.clear()
+        if frame_index not in self._known:
+            self._known[frame_index] = self._found(frame_index, labels)
+        return self._known[frame_index]
+
+    def _found(self, frame_index: int, labels: Labels) -> _Geometry:
+        panes = self._panes.of(frame_index)
+        expected = [
+            Expected(pane, ghost, self._places.near(labels, pane.frame_index)[ghost.element_id])
+            for pane in panes.values()
+            for ghost in self.ghosts(pane, labels)
+        ]
+        known = {one.ghost.element_id for one in expected}
+        nearby = nearby_in(frame_index, self._order, known, labels, self._rig, self._places)
+        expected += [
+            Expected(Pane(frame_index, ghost.side), ghost, None)
+            for one in nearby
+            for ghost in one.ghosts
+        ]
+        detected = [
+            one for pane in panes.values() for one in self._detected.in_frame(pane.frame_index)
+        ]
+        offers = offers_in(panes, expected, detected, labels, self._place_in_time)
+        return _Geometry(tuple(offers), nearby)
