@@ -33,7 +33,10 @@ class Past:
         Raises SemvizError where ``before`` is no number.
         """
         if before is None:
-            return {"operations": [], "named": self._json(self._store.named())}
+            named = self._store.named()
+            names = [{"text": one.text} for one in reversed(named)]
+            rows = [row | name for row, name in zip(self._json(named), names, strict=True)]
+            return {"operations": [], "named": rows}
         found = self._store.operations(before=operation_number(before), limit=PAGE)
         return {"operations": self._json(found)}
 

@@ -18,9 +18,9 @@ export function commands(state, images, tools, actions) {
       else edit.nudge(px * du, px * dv);
     };
     return [
-      { key, group: "Draw", title: "Nudge 0.1 px; the cursor 1 px", run: by(0.1, 1) },
-      { key, shift: true, group: "Draw", title: "Nudge 1 px; the cursor 10 px", run: by(1, 10) },
-      { key, ctrl: true, group: "Draw", title: "The cursor 0.1 px", run: () => cursor.move(0.1 * du, 0.1 * dv) },
+      { key, group: "Draw", title: "Nudge 0.1 px (cursor 1 px)", run: by(0.1, 1) },
+      { key, shift: true, group: "Draw", title: "Nudge 1 px (cursor 10 px)", run: by(1, 10) },
+      { key, ctrl: true, group: "Draw", title: "Move the cursor 0.1 px", run: () => cursor.move(0.1 * du, 0.1 * dv) },
     ];
   };
   const keyed = state.hello.classes.slice(0, 9).map((one, place) => ({ ...one, key: String(place + 1) }));
@@ -29,7 +29,7 @@ export function commands(state, images, tools, actions) {
     { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: in one stroke" },
     { key: "Click", shift: true, group: "Draw", title: "Draw, even on top of an element" },
     ...keyed.map(({ id, key, name }) => ({
-      key, group: "Draw", title: `Class: ${name}`, run: () => edit.chooseClass(id),
+      key, group: "Draw", title: `Class: ${name}`, row: "Class of the next element", run: () => edit.chooseClass(id),
     })),
     { key: "Escape", group: "Draw", title: "Cancel the drawing; clear the selection", run: () => {
       if (backToImages() || tools.cancel()) return;
@@ -42,14 +42,14 @@ export function commands(state, images, tools, actions) {
     { key: "p", group: "Draw", title: "Link the two selected: one thing", run: edit.link },
     { key: "u", group: "Draw", title: "Unlink: this view shows another thing", run: edit.unlink },
     ...keyed.filter(({ kind }) => kind === "point").map(({ id, key, name }) => ({
-      key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, run: () => edit.setClass(id),
+      key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, row: "Class of the selected sign", run: () => edit.setClass(id),
     })),
-    { key: "o", group: "Draw", title: "Bottom hidden, or seen again; a proposal: all of it is hidden", run: () => edit.hide() },
+    { key: "o", group: "Draw", title: "Bottom hidden; a proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or seen again", run: () => edit.flag("anchor_known") },
     { key: "r", group: "Draw", title: "Swap peak and bottom", run: edit.swap },
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
-    { key: "+", group: "Draw", title: "Cursor for the keys; again: a point there", run: () => cursor.setPoint() },
+    { key: "+", group: "Draw", title: "Cursor for keys; again: a point", run: () => cursor.setPoint() },
     { key: "-", group: "Draw", title: "Cursor to the other image", run: () => cursor.cross() },
     { key: "v", group: "Draw", title: "The other end, for the arrows", run: edit.otherEnd },
     { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
@@ -60,7 +60,7 @@ export function commands(state, images, tools, actions) {
     { key: "Wheel", group: "See", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "See", title: "Pan; also middle button, or Alt" },
     { key: "z", group: "See", title: "Zoom to the selection", run: () => lookAt(state, images) },
-    { key: "PageUp", group: "See", title: "Zoom in, at the cursor if there is one", run: () => images.zoomBy(1.5, state.cursor?.pixel) },
+    { key: "PageUp", group: "See", title: "Zoom in, at the cursor or the middle", run: () => images.zoomBy(1.5, state.cursor?.pixel) },
     { key: "PageDown", group: "See", title: "Zoom out", run: () => images.zoomBy(1 / 1.5, state.cursor?.pixel) },
     { key: "0", group: "See", title: "Whole image", run: () => images.fit() },
     { key: "m", group: "See", title: "Snap to edges", run: toggle("snap") },
@@ -78,7 +78,7 @@ export function commands(state, images, tools, actions) {
 
     { key: "z", ctrl: true, group: "Safety", title: "Undo, also after a restart", run: () => actions.submit({ kind: "undo" }) },
     { key: "z", ctrl: true, shift: true, group: "Safety", title: "Redo", run: () => actions.submit({ kind: "redo" }) },
-    { key: "h", group: "Safety", title: "History: show or hide; its “look” goes back to any state", run: toggleHistory },
+    { key: "h", group: "Safety", title: "History, go back to any operation", run: toggleHistory },
     { key: "b", ctrl: true, group: "Safety", title: "Name this state", run: actions.nameState },
 
     { key: "t", group: "Anywhere", title: "Dark or light", run: () => {
@@ -88,7 +88,7 @@ export function commands(state, images, tools, actions) {
     { key: "k", ctrl: true, group: "Anywhere", title: "All commands", run: actions.palette },
     { key: "?", group: "Anywhere", title: "These keys", run: actions.help },
     { key: "F1", group: "Anywhere", title: "Tour in 3 steps", run: () => tour.open() },
-    { key: "F6", group: "Anywhere", title: "Next panel, by keys; then Tab, arrows, Enter", run: () => nextPanel(1) },
+    { key: "F6", group: "Anywhere", title: "Next panel; Tab and arrows inside", run: () => nextPanel(1) },
     { key: "F6", shift: true, group: "Anywhere", title: "Panel before", run: () => nextPanel(-1) },
   ];
 }

@@ -8,8 +8,11 @@ export class Light {
   constructor(state) {
     this.state = state;
     this.place = null; // in localStorage
-    for (const name of NAMES) byId(name).addEventListener("input", () => this.#set({ ...state.light, [name]: Number(byId(name).value) }));
-    byId("plain-light").addEventListener("click", () => this.#set({ ...PLAIN_LIGHT }));
+    for (const name of NAMES) {
+      byId(name).addEventListener("input", () => this.#set(name, Number(byId(name).value)));
+      byId(`${name}-value`).title = `Back to ${percent(PLAIN_LIGHT[name])}`;
+      byId(`${name}-value`).addEventListener("click", () => this.#set(name, PLAIN_LIGHT[name]));
+    }
   }
 
   /** What the workspace was looked at with last. */
@@ -22,12 +25,15 @@ export class Light {
     byId("light").hidden = !this.state.aids.bright;
     for (const name of NAMES) {
       byId(name).value = this.state.light[name];
-      byId(`${name}-value`).textContent = `${Math.round(100 * this.state.light[name])} %`;
+      byId(`${name}-value`).textContent = percent(this.state.light[name]);
     }
   }
 
-  #set(light) {
+  #set(name, value) {
+    const light = { ...this.state.light, [name]: value };
     localStorage.setItem(this.place, JSON.stringify(light));
     this.state.set({ light });
   }
 }
+
+const percent = (value) => `${Math.round(100 * value)} %`;

@@ -1,8 +1,9 @@
 /* The overlay with every key of a page, where keys can be changed too. */
 
 import { el } from "./dom.js";
-import { keyName } from "./keys.js";
+import { keyBadges, keyName } from "./keys.js";
 
+const ARROWS = "←,→,↑,↓";
 const FOOT = "W A S D Q E are never used, so a key pressed over the 3D scene moves that camera and nothing else. "
   + "Two commands can't share a key: the second is refused by name.";
 
@@ -80,7 +81,7 @@ class Help {
 
   #row(commands) {
     const badges = this.changing ? commands.map((one) => this.#button(one)) : badgesOf(this.keys, commands);
-    return el("li", {}, el("span", { class: "keys" }, ...badges), el("span", { text: commands[0].title }));
+    return el("li", {}, el("span", { class: "keys" }, ...badges), el("span", { text: commands[0].row ?? commands[0].title }));
   }
 
   #button(command) {
@@ -98,14 +99,15 @@ class Help {
 
 /** One badge a key; the modifiers that all keys of a row share stand once, in front. */
 export function badgesOf(keys, commands) {
-  const names = commands.map((one) => keyName(keys.of(one)).split(" "));
+  const names = commands.map((one) => keyBadges(keys.of(one)));
   const shared = names[0].slice(0, -1);
   const isShared = names.every((one) => one.slice(0, -1).join() === shared.join());
-  const badges = isShared ? [...shared, ...names.map((one) => one.at(-1))] : names.flat();
+  const last = names.map((one) => one.at(-1));
+  const badges = isShared ? [...shared, ...(last.join() === ARROWS ? ["Arrows"] : last)] : names.flat();
   return badges.map((name) => el("kbd", { text: name }));
 }
 
-/** Commands with one title and the same modifiers share a row. */
-function rowKey({ title, ctrl = false, shift = false }) {
-  return `${title} ${ctrl} ${shift}`;
+/** Commands with one title (or `row`) and the same modifiers share a row. */
+function rowKey({ title, row = title, ctrl = false, shift = false }) {
+  return `${row} ${ctrl} ${shift}`;
 }

@@ -6,11 +6,14 @@ const BROWSER_KEYS = new Set(["ctrl+n", "ctrl+t", "ctrl+w", "ctrl+r", "ctrl+l", 
 const CONTROLS = "button, select, input, a[href], summary";
 const CONTROL_KEYS = new Set(["enter", " ", "tab", "home", "end", "pageup", "pagedown", "arrowleft", "arrowright", "arrowup", "arrowdown"]);
 
-/** What a key is called on badges: `Shift Space`, `Ctrl K`. */
-export function keyName({ key, shift, ctrl }) {
+/** What a key is called, badge by badge: `["Shift", "Space"]`. */
+export function keyBadges({ key, shift, ctrl }) {
   const plain = NAMES[key.toLowerCase()] ?? (key.length === 1 ? key.toUpperCase() : key);
-  return [ctrl && "Ctrl", shift && "Shift", plain].filter(Boolean).join(" ");
+  return [ctrl && "Ctrl", shift && "Shift", plain].filter(Boolean);
 }
+
+/** The same in one: `Shift Space`, `Ctrl K`. */
+export const keyName = (key) => keyBadges(key).join(" ");
 
 function signature({ key, shift = false, ctrl = false }) {
   return `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
@@ -28,8 +31,8 @@ function pressed(event) {
   return isSymbol ? [{ key, shift, ctrl }, { key, shift: false, ctrl }] : [{ key, shift, ctrl }];
 }
 
-/** The commands of a page, `{key, shift, ctrl, group, title, run}`, each under the key that the person
- * chose. Entries without `run` are gestures of the mouse, for the help only. A command's own key, as
+/** The commands of a page, `{key, shift, ctrl, group, title, row, run}`, each under the key that the
+ * person chose. Those with one `row` stand together in the help. Entries without `run` are gestures of the mouse, for the help only. A command's own key, as
  * written in the list, also names it where changed keys are kept. */
 export class Keys {
   /** `page` names the place in localStorage. */
