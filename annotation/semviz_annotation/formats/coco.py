@@ -112,7 +112,7 @@ def _shape(
     rows = [_keypoint(values[start : start + 3]) for start in range(0, len(values), 3)]
     names = category.get("keypoints") or []
     if not isinstance(names, list) or (rows and len(rows) != len(names)):
-        raise SemvizError(f"{len(rows)} keypoints, the category has {quoted(len(names))}")
+        raise SemvizError(f"{len(rows)} keypoints, other than its category names")
     if kind == "point" and len(rows) != 1:
         if rows:
             found.drop("keypoints of signs that have several: a sign is the middle of its bbox")

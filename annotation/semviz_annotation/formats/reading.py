@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -120,9 +121,10 @@ class Reading:
             said = f"class {quoted(name)} is not known"
             if name in self.class_map:
                 said = f"class {quoted(name)} is mapped to {quoted(meant)}, which is not known"
+            shown = name if name.isprintable() and len(name) <= 50 else "NAME"
             raise SemvizError(
-                f"{said}; say --class-map {name.encode('ascii', 'replace').decode()[:50]}=CLASS, "
-                f"CLASS being one of {names}, or {IGNORE}"
+                f"{said}; say --class-map {shlex.quote(f'{shown}=CLASS')}, CLASS being one of "
+                f"{names}, or {IGNORE}"
             )
         return found
 
