@@ -17,7 +17,7 @@ export class Conflict {
     if (!conflict) return;
     const answer = (text, isMine) => el("button", { class: "small", text, onclick: () => this.actions.resolve(isMine) });
     bar.replaceChildren(
-      el("span", { text: `${conflict.text} Both stay in the history.` }),
+      el("span", { class: "fill", text: `${conflict.text} Both stay in the history.` }),
       answer("Keep mine", true), answer("Keep theirs", false));
   }
 }

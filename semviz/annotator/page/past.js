@@ -53,7 +53,6 @@ export class Past {
   show() {
     const { past, hello } = this.state;
     byId("past").hidden = !past;
-    byId("hints").hidden = Boolean(past);
     document.body.classList.toggle("past", Boolean(past));
     this.kept.show("past", past && past.operation, () => this.#bar(past, hello.author));
   }
