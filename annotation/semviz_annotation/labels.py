@@ -20,6 +20,7 @@ from semviz_annotation.rows import (
     proposal_id,
     row_key,
 )
+from semviz_annotation.sharing import SharingDict
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 
@@ -62,18 +63,19 @@ class Labels:
     Change it with ``changed``; the mappings are for reading.
     """
 
-    elements: Mapping[str, LabelElement] = field(default_factory=dict)
-    observations: Mapping[str, Observation] = field(default_factory=dict)
-    reviews: Mapping[int, Review] = field(default_factory=dict)
-    dismissals: Mapping[str, Dismissal] = field(default_factory=dict)
+    elements: Mapping[str, LabelElement] = field(default_factory=SharingDict)
+    observations: Mapping[str, Observation] = field(default_factory=SharingDict)
+    reviews: Mapping[int, Review] = field(default_factory=SharingDict)
+    dismissals: Mapping[str, Dismissal] = field(default_factory=SharingDict)
     next_number: int = field(default=1, compare=False)
     """What the next new element is called. Only grows, also over undo."""
     operation: int = field(default=0, compare=False)
     """Number of the last durable operation in this state; 0 outside a store."""
-    _in_frame: Mapping[int, tuple[str, ...]] = field(default_factory=dict, compare=False)
-    _of_element: Mapping[str, tuple[str, ...]] = field(default_factory=dict, compare=False)
-    _dismissed_in: Mapping[int, tuple[str, ...]] = field(default_factory=dict, compare=False)
-    _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=dict, compare=False)
+    _numbered: Mapping[int, str] = field(default_factory=SharingDict, compare=False)
+    _in_frame: Mapping[int, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
+    _of_element: Mapping[str, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
+    _dismissed_in: Mapping[int, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
+    _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
 
     @classmethod
     def from_rows(cls, rows: Iterable[Row], next_number: int = 1, operation: int = 0) -> "Labels":
@@ -168,10 +170,7 @@ class Labels:
 
         Quick where one state comes from the other by ``changed``: nothing is compared by value.
         """
-        here, there = self._of_element, before._of_element
-        return {one for one, rows in here.items() if there.get(one) is not rows} | (
-            there.keys() - here.keys()
-        )
+        return SharingDict(self._of_element).differing(SharingDict(before._of_element))
 
     def review(self, frame_index: int) -> ReviewState:
         """How far a frame is. A verdict that its labels have overtaken counts as in work."""
@@ -184,20 +183,20 @@ class Labels:
 
 
 class Draft:
-    """A state under change, copied once however many changes follow."""
+    """A state under change, which shares with the one it comes from what stays as it was."""
 
     def __init__(self, labels: Labels) -> None:
-        self._elements = dict(labels.elements)
-        self._observations = dict(labels.observations)
-        self._reviews = dict(labels.reviews)
-        self._dismissals = dict(labels.dismissals)
+        self._elements = SharingDict(labels.elements)
+        self._observations = SharingDict(labels.observations)
+        self._reviews = SharingDict(labels.reviews)
+        self._dismissals = SharingDict(labels.dismissals)
         self.next_number = labels.next_number
         self._operation = labels.operation
-        self._numbers = {row.number for row in labels.elements.values()}
-        self._in_frame = dict(labels._in_frame)
-        self._of_element = dict(labels._of_element)
-        self._dismissed_in = dict(labels._dismissed_in)
-        self._dismissed_of = dict(labels._dismissed_of)
+        self._numbered = SharingDict(labels._numbered)
+        self._in_frame = SharingDict(labels._in_frame)
+        self._of_element = SharingDict(labels._of_element)
+        self._dismissed_in = SharingDict(labels._dismissed_in)
+        self._dismissed_of = SharingDict(labels._dismissed_of)
 
     def apply(self, changes: Iterable[Change]) -> None:
         """Apply ``changes`` together; the draft must be thrown away where this raises.
@@ -238,6 +237,7 @@ class Draft:
             self._dismissals,
             self.next_number,
             self._operation,
+            self._numbered,
             self._in_frame,
             self._of_element,
             self._dismissed_in,
@@ -252,7 +252,7 @@ class Draft:
         row = change.before
         if isinstance(row, LabelElement):
             del self._elements[row.id]
-            self._numbers.discard(row.number)
+            del self._numbered[row.number]
         elif isinstance(row, Observation):
             del self._observations[row.id]
             _discard(self._in_frame, row.frame_index, row.id)
@@ -267,9 +267,9 @@ class Draft:
 
     def _add(self, row: Row) -> None:
         if isinstance(row, LabelElement):
-            if row.number in self._numbers:
+            if row.number in self._numbered:
                 raise SemvizError(f"element number {row.number} is taken")
-            self._numbers.add(row.number)
+            self._numbered[row.number] = row.id
             self.next_number = max(self.next_number, row.number + 1)
             self._elements[row.id] = row
         elif isinstance(row, Observation):
@@ -319,11 +319,11 @@ def _elements_of(change: Change) -> Iterator[str]:
             yield row.element_id
 
 
-def _include(index: dict[Any, tuple[str, ...]], key: object, row_id: str) -> None:
+def _include(index: SharingDict[Any, tuple[str, ...]], key: object, row_id: str) -> None:
     index[key] = (*index.get(key, ()), row_id)
 
 
-def _discard(index: dict[Any, tuple[str, ...]], key: object, row_id: str) -> None:
+def _discard(index: SharingDict[Any, tuple[str, ...]], key: object, row_id: str) -> None:
     rest = tuple(one for one in index[key] if one != row_id)
     if rest:
         index[key] = rest

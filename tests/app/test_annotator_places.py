@@ -153,7 +153,7 @@ def test_after_any_edits_places_are_as_if_found_anew(data: st.DataObject) -> Non
 def test_frames_that_are_not_there_any_more_count_as_unposed() -> None:
     """A workspace over fewer frames than were labelled."""
     places = Places(RIG, FRAMES[:2])
-    element_id = next(iter(LABELS.elements))
+    element_id = min(LABELS.elements.values(), key=lambda one: one.number).id
     assert isinstance(places.of_element(LABELS, element_id), Triangulated)
     last = max(LABELS.observations.values(), key=lambda row: row.frame_index)
     assert places.of_element(LABELS, last.element_id) is ONE_VIEW
