@@ -251,8 +251,9 @@ def write_cvat(writing: Writing, path: Path) -> None:
 
 def write_cvat_video(writing: Writing, path: Path) -> None:
     """The images of one side as frames, an element as one ``track``; whole or not at all."""
-    (side,) = {sheet.side for sheet in writing.sheets} or {"left"}
-    root = _root(writing, "interpolation", len(writing.sheets), side)
+    if writing.side is None:
+        raise SemvizError("a file of tracks has one side; choose left or right")
+    root = _root(writing, "interpolation", len(writing.sheets), writing.side)
     rows = [row for sheet in writing.sheets for row in sheet.observations]
     rows.sort(key=lambda row: (writing.labels.element(row.element_id).number, row.frame_index))
     for element_id, group in groupby(rows, key=lambda row: row.element_id):

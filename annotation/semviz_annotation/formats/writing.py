@@ -47,6 +47,8 @@ class Writing:
     classes: ClassSet
     sheets: tuple[Sheet, ...]
     dropped: "Counter[str]"
+    side: Side | None = None
+    """The only side that is written; None for both."""
 
     @classmethod
     def of(cls, labels: Labels, classes: ClassSet, rig: Rig, side: Side | None = None) -> "Writing":
@@ -66,7 +68,7 @@ class Writing:
         dropped[f"labels of {other} images: export them with --side {other}"] = (
             len(labels.observations) - written
         )
-        return cls(labels, classes, sheets, +dropped)
+        return cls(labels, classes, sheets, +dropped, side)
 
     def class_name(self, row: Observation) -> str:
         return self.classes[self.labels.element(row.element_id).class_id].name
