@@ -7,7 +7,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,57 +16,15 @@ from hypothesis import strategies as st
 
 from semviz_annotation.edits import (
     AddObservation,
-    DeleteElement,
-    DeleteObservation,
     Edit,
-    Link,
     MoveObservation,
-    ReviewFrame,
-    SetClass,
-    SetKnown,
-    SwapEnds,
-    Unlink,
 )
 from semviz_annotation.labels import LabelElement, Labels, new_id
 from semviz_annotation.store import LabelStore, Operation
 from semviz_core.errors import SemvizError
+from tests.annotation.random_edits import pole, random_edit
 
 WORKER = Path(__file__).with_name("worker.py")
-
-
-def pole(frame: int = 0, side: str = "left") -> AddObservation:
-    return AddObservation(new_id(), new_id(), frame, side, (1.0, 2.0), (3.0, 40.0), class_id=0)
-
-
-def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
-    """Any edit, mostly of things that exist; often one that must be refused."""
-
-    def some(ids: Iterable[str]) -> str:
-        known = sorted(ids)
-        return known[rng.integers(len(known))] if known else new_id()
-
-    a, b = some(labels.elements), some(labels.elements)
-    row = some(labels.observations)
-    frame, side = int(rng.integers(3)), ("left", "right")[rng.integers(2)]
-    point, other = (tuple(map(float, rng.uniform(0, 300, 2))) for _ in range(2))
-    class_id = int(rng.integers(4))
-    end = other if class_id == 0 else None
-    choices: list[Edit] = [
-        AddObservation(new_id(), new_id(), frame, side, point, end, class_id=class_id),
-        AddObservation(new_id(), new_id(), frame, side, point, end, class_id=class_id),
-        AddObservation(new_id(), a, frame, side, point, other),
-        AddObservation(new_id(), a, frame, side, point),
-        MoveObservation(row, point),
-        SetKnown(row, bool(rng.integers(2)), bool(rng.integers(2))),
-        SwapEnds(row),
-        DeleteObservation(row),
-        DeleteElement(a),
-        Link(a, b),
-        Unlink(row, new_id()),
-        SetClass(a, class_id),
-        ReviewFrame(frame, ("unseen", "in work", "reviewed", "reviewed, empty")[rng.integers(4)]),
-    ]
-    return choices[rng.integers(len(choices))]
 
 
 def try_apply(store: LabelStore, edit: Edit, author: str) -> Operation | None:

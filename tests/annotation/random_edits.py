@@ -1,0 +1,62 @@
+"""Any edit, mostly of things that exist; often one that must be refused."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from semviz_annotation.edits import (
+    AddMany,
+    AddObservation,
+    DeleteElement,
+    DeleteObservation,
+    Dismiss,
+    Edit,
+    Link,
+    MoveObservation,
+    ReviewFrame,
+    SetClass,
+    SetKnown,
+    SwapEnds,
+    Unlink,
+)
+from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
+
+
+def pole(frame: int = 0, side: str = "left") -> AddObservation:
+    return AddObservation(new_id(), new_id(), frame, side, (1.0, 2.0), (3.0, 40.0), class_id=0)
+
+
+def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
+    def some(ids: Iterable[str]) -> str:
+        known = sorted(ids)
+        return known[rng.integers(len(known))] if known else new_id()
+
+    a, b = some(labels.elements), some(labels.elements)
+    row = some(labels.observations)
+    frame, side = int(rng.integers(3)), ("left", "right")[rng.integers(2)]
+    point, other = (tuple(map(float, rng.uniform(0, 300, 2))) for _ in range(2))
+    class_id = int(rng.integers(4))
+    end = other if class_id == 0 else None
+    new = AddObservation(new_id(), new_id(), frame, side, point, end, class_id=class_id)
+    more = AddObservation(new_id(), new.element_id, frame + 3, side, point, end)
+    why = ("rejected", "occluded", "absent")[rng.integers(3)]
+    down = Dismissal(proposal_id(a, frame, side), frame, side, why, a)
+    choices: list[Edit] = [
+        new,
+        AddMany((new, more)),
+        AddObservation(new_id(), a, frame, side, point, other),
+        AddObservation(new_id(), a, frame, side, point),
+        MoveObservation(row, point),
+        MoveObservation(row, point),
+        SetKnown(row, bool(rng.integers(2)), bool(rng.integers(2))),
+        SwapEnds(row),
+        DeleteObservation(row),
+        DeleteElement(a),
+        Link(a, b),
+        Unlink(row, new_id()),
+        SetClass(a, class_id),
+        ReviewFrame(frame, ("unseen", "in work", "reviewed", "reviewed, empty")[rng.integers(4)]),
+        Dismiss((down,)),
+        Dismiss((down, Dismissal(new_id(), frame, side, why, None))),
+    ]
+    return choices[rng.integers(len(choices))]
