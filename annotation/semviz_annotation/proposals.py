@@ -258,10 +258,10 @@ def _parquet_rows(path: Path) -> list[_Row]:
     import pyarrow.parquet as pq
 
     try:
-        # as dictionaries, texts that repeat take no room, however long somebody made them
-        file = pq.ParquetFile(path, read_dictionary=list(_TEXTS))
+        file = pq.ParquetFile(path)
         _check_columns(path, file)
-        table = file.read()
+        # as dictionaries, texts that repeat take no room, however long somebody made them
+        table = pq.read_table(path, read_dictionary=list(_TEXTS & set(file.schema_arrow.names)))
         for name in _TEXTS & set(table.column_names):
             texts = table[name].unify_dictionaries().chunks
             if any(len(text) > 100 for chunk in texts[:1] for text in _values_of(chunk)):
@@ -285,6 +285,8 @@ def _check_columns(path: Path, file: Any) -> None:
         raise SemvizError(f"{path}: no column {missing[0]!r}. Nothing was imported.")
     if others := sorted(names - _NEEDED - _OPTIONAL):
         raise SemvizError(f"{path}: unknown column {others[0]!r}. Nothing was imported.")
+    if len(names) < len(file.schema_arrow.names):
+        raise SemvizError(f"{path}: two columns of one name. Nothing was imported.")
     nested = [one.name for one in file.schema_arrow if pa.types.is_nested(one.type)]
     if nested:
         raise SemvizError(f"{path}: column {nested[0]!r} holds lists. Nothing was imported.")

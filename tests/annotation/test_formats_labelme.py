@@ -139,7 +139,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
         (document(dict(POLE, flags={"end_known": 1})), "end_known is neither true nor false"),
         (document(dict(POLE, flags=[1])), "an object is expected"),
         (document(dict(POLE, more=float("inf"))), "item 1: holds NaN or infinite numbers"),
-        (document(more=float("inf")), r"a.json: holds NaN or infinite numbers"),
+        (document(POLE, more=float("inf")), r"a.json: holds NaN or infinite numbers"),
         (document("a"), "item 1: an object is expected, not 'a'"),
         (document(POLE, imageWidth=641), "641x480, but the left images of this workspace are"),
         (document(POLE, imageWidth=-5), "an image of -5 by 480 pixels"),

@@ -66,44 +66,51 @@ def read_labelme(path: Path, reading: Reading) -> Found:
 def _read_image(
     file: Path, beside: Path, document: dict[str, Any], reading: Reading, found: Found
 ) -> None:
-    shapes = listed(document, "shapes")
-    name = as_text(document.get("imagePath"), "imagePath")
-    place = reading.image(name, str(beside))
-    size = document.get("imageWidth"), document.get("imageHeight")
-    if size != (None, None):
-        reading.check_size(place[1], *size)
-    if document.get("imageData"):
-        found.drop("imageData: the images stay where they are")
-    found.images += 1
-    if (place[1], place[0]) in found.kept_images:
-        raise SemvizError(f"a second file of the {place[1]} image of frame {place[0]}")
-    found.kept_images[place[1], place[0]] = _rest(document, _OURS_ABOVE)
-    for number_, shape in enumerate(shapes, 1):
+    shapes: list[dict[str, Any]] = []
+    for number_, shape in enumerate(listed(document, "shapes"), 1):
         where = f"{file}, item {number_}"
         with at(where):
-            _read_shape(where, as_object(shape), place, reading, found)
+            one = _read_shape(as_object(shape), reading, found)
+            shapes += [{"where": where, **one}] if one is not None else []
+    found.images += 1
+    if document.get("imageData"):
+        found.drop("imageData: the images stay where they are")
+    if not shapes:
+        return
+    frame, side = reading.image(as_text(document.get("imagePath"), "imagePath"), str(beside))
+    size = document.get("imageWidth"), document.get("imageHeight")
+    if size != (None, None):
+        reading.check_size(side, *size)
+    if (side, frame) in found.kept_images:
+        raise SemvizError(f"a second file of the {side} image of frame {frame}")
+    found.kept_images[side, frame] = _rest(document, _OURS_ABOVE)
+    for one in shapes:
+        with at(one["where"]):
+            reading.seen(found, place=(frame, side), **one)
 
 
-def _read_shape(
-    where: str, shape: dict[str, Any], place: tuple[int, Any], reading: Reading, found: Found
-) -> None:
+def _read_shape(shape: dict[str, Any], reading: Reading, found: Found) -> dict[str, Any] | None:
+    """What ``Reading.seen`` is told of a shape, but for its image; None where it is dropped."""
     shape_type = as_text(shape.get("shape_type", "polygon"), "shape_type")
     if shape_type not in _FORMS:
-        return found.drop(f"{quoted(shape_type)[1:-1]}: neither line, point nor rectangle")
+        found.drop(f"{quoted(shape_type)[1:-1]}: neither line, point nor rectangle")
+        return None
     class_id = reading.class_id(shape.get("label"))
     if class_id is None:
-        return found.drop(f"shapes of class {quoted(shape['label'])}: ignored, as asked")
-    points = _points(shape, shape_type)
+        found.drop(f"shapes of class {quoted(shape['label'])}: ignored, as asked")
+        return None
     flags = dict(as_object(shape.get("flags") or {}))
     known = {name: as_flag(flags.pop(name, True), f"flag {name}") for name in _FLAGS}
-    kept = _rest(shape, _OURS) | ({"flags": _rest(flags, frozenset())} if flags else {})
     name = shape.get("element")
-    reading.seen(
-        found, where, place, class_id, _FORMS[shape_type], points, kept=kept, **known,
-        name=None if name is None else as_text(name, "element"),
-        number=as_number(shape.get("group_id"), "group_id"),
-    )  # fmt: skip
-    return None
+    return {
+        "class_id": class_id,
+        "form": _FORMS[shape_type],
+        "points": _points(shape, shape_type),
+        "name": None if name is None else as_text(name, "element"),
+        "number": as_number(shape.get("group_id"), "group_id"),
+        "kept": _rest(shape, _OURS) | ({"flags": _rest(flags, frozenset())} if flags else {}),
+        **known,
+    }
 
 
 def _points(shape: dict[str, Any], shape_type: str) -> list[Pixel]:

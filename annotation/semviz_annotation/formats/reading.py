@@ -238,7 +238,9 @@ def _frame_of(name: str) -> int:
     runs = re.findall(r"[0-9]+", file[0] or file[2])
     digits = max(reversed(runs), key=len, default="")
     if not digits or len(digits) > 18 or int(digits) >= 2**31:
-        raise SemvizError(f"image {quoted(name)} has no frame number in its name")
+        raise SemvizError(
+            f"image {quoted(name)} has no frame number in its name; name it like left/000012.png"
+        )
     return int(digits)
 
 
