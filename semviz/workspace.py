@@ -11,7 +11,7 @@ runs/NAME.rrd
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from semviz_core.camera import Rig
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 from semviz_core.map_file import load_map, save_map
 from semviz_core.semantic_map import SemanticMap
+from semviz_core.sources.calibration import Calibration
 from semviz_core.sources.source import Source
 from semviz_core.sources.street.things import SectionKind
 
@@ -96,7 +98,11 @@ class Settings(_Model):
 
     version: Literal[1]
     name: str
+    trust_poses: bool = False
+    """Poses that jump or lead backwards are as they should be."""
     source: Annotated[KittiSettings | StreetSettings, Field(discriminator="kind")]
+    calibration: Calibration | None = None
+    """What the labels were made with; None in a workspace of an older version."""
 
 
 class Workspace:
@@ -128,11 +134,16 @@ class Workspace:
         sequence: str,
         cameras: tuple[int, ...] = (2, 3),
         frames: range | None = None,
+        trust_poses: bool = False,
     ) -> "Workspace":
-        """A new workspace over a KITTI sequence; ``frames`` None takes all."""
+        """A new workspace over a KITTI sequence; ``frames`` None takes all.
+
+        ``trust_poses``: also where they jump or lead backwards.
+        """
         from semviz_core.sources.kitti import KittiSequence
 
-        KittiSequence(root, sequence, cameras, frames)  # wrong input leaves no folder behind
+        sequence_there = KittiSequence(root, sequence, cameras, frames)
+        _refuse_faults(sequence_there, trust_poses)  # wrong input leaves no folder behind
         source = {
             "kind": "kitti",
             "root": os.path.relpath(root.resolve(), path.resolve()),
@@ -140,7 +151,8 @@ class Workspace:
             "cameras": cameras,
             "frames": None if frames is None else FrameRange.of(frames),
         }
-        return cls._create(path, _new_settings(path, source))
+        settings = _new_settings(path, source, trust_poses)
+        return cls._create(path, settings, sequence_there.rig)
 
     @classmethod
     def create_street(
@@ -168,13 +180,14 @@ class Workspace:
             "sections": [{"kind": one.kind, "length_m": one.length_m} for one in sections],
         }
         settings = _new_settings(path, source)
-        truth = cls(path, settings).street.truth_map  # where it fails no folder is left behind
-        made = cls._create(path, settings)
-        save_map(truth, made.map_path(TRUTH))
+        street = cls(path, settings).street  # where it fails no folder is left behind
+        made = cls._create(path, settings, street.rig)
+        save_map(street.truth_map, made.map_path(TRUTH))
         return made
 
     @classmethod
-    def _create(cls, path: Path, settings: Settings) -> "Workspace":
+    def _create(cls, path: Path, settings: Settings, rig: Rig) -> "Workspace":
+        settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
         text = tomli_w.dumps(settings.model_dump(exclude_none=True))
@@ -194,11 +207,20 @@ class Workspace:
 
     @cached_property
     def source(self) -> Source:
-        """The images and poses; SemvizError where they are not found."""
+        """The images and poses.
+
+        SemvizError where they are not found, cannot be right, or have another calibration than
+        that of the labels.
+        """
         settings = self.settings.source
         if isinstance(settings, StreetSettings):
-            return self._open_street(settings)
-        return self._open_kitti(settings)
+            source = self._open_street(settings)
+            self._refuse_another_calibration(source.rig)
+        else:
+            source = self._open_kitti(settings)
+            self._refuse_another_calibration(source.rig)
+            _refuse_faults(source, self.settings.trust_poses)
+        return source
 
     @property
     def street(self) -> "Street":
@@ -249,7 +271,11 @@ class Workspace:
         """The label file, made where there is none; close it (or use ``with``)."""
         from semviz_annotation.store import LabelStore
 
-        return LabelStore.open(self.labels_path, self.classes, self.source.rig)
+        rig = self.source.rig
+        store = LabelStore.open(self.labels_path, self.classes, rig)
+        if self.settings.calibration is None:
+            self._keep_calibration(rig)
+        return store
 
     def read_labels(self) -> "Labels":
         """The labels as they are now, also without images; none where nobody has labelled yet."""
@@ -266,6 +292,27 @@ class Workspace:
         """What a run sees unless told: labels, or a street's detector where there are none."""
         is_street = isinstance(self.settings.source, StreetSettings)
         return "simulated" if is_street and not self.read_labels().observations else "labels"
+
+    def _refuse_another_calibration(self, rig: Rig) -> None:
+        known, now = self.settings.calibration, Calibration.of(rig)
+        if known is None or known.hash == now.hash:
+            return
+        changed = ", ".join(known.differences(now)) or "its hash in the settings"
+        raise SemvizError(
+            f"{self.path}: the calibration is not the one of its labels: {changed}. Nothing was "
+            f"loaded; put the old one back or, where the new one is right for these images, delete "
+            f"[calibration] in {self.path / SETTINGS} (labels stay as they are)"
+        )
+
+    def _keep_calibration(self, rig: Rig) -> None:
+        """Adds it to the settings of an older version, which people may have edited."""
+        kept = Calibration.of(rig)
+        file = self.path / SETTINGS
+        text = file.read_text(encoding="utf-8").rstrip()
+        table = {name: value for name, value in asdict(kept).items() if value is not None}
+        with replacing(file) as temporary:
+            temporary.write_text(f"{text}\n\n{tomli_w.dumps({'calibration': table})}", "utf-8")
+        self.settings = self.settings.model_copy(update={"calibration": kept})
 
     def _open_kitti(self, settings: KittiSettings) -> Source:
         from semviz_core.sources.kitti import KittiSequence
@@ -286,6 +333,27 @@ class Workspace:
         sections = tuple(Section(one.kind, one.length_m) for one in settings.sections)
         options = StreetOptions(settings.frames, settings.spacing_m)
         return Street(settings.seed, replace(options, sections=sections) if sections else options)
+
+
+def _refuse_faults(source: Source, trust_poses: bool) -> None:
+    """What cannot be right in a recorded sequence, in one line each."""
+    from semviz_core.sources.guard import check_poses, check_sizes
+    from semviz_core.sources.sides import check_sides
+
+    name = source.map_frame.name
+    try:
+        check_sizes(source.rig)
+        check_sides(source)
+    except SemvizError as error:
+        raise SemvizError(f"{name}: {error}") from None
+    try:
+        if not trust_poses:
+            check_poses(source.frames)
+    except SemvizError as error:
+        raise SemvizError(
+            f"{name}: {error}; if the poses are right after all, say --trust-poses to 'semviz new' "
+            f"or set trust_poses = true at the top of {SETTINGS}"
+        ) from None
 
 
 def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
@@ -327,10 +395,11 @@ def _read_settings(path: Path) -> Settings:
         raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
 
 
-def _new_settings(path: Path, source: Mapping[str, object]) -> Settings:
+def _new_settings(path: Path, source: Mapping[str, object], trust_poses: bool = False) -> Settings:
+    name = path.resolve().name
     try:
         return Settings.model_validate(
-            {"version": VERSION, "name": path.resolve().name, "source": source}
+            {"version": VERSION, "name": name, "trust_poses": trust_poses, "source": source}
         )
     except ValidationError as error:
         raise SemvizError(f"{path}: {_first_fault(error)}; choose another value") from None

@@ -31,6 +31,8 @@ class New:
     """Seed of a simulated street, in place of --kitti."""
     frames: OptionalText = None
     """FIRST:END[:STEP], end excluded; all frames (KITTI) or 60 (street) if not given."""
+    trust_poses: bool = False
+    """Take poses that jump, or lead backwards all the way, for what they are."""
 
     def run(self) -> int:
         from semviz.workspace import Workspace
@@ -40,7 +42,9 @@ class New:
             raise SemvizError("say where frames come from: --kitti ROOT or --simulate SEED")
         if self.kitti is not None:
             cameras = parse_cameras(self.cameras)
-            made = Workspace.create_kitti(self.folder, self.kitti, self.sequence, cameras, frames)
+            made = Workspace.create_kitti(
+                self.folder, self.kitti, self.sequence, cameras, frames, self.trust_poses
+            )
         else:
             assert self.simulate is not None
             made = Workspace.create_street(self.folder, self.simulate, frames)

@@ -221,6 +221,116 @@ def test_a_workspace_without_labels_has_none_and_makes_no_file(town: Workspace) 
     assert not town.read_labels().observations
 
 
+def change(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_another_calibration_is_refused_and_can_be_accepted(town: Workspace, kitti: Path) -> None:
+    town.open_labels().close()
+    calib = kitti / "sequences" / "05" / "calib.txt"
+    change(calib, "50 0 14.5", "51 0 14.5")
+    changed = Workspace.open(town.path)
+    with pytest.raises(SemvizError, match=r"focal length 50 -> 51, 50 px.* Nothing was") as caught:
+        changed.open_labels()
+    assert r"delete [calibration]" in str(caught.value)
+    assert "baseline" in str(caught.value)  # it comes out of P3 by the focal length
+    assert changed.read_labels() == town.read_labels()  # labels stay within reach
+    settings = town.path / SETTINGS
+    text = settings.read_text()
+    settings.write_text(text[: text.index("[calibration]")])
+    accepted = Workspace.open(town.path)
+    accepted.open_labels().close()
+    again = Workspace.open(town.path)
+    assert again.settings.calibration is not None
+    assert again.settings.calibration == accepted.settings.calibration
+    assert again.settings.calibration != town.settings.calibration
+    again.open_labels().close()
+    change(calib, "51 0 14.5", "50 0 14.5")
+    with pytest.raises(SemvizError, match="focal length 51, 50 -> 50 px"):
+        Workspace.open(town.path).open_labels()
+
+
+def test_an_older_workspace_keeps_its_calibration_once_it_is_labelled(
+    tmp_path: Path, kitti: Path
+) -> None:
+    written = "# ours\n" + KITTI
+    (tmp_path / "town").mkdir()
+    (tmp_path / "town" / SETTINGS).write_text(written)
+    assert kitti.name == "kitti"
+    older = Workspace.open(tmp_path / "town")
+    assert len(older.source.frames) == 2
+    assert older.settings.calibration is None  # looking changes nothing
+    assert (older.path / SETTINGS).read_text() == written
+    older.open_labels().close()
+    assert (older.path / SETTINGS).read_text().startswith(written)
+    kept = Workspace.open(older.path).settings
+    assert kept == older.settings
+    assert kept.calibration is not None
+    assert kept.calibration.right_position_m == (0.5, 0.0, 0.0)
+
+
+def test_poses_that_cannot_be_right_are_refused_but_can_be_trusted(
+    tmp_path: Path, kitti: Path
+) -> None:
+    folder = kitti / "sequences" / "05"
+    for index in range(2, 12):
+        for camera in (2, 3):
+            shutil.copy(
+                folder / f"image_{camera}" / "000000.png",
+                folder / f"image_{camera}" / f"{index:06d}.png",
+            )
+    (folder / "times.txt").write_text("".join(f"{0.1 * i}\n" for i in range(12)))
+    (kitti / "poses").mkdir()
+    backwards = "".join(f"1 0 0 0 0 1 0 0 0 0 1 {-i}\n" for i in range(12))
+    (kitti / "poses" / "05.txt").write_text(backwards)
+    with pytest.raises(SemvizError, match=r"moves backwards .*--trust-poses .*trust_poses = true"):
+        Workspace.create_kitti(tmp_path / "town", kitti, "05")
+    assert not (tmp_path / "town").exists()
+    made = Workspace.create_kitti(tmp_path / "town", kitti, "05", trust_poses=True)
+    assert len(made.source.frames) == 12
+    change(made.path / SETTINGS, "trust_poses = true", "trust_poses = false")
+    with pytest.raises(SemvizError, match=r"kitti-05: the camera moves backwards"):
+        _ = Workspace.open(made.path).source
+
+
+def test_swapped_image_folders_and_wrong_sizes_are_refused(tmp_path: Path) -> None:
+    """A pair of a simulated street, as files."""
+    street = Workspace.create_street(tmp_path / "street", 1, range(5)).street
+    folder = tmp_path / "kitti" / "sequences" / "05"
+    K = street.rig.left.K
+    P = "{} 0 {} {} 0 {} {} 0 0 0 1 0"
+    for camera, side, shift in ((2, "left", 0.0), (3, "right", -K[0, 0] * street.rig.baseline_m)):
+        (folder / f"image_{camera}").mkdir(parents=True)
+        image = street.image(2, "left" if side == "left" else "right")[..., ::-1]
+        assert cv2.imwrite(str(folder / f"image_{camera}" / "000000.png"), image)
+        line = P.format(K[0, 0], K[0, 2], shift, K[1, 1], K[1, 2])
+        with (folder / "calib.txt").open("a") as file:
+            file.write(f"P{camera}: {line}\n")
+    (folder / "times.txt").write_text("0.0\n")
+    root = tmp_path / "kitti"
+    Workspace.create_kitti(tmp_path / "right", root, "05")
+    for one, two in ((2, "x"), (3, 2), ("x", 3)):
+        (folder / f"image_{one}").rename(folder / f"image_{two}")
+    with pytest.raises(
+        SemvizError, match=r"left and right images are swapped: baseline is -0\.54 m"
+    ):
+        Workspace.create_kitti(tmp_path / "town", root, "05")
+    with pytest.raises(SemvizError, match="left and right images are swapped"):
+        _ = Workspace.open(tmp_path / "right").source
+    for camera in (2, 3):
+        path = folder / f"image_{camera}" / "000000.png"
+        image = cv2.imread(str(path))
+        assert image is not None
+        assert cv2.imwrite(str(path), cv2.resize(image, (620, 188)))
+    with pytest.raises(SemvizError, match="left images are 620x188, but the calibration is for"):
+        Workspace.create_kitti(tmp_path / "town", root, "05")
+    with pytest.raises(SemvizError, match="left images 1241x376 -> 620x188 px"):
+        _ = Workspace.open(tmp_path / "right").source
+    assert not (tmp_path / "town").exists()
+
+
 def test_a_sequence_that_is_a_path_is_refused(tmp_path: Path, kitti: Path) -> None:
     with pytest.raises(SemvizError, match=r"town: source\.kitti\.sequence"):
         Workspace.create_kitti(tmp_path / "town", kitti, "../sequences/05")

@@ -225,7 +225,11 @@ def test_a_wrong_folder_is_named_in_one_line(
 
 @pytest.mark.parametrize(
     ("cameras", "message"),
-    [((3, 2), "cameras 3, 2: .*swapped"), ((2, 2), "two different"), ((7,), "no camera 7")],
+    [
+        ((3, 2), r"cameras 3, 2: .*swapped: baseline is -0\.53 m.*Nothing was loaded"),
+        ((2, 2), "two different"),
+        ((7,), "no camera 7"),
+    ],
 )
 def test_wrong_cameras_are_named(root: Path, cameras: tuple[int, ...], message: str) -> None:
     with pytest.raises(SemvizError, match=message):
@@ -262,6 +266,14 @@ def test_an_image_of_another_size_is_noticed(root: Path) -> None:
     assert cv2.imwrite(str(path), np.zeros((HEIGHT, WIDTH + 1, 3), np.uint8))
     with pytest.raises(SemvizError, match=r"000002\.png: image is 61x40, .*60x40"):
         KittiSequence(root, "07").image(2, "right")
+
+
+def test_pairs_of_two_sizes_are_noticed_on_opening(root: Path) -> None:
+    path = root / SEQUENCE / "image_3" / "000000.png"
+    assert cv2.imwrite(str(path), np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.uint8))
+    with pytest.raises(SemvizError, match=r"image_3/000000\.png: image is 30x20, .*60x40"):
+        KittiSequence(root, "07")
+    KittiSequence(root, "07", (2,))
 
 
 def test_a_missing_right_image_is_named(root: Path) -> None:

@@ -114,7 +114,7 @@ class KittiSequence:
         return chosen
 
     def _make_rig(self, projections: list[FloatArray]) -> Rig:
-        width, height = _png_size(self._image_path(self._indices[0], "left"))
+        width, height = self._size_of_first()
         try:
             cameras = [Camera(width, height, P[:, :3]) for P in projections]
             if len(cameras) == 1:
@@ -123,7 +123,22 @@ class KittiSequence:
             return Rig(cameras[0], cameras[1], T_right_cam0 @ T_left_cam0.inverse())
         except SemvizError as error:
             names = ", ".join(str(camera) for camera in self._cameras)
-            raise SemvizError(f"{self._folder / 'calib.txt'}, cameras {names}: {error}") from None
+            raise SemvizError(
+                f"{self._folder / 'calib.txt'}, cameras {names}: {error}. Nothing was loaded"
+            ) from None
+
+    def _size_of_first(self) -> tuple[int, int]:
+        """Width and height of the first frame's images, by their headers."""
+        first = self._indices[0]
+        left = _png_size(self._image_path(first, "left"))
+        if len(self._cameras) == 2 and (path := self._image_path(first, "right")).exists():
+            right = _png_size(path)
+            if right != left:
+                raise SemvizError(
+                    f"{path}: image is {right[0]}x{right[1]}, but the left one is "
+                    f"{left[0]}x{left[1]}; both must be of one size"
+                )
+        return left
 
     def _make_frames(self) -> tuple[Frame, ...]:
         times_s = self._of_each_frame(self._folder / "times.txt", 1)
