@@ -52,6 +52,7 @@ export class Keys {
       found.set(signature(command), command);
     }
     this._apply(JSON.parse(localStorage.getItem(this.place) ?? "{}"));
+    this.onchange();
   }
 
   /** The key that `command` has now: `{key, shift, ctrl}`. */

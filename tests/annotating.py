@@ -1,0 +1,57 @@
+"""The labelling page of a workspace, served in this process."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from semviz.annotator.server import Annotator
+from semviz.annotator.session import LabelSession
+from semviz.web.door import Door
+from semviz.workspace import Workspace
+from semviz_annotation.labels import Labels, Observation, new_id
+
+
+@dataclass
+class Served:
+    """A workspace behind the door."""
+
+    url: str
+    annotator: Annotator
+
+    @property
+    def labels(self) -> Labels:
+        return self.annotator.session.labels
+
+    @property
+    def observations(self) -> list[Observation]:
+        """Oldest first."""
+        return list(self.labels.observations.values())
+
+
+@contextmanager
+def annotating(workspace: Workspace) -> Iterator[Served]:
+    annotator = Annotator(workspace, author="tester")
+    try:
+        with Door(annotator).running() as url:
+            yield Served(url, annotator)
+    finally:
+        annotator.close()
+
+
+def draw_signs(workspace: Workspace, places: list[tuple[int, float]], author: str) -> None:
+    """One rounded sign each, at (frame, u), by ``author``, before the page is opened."""
+    session = LabelSession(workspace, author)
+    for frame, u in places:
+        session.do(
+            new_id(),
+            {
+                "kind": "draw",
+                "observation_id": new_id(),
+                "element_id": new_id(),
+                "frame_index": frame,
+                "side": "left",
+                "class_id": 3,
+                "anchor_px": [u, 40.0],
+            },
+        )
+    session.close()
