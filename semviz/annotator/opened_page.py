@@ -149,7 +149,12 @@ class OpenedPage:
             if done.operation.kind in ("undo", "redo") and done.frame is not None:
                 self._frame = done.frame
             state = self._session.news()
-            answer = {"request": request, "element": done.element_id, "note": done.note}
+            answer = {
+                "request": request,
+                "element": done.element_id,
+                "added": done.added,
+                "note": done.note,
+            }
             self.tell("saved", state, answer)
             for page in self._shared.pages:
                 if page is not self:

@@ -56,7 +56,7 @@ class Past:
             "done": done[0] if done else None,
             "frame": {
                 "index": frame_index,
-                "panes": {side: vars(pane) for side, pane in panes.items()},
+                "panes": views.panes_json(panes),
                 "elements": views.elements_json(labels, panes, self._classes),
                 "offers": [],
                 "nearby": [],

@@ -41,6 +41,8 @@ class Done:
     """The element to which a drawing, link or unlinked view belongs now; None for other edits."""
     frame: int | None
     """Where it happened, if in this sequence; the page goes there after an undo."""
+    added: int = 0
+    """So many observations more than before."""
     note: str = ""
     """What people should know about it."""
 
@@ -145,7 +147,7 @@ class LabelSession:
         nearby = self._proposing.nearby(index, labels)
         return {
             "index": index,
-            "panes": {side: vars(pane) for side, pane in panes.items()},
+            "panes": views.panes_json(panes),
             "elements": views.elements_json(labels, panes, self.classes),
             "offers": offers_json(offers, panes, labels, self.rig, self.classes),
             "nearby": views.nearby_json(nearby, labels, self.classes),
@@ -249,6 +251,7 @@ class LabelSession:
             operation=operation,
             element_id=seen[0] if seen and operation.kind in ("add", "link", "unlink") else None,
             frame=frame if frame in self.frames else None,
+            added=views.observations_added(operation),
             note=views.what_fell(operation, self.labels, self.classes),
         )
 

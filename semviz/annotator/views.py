@@ -7,7 +7,14 @@ from typing import Any
 from semviz.annotator.facts import FrameFacts
 from semviz.annotator.nearby import Nearby
 from semviz.annotator.panes import Pane
-from semviz_annotation.labels import LabelElement, Labels, Observation, Review, Row
+from semviz_annotation.labels import (
+    Dismissal,
+    LabelElement,
+    Labels,
+    Observation,
+    Review,
+    Row,
+)
 from semviz_annotation.store import Operation
 from semviz_core.classes import ClassSet
 from semviz_core.sources.source import Side
@@ -24,6 +31,7 @@ VERBS = {
     "link": "Link",
     "unlink": "Unlink",
     "set class": "Class of",
+    "dismiss": "Turn down",
 }
 
 
@@ -39,6 +47,11 @@ def element_json(element: LabelElement, classes: ClassSet) -> Json:
         "name": element_name(element, classes),
         "class": element.class_id,
     }
+
+
+def panes_json(panes: Mapping[Side, Pane]) -> Json:
+    """Which images are on the page."""
+    return {side: {"frame": pane.frame_index, "side": pane.side} for side, pane in panes.items()}
 
 
 def elements_json(labels: Labels, panes: Mapping[Side, Pane], classes: ClassSet) -> list[Json]:
@@ -117,10 +130,19 @@ def what_fell(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     return f"Deleted {subject} with {fell}. Ctrl Z brings all back."
 
 
+def observations_added(operation: Operation) -> int:
+    """How many observations more there are after it."""
+    changes = operation.changes
+    after = sum(isinstance(one.after, Observation) for one in changes)
+    return after - sum(isinstance(one.before, Observation) for one in changes)
+
+
 def frames_touched(operation: Operation) -> list[int]:
     """All frames whose labels or review an operation changed, ascending."""
     rows = _rows(operation)
-    return sorted({row.frame_index for row in rows if isinstance(row, Observation | Review)})
+    return sorted(
+        {row.frame_index for row in rows if isinstance(row, Observation | Dismissal | Review)}
+    )
 
 
 def _rows(operation: Operation) -> Sequence[Row]:
@@ -141,8 +163,18 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         return f"Name this state “{operation.text}”"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
+    if operation.kind == "add many":
+        return _accepted(operation, labels, classes)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
     return f"{verb} {_subject(operation, labels, classes)}".strip()
+
+
+def _accepted(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+    """``Accept P-04`` or, of several, how many."""
+    seen = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
+    if len(seen) == 1:
+        return f"Accept {_subject(operation, labels, classes)}"
+    return f"Accept {len(seen)} elements"
 
 
 def _said(operation: Operation) -> str:
@@ -154,8 +186,8 @@ def _subject(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     """``P-04 left``: the element that an operation is about, and the image if it is only one."""
     rows = _rows(operation)
     known = {row.id: row for row in rows if isinstance(row, LabelElement)}
-    seen = [row for row in rows if isinstance(row, Observation)]
-    ids = list(known) or [row.element_id for row in seen]
+    seen = [row for row in rows if isinstance(row, Observation | Dismissal)]
+    ids = list(known) or [row.element_id for row in seen if row.element_id is not None]
     element = known.get(ids[0]) or labels.elements.get(ids[0]) if ids else None
     name = element_name(element, classes) if element is not None else "an element"
     sides = {row.side for row in seen}

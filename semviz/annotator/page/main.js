@@ -5,6 +5,7 @@ import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
 import { commands, editing } from "./commands.js";
 import { Cursor } from "./cursor.js";
+import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
 import { History } from "./history.js";
 import { Images } from "./images.js";
@@ -13,6 +14,7 @@ import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { Pictures } from "./pictures.js";
+import { Sketch } from "./sketch.js";
 import { SIDES, State, drawnAgain, isIdle, seen, startOf, spaced } from "./state.js";
 import { Tour } from "./tour.js";
 import { Tools } from "./tools.js";
@@ -24,8 +26,10 @@ startTheme();
 const state = new State();
 const images = new Images(state, { left: byId("left-image"), right: byId("right-image") });
 const pictures = new Pictures();
+const effort = new Effort();
 const looking = { waiting: false, again: false };
 let outbox = null;
+let sketch = null;
 let session = "";
 
 /** Keeps an edit and sends it; the page shows it at once. One that changes nothing is dropped. */
@@ -145,6 +149,10 @@ const received = {
     const asked = Number(new URLSearchParams(location.search).get("frame") ?? frames[0].index);
     const known = frames.some(({ index }) => index === asked);
     go(first ? (known ? asked : frames[0].index) : state.frame);
+    if (first) {
+      sketch = new Sketch(state, message.key);
+      sketch.restore();
+    }
     outbox.flush();
     sendTheme();
   },
@@ -169,6 +177,7 @@ const received = {
     if (message.element && (isInHand || !isDrawing)) {
       state.set({ selected: { element: message.element, side: state.selected?.side ?? "left" } });
     }
+    effort.saved(message.added);
     panels.tell(message.note);
     if (message.frame.index !== state.frame && isStep(sent)) go(message.frame.index);
     else look();

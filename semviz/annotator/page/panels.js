@@ -138,9 +138,16 @@ export class Panels {
     });
   }
 
+  /** With one camera the images are of two frames, and are called so. */
+  #paneTitle(side) {
+    const pane = this.state.panes[side];
+    return this.state.hasRight || !pane ? capital(side) : `Frame ${pane.frame}`;
+  }
+
   #status() {
     const { state } = this;
     for (const side of SIDES) {
+      byId(`${side}-image`).querySelector("h2").textContent = this.#paneTitle(side);
       const node = byId(`${side}-image`).querySelector(".status");
       const { drawing } = state;
       if (drawing?.side === side) {

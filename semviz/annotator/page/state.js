@@ -162,10 +162,12 @@ export class State {
   }
 }
 
-/** What `edit` starts from, `{element, side, observation}`, as it is shown; null where from nothing. */
+/** What `edit` starts from, `{element, side, observation}`, as it is shown; null where from nothing, or
+ * from what is not on disk yet and so nobody else can have changed. */
 export function startOf(elements, edit) {
   const found = edit.observation_id ? find(elements, edit.observation_id) : null;
-  return found && { ...found, observation: found.element.observations[found.side] };
+  const observation = found?.element.observations[found.side];
+  return observation?.frame === undefined ? null : { ...found, observation };
 }
 
 /** What the server compares with what is there now: has somebody else changed it meanwhile? */

@@ -1,0 +1,282 @@
+"""What the page proposes on a simulated street: accepted, turned down, kept through all trouble."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from journeys.driver import POLE, ROUNDED, LabelDriver, Pixel, Side
+
+from semviz.annotator.server import Annotator
+from semviz.web.door import Door
+from semviz.workspace import Workspace
+from semviz_annotation.labels import Labels, new_id
+from semviz_core.camera import Rig
+from semviz_core.sources.street.street import Street
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.browser
+NEAR_M = 25.0
+
+
+@dataclass
+class Served:
+    """A street behind the door."""
+
+    url: str
+    annotator: Annotator
+    street: Street
+
+    @property
+    def labels(self) -> Labels:
+        return self.annotator.session.labels
+
+    def poles(self, frame: int) -> list[tuple[int, Pixel, Pixel]]:
+        """Id, peak and bottom in the left image of the poles that are near and whole in both."""
+        pose = self.street.frames[frame].T_map_camera
+        assert pose is not None
+        elements = self.street.truth_map.elements
+        depths = pose.inverse().apply(elements.anchor_m)[:, 2]
+        near = set(elements.id[(depths < NEAR_M)].tolist())
+        right, right_ids = self.street.labels(frame, "right")
+        whole = set(right_ids[right.anchor_known & right.end_known].tolist())
+        seen, ids = self.street.labels(frame, "left")
+        rows = np.flatnonzero(seen.anchor_known & seen.end_known & (seen.class_id == POLE))
+        return [
+            (int(ids[row]), tuple(seen.anchor_px[row]), tuple(seen.end_px[row]))
+            for row in rows
+            if ids[row] in near & whole
+        ]
+
+
+def truth(street: Street, frame: int, side: Side, element: int) -> tuple[np.ndarray, np.ndarray]:
+    seen, ids = street.labels(frame, side)
+    (row,) = np.flatnonzero(ids == element)
+    return seen.anchor_px[row], seen.end_px[row]
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Workspace:
+    return Workspace.create_street(tmp_path / "street", 7, range(0, 6))
+
+
+def serve(workspace: Workspace, street: Street) -> Iterator[Served]:
+    annotator = Annotator(workspace, author="tester")
+    with Door(annotator).running() as url:
+        yield Served(url, annotator, street)
+    annotator.close()
+
+
+@pytest.fixture
+def served(workspace: Workspace) -> Iterator[Served]:
+    yield from serve(workspace, workspace.street)
+
+
+@pytest.fixture
+def driver(served: Served, page: "Page") -> LabelDriver:
+    driver = LabelDriver(page)
+    driver.open(served.url)
+    return driver
+
+
+def draw_first(driver: LabelDriver, served: Served) -> int:
+    """The first pole of the street, in the left image only; its id there."""
+    element, peak, bottom = served.poles(0)[0]
+    assert driver.draw_pole("left", peak, bottom) == "P-01"
+    return element
+
+
+def wait_for_score(driver: LabelDriver, name: str) -> None:
+    driver.page.wait_for_selector(f'#elements .row:has-text("{name}") .score')
+
+
+def test_the_partner_is_proposed_and_one_key_accepts_it(
+    driver: LabelDriver, served: Served
+) -> None:
+    element = draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    assert len(served.labels.observations) == 1  # a proposal is no label
+    driver.press_and_save("Space")
+    (row,) = served.labels.in_frame(0, "right")
+    peak, bottom = truth(served.street, 0, "right", element)
+    across = np.array([1.0, 0.0])
+    assert abs((row.anchor_px - peak) @ across) < 1.0
+    assert abs((row.end_px - bottom) @ across) < 1.0
+    assert len(served.labels.elements) == 1
+    driver.press_and_save("Control+z")
+    assert served.labels.in_frame(0, "right") == ()
+
+
+def test_a_mapped_element_is_followed_into_the_next_frame(
+    driver: LabelDriver, served: Served
+) -> None:
+    element = draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Space")
+    driver.goto(1)
+    wait_for_score(driver, "P-01")
+    before = driver.operation
+    driver.press_and_save("Space")
+    assert driver.operation == before + 1  # both images in one operation
+    for side in ("left", "right"):
+        (row,) = served.labels.in_frame(1, side)
+        peak, _ = truth(served.street, 1, side, element)
+        assert abs(row.anchor_px[0] - peak[0]) < 2.0
+    assert "Accept P-01" in driver.page.inner_text("#history .row >> nth=0")
+
+
+@pytest.mark.parametrize(("key", "why"), [("x", "rejected"), ("n", "absent"), ("o", "occluded")])
+def test_what_is_turned_down_stays_so_until_it_is_undone(
+    driver: LabelDriver, served: Served, key: str, why: str
+) -> None:
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Space")
+    driver.goto(1)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save(key)
+    assert {one.why for one in served.labels.dismissed_in(1)} == {why}
+    driver.page.reload()
+    driver.page.wait_for_selector("#saved.saved")
+    driver.page.wait_for_selector("#elements-about:has-text('0 here')")
+    driver.settle()
+    assert "proposed" not in driver.page.inner_text("#elements-about")
+    driver.press_and_save("Control+z")
+    wait_for_score(driver, "P-01")
+
+
+def test_a_click_beside_a_pole_snaps_to_its_axis(served: Served, page: "Page") -> None:
+    driver = LabelDriver(page)
+    driver.open(served.url, with_snap=True)
+    element, peak, bottom = served.poles(0)[0]
+    driver.draw_pole("left", (peak[0] + 1.5, peak[1]), (bottom[0] - 1.5, bottom[1]))
+    (row,) = served.labels.observations.values()
+    true = truth(served.street, 0, "left", element)
+    assert row.end_px is not None
+    for drawn, at in zip((row.anchor_px, row.end_px), true, strict=True):
+        assert abs(drawn[0] - at[0]) < 0.5
+    page.keyboard.press("m")
+    driver.clear_selection()
+    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
+    free = [one for one in served.labels.observations.values() if one.end_px is None]
+    np.testing.assert_allclose(free[0].anchor_px, (700.0, 120.0), atol=0.05)
+
+
+def test_a_reload_in_mid_drawing_loses_nothing(driver: LabelDriver, served: Served) -> None:
+    _, peak, bottom = served.poles(0)[0]
+    driver.page.keyboard.press("1")
+    driver.click_at("left", peak)
+    driver.page.wait_for_selector("#left-image .status:has-text('second click sets the bottom')")
+    driver.page.reload()
+    driver.page.wait_for_selector("#left-image .status:has-text('second click sets the bottom')")
+    driver.page.keyboard.press("m")
+    before = driver.operation
+    driver.click_at("left", bottom)
+    driver.wait_saved(before)
+    (row,) = served.labels.observations.values()
+    np.testing.assert_allclose((row.anchor_px, row.end_px), (peak, bottom), atol=1.0)
+
+
+def test_the_queue_keeps_its_order_though_the_clock_goes_back(
+    driver: LabelDriver, served: Served
+) -> None:
+    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
+    served.annotator.lock.acquire()
+    try:
+        driver.page.keyboard.press("Shift+ArrowRight")
+        driver.page.evaluate("const then = Date.now() - 9e6; Date.now = () => then")
+        driver.page.keyboard.press("Shift+ArrowRight")
+        driver.page.keyboard.press("Shift+ArrowDown")
+        driver.page.wait_for_selector("#saved:has-text('3')")
+    finally:
+        served.annotator.lock.release()
+    driver.page.wait_for_selector("#saved:has-text('Saved operation 4')")
+    (row,) = served.labels.observations.values()
+    np.testing.assert_allclose(row.anchor_px, (702.0, 121.0), atol=0.05)
+
+
+@pytest.mark.parametrize("mine", [True, False])
+def test_two_versions_of_a_label_are_asked_about(
+    driver: LabelDriver, served: Served, mine: bool
+) -> None:
+    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
+    (row,) = served.labels.observations.values()
+    theirs = {"kind": "move", "observation_id": row.id, "anchor_px": [650.0, 110.0]}
+    served.annotator.lock.acquire()  # the page has not heard of it when it sends its own
+    try:
+        driver.page.keyboard.press("Shift+ArrowRight")
+        driver.page.wait_for_selector("#saved.saving")
+        served.annotator.session.do(new_id(), theirs)
+    finally:
+        served.annotator.lock.release()
+    driver.page.wait_for_selector("#conflict:has-text('keep yours or theirs')")
+    driver.page.click(f"#conflict button:has-text('{'mine' if mine else 'theirs'}')")
+    driver.page.wait_for_selector(f"#saved:has-text('Saved operation {3 if mine else 2}')")
+    (now,) = served.labels.observations.values()
+    expected = (701.0, 120.0) if mine else (650.0, 110.0)
+    np.testing.assert_allclose(now.anchor_px, expected, atol=0.05)
+    driver.page.wait_for_selector("#conflict", state="hidden")
+
+
+def test_what_somebody_deleted_can_be_kept(driver: LabelDriver, served: Served) -> None:
+    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
+    (row,) = served.labels.observations.values()
+    served.annotator.lock.acquire()
+    try:
+        driver.page.keyboard.press("Shift+ArrowRight")
+        driver.page.wait_for_selector("#saved.saving")
+        served.annotator.session.do(new_id(), {"kind": "delete", "observation_id": row.id})
+    finally:
+        served.annotator.lock.release()
+    driver.page.click("#conflict button:has-text('mine')")
+    driver.page.wait_for_selector("#saved:has-text('Saved operation 3')")
+    (now,) = served.labels.observations.values()
+    np.testing.assert_allclose(now.anchor_px, (701.0, 120.0), atol=0.05)
+
+
+def test_jump_lists_lead_to_the_frames_that_want_a_visit(
+    driver: LabelDriver, served: Served
+) -> None:
+    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
+    driver.press_and_save("Enter")
+    rows = driver.page.locator("#jumps .row")
+    driver.page.wait_for_selector("#jumps .row:has-text('Unreviewed'):has-text('5')")
+    assert "6" in rows.nth(2).inner_text()  # under 4 elements
+    driver.page.keyboard.press("Shift+Period")
+    driver.page.wait_for_selector('.tile.current[data-frame="1"]')
+    driver.page.keyboard.press("j")
+    driver.page.wait_for_selector("#jumps .row.chosen:has-text('Worst residual')")
+
+
+def test_one_camera_is_labelled_in_two_frames(page: "Page", workspace: Workspace) -> None:
+    """The second image is another frame of the same camera, and its labels are that frame's."""
+
+    class OneCamera:
+        def __init__(self, source: Street) -> None:
+            self.frames, self.map_frame = source.frames, source.map_frame
+            self.rig, self._source = Rig(source.rig.left), source
+
+        def image(self, index: int, side: Side) -> np.ndarray:
+            return self._source.image(index, side)
+
+    street = workspace.street
+    workspace.__dict__["source"] = OneCamera(street)
+    for served in serve(workspace, street):
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        page.wait_for_selector("#right-image h2:has-text('Frame 5')")
+        later = {one for one, _, _ in served.poles(5)}
+        element, peak, bottom = next(one for one in served.poles(0) if one[0] in later)
+        driver.draw_pole("left", peak, bottom)
+        wait_for_score(driver, "P-01")
+        there = truth(street, 5, "left", element)
+        driver.draw_pole("right", *(tuple(one) for one in there), element="P-01")
+        assert [row.frame_index for row in served.labels.observations.values()] == [0, 5]
+        (place,) = served.annotator.session.elements_3d().anchor_m
+        rows = street.truth_map.elements
+        np.testing.assert_allclose(place, rows.anchor_m[rows.id == element][0], atol=0.3)
+        page.goto("about:blank")
