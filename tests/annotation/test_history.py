@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_edits import pole, random_edit
 
 from semviz_annotation.edits import (
     AddMany,
@@ -20,7 +21,6 @@ from semviz_annotation.edits import (
 from semviz_annotation.labels import Dismissal, Labels, Observation, new_id, proposal_id, row_key
 from semviz_annotation.store import ConflictError, LabelStore
 from semviz_core.errors import SemvizError
-from tests.annotation.random_edits import pole, random_edit
 
 
 def moved(edit: AddObservation, u: float) -> MoveObservation:
