@@ -302,8 +302,8 @@ def test_a_pole_too_far_to_be_expected_is_continued_from_the_list(
 
 
 def test_the_new_element_appears_in_the_map(served: Served, page: "Page") -> None:
-    """Without a graphics card one picture of the pane can take seconds: it is small, out of sight
-    while the element is drawn, and waited for until it has got there, not for a while."""
+    """The pane is small, and out of sight while the element is drawn: without a graphics card one
+    picture of it can take seconds."""
     page.emulate_media(color_scheme="dark")
     page.set_viewport_size({"width": 1280, "height": 720})
     driver = LabelDriver(page)

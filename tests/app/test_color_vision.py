@@ -1,0 +1,117 @@
+"""Colours of one family stay apart for people who see two cones: simulated, and measured."""
+
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from semviz import palette
+from semviz.palette import Tone
+from semviz_core.arrays import FloatArray
+from semviz_core.classes import DEFAULT_CLASSES
+
+LEAST = 12.0
+"""CIEDE2000; about 1 is just noticeable side by side."""
+
+# Machado, Oliveira, Fernandes (2009), severity 1, on linear RGB
+SIMULATED = {
+    "as it is": np.eye(3),
+    "protan": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deutan": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritan": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+# IEC 61966-2-1, and the white of D65
+WHITE = np.array([0.95047, 1.0, 1.08883])
+XYZ_OF_RGB = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)
+
+FAMILIES = {
+    "classes": [Tone(one.color, one.color_light) for one in DEFAULT_CLASSES],
+    "poses": [palette.TRUTH, palette.ESTIMATE, palette.PRIOR, palette.ALTERNATIVE],
+    "status": list(palette.STATUS.values()),
+}
+
+
+def simulated_lab(color: str, matrix: object) -> FloatArray:
+    """CIELAB (D65) of ``#RRGGBB`` as it is seen through ``matrix``."""
+    encoded = np.array([int(color[at : at + 2], 16) / 255.0 for at in (1, 3, 5)])
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    xyz = XYZ_OF_RGB @ np.clip(np.asarray(matrix) @ linear, 0.0, 1.0) / WHITE
+    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def ciede2000(one: FloatArray, two: FloatArray) -> float:
+    """Difference of two CIELAB colours (CIE 142-2001, as Sharma et al. 2005 write it)."""
+    chroma = np.mean([np.hypot(*one[1:]), np.hypot(*two[1:])])
+    g = 0.5 * (1 - np.sqrt(chroma**7 / (chroma**7 + 25.0**7)))
+    a = np.array([one[1], two[1]]) * (1 + g)
+    b = np.array([one[2], two[2]])
+    c, h = np.hypot(a, b), np.degrees(np.arctan2(b, a)) % 360
+    gray = c.prod() == 0
+    dh = 0.0 if gray else (h[1] - h[0] + 180) % 360 - 180
+    mean_h = h.sum() if gray else (h[0] + dh / 2) % 360
+    d_light, d_chroma = two[0] - one[0], c[1] - c[0]
+    d_hue = 2 * np.sqrt(c.prod()) * np.sin(np.radians(dh / 2))
+    light, chroma = (one[0] + two[0]) / 2, c.mean()
+    cosines = np.cos(np.radians([mean_h - 30, 2 * mean_h, 3 * mean_h + 6, 4 * mean_h - 63]))
+    t = 1 + np.array([-0.17, 0.24, 0.32, -0.20]) @ cosines
+    turn = 30 * np.exp(-(((mean_h - 275) / 25) ** 2))
+    r = -np.sin(np.radians(2 * turn)) * 2 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
+    d_light /= 1 + 0.015 * (light - 50) ** 2 / np.sqrt(20 + (light - 50) ** 2)
+    d_chroma /= 1 + 0.045 * chroma
+    d_hue /= 1 + 0.015 * chroma * t
+    return float(np.sqrt(d_light**2 + d_chroma**2 + d_hue**2 + r * d_chroma * d_hue))
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "expected"),
+    [
+        ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),
+        ((50.0, -1.3802, -84.2814), (50.0, 0.0, -82.7485), 1.0000),
+        ((50.0, 2.5, 0.0), (50.0, 0.0, -2.5), 4.3065),
+        ((50.0, 2.5, 0.0), (73.0, 25.0, -18.0), 27.1492),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+        ((2.0776, 0.0795, -1.1350), (0.9033, -0.0636, -0.5514), 0.9082),
+    ],
+)
+def test_the_difference_is_that_of_the_published_pairs(
+    one: tuple[float, ...], two: tuple[float, ...], expected: float
+) -> None:
+    assert ciede2000(np.array(one), np.array(two)) == pytest.approx(expected, abs=1e-4)
+    assert ciede2000(np.array(two), np.array(one)) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("vision", SIMULATED)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_colours_of_a_family_stay_apart(
+    family: str, vision: str, theme: Literal["dark", "light"]
+) -> None:
+    colors = [getattr(tone, theme) for tone in FAMILIES[family]]
+    seen = {color: simulated_lab(color, SIMULATED[vision]) for color in colors}
+    least = {pair: ciede2000(*(seen[one] for one in pair)) for pair in combinations(colors, 2)}
+    assert min(least.values()) >= LEAST, min(least, key=least.__getitem__)
+
+
+def test_no_meaning_of_a_class_is_in_its_colour_alone() -> None:
+    shapes = [one.shape for one in DEFAULT_CLASSES]
+    assert len(set(shapes)) == len(shapes)
