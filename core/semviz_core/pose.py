@@ -134,9 +134,9 @@ def so3_left_jacobian(rotvec_rad: FloatArray) -> FloatArray:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """The rotation nearest to a (3, 3) matrix (Frobenius norm, by SVD).
+    """The rotation nearest to a (3, 3) matrix, or to each of (..., 3, 3): Frobenius norm, by SVD.
 
-    Raises SemvizError where ``matrix`` is further than 1e-2 from any rotation.
+    Raises SemvizError where one is further than 1e-2 from any rotation.
     """
     if not np.isfinite(matrix).all():
         raise SemvizError("rotation holds NaN or infinite numbers")
@@ -144,6 +144,6 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
     rotation: FloatArray = U @ Vt
     if np.abs(rotation - matrix).max() > 1e-2:
         raise SemvizError("matrix is not a rotation: it is scaled or sheared")
-    if np.linalg.det(rotation) < 0:
+    if (np.linalg.det(rotation) < 0).any():
         raise SemvizError("matrix is a reflection, not a rotation: left-handed axes?")
     return rotation

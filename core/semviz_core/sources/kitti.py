@@ -19,7 +19,7 @@ from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera, Rig
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, nearest_rotation
 from semviz_core.semantic_map import MapFrame
 from semviz_core.sources.source import Side
 
@@ -143,11 +143,11 @@ class KittiSequence:
     def _make_frames(self) -> tuple[Frame, ...]:
         times_s = self._of_each_frame(self._folder / "times.txt", 1)
         poses = self._of_each_frame(self._poses_path, 12) if self._poses_path.exists() else None
-        frames = []
-        for row, index in enumerate(self._indices):
-            T_map_left = None if poses is None else self._pose_of_left(index, poses[row])
-            frames.append(Frame(index, float(times_s[row, 0]), T_map_left))
-        return tuple(frames)
+        T_map_left = [None] * len(times_s) if poses is None else self._poses_of_left(poses)
+        return tuple(
+            Frame(index, float(time_s), pose)
+            for index, time_s, pose in zip(self._indices, times_s[:, 0], T_map_left, strict=True)
+        )
 
     def _of_each_frame(self, path: Path, width: int) -> FloatArray:
         """(len(self._indices), width) the lines of ``path`` that belong to our frames."""
@@ -161,12 +161,25 @@ class KittiSequence:
         chosen: FloatArray = table[list(self._indices)]
         return chosen
 
-    def _pose_of_left(self, index: int, numbers: FloatArray) -> Pose:
+    def _poses_of_left(self, table: FloatArray) -> list[Pose]:
+        """``T_map_left`` of our frames by their lines (n, 12), all at once: there are thousands."""
+        T_world_cam0 = table.reshape(-1, 3, 4)
         try:
-            T_world_cam0 = Pose.from_matrix(numbers.reshape(3, 4))
-        except SemvizError as error:
-            raise SemvizError(f"{self._poses_path}, line {index + 1}: {error}") from None
-        return T_MAP_WORLD @ T_world_cam0 @ self._T_cam0_left
+            R = nearest_rotation(T_world_cam0[:, :, :3])
+        except SemvizError:
+            self._name_the_line(T_world_cam0)
+            raise
+        left = self._T_cam0_left
+        t = R @ left.translation + T_world_cam0[:, :, 3]
+        R_map = T_MAP_WORLD.rotation @ R @ left.rotation
+        return [Pose(*one) for one in zip(R_map, T_MAP_WORLD.apply(t), strict=True)]
+
+    def _name_the_line(self, T_world_cam0: FloatArray) -> None:
+        for index, matrix in zip(self._indices, T_world_cam0, strict=True):
+            try:
+                Pose.from_matrix(matrix)
+            except SemvizError as error:
+                raise SemvizError(f"{self._poses_path}, line {index + 1}: {error}") from None
 
 
 def _sequence_folder(root: Path, sequence: str) -> Path:
