@@ -112,7 +112,7 @@ def _restore_into(path: Path, copy: sqlite3.Connection) -> Path:
     try:
         live.execute("PRAGMA synchronous = FULL")
         live.execute("BEGIN IMMEDIATE")
-        aside = _aside(path, str(_last(live)[0]) if "operations" in _tables(live) else "unknown")
+        aside = _aside(path, _last_number(live))
         reader = open_read_only(path)
         try:
             _write(reader, aside)
@@ -123,6 +123,13 @@ def _restore_into(path: Path, copy: sqlite3.Connection) -> Path:
     finally:
         live.close()
     return aside
+
+
+def _last_number(live: sqlite3.Connection) -> str:
+    """Of any version's log; the file may be anything."""
+    if "operations" not in _tables(live):
+        return "unknown"
+    return str(live.execute("SELECT coalesce(max(number), 0) FROM operations").fetchone()[0])
 
 
 def _replace_content(live: sqlite3.Connection, copy: sqlite3.Connection) -> None:

@@ -226,7 +226,8 @@ class LabelStore:
             changes = tuple(difference(self._file.labels, self._file.labels_at(number)))
             if not changes:
                 raise SemvizError(f"the labels are already as after operation {number}")
-            text = f"operation {number}"
+            names = {one.number: one.text for one in named_operations(self._file.connection)}
+            text = f"operation {number}" + (f", '{names[number]}'" if number in names else "")
             return Operation(
                 new, request_id, author, "human", _now(), "restore", changes, text=text
             )

@@ -132,6 +132,14 @@ def test_a_repeated_request_is_no_conflict(store):
     assert store.apply(moved(edit, 5.0), "ann", request, expects=seen) == first
 
 
+def test_restoring_and_naming_are_done_once_a_request(store):
+    store.apply(pole(), "ann")
+    restoring, naming = new_id(), new_id()
+    assert store.restore(0, "ann", restoring) == store.restore(0, "ann", restoring)
+    assert store.name_state("none", "ann", naming) == store.name_state("none", "ann", naming)
+    assert store.last_operation == 3
+
+
 # -- machines
 
 
@@ -253,7 +261,7 @@ def test_states_get_names_and_naming_is_no_edit(path):
                 store.name_state(name, "ann")
         with pytest.raises(SemvizError, match="operation 2 is named 'before lunch' already"):
             store.name_state("before lunch", "bea")
-        store.restore(named.number, "bea")
+        assert store.restore(named.number, "bea").text == "operation 2, 'before lunch'"
         assert store.labels.frames == (0,)
     with LabelStore.open(path) as store:
         assert [one.text for one in store.named()] == ["before lunch", "after"]

@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from semviz_annotation import schema
+from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.edits import AddObservation, DeleteElement, MoveObservation, ReviewFrame
+from semviz_annotation.integrity import check_labels
 from semviz_annotation.labels import new_id
 from semviz_annotation.operations import CHANGES, Operation
 from semviz_annotation.store import LabelStore
@@ -155,3 +157,15 @@ def test_an_operation_of_version_1_that_cannot_be_read_is_named(old):
     with pytest.raises(SemvizError, match=r"labels.db: the label file is damaged \(0.before"):
         LabelStore.open(old)
     assert dump(old) == before
+
+
+def test_an_old_file_is_checked_and_backed_up_as_it_is(old, known, tmp_path):
+    before = dump(old)
+    assert check_labels(old) == check_labels(known.path)
+    backup_labels(old, tmp_path / "backup.db")
+    assert dump(old) == before
+    _, aside = restore_labels(old, tmp_path / "backup.db")
+    assert aside is not None
+    assert dump(aside) == before
+    with LabelStore.open(old) as store:
+        assert store.operations() == known.operations()

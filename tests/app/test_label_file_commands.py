@@ -1,0 +1,67 @@
+"""semviz labels check, backup, restore: what they print, and their exit status."""
+
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+from random_edits import pole
+
+from semviz.cli import main
+from semviz.workspace import Workspace
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Workspace:
+    made = Workspace.create_street(tmp_path / "street", seed=1, frames=range(3))
+    with made.open_labels() as store:
+        store.apply(pole(0), "ann")
+        store.apply(pole(1), "bea")
+    return made
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main(["labels", *map(str, arguments)])
+    said = capsys.readouterr()
+    return int(caught.value.code or 0), said.out, said.err
+
+
+def test_check_says_what_is_there_and_where_it_breaks(workspace, capsys):
+    status, out, _ = run(capsys, "check", workspace.path)
+    assert status == 0
+    assert "sound; 2 operations, 2 elements, 2 observations; hash " in out
+    status, out, _ = run(capsys, "check", workspace.path, "--json")
+    said = json.loads(out)
+    assert (status, said["operations"], len(said["hash"])) == (0, 2, 64)
+    with sqlite3.connect(workspace.labels_path) as connection:
+        connection.execute("UPDATE observations SET anchor_u = 8 WHERE frame_index = 1")
+    for flags in ([], ["--json"]):
+        status, out, err = run(capsys, "check", workspace.path, *flags)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert "labels.db: the label file is damaged (operation 2: " in err
+
+
+def test_what_a_backup_holds_comes_back(workspace, tmp_path, capsys):
+    file = tmp_path / "backup.db"
+    assert run(capsys, "backup", workspace.path, file) == (
+        0,
+        f"{file}: 2 operations, checked\n",
+        "",
+    )
+    with workspace.open_labels() as store:
+        before = store.labels
+        store.undo("ann")
+        status, out, _ = run(capsys, "restore", workspace.path, file)
+        kept = workspace.path / "labels-before-restore-3.db"
+        assert (status, out.strip()) == (
+            0,
+            f"{workspace.labels_path}: 2 operations; what was there is kept in {kept}",
+        )
+        assert store.labels == before
+    assert kept.is_file()
+    status, _, err = run(capsys, "backup", workspace.path, workspace.path / "semviz.toml")
+    assert status == 2
+    assert "choose another name" in err
+    status, _, err = run(capsys, "restore", workspace.path, workspace.path / "semviz.toml")
+    assert (status, err) == (2, f"semviz: {workspace.path / 'semviz.toml'}: not a label file\n")
