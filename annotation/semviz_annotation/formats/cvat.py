@@ -15,6 +15,7 @@ from xml.etree import ElementTree  # for writing only; read with defusedxml
 from semviz_annotation.formats.numbers import from_corner, number, quoted, to_corner
 from semviz_annotation.formats.reading import (
     MOST_DEPTH,
+    MOST_ITEMS,
     MOST_XML_BYTES,
     Form,
     Found,
@@ -31,6 +32,7 @@ from semviz_core.sources.source import Side
 
 _FORMS: Mapping[str, Form] = {"polyline": "line", "points": "points", "box": "box"}
 _MOST_ATTRIBUTES = 1000
+_MOST_ELEMENTS = 5 * MOST_ITEMS
 _PLAIN = {"z_order": ("0",), "source": ("manual", "file"), "rotation": ("0", "0.0", "0.00")}
 """Attributes of a shape that say nothing with these values."""
 
@@ -64,6 +66,7 @@ class _Handler:
         self._path = path
         self._reading = reading
         self._tags: list[str] = []
+        self._elements = 0
         self._items = 0
         self._group: dict[str, str] = {}  # of the image or track that we are in
         self._shape: dict[str, str] = {}
@@ -76,8 +79,11 @@ class _Handler:
         self._tags.append(tag)
         self._text.clear()
         depth = len(self._tags)
+        self._elements += 1
         if depth > MOST_DEPTH:
             raise SemvizError("nested too deeply")
+        if self._items > MOST_ITEMS or self._elements > _MOST_ELEMENTS:
+            raise SemvizError(f"more than {MOST_ITEMS} labels; split the file")
         if depth == 1:
             if tag != "annotations":
                 raise SemvizError(f"the outermost element is {quoted(tag)}, not 'annotations'")
