@@ -24,7 +24,8 @@ import { showPalette } from "/static/palette.js";
 
 startTheme();
 const state = new State();
-const images = new Images(state, { left: byId("left-image"), right: byId("right-image") });
+const keys = new Keys("annotate");
+const images = new Images(state, { left: byId("left-image"), right: byId("right-image") }, (name) => keys.shown(name));
 const pictures = new Pictures();
 const effort = new Effort();
 const looking = { waiting: false, again: false };
@@ -251,7 +252,6 @@ const actions = {
   review: () => editing(state, actions).review("reviewed"),
 };
 const tools = new Tools(state, images, actions);
-const keys = new Keys("annotate");
 const send = (message) => socket.send(message);
 const past = new Past(state, keys, { send, submit });
 const operations = new History(state, keys, past, { go, send, submit });
@@ -264,6 +264,8 @@ const commanded = { ...actions, cursor: new Cursor(state, images, tools), help, 
 keys.onchange = () => state.set({ changedKeys: keys.changed });
 keys.listen(window);
 watchLists();
+
+window.semviz = { state }; // for scripts that drive the page
 
 const socket = new Socket({
   onmessage: (message) => received[message.type]?.(message),
