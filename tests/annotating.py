@@ -24,8 +24,8 @@ class Served:
 
     @property
     def observations(self) -> list[Observation]:
-        """Oldest first."""
-        return list(self.labels.observations.values())
+        """Oldest first: their ids begin with the time of their making."""
+        return sorted(self.labels.observations.values(), key=lambda row: row.id)
 
 
 @contextmanager

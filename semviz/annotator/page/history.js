@@ -17,7 +17,7 @@ export class History {
     this.submit = submit;
     this.kept = new Kept(state);
     this.rows = []; // newest first, without a gap
-    this.named = [];
+    this.named = null;
     this.waiting = false;
     this.list = byId("history");
     this.list.addEventListener("scroll", () => this.#more());
@@ -27,9 +27,10 @@ export class History {
   }
 
   show() {
+    if (!this.state.connected) this.waiting = false;
     if (this.#take(this.state.labels.history)) this.#ask(null);
     this.kept.show("history-keys", null, () => ["Ctrl B", "H"].map((name) => badge(this.keys, name)));
-    this.kept.show("named", this.named, () => this.named.map((one) => this.#named(one)));
+    this.kept.show("named", this.named, () => (this.named ?? []).map((one) => this.#named(one)));
     const { past, labels } = this.state;
     const slider = byId("past-slider");
     slider.max = labels.operation;
@@ -58,16 +59,17 @@ export class History {
   /** Takes over the newest operations. Returns whether names may have changed. */
   #take(newest) {
     const known = this.rows[0]?.number ?? 0;
-    const added = newest.filter((one) => one.number > known);
-    const isGap = added.length === newest.length || newest[0]?.number < known;
-    if (isGap) {
-      this.rows = [...newest];
-      this.list.replaceChildren(...this.rows.map((one) => this.#row(one)));
-    } else {
-      this.rows.unshift(...added);
-      this.list.prepend(...added.map((one) => this.#row(one)));
+    const isOther = known > 0 && (newest.at(-1)?.number ?? Infinity) > known + 1; // or a backup was restored
+    if (isOther || (newest[0]?.number ?? 0) < known) {
+      this.rows = [];
+      this.list.replaceChildren();
     }
-    return isGap || added.some((one) => one.kind === "name");
+    const added = newest.filter((one) => one.number > (this.rows[0]?.number ?? 0));
+    this.rows.unshift(...added);
+    this.list.prepend(...added.map((one) => this.#row(one)));
+    const isFirst = this.named === null;
+    this.named ??= [];
+    return isFirst || added.some((one) => one.kind === "name");
   }
 
   #more() {

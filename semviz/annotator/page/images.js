@@ -8,10 +8,11 @@ const LOUPE = { zoom: 8, size: 152, height: 172, gap: 12 };
 
 export class Images {
   /** `panels`: {left, right} sections with two canvases, for the picture and for the marks on it,
-   * and a message. Marks change with every move of the pointer, the picture only with the view. */
-  constructor(state, panels) {
+   * and a message; `shownKey` as for `Painter`. Marks change with every move of the pointer, the picture only with the view. */
+  constructor(state, panels, shownKey) {
     this.state = state;
     this.panels = panels;
+    this.shownKey = shownKey;
     this.view = new View();
     this.bitmaps = { left: null, right: null };
     this.pointer = null; // {side, point} while it is over an image
@@ -166,7 +167,7 @@ export class Images {
 
   #paintElements(side, context) {
     const { state } = this;
-    const painter = new paint.Painter(context, this.view, (id) => state.classOf(id));
+    const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
     const isSelected = (one) => one.id === state.selected?.element || one.id === state.selected?.also;
     if (state.aids.guides) painter.guides(state.look?.guides[side] ?? []);
     for (const offer of state.aids.ghosts ? state.offers : []) {

@@ -9,10 +9,12 @@ const LABEL_SIZE = 11;
 
 /** Paints one frame's overlay of one image; `labels` last, so that they lie above all lines. */
 export class Painter {
-  constructor(context, view, classOf) {
+  /** `shownKey(name)`: what a command's key is called now. */
+  constructor(context, view, classOf, shownKey) {
     this.context = context;
     this.view = view;
     this.classOf = classOf;
+    this.shownKey = shownKey;
     this.texts = [];
   }
 
@@ -41,12 +43,12 @@ export class Painter {
   offer(offer, mark, { selected, current }) {
     const { score, runner_up } = mark;
     this.#proposed(offer, mark, { selected, dash: offer.sure ? [5, 4] : [1.5, 4] });
-    const said = [offer.name, score === null ? "" : score.toFixed(2), current ? "Space" : ""];
+    const said = [offer.name, score === null ? "" : score.toFixed(2), current ? this.shownKey("Space") : ""];
     const text = current ? said.filter(Boolean).join(" · ") : offer.name;
     this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : offer.sure ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
     this.#proposed(offer, runner_up, { dash: [1, 5] });
-    this.#label(`runner-up ${runner_up.score.toFixed(2)} · K`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
+    this.#label(`runner-up ${runner_up.score.toFixed(2)} · ${this.shownKey("K")}`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
   }
 
   #proposed({ class: id }, { anchor, end, anchor_known, end_known }, { selected = false, dash }) {

@@ -76,7 +76,7 @@ export class Panels {
     const { hello, classId, labels } = this.state;
     return hello.classes.map((one, place) =>
       row({ chosen: one.id === classId, onclick: () => this.edit.chooseClass(one.id) },
-        badge(this.keys, `${place + 1}`), this.#glyph(one),
+        place < 9 ? badge(this.keys, `${place + 1}`) : null, this.#glyph(one),
         el("span", { class: "fill", text: capital(one.name) }),
         el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
   }
@@ -131,9 +131,10 @@ export class Panels {
 
   /** The other classes that a sign can be. */
   #reclass(element) {
-    const others = this.state.hello.classes.filter((one) => one.kind === "point" && one.id !== element.class);
+    const { classes } = this.state.hello;
+    const others = classes.filter((one) => one.kind === "point" && one.id !== element.class);
     return others.map((one) => {
-      const title = `Make it a ${one.name} (Shift ${one.id + 1})`;
+      const title = `Make it a ${one.name} (${this.keys.shown(`Shift ${classes.indexOf(one) + 1}`)})`;
       return el("button", { class: "small", title, "aria-label": title, onclick: () => this.edit.setClass(one.id) }, this.#glyph(one));
     });
   }
