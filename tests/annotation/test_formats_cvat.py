@@ -54,6 +54,7 @@ def test_images(tmp_path: Path) -> None:
     assert found.dropped == {
         "attribute 'colour': not known here": 1,
         "z_order: not known here": 1,
+        "occluded on a sign: not known here": 1,
         "width and height of boxes: a sign is its middle": 1,
         "inner points of lines: a pole is its peak and its bottom": 1,
     }

@@ -142,6 +142,7 @@ def test_what_is_upside_down_is_noted(tmp_path: Path) -> None:
         ('{"shapes": []}', "labelme"),
         ('{"a": 1}', None),
         ("hello", None),
+        ("PK\x03\x04", None),
         ("", None),
         ("[]", None),
         ('{"a"', None),

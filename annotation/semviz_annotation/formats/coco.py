@@ -183,7 +183,7 @@ def write_coco(writing: Writing, path: Path) -> None:
         ],
     }
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps(document), encoding="utf-8")
 
 
 def _image(id_: int, sheet: Sheet) -> dict[str, Any]:

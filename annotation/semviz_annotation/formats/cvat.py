@@ -144,9 +144,9 @@ class _Handler:
                 return self.found.drop(f"shapes of class {quoted(label)}: ignored, as asked")
             points = self._points(tag)
             place = self._frame_of_track() if in_track else self._image()
-            self._reading.seen(
-                self.found, where, place, class_id, _FORMS[tag], points, **self._rest(in_track)
-            )
+            is_sign = self._reading.rules.classes[class_id].kind == "point"
+            rest = self._rest(in_track, is_sign)
+            self._reading.seen(self.found, where, place, class_id, _FORMS[tag], points, **rest)
 
     def _points(self, tag: str) -> list[Pixel]:
         if tag == "box":
@@ -185,7 +185,7 @@ class _Handler:
         side = self._task_side or self._reading.side_or_refuse("a track")
         return int(frame), side
 
-    def _rest(self, in_track: bool) -> dict[str, Any]:
+    def _rest(self, in_track: bool, is_sign: bool) -> dict[str, Any]:
         """Whose it is and which ends are known; what else there is, is dropped."""
         attributes = dict(self._attributes)
         known = {name: attributes.pop(name, None) for name in ("anchor_known", "end_known")}
@@ -196,6 +196,8 @@ class _Handler:
             if self._shape.get(one, nothing[0]) not in nothing:
                 self.found.drop(f"{one}: not known here")
         occluded = self._flag("occluded")
+        if is_sign and occluded and known["anchor_known"] is None:
+            self.found.drop("occluded on a sign: not known here")
         return {
             "name": name,
             "number": self._number_of_element(in_track),

@@ -110,6 +110,8 @@ def guess_format(path: Path) -> ForeignFormat:
             return "cvat"
         if text.startswith(b"{"):
             return _json_format(path)
+        if text.startswith(b"PK"):
+            raise SemvizError("a zip archive; unpack it and import what is in it")
         raise SemvizError("neither CVAT, labelme nor COCO; say which with --format")
 
 
@@ -134,7 +136,7 @@ def _commit(
         with at(path):
             store.apply(ImportLabels(tuple(plan.elements), tuple(plan.observations)), author)
     return ImportReport(
-        path=str(path), format=format_, images=found.images,
+        path=str(path), format=format_, images=found.images or len({(one.frame_index, one.side) for one in found.seen}),
         observations=len(plan.observations), elements=len(plan.elements), already=plan.already,
         dropped=dict(found.dropped),
         upside_down=sum(
