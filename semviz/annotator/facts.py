@@ -1,5 +1,6 @@
 """What is worth a visit: how well each frame's labels fit, and how much is proposed in it."""
 
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -56,13 +57,16 @@ class Facts:
                 around = self._order[max(0, place - AROUND) : place + AROUND + 1]
                 self._stale.update(dict.fromkeys(around))
 
-    def learn(self, labels: Labels, most: int) -> list[int]:
-        """Up to ``most`` frames that are known now and were not, or not rightly; [] when done."""
-        frames = list(self._stale)[:most]
-        for index in frames:
+    def learn(self, labels: Labels, seconds: float) -> tuple[list[int], bool]:
+        """Frames that are known after so long and were not, or not rightly; whether all are."""
+        frames: list[int] = []
+        end = time.monotonic() + seconds
+        while self._stale and time.monotonic() < end:
+            index = next(iter(self._stale))
             del self._stale[index]
             self._facts[index] = self._learnt(index, labels)
-        return frames
+            frames.append(index)
+        return frames, not self._stale
 
     def _learnt(self, frame_index: int, labels: Labels) -> FrameFacts:
         residuals = list(self._residuals_px(labels.in_frame(frame_index), labels))

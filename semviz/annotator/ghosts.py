@@ -31,15 +31,16 @@ class Ghost:
 
 def ghosts_in(
     frame_index: int,
+    side: Side,
     T_camera_map: Pose,
     rig: Rig,
     labels: Labels,
     mapped: Mapping[str, Triangulated],
 ) -> tuple[Ghost, ...]:
-    """What is expected in a frame (left camera at ``T_camera_map``) and not labelled there.
+    """What is expected in one image of a frame and not labelled there, nearest first.
 
-    An element counts as visible in an image where its anchor or its end is inside, and both are
-    less than ``REACH_M`` ahead. Nearest first.
+    The frame's left camera is at ``T_camera_map``. An element counts as visible where its anchor or
+    its end is inside, and both are less than ``REACH_M`` ahead.
     """
     if not mapped:
         return ()
@@ -47,9 +48,8 @@ def ghosts_in(
     ends_m = np.array([[mapped[one].anchor_m, mapped[one].end_m] for one in ids])
     found = [
         ghost
-        for side in (("left", "right") if rig.right is not None else ("left",))
         for ghost in _in_image(ids, ends_m, T_camera_map, rig, side)
-        if labels.find(ghost.element_id, frame_index, ghost.side) is None
+        if labels.find(ghost.element_id, frame_index, side) is None
     ]
     return tuple(sorted(found, key=lambda ghost: ghost.depth_m))
 

@@ -24,6 +24,8 @@ NEAR_M = REACH_M + 100.0
 near to it."""
 KEPT = 8
 """Frames whose surroundings are kept: those on screen, of all pages."""
+MANY = 100
+"""Elements that differ; then it is not worth looking which frames show them."""
 SLICE_S = 0.01
 """So long an answer waits for places that it does without."""
 
@@ -51,6 +53,10 @@ class Places:
         self._mapped: dict[str, Triangulated] = {}
         self._ends: dict[str, FloatArray | None] = {}
         self._near: dict[int, Mapping[str, Triangulated]] = {}
+        self._elements_in: dict[int, tuple[str, ...]] = {}
+        """What is labelled in a frame, as far as it has been asked for."""
+        self.version = 0
+        """Another number when ``mapped`` may have changed."""
 
     def near(self, labels: Labels, frame_index: int) -> Mapping[str, Triangulated]:
         """The elements that have a place in the map frame, of those that can be in a frame's sight.
@@ -131,7 +137,9 @@ class Places:
         """From now on places are those of ``labels``."""
         if labels is self._labels:
             return
-        for element_id in sorted(labels.differing(self._labels)):
+        differing = sorted(labels.differing(self._labels))
+        self._forget_frames(differing, labels)
+        for element_id in differing:
             self._ends.pop(element_id, None)
             if element_id in labels.elements:
                 self._stale[element_id] = None
@@ -140,7 +148,17 @@ class Places:
         self._labels = labels
         self._near.clear()
 
+    def _forget_frames(self, differing: Sequence[str], labels: Labels) -> None:
+        if len(differing) > MANY:
+            self._elements_in.clear()
+            return
+        for element_id in differing:
+            for state in (self._labels, labels):
+                for row in state.of_element(element_id):
+                    self._elements_in.pop(row.frame_index, None)
+
     def _forget(self, element_id: str) -> None:
+        self.version += 1
         for known in (self._stale, self._seen, self._places, self._mapped):
             known.pop(element_id, None)
 
@@ -154,6 +172,7 @@ class Places:
         return self._places.get(element_id, ONE_VIEW)
 
     def _put(self, element_id: str, place: Place) -> None:
+        self.version += 1
         self._places[element_id] = place
         if isinstance(place, Triangulated):
             self._mapped[element_id] = place
@@ -167,4 +186,10 @@ class Places:
             return ()
         away_m = np.linalg.norm(self._centers_m - here.translation, axis=1)
         frames = self._posed[away_m <= NEAR_M].tolist()
-        return {row.element_id: None for one in frames for row in self._labels.in_frame(one)}
+        return dict.fromkeys(element_id for one in frames for element_id in self._labelled_in(one))
+
+    def _labelled_in(self, frame_index: int) -> tuple[str, ...]:
+        if frame_index not in self._elements_in:
+            rows = self._labels.in_frame(frame_index)
+            self._elements_in[frame_index] = tuple(dict.fromkeys(row.element_id for row in rows))
+        return self._elements_in[frame_index]

@@ -69,8 +69,7 @@ class Proposing:
         if T_camera_map is None:
             return []
         near = self._places.near(labels, pane.frame_index)
-        found = ghosts_in(pane.frame_index, T_camera_map, self._rig, labels, near)
-        return [one for one in found if one.side == pane.side]
+        return list(ghosts_in(pane.frame_index, pane.side, T_camera_map, self._rig, labels, near))
 
     def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
         """As ``_found``, kept: it is asked for several times after each edit."""

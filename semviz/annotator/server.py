@@ -5,6 +5,7 @@ import contextlib
 import getpass
 import sqlite3
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from aiohttp import web
 
 from semviz.annotator.opened_page import OpenedPage
 from semviz.annotator.session import LabelSession
+from semviz.annotator.views import Json
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Send, Sessions
 from semviz.workspace import Workspace
@@ -21,8 +23,8 @@ from semviz_core.sources.source import Side
 PAGE = Path(__file__).parent / "page"
 NEWS_EVERY_S = 1.0
 """How often to look for what other processes have written: one query."""
-LEARN_AT_ONCE = 8
-"""Frames; some milliseconds."""
+LEARN_S = 0.005
+"""So long an edit may have to wait for what is learnt in the background."""
 PAUSE_S = 0.01
 KEEP_IMAGE = "private, max-age=3600"
 
@@ -90,13 +92,16 @@ class Annotator:
 
     def _learn(self) -> None:
         """Works out what is worth a visit, a few frames at a time: edits come first."""
-        wait_s = NEWS_EVERY_S
-        while not self._closing.wait(wait_s):
+        frames: list[Json] = []
+        done, told = True, time.monotonic()
+        while not self._closing.wait(NEWS_EVERY_S if done else PAUSE_S):
             with contextlib.suppress(sqlite3.Error), self.lock:
-                frames = self.session.learn(LEARN_AT_ONCE)
-                for page in self.pages if frames else ():
+                learnt, done = self.session.learn(LEARN_S)
+                frames += learnt
+            if frames and (done or time.monotonic() > told + NEWS_EVERY_S):
+                for page in self.pages:
                     page.send_facts(frames)
-            wait_s = PAUSE_S if frames else NEWS_EVERY_S
+                frames, told = [], time.monotonic()
 
     def _tell_news(self) -> None:
         with self.lock:

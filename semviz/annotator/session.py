@@ -74,6 +74,8 @@ class LabelSession:
         )
         self._facts = Facts(tuple(self.frames), self._places, self._proposing)
         self.past = Past(self._store, self._panes, self.frames, self.classes)
+        self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
+        """As of this operation and version of the places."""
         self._history: deque[Json] = deque(maxlen=HISTORY)
         """Newest first."""
         self._told = max(0, self._store.last_operation - HISTORY)
@@ -129,14 +131,16 @@ class LabelSession:
         self._announced = self._told
         return state | {"frames": self._frames_json(labels, touched)}
 
-    def learn(self, most: int) -> list[Json]:
-        """Up to ``most`` frames of which something new is known; [] where nothing is.
+    def learn(self, seconds: float) -> tuple[list[Json], bool]:
+        """Frames of which something new is known after so long; whether all is known.
 
-        To be called again and again, in the background.
+        To be called again and again, in the background: first elements get their places.
         """
         labels = self.labels
-        self._places.settle(labels)
-        return self._frames_json(labels, self._facts.learn(labels, most))
+        if not self._places.settle(labels, seconds):
+            return [], False
+        frames, done = self._facts.learn(labels, seconds)
+        return self._frames_json(labels, frames), done
 
     def frame(self, index: int) -> Json:
         """One frame: what is labelled in it, what is proposed, and what else may go on in it."""
@@ -158,9 +162,15 @@ class LabelSession:
         return self._proposing.unanswered(index, self.labels)
 
     def elements_3d(self) -> Elements3D:
-        """All elements that have a place, their numbers as ids."""
+        """All elements that have a place so far, their numbers as ids."""
         labels = self.labels
         mapped = self._places.mapped(labels)
+        if self._elements_3d[:2] != (labels.operation, self._places.version):
+            made = self._made_elements_3d(labels, mapped)
+            self._elements_3d = labels.operation, self._places.version, made
+        return self._elements_3d[2]
+
+    def _made_elements_3d(self, labels: Labels, mapped: Mapping[str, Triangulated]) -> Elements3D:
         elements = [labels.elements[one] for one in mapped]
         return Elements3D.from_ends(
             [one.number for one in elements],

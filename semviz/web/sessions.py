@@ -1,6 +1,7 @@
 """A session is one opened page: its state lives here, its websocket may come and go."""
 
 import asyncio
+import contextlib
 import json
 import logging
 import secrets
@@ -99,7 +100,8 @@ class _Held:
 
     def send(self, message: Message) -> None:
         text = json.dumps(message, allow_nan=False)
-        self._loop.call_soon_threadsafe(self._queue, text)
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the tool stops
+            self._loop.call_soon_threadsafe(self._queue, text)
 
     def _queue(self, text: str) -> None:
         if self.outbox is not None:

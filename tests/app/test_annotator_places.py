@@ -103,8 +103,8 @@ def test_a_frame_has_all_its_ghosts_though_little_is_placed(index: int) -> None:
     places = Places(RIG, FRAMES)
     near = places.near(labels, index)
     assert len(near) < 0.7 * len(labels.elements)
-    found = ghosts_in(index, pose.inverse(), RIG, labels, near)
-    assert found == ghosts_in(index, pose.inverse(), RIG, labels, anew(labels))
+    found = ghosts_in(index, "right", pose.inverse(), RIG, labels, near)
+    assert found == ghosts_in(index, "right", pose.inverse(), RIG, labels, anew(labels))
     if index >= FIRST_PASS and index < len(FRAMES) - 1:
         assert found
     assert all(ghost.depth_m < REACH_M for ghost in found)
