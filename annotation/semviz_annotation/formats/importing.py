@@ -135,11 +135,17 @@ def _commit(
         save_kept(kept, store.path.parent / KEPT)  # first: by itself it changes nothing
         with at(path):
             store.apply(ImportLabels(tuple(plan.elements), tuple(plan.observations)), author)
+    upside_down = sum(
+        one.end_px is not None and one.anchor_px[1] > one.end_px[1] for one in found.seen
+    )
+    images = {(one.frame_index, one.side) for one in found.seen}
     return ImportReport(
-        path=str(path), format=format_, images=found.images or len({(one.frame_index, one.side) for one in found.seen}),
-        observations=len(plan.observations), elements=len(plan.elements), already=plan.already,
+        path=str(path),
+        format=format_,
+        images=found.images or len(images),  # tracks have frames only
+        observations=len(plan.observations),
+        elements=len(plan.elements),
+        already=plan.already,
         dropped=dict(found.dropped),
-        upside_down=sum(
-            one.end_px is not None and one.anchor_px[1] > one.end_px[1] for one in found.seen
-        ),
-    )  # fmt: skip
+        upside_down=upside_down,
+    )
