@@ -1,11 +1,13 @@
 """CVAT 1.1: what is understood, what is dropped, what is refused."""
 
+import json
 from pathlib import Path
 
 import pytest
+from defusedxml import ElementTree
 from label_files import FRAMES, RIG, RULES, labels_of, pole
 
-from semviz_annotation.formats.cvat import read_cvat, write_cvat_video
+from semviz_annotation.formats.cvat import read_cvat, write_cvat, write_cvat_video
 from semviz_annotation.formats.plan import plan_import
 from semviz_annotation.formats.reading import MOST_XML_BYTES, Found, Reading
 from semviz_annotation.formats.writing import Writing
@@ -13,6 +15,7 @@ from semviz_annotation.labels import Labels
 from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.errors import SemvizError
 
+REPOSITORY = Path(__file__).parents[2]
 READING = Reading(RULES, FRAMES)
 POLE = '<polyline label="pole" occluded="0" points="10.5,20.5;11.5,200.5"/>'
 
@@ -95,6 +98,20 @@ def test_a_track_is_ended_where_nothing_follows(tmp_path: Path) -> None:
     frames = [(f'frame="{n}" outside="{o}"' in text) for n, o in ((2, 0), (3, 0), (4, 1), (8, 1))]
     assert frames == [True] * 4
     assert 'frame="3" outside="1"' not in text
+
+
+def test_the_documented_labels_are_those_that_a_file_lists(tmp_path: Path) -> None:
+    write_cvat(Writing.of(labels_of(), DEFAULT_CLASSES, RIG), tmp_path / "a.xml")
+    written = ElementTree.parse(tmp_path / "a.xml").findall("meta/task/labels/label")
+    documented = json.loads((REPOSITORY / "docs" / "formats" / "cvat_labels.json").read_text())
+    assert [
+        (one.findtext("name"), one.findtext("type"), one.findtext("color"),
+         [attribute.findtext("name") for attribute in one.findall("attributes/attribute")])
+        for one in written
+    ] == [
+        (one["name"], one["type"], one["color"], [part["name"] for part in one["attributes"]])
+        for one in documented
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("by", ["group", "name"])
