@@ -63,6 +63,9 @@ def test_an_earlier_state_is_looked_at_and_nothing_changes(
     assert names(page) == ["O-01", "O-04"]
     said = page.inner_text("#past").replace("\n", " ")
     assert "just now, you, Draw O-04 left. Nothing is changed." in said
+    driver.select("O-04")
+    numbers = page.locator("#card .numbers b").all_inner_texts()
+    assert set(numbers) == {"—"}  # they would be those of now
     driver.zoom_to("left", (700.0, 150.0))
     driver.click_at("left", (700.0, 150.0))
     page.wait_for_selector("#message:has-text('state after operation 4: Esc goes back to now')")

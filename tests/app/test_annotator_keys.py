@@ -252,7 +252,7 @@ def test_the_tour_leads_through_three_steps_beside_the_images(served: Served, pa
     driver.click_at("left", (700.0, 60.0))
     driver.click_at("left", (700.0, 200.0))
     driver.wait_saved(before)
-    assert title.inner_text() == "Its partner, and the next frames"
+    assert title.inner_text() == "Partner and next frames"
     driver.goto(1)
     driver.settle()
     assert title.inner_text() == "Saved, and undo"

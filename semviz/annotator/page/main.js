@@ -79,6 +79,7 @@ function refreshPending() {
 
 /** Asks for guides and numbers of what is in hand; one question at a time, the last one counts. */
 function look() {
+  if (state.past) return; // guides and numbers are of now
   if (looking.waiting) {
     looking.again = true;
     return;
@@ -202,7 +203,7 @@ const received = {
   },
   look({ look: answer }) {
     looking.waiting = false;
-    state.set({ look: answer });
+    state.set({ look: state.past ? null : answer });
     if (!looking.again) return;
     looking.again = false;
     look();
@@ -253,7 +254,7 @@ const actions = {
 };
 const tools = new Tools(state, images, actions);
 const send = (message) => socket.send(message);
-const past = new Past(state, keys, { send, submit });
+const past = new Past(state, keys, { send, submit, look });
 const operations = new History(state, keys, past, { go, send, submit });
 const light = new Light(state);
 const tour = new Tour(state, keys);

@@ -6,12 +6,13 @@ import { Kept, badge } from "./widgets.js";
 const DRAG_MS = 60; // a slider that moves asks no more often
 
 export class Past {
-  /** `send(message)` to the server; `submit(edit)` as for the tools. */
-  constructor(state, keys, { send, submit }) {
+  /** `send(message)` to the server; `submit(edit)` and `look()` as for the tools. */
+  constructor(state, keys, { send, submit, look }) {
     this.state = state;
     this.keys = keys;
     this.send = send;
     this.submit = submit;
+    this.ask = look;
     this.kept = new Kept(state);
     this.asked = null; // {operation, frame}
     this.timer = 0;
@@ -31,7 +32,7 @@ export class Past {
   /** The server's answer; one that nobody waits for any more is dropped. */
   received({ type: _, ...past }) {
     const { operation, frame } = this.asked ?? {};
-    if (past.operation === operation && past.frame.index === frame) this.state.set({ past });
+    if (past.operation === operation && past.frame.index === frame) this.state.set({ past, look: null });
   }
 
   /** Back to now. Returns whether something else was shown. */
@@ -40,6 +41,7 @@ export class Past {
     clearTimeout(this.timer);
     this.asked = null;
     this.state.set({ past: null });
+    if (was) this.ask();
     return was;
   }
 

@@ -77,7 +77,7 @@ const STEPS = [
     ],
   },
   {
-    title: "Its partner, and the next frames",
+    title: "Partner and next frames",
     at: ["elements"],
     done: (before, now) => now.frame !== before.frame,
     lines: [

@@ -40,12 +40,17 @@ class Help {
       event.stopPropagation();
       const command = this.waiting;
       this.#await(null);
-      if (event.key !== "Escape") this.#say(this.keys.change(command, event) || `“${command.title}” is now ${keyName(this.keys.of(command))}.`);
+      if (event.key !== "Escape") this.#change(command, event);
       this.#show();
       this.groups.querySelector(`[data-own="${CSS.escape(keyName(command))}"]`)?.focus();
     } else if (event.key === "?" && !this.changing) {
       this.dialog.close();
     }
+  }
+
+  #change(command, event) {
+    const refusal = this.keys.change(command, event);
+    this.#say(refusal || `“${command.title}” is now ${keyName(this.keys.of(command))}.`, refusal ? "warning" : "dim");
   }
 
   #setChanging(on) {
@@ -68,8 +73,9 @@ class Help {
     if (command) this.#say(`Press the new key for “${command.title}”. Esc leaves it as it is.`);
   }
 
-  #say(text) {
+  #say(text, look = "dim") {
     this.said.textContent = text;
+    this.said.className = look;
   }
 
   #show() {
