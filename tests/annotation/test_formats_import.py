@@ -52,6 +52,15 @@ def test_numbers_of_two_files_are_not_one_element() -> None:
     assert len(after(named, seen(11, name="lamp", frame_index=9)).elements) == 1
 
 
+def test_the_number_of_a_named_element_is_enough() -> None:
+    """Whoever adds a shape in labelme types the group's number, not its name."""
+    sign = {"class_id": 3, "end_px": None}
+    things = [seen(10, name="lamp", number=4), seen(11, number=4, side="right")]
+    labels = after(Labels(), *things, seen(60, number=4, **sign))
+    assert len(labels.elements) == 2
+    assert len(list(labels.pairs(3))) == 1
+
+
 def test_classes_keep_numbers_apart_and_names_not() -> None:
     sign = {"class_id": 3, "end_px": None}
     assert len(after(Labels(), seen(10, number=1), seen(60, number=1, **sign)).elements) == 2

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -97,15 +97,20 @@ def plan_import(seen: Sequence[Seen], labels: Labels) -> Plan:
 _Key: TypeAlias = tuple[str, object]
 
 
-def _groups(seen: Iterable[Seen]) -> dict[_Key, list[Seen]]:
+def _groups(seen: Sequence[Seen]) -> dict[_Key, list[Seen]]:
     """What belongs to one element, in the order of the file."""
+    names = {(one.class_id, one.number): one.name for one in seen if one.name is not None}
     groups: dict[_Key, list[Seen]] = {}
     for one in seen:
+        number = (one.class_id, one.number)
+        name = one.name
+        if name is None and one.number is not None:
+            name = names.get(number)  # drawn later, and given only the number of a named one
         key: _Key = ("alone", _content(one))
-        if one.name is not None:
-            key = ("name", one.name)
+        if name is not None:
+            key = ("name", name)
         elif one.number is not None:
-            key = ("number", (one.class_id, one.number))
+            key = ("number", number)
         groups.setdefault(key, []).append(one)
     return groups
 
@@ -142,7 +147,7 @@ def _add(plan: Plan, element_id: str, group: Sequence[Seen], labels: Labels) -> 
     element = labels.elements.get(element_id)
     if element is None:
         first = group[0]
-        number = first.number or 0 if is_id(first.name or "") else 0
+        number = first.number or 0 if is_id(first.name or "") else 0  # else it means nothing here
         element = LabelElement(element_id, number, first.class_id)
         plan.elements.append(element)
     here: dict[tuple[int, Side], Seen] = {}
