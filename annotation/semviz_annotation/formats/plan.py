@@ -146,9 +146,8 @@ def _element_id(
 def _add(plan: Plan, element_id: str, group: Sequence[Seen], labels: Labels) -> None:
     element = labels.elements.get(element_id)
     if element is None:
-        first = group[0]
-        number = first.number or 0 if is_id(first.name or "") else 0  # else it means nothing here
-        element = LabelElement(element_id, number, first.class_id)
+        ours = (one.number for one in group if one.name == element_id)  # of others: no meaning
+        element = LabelElement(element_id, next(ours, None) or 0, group[0].class_id)
         plan.elements.append(element)
     here: dict[tuple[int, Side], Seen] = {}
     for one in group:
