@@ -100,7 +100,7 @@ class _Walk:
         self._writers: dict[Key, tuple[int, bool]] = {}
 
     def follow(self, operations: Iterator[Operation]) -> None:
-        draft, history = Draft(Labels()), History()
+        draft, history = Draft(Labels(), dict), History()
         self.where = "operation 1: "
         for one in operations:
             if one.number != self.number + 1:

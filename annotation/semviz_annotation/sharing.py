@@ -28,8 +28,16 @@ class SharingDict(MutableMapping[K, V]):
         if isinstance(entries, SharingDict):
             entries._own.clear()
             self._shards = entries._shards.copy()
-        else:
-            self.update(entries)
+        elif entries:
+            shards: list[dict[K, V]] = [{} for _ in range(SHARDS)]
+            for key, value in entries.items():
+                shards[_index(key)][key] = value
+            self._shards = shards
+
+    @classmethod
+    def of(cls, entries: Mapping[K, V]) -> "SharingDict[K, V]":
+        """``entries`` themselves where they are a sharing dictionary, else one of them."""
+        return entries if isinstance(entries, cls) else cls(entries)
 
     def __getitem__(self, key: K) -> V:
         return self._shards[_index(key)][key]

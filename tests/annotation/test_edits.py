@@ -164,10 +164,8 @@ def test_dismissals_go_with_their_element():
     turned_down = Dismiss((dismissal(a.element_id, 1), dismissal(b.element_id, 2), of_detector(2)))
     labels = after(Labels(), a, b, turned_down)
     for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
-        assert [one.element_id for one in after(labels, gone).dismissals.values()] == [
-            a.element_id,
-            None,
-        ]
+        rest = after(labels, gone).dismissals.values()
+        assert {one.element_id for one in rest} == {a.element_id, None}
     linked = after(labels, Link(b.element_id, a.element_id))  # b is seen where a was turned down
     assert [one.element_id for one in linked.dismissals.values()] == [None]
 
