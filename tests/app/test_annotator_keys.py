@@ -227,6 +227,30 @@ def test_panels_and_lists_are_worked_by_keys(driver: LabelDriver, served: Served
     assert served.labels.review(0) == "reviewed"
 
 
+def test_two_elements_are_linked_and_the_right_one_nudged_by_keys(
+    driver: LabelDriver, served: Served
+) -> None:
+    page = driver.page
+    driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    driver.clear_selection()
+    driver.draw_sign("right", (650.0, 40.0), TRIANGULAR)
+    page.locator('#elements .row:has-text("T-01")').focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Control+Enter")
+    driver.settle()
+    page.keyboard.press("Escape")
+    driver.press_and_save("p")
+    assert len(served.labels.elements) == 1
+    sides = {row.side: row.anchor_px[0] for row in served.observations}
+    driver.select("T-01")
+    page.keyboard.press("-")
+    driver.press_and_save("ArrowRight")
+    moved = {row.side: row.anchor_px[0] for row in served.observations}
+    assert moved["left"] == sides["left"]
+    assert np.isclose(moved["right"] - sides["right"], 0.1)
+
+
 def test_the_mouse_leaves_the_keys_with_the_images(driver: LabelDriver, served: Served) -> None:
     driver.page.click('#classes .row:has-text("Triangular")')
     driver.press_and_save("Shift+Enter")

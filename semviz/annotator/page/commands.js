@@ -4,7 +4,7 @@ import { backToImages, nextPanel } from "./focus.js";
 import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
 import { proposalCommands, proposing } from "./proposals.js";
-import { SIDES, uuid7 } from "./state.js";
+import { SIDES, other, uuid7 } from "./state.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help. */
 export function commands(state, images, tools, actions) {
@@ -50,7 +50,11 @@ export function commands(state, images, tools, actions) {
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
     { key: "+", group: "Draw", title: "Cursor for keys; again: a point", run: () => cursor.setPoint() },
-    { key: "-", group: "Draw", title: "Cursor to the other image", run: () => cursor.cross() },
+    { key: "-", group: "Draw", title: "Cursor, or what is in hand, to the other image", run: () => {
+      const { selected } = state;
+      if (state.cursor || !selected) cursor.cross();
+      else actions.select(selected.element, other(selected.side));
+    } },
     { key: "v", group: "Draw", title: "The other end, for the arrows", run: edit.otherEnd },
     { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
     { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },

@@ -18,12 +18,18 @@ export function backToImages() {
   return true;
 }
 
-/** Arrows move the focus within a list. */
+/** Arrows move the focus within a list; Ctrl Enter is the click with Ctrl. */
 export function watchLists() {
   window.addEventListener("keydown", (event) => {
     const list = event.target.closest?.(".list, .strip");
-    const by = list && event.target.matches("button") ? STEPS[event.key] : null;
-    if (!by || event.defaultPrevented) return;
+    if (!list || !event.target.matches("button") || event.defaultPrevented) return;
+    if (event.key === "Enter" && event.ctrlKey) {
+      event.preventDefault();
+      event.target.dispatchEvent(new MouseEvent("click", { bubbles: true, ctrlKey: true }));
+      return;
+    }
+    const by = STEPS[event.key];
+    if (!by) return;
     event.preventDefault();
     const rows = [...list.querySelectorAll("button")].filter(isShown);
     rows[rows.indexOf(event.target) + by]?.focus();

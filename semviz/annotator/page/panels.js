@@ -81,10 +81,18 @@ export class Panels {
         el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
   }
 
+  /** Takes an element in hand; with Ctrl beside the one that was, to be linked. */
+  #choose(id, event) {
+    const { selected } = this.state;
+    this.actions.select(id);
+    const isSecond = (event.ctrlKey || event.metaKey) && selected && selected.element !== id;
+    if (isSecond) this.state.set({ selected: { ...this.state.selected, also: selected.element } });
+  }
+
   #elements() {
     const { state } = this;
     const line = (one, about) =>
-      row({ chosen: one.id === state.selected?.element, onclick: () => this.actions.select(one.id) },
+      row({ chosen: one.id === state.selected?.element, onclick: (event) => this.#choose(one.id, event) },
         this.#glyph(state.classOf(one.class)), el("span", { class: "fill", text: one.name }), ...about);
     const seen = state.elements.map((one) => {
       const sides = SIDES.filter((side) => one.observations[side]);
