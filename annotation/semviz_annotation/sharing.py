@@ -1,6 +1,6 @@
 """A dictionary whose copies share what neither has changed."""
 
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping, ValuesView
 from itertools import chain
 from typing import Any, TypeVar
 from zlib import crc32
@@ -51,6 +51,9 @@ class SharingDict(MutableMapping[K, V]):
     def __iter__(self) -> Iterator[K]:
         return chain.from_iterable(self._shards)
 
+    def values(self) -> ValuesView[V]:
+        return _Values(self)
+
     def __len__(self) -> int:
         return sum(map(len, self._shards))
 
@@ -74,6 +77,15 @@ class SharingDict(MutableMapping[K, V]):
             self._shards[index] = self._shards[index].copy()
             self._own.add(index)
         return self._shards[index]
+
+
+class _Values(ValuesView[V]):
+    """Without looking up each key."""
+
+    _mapping: SharingDict[Any, V]
+
+    def __iter__(self) -> Iterator[V]:
+        return chain.from_iterable(shard.values() for shard in self._mapping._shards)
 
 
 def _index(key: str | int) -> int:
