@@ -1,13 +1,16 @@
 """A check finds every planted fault and names the operation; backups and what they bring back."""
 
+import multiprocessing
 import shutil
 import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from random_edits import pole
 
@@ -368,6 +371,27 @@ def test_a_damaged_file_that_is_in_use_is_not_replaced(file, tmp_path):
     assert file.read_bytes() == content
     user.communicate("\n")
     assert restore_labels(file, backup)[0].operations == 8
+
+
+def test_a_restoring_that_is_killed_is_done_or_not_begun(file, tmp_path):
+    rng = np.random.default_rng(4)
+    backup = tmp_path / "backup.db"
+    backup_labels(file, backup)
+    edits(file, 3)
+    later = tmp_path / "later.db"
+    backup_labels(file, later)
+    known = {check_labels(one) for one in (backup, later)}
+    for trial in range(20):
+        source = (backup, later)[trial % 2]
+        process = multiprocessing.get_context("fork").Process(
+            target=restore_labels, args=(file, source)
+        )
+        process.start()
+        time.sleep(rng.uniform(0.0, 0.06))
+        process.kill()
+        process.join()
+        assert check_labels(file) in known
+    assert {check_labels(one) for one in tmp_path.glob("*before-restore*.db")} <= known
 
 
 def test_a_restoring_that_fails_changes_nothing(file, tmp_path, monkeypatch):
