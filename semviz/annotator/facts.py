@@ -8,7 +8,7 @@ import numpy as np
 
 from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
-from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation
 from semviz_annotation.store import Operation
 from semviz_annotation.triangulate import Triangulated, across_px
 
@@ -51,11 +51,18 @@ class Facts:
         elements |= {row.id for row in rows if isinstance(row, LabelElement)}
         seen = [one for element_id in elements for one in labels.of_element(element_id)]
         seen += [row for row in rows if isinstance(row, Observation)]
-        for index in sorted({one.frame_index for one in seen}):
+        frames = {one.frame_index for one in seen}
+        frames |= {row.frame_index for row in rows if isinstance(row, Dismissal)}
+        for index in sorted(frames):
             place = self._place_in_time.get(index)
             if place is not None:
                 around = self._order[max(0, place - AROUND) : place + AROUND + 1]
                 self._stale.update(dict.fromkeys(around))
+
+    def forget_all(self) -> Sequence[int]:
+        """All is to be learnt anew; the frames."""
+        self._stale = dict.fromkeys(self._order)
+        return self._order
 
     def learn(self, labels: Labels, seconds: float) -> tuple[list[int], bool]:
         """Frames that are known after so long and were not, or not rightly; whether all are."""

@@ -41,7 +41,7 @@ class Past:
         return {"operations": self._json(found)}
 
     def frame(self, operation: object, frame_index: object) -> Json:
-        """What was labelled in a frame after an operation, and what that was (None for 0, the beginning).
+        """What was labelled in a frame after an operation, and that operation (None for 0).
 
         Raises SemvizError where there is no such operation or frame.
         """

@@ -1,7 +1,6 @@
 """Labelling one workspace: what the page can ask for and do. No web, no screen."""
 
 import hashlib
-from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -10,6 +9,7 @@ from semviz.annotator.facts import Facts
 from semviz.annotator.hand import Drawing, Hand, Look, seen_from_json
 from semviz.annotator.images import Images
 from semviz.annotator.looker import Looker
+from semviz.annotator.news import News
 from semviz.annotator.offer_views import offers_json, snapped_json
 from semviz.annotator.offers import Question
 from semviz.annotator.pairing import Partner, partner_of
@@ -27,9 +27,6 @@ from semviz_annotation.triangulate import Triangulated
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
-
-HISTORY = 100
-"""So many operations the page lists."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +73,7 @@ class LabelSession:
         self.past = Past(self._store, self._panes, self.frames, self.classes)
         self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
         """As of this operation and version of the places."""
-        self._history: deque[Json] = deque(maxlen=HISTORY)
-        """Newest first."""
-        self._told = max(0, self._store.last_operation - HISTORY)
-        """The last operation in the history."""
-        self._announced = self._store.last_operation
-        """The last operation that the pages have been told of."""
-        self._touched: set[int] = set()
-        """Frames that operations since then have changed."""
+        self._news = News(self._store, self.classes, self._facts)
 
     def close(self) -> None:
         self.images.close()
@@ -120,15 +110,13 @@ class LabelSession:
 
     def has_news(self) -> bool:
         """Whether anybody, here or in another process, has done something since ``news``."""
-        return self._store.last_operation > self._announced
+        return self._news.waits
 
     def news(self) -> Json:
         """What is new in the summary since the last call. Meant for all pages at once."""
         labels = self.labels
         state = self._state(labels)
-        touched = sorted(self._touched & self.frames.keys())
-        self._touched.clear()
-        self._announced = self._told
+        touched = sorted(self._news.told() & self.frames.keys())
         return state | {"frames": self._frames_json(labels, touched)}
 
     def learn(self, seconds: float) -> tuple[list[Json], bool]:
@@ -262,7 +250,7 @@ class LabelSession:
             element_id=seen[0] if seen and operation.kind in ("add", "link", "unlink") else None,
             frame=frame if frame in self.frames else None,
             added=views.observations_added(operation),
-            note=views.what_fell(operation, self.labels, self.classes),
+            note=views.note_on(operation, self.labels, self.classes),
         )
 
     # -- what is in hand
@@ -312,18 +300,14 @@ class LabelSession:
         )
 
     def _state(self, labels: Labels) -> Json:
-        for one in self._store.operations(after=self._told):
-            self._history.appendleft(views.operation_json(one, labels, self.classes))
-            self._touched.update(views.frames_touched(one))
-            self._facts.forget(one, labels)
-            self._told = one.number
+        history = self._news.history(labels)
         return {
-            "operation": self._told,
+            "operation": self._news.operation,
             "counts": views.class_counts(labels),
             "mapped": len(self._places.mapped(labels)),
             "can_undo": self._store.undoable(self.author) is not None,
             "can_redo": self._store.redoable(self.author) is not None,
-            "history": list(self._history),
+            "history": history,
         }
 
     def _frames_json(self, labels: Labels, indices: Iterable[int]) -> list[Json]:

@@ -116,8 +116,13 @@ def frame_of(operation: Operation, labels: Labels) -> int | None:
     return seen[0].frame_index if seen else None
 
 
-def what_fell(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """What a deletion took away and what is left, for people; empty for other operations."""
+def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+    """What people should know of an operation; empty for most.
+
+    What a deletion took away and what is left; what an undo had to pass over.
+    """
+    if operation.kind == "undo" and operation.text:
+        return f"Undone operation {operation.undoes}; left as it is: {operation.text}."
     if operation.kind not in ("delete", "delete element"):
         return ""
     gone = [one.before for one in operation.changes if isinstance(one.before, Observation)]

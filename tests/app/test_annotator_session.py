@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
+from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.labels import new_id
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.errors import SemvizError
@@ -381,3 +382,22 @@ def test_news_tell_what_another_process_did(session: LabelSession) -> None:
     assert news["frames"] == [{"index": 4, "state": "in work", "elements": 1}]
     assert news["operation"] == 1
     assert not session.has_news()
+
+
+def test_labels_that_were_put_back_are_shown_and_labelled_on(
+    session: LabelSession, tmp_path: Path
+) -> None:
+    draw(session, pole(session, 0, "left"))
+    backup_labels(session.workspace.labels_path, tmp_path / "backup.db")
+    for frame in (1, 2):
+        draw(session, sign(frame, "left", (700.0, 120.0)))
+    session.news()
+    restore_labels(session.workspace.labels_path, tmp_path / "backup.db")
+    assert session.has_news()
+    news = session.news()
+    assert (news["operation"], len(news["history"])) == (1, 1)
+    assert {one["index"]: one["elements"] for one in news["frames"]} == dict.fromkeys(
+        range(6), 0
+    ) | {0: 1}
+    draw(session, sign(3, "left", (700.0, 120.0)))
+    assert session.news()["operation"] == 2
