@@ -1,4 +1,4 @@
-"""The labelling page in small, usual and very large windows, dark and light."""
+"""The labelling page in small, usual and very large windows."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,11 @@ CUT_OFF = """() => {
         .map(([one]) => one.textContent || one.id);
 }"""
 
+NAMELESS = """() => [...document.querySelectorAll("button, input, canvas.marks, iframe")]
+    .filter(one => !one.textContent.trim() && !one.title && !one.getAttribute("aria-label")
+        && !one.labels?.length)
+    .map(one => one.outerHTML)"""
+
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
@@ -54,6 +59,12 @@ def driver(served: Served, page: "Page", size: tuple[int, int]) -> LabelDriver:
     driver.open(served.url)
     page.keyboard.press("Escape")  # ends the tour
     return driver
+
+
+def bounding_box(page: "Page", selector: str) -> dict[str, float]:
+    box = page.locator(selector).first.bounding_box()
+    assert box is not None
+    return dict(box)
 
 
 def overlap(one: dict[str, Any], two: dict[str, Any]) -> bool:
@@ -79,21 +90,17 @@ def faults(page: "Page", size: tuple[int, int]) -> list[str]:
     return found + [f"cut off: {text}" for text in page.evaluate(CUT_OFF)]
 
 
-@pytest.mark.parametrize("scheme", ["dark", "light"])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
-    driver: LabelDriver, size: tuple[int, int], scheme: str
+    driver: LabelDriver, size: tuple[int, int]
 ) -> None:
     page = driver.page
-    if page.evaluate("document.documentElement.dataset.theme") != scheme:
-        page.keyboard.press("t")
-    if driver.page.locator('#elements .row:has-text("P-")').count() == 0:
-        ends = ((600.0, 60.0), (600.0, 260.0)), ((580.0, 60.0), (580.0, 260.0))
-        driver.draw_pair(POLE, *ends)
+    if page.locator('#elements .row:has-text("P-")').count() == 0:
+        left, right = (((u, 60.0), (u, 260.0)) for u in (600.0, 580.0))
+        driver.draw_pair(POLE, left, right)
     driver.clear_selection()
-    left, right = SIZES[size]
-    assert abs(page.locator(".left .panel").first.bounding_box()["width"] - left) <= 20  # type: ignore[index]
-    assert abs(page.locator("#card").bounding_box()["width"] - right) <= 8  # type: ignore[index]
+    columns = [bounding_box(page, one)["width"] for one in (".left .panel", "#card")]
+    assert columns == pytest.approx(SIZES[size], abs=20)
     states = {"idle": [], "history": ["h"], "back": ["h"], "bright": ["b"], "naming": ["Control+b"]}
     for state, keys in states.items():
         for key in keys:
@@ -105,40 +112,12 @@ def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
     page.wait_for_selector("#card .numbers")
     driver.settle()
     assert faults(page, size) == []
-    card = page.locator("#card")
-    assert card.evaluate("card => card.scrollHeight <= card.clientHeight")
-    assert card.evaluate("card => card.getBoundingClientRect().bottom") <= size[1]
+    assert page.locator("#card").evaluate("card => card.scrollHeight <= card.clientHeight")
+    images = [bounding_box(page, f"#{side}-image canvas.marks") for side in ("left", "right")]
+    assert images[0]["width"] == images[1]["width"]
+    assert images[0]["height"] == images[1]["height"]
+    assert sum(box["width"] * box["height"] for box in images) > 0.4 * size[0] * size[1]
     page.keyboard.press("?")
     help_dialog = page.locator("dialog.help")
     assert help_dialog.evaluate("one => one.scrollHeight <= one.clientHeight"), "help scrolls"
-    page.keyboard.press("Escape")
-    page.keyboard.press("b")
-
-
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_the_images_get_most_of_the_window_and_the_same_zoom(
-    driver: LabelDriver, size: tuple[int, int]
-) -> None:
-    boxes = [
-        driver.page.locator(f"#{side}-image canvas.marks").bounding_box()
-        for side in ("left", "right")
-    ]
-    assert boxes[0] is not None
-    assert boxes[1] is not None
-    assert (boxes[0]["width"], boxes[0]["height"]) == (boxes[1]["width"], boxes[1]["height"])
-    area = sum(box["width"] * box["height"] for box in boxes if box is not None)
-    assert area / (size[0] * size[1]) > 0.4
-    assert driver.view("left").scale == driver.view("right").scale
-
-
-@pytest.mark.parametrize("size", [(1280, 720)], ids=str)
-def test_everything_that_can_be_pressed_has_a_name(
-    driver: LabelDriver, size: tuple[int, int]
-) -> None:
-    nameless = driver.page.evaluate(
-        """() => [...document.querySelectorAll("button, input, canvas.marks, iframe")]
-        .filter(one => !one.textContent.trim() && !one.title && !one.getAttribute("aria-label")
-            && !one.labels?.length)
-        .map(one => one.outerHTML)"""
-    )
-    assert nameless == []
+    assert page.evaluate(NAMELESS) == []

@@ -1,12 +1,14 @@
 """Colours of one family stay apart for people who see two cones: simulated, and measured."""
 
+import re
 from itertools import combinations
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 
-from semviz import palette
+from semviz import palette, web
 from semviz.palette import Tone
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import DEFAULT_CLASSES
@@ -50,11 +52,14 @@ FAMILIES = {
 }
 
 
+def linear_rgb(color: str) -> FloatArray:
+    encoded = np.array([int(color[at : at + 2], 16) / 255.0 for at in (1, 3, 5)])
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
 def simulated_lab(color: str, matrix: object) -> FloatArray:
     """CIELAB (D65) of ``#RRGGBB`` as it is seen through ``matrix``."""
-    encoded = np.array([int(color[at : at + 2], 16) / 255.0 for at in (1, 3, 5)])
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    xyz = XYZ_OF_RGB @ np.clip(np.asarray(matrix) @ linear, 0.0, 1.0) / WHITE
+    xyz = XYZ_OF_RGB @ np.clip(np.asarray(matrix) @ linear_rgb(color), 0.0, 1.0) / WHITE
     f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
@@ -110,6 +115,26 @@ def test_colours_of_a_family_stay_apart(
     seen = {color: simulated_lab(color, SIMULATED[vision]) for color in colors}
     least = {pair: ciede2000(*(seen[one] for one in pair)) for pair in combinations(colors, 2)}
     assert min(least.values()) >= LEAST, min(least, key=least.__getitem__)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_text_stands_out_from_every_surface(theme: str) -> None:
+    """Contrast of WCAG 2: 4.5 for text, 3 for what only adds to it."""
+    dark, light = (dict(re.findall(r"--([\w-]+): (#\w{6});", one)) for one in themes())
+    colors = dark if theme == "dark" else dark | light
+    for text, least in (("text", 7.0), ("dim", 4.5), ("faint", 3.0)):
+        for surface in ("page", "panel", "raised"):
+            low, high = sorted(luminance(colors[one]) for one in (text, surface))
+            assert (high + 0.05) / (low + 0.05) >= least, (text, surface)
+
+
+def themes() -> list[str]:
+    css = (Path(web.__file__).parent / "static" / "base.css").read_text(encoding="utf-8")
+    return re.findall(r":root[^{]*\{([^}]*)\}", css)[:2]
+
+
+def luminance(color: str) -> float:
+    return float(XYZ_OF_RGB[1] @ linear_rgb(color))
 
 
 def test_no_meaning_of_a_class_is_in_its_colour_alone() -> None:
