@@ -7,8 +7,9 @@ from dataclasses import replace
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.cards import card, epipolar_error_px
-from semviz.annotator.panes import Panes
+from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
 from semviz.annotator.views import Json
 from semviz_annotation.assist.shot import Mark
@@ -81,7 +82,8 @@ class Look:
 class Hand:
     """Says what is known of what is in hand."""
 
-    def __init__(self, panes: Panes, places: Places) -> None:
+    def __init__(self, cameras: Cameras, panes: Panes, places: Places) -> None:
+        self._cameras = cameras
         self._panes = panes
         self._places = places
 
@@ -127,11 +129,14 @@ class Hand:
         """Those of ``observations`` that are on screen."""
         panes = self._panes.of(frame_index)
         return {
-            side: (self._panes.view(pane), one)
+            side: (self._view(pane), one)
             for side, pane in panes.items()
             for one in observations
             if (one.frame_index, one.side) == (pane.frame_index, pane.side)
         }
+
+    def _view(self, pane: Pane) -> View:
+        return self._cameras.view(pane.frame_index, pane.side)
 
     def _guides(
         self, look: Look, shown: dict[Side, tuple[View, Observation]]
@@ -143,7 +148,7 @@ class Hand:
         if in_hand not in shown or other(in_hand) not in panes:
             return guides
         here, one = shown[in_hand]
-        there = self._panes.view(panes[other(in_hand)])
+        there = self._view(panes[other(in_hand)])
         ends = [one.anchor_px]
         if one.end_px is not None and one.end_px != one.anchor_px:
             ends.append(one.end_px)
@@ -157,7 +162,7 @@ class Hand:
         shown: dict[Side, tuple[View, Observation]],
     ) -> Json:
         here = [one for _, one in shown.values()]
-        if self._panes.T_camera_map(frame_index) is None:
+        if self._cameras.T_map_camera[frame_index] is None:
             place, count = self._places.of_pair(here), len(here)
         else:
             place, count = self._places.of_observations(observations), len(observations)
@@ -166,7 +171,7 @@ class Hand:
             for side, (_, one) in shown.items()
             if one.end_px is not None
         }
-        view = self._panes.view(self._panes.of(frame_index)["left"])
+        view = self._cameras.view(frame_index, "left")
         return card(place, view, count) | {
             "length_px": lengths,
             "epipolar_px": epipolar_error_px([shown[side] for side in sorted(shown)]),

@@ -5,9 +5,10 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from typing import Generic, TypeVar
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.images import Images
 from semviz.annotator.offers import Answer, FindPartner, Offer, Question
-from semviz.annotator.panes import Pane, Panes
+from semviz.annotator.panes import Pane
 from semviz_annotation.assist.follow import follow
 from semviz_annotation.assist.partner import find_partner
 from semviz_annotation.assist.shot import Mark, Shot
@@ -26,9 +27,9 @@ V = TypeVar("V")
 class Looker:
     """Looks at images and keeps what it saw. Thread-safe."""
 
-    def __init__(self, images: Images, panes: Panes, classes: ClassSet) -> None:
+    def __init__(self, images: Images, cameras: Cameras, classes: ClassSet) -> None:
         self._images = images
-        self._panes = panes
+        self._cameras = cameras
         self._classes = classes
         self._answers: _Recent[Question, Answer] = _Recent(KEPT_ANSWERS)
         self._shots: _Recent[Pane, Shot] = _Recent(KEPT_SHOTS)
@@ -75,7 +76,7 @@ class Looker:
         shot = self._shots.get(pane)
         if shot is None:
             pixels = self._images.pixels(pane.frame_index, pane.side)
-            shot = Shot.of(self._panes.view(pane), pixels)
+            shot = Shot.of(self._cameras.view(pane.frame_index, pane.side), pixels)
             self._shots.put(pane, shot)
         return shot
 

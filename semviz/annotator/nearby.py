@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.fit import seen_at
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.places import Places
 from semviz_annotation.labels import Labels, Pixel
-from semviz_annotation.view import View, rig_view
+from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
-from semviz_core.camera import Rig
 from semviz_core.sources.source import Side
 
 NEARBY_FRAMES = 5
@@ -34,7 +34,7 @@ def nearby_in(
     order: Sequence[int],
     expected: Iterable[str],
     labels: Labels,
-    rig: Rig,
+    cameras: Cameras,
     places: Places,
 ) -> tuple[Nearby, ...]:
     """What is labelled near a frame, and neither ``expected`` in it nor labelled in both images.
@@ -42,15 +42,15 @@ def nearby_in(
     ``order`` holds all frames in order of time. What the rays say is out of sight is left out.
     """
     known = set(expected)
-    T_camera_map = places.T_camera_map(frame_index)
-    sides: tuple[Side, ...] = ("left", "right") if rig.right is not None else ("left",)
-    views = {side: rig_view(rig, side, T_camera_map) for side in sides}
+    sides: tuple[Side, ...] = ("left",) if cameras.rig.right is None else ("left", "right")
+    views = {side: cameras.view(frame_index, side) for side in sides}
+    is_posed = cameras.T_map_camera[frame_index] is not None
     found = []
     for element_id, labelled_in in _labelled_near(frame_index, order, labels).items():
         lacking = [side for side in sides if not labels.find(element_id, frame_index, side)]
         if element_id in known or not lacking:
             continue
-        ends = None if T_camera_map is None else places.best_ends(labels, element_id)
+        ends = places.best_ends(labels, element_id) if is_posed else None
         ghosts = () if ends is None else _ghosts(element_id, lacking, views, ends)
         if ghosts or (ends is None and labelled_in != frame_index):
             found.append(Nearby(element_id, labelled_in, ghosts))

@@ -55,7 +55,7 @@ def partner_of(
 def _misfit_px(observations: Sequence[Observation], places: Places) -> float:
     """Of a drawing (the last one) with what else there is of its element; infinite for nothing."""
     drawing = observations[-1]
-    if places.T_camera_map(drawing.frame_index) is None:
+    if not places.posed([drawing]):
         observations = [one for one in observations if one.frame_index == drawing.frame_index]
     else:
         observations = places.posed(observations)

@@ -1,17 +1,14 @@
 """The two images on the page: a frame's left and right or, with one camera, two frames."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from semviz_annotation.view import View, rig_view
+from semviz.annotator.cameras import Cameras
 from semviz_core.arrays import FloatArray
-from semviz_core.camera import Rig
 from semviz_core.errors import SemvizError
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
 from semviz_core.sources.source import Side
 
 APART_M = 4.0
@@ -32,15 +29,14 @@ class Pane:
 class Panes:
     """Which images belong on the page together. They are called left and right there."""
 
-    def __init__(self, rig: Rig, frames: Iterable[Frame]) -> None:
-        self._rig = rig
-        self._poses = {one.index: one.T_map_camera for one in frames}
-        self._indices = tuple(self._poses)
+    def __init__(self, cameras: Cameras) -> None:
+        self._cameras = cameras
+        self._indices = tuple(cameras.T_map_camera)
         self._places = {index: place for place, index in enumerate(self._indices)}
 
     def of(self, frame_index: int) -> Mapping[Side, Pane]:
         """Left alone where there is neither a right camera nor a frame from elsewhere."""
-        if self._rig.right is not None:
+        if self._cameras.rig.right is not None:
             return {"left": Pane(frame_index, "left"), "right": Pane(frame_index, "right")}
         panes: dict[Side, Pane] = {"left": Pane(frame_index, "left")}
         companion = self._companion(frame_index)
@@ -52,15 +48,6 @@ class Panes:
             return self.of(frame_index)[shown_as]
         except KeyError:
             raise SemvizError(f"frame {frame_index} has no second image") from None
-
-    def view(self, pane: Pane) -> View:
-        """In the map frame; in the coordinates of the left camera where that has no pose."""
-        return rig_view(self._rig, pane.side, self.T_camera_map(pane.frame_index))
-
-    def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
-        """Pose of a frame's left camera; None where it is not known."""
-        pose = self._poses[frame_index]
-        return None if pose is None else pose.inverse()
 
     def _companion(self, frame_index: int) -> int | None:
         """The earlier frame (or else later one) that is about ``APART_M`` away, or the furthest.
@@ -82,5 +69,8 @@ class Panes:
         """(n, 3) m; NaN without a pose."""
         nowhere = np.full(3, np.nan)
         return np.array(
-            [nowhere if pose is None else pose.translation for pose in self._poses.values()]
+            [
+                nowhere if pose is None else pose.translation
+                for pose in self._cameras.T_map_camera.values()
+            ]
         )

@@ -5,16 +5,13 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.fit import best_ends
 from semviz.annotator.ghosts import REACH_M
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
-from semviz_core.camera import Rig
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.sources.source import Side
 
 Place = Triangulated | Failed
 
@@ -37,13 +34,12 @@ class Places:
     they are placed bit by bit, by ``settle``.
     """
 
-    def __init__(self, rig: Rig, frames: Iterable[Frame]) -> None:
-        self._rig = rig
-        self._T_map_camera = {frame.index: frame.T_map_camera for frame in frames}
-        posed = {one: pose for one, pose in self._T_map_camera.items() if pose is not None}
+    def __init__(self, cameras: Cameras) -> None:
+        self._cameras = cameras
+        poses = cameras.T_map_camera.items()
+        posed = {one: pose for one, pose in poses if pose is not None}
         self._posed = np.array(list(posed), dtype=np.int64)
         self._centers_m = np.array([pose.translation for pose in posed.values()]).reshape(-1, 3)
-        self._views: dict[tuple[int, Side], View] = {}
         self._labels = Labels()
         self._stale: dict[str, None] = {}
         """Elements of the labels whose places are not known, or perhaps others by now."""
@@ -112,26 +108,23 @@ class Places:
 
     def posed(self, observations: Iterable[Observation]) -> list[Observation]:
         """Those in frames that have a pose."""
-        return [one for one in observations if self._T_map_camera.get(one.frame_index) is not None]
+        return [
+            one
+            for one in observations
+            if self._cameras.T_map_camera.get(one.frame_index) is not None
+        ]
 
     def of_pair(self, observations: Sequence[Observation]) -> Place:
         """One element in the coordinates of the left camera, from one frame's observations."""
         if len(observations) < 2:
             return ONE_VIEW
-        return triangulate([rig_view(self._rig, one.side) for one in observations], observations)
+        return triangulate(
+            [rig_view(self._cameras.rig, one.side) for one in observations], observations
+        )
 
     def view(self, observation: Observation) -> View:
-        """The camera of an observation, in the map frame (in its left camera's without a pose)."""
-        key = observation.frame_index, observation.side
-        if key not in self._views:
-            T_camera_map = self.T_camera_map(observation.frame_index)
-            self._views[key] = rig_view(self._rig, observation.side, T_camera_map)
-        return self._views[key]
-
-    def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
-        """Pose of a frame's left camera; None where it is not known."""
-        pose = self._T_map_camera[frame_index]
-        return None if pose is None else pose.inverse()
+        """The camera of an observation."""
+        return self._cameras.view(observation.frame_index, observation.side)
 
     def _follow(self, labels: Labels) -> None:
         """From now on places are those of ``labels``."""
@@ -181,7 +174,7 @@ class Places:
 
     def _labelled_near(self, frame_index: int) -> Iterable[str]:
         """Elements that are labelled in frames whose cameras are near, each once."""
-        here = self._T_map_camera[frame_index]
+        here = self._cameras.T_map_camera[frame_index]
         if here is None:
             return ()
         away_m = np.linalg.norm(self._centers_m - here.translation, axis=1)

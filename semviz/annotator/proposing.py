@@ -1,8 +1,8 @@
 """Everything that is proposed for a frame: what geometry expects, as the images confirm it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.ghosts import Ghost, ghosts_in
 from semviz.annotator.looker import Looker
 from semviz.annotator.nearby import Nearby, nearby_in
@@ -11,7 +11,6 @@ from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
 from semviz_annotation.labels import Labels
 from semviz_annotation.proposals import Proposals
-from semviz_core.camera import Rig
 
 
 @dataclass(frozen=True)
@@ -27,19 +26,18 @@ class Proposing:
 
     def __init__(
         self,
-        rig: Rig,
+        cameras: Cameras,
         panes: Panes,
         places: Places,
         looker: Looker,
-        order: Sequence[int],
         detected: Proposals,
     ) -> None:
-        self._rig = rig
+        self._cameras = cameras
         self._panes = panes
         self._places = places
         self._looker = looker
-        self._order = order
-        self._place_in_time = {index: place for place, index in enumerate(order)}
+        self._order = tuple(cameras.T_map_camera)
+        self._place_in_time = {index: place for place, index in enumerate(self._order)}
         self._detected = detected
         self._labels = Labels()
         self._known: dict[int, _Geometry] = {}
@@ -65,11 +63,13 @@ class Proposing:
 
     def ghosts(self, pane: Pane, labels: Labels) -> list[Ghost]:
         """Mapped elements that are expected in an image and not labelled there."""
-        T_camera_map = self._panes.T_camera_map(pane.frame_index)
+        T_camera_map = self._cameras.T_camera_map(pane.frame_index)
         if T_camera_map is None:
             return []
         near = self._places.near(labels, pane.frame_index)
-        return list(ghosts_in(pane.frame_index, pane.side, T_camera_map, self._rig, labels, near))
+        return list(
+            ghosts_in(pane.frame_index, pane.side, T_camera_map, self._cameras.rig, labels, near)
+        )
 
     def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
         """As ``_found``, kept: it is asked for several times after each edit."""
@@ -88,7 +88,7 @@ class Proposing:
             for ghost in self.ghosts(pane, labels)
         ]
         known = {one.ghost.element_id for one in expected}
-        nearby = nearby_in(frame_index, self._order, known, labels, self._rig, self._places)
+        nearby = nearby_in(frame_index, self._order, known, labels, self._cameras, self._places)
         expected += [
             Expected(Pane(frame_index, ghost.side), ghost, None)
             for one in nearby

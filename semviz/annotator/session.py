@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from semviz.annotator import views
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.facts import Facts
 from semviz.annotator.hand import Drawing, Hand, Look, seen_from_json
 from semviz.annotator.images import Images
@@ -62,13 +63,12 @@ class LabelSession:
         detected = load_proposals(workspace.proposals_path, self.classes)
         self._store = workspace.open_labels()
         self.images = Images(self.source)
-        self._panes = Panes(self.rig, self.source.frames)
-        self._places = Places(self.rig, self.source.frames)
-        self.looker = Looker(self.images, self._panes, self.classes)
-        self._hand = Hand(self._panes, self._places)
-        self._proposing = Proposing(
-            self.rig, self._panes, self._places, self.looker, tuple(self.frames), detected
-        )
+        cameras = Cameras(self.rig, self.source.frames)
+        self._panes = Panes(cameras)
+        self._places = Places(cameras)
+        self.looker = Looker(self.images, cameras, self.classes)
+        self._hand = Hand(cameras, self._panes, self._places)
+        self._proposing = Proposing(cameras, self._panes, self._places, self.looker, detected)
         self._facts = Facts(tuple(self.frames), self._places, self._proposing)
         self.past = Past(self._store, self._panes, self.frames, self.classes)
         self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from semviz.annotator.cameras import Cameras
 from semviz.annotator.ghosts import REACH_M, ghosts_in
 from semviz.annotator.places import ONE_VIEW, Places
 from semviz_annotation.edits import DeleteElement, DeleteObservation, Edit, MoveObservation
@@ -100,7 +101,7 @@ def test_a_frame_has_all_its_ghosts_though_little_is_placed(index: int) -> None:
     labels = labels_of(first_pass_only=True)
     pose = FRAMES[index].T_map_camera
     assert pose is not None
-    places = Places(RIG, FRAMES)
+    places = Places(Cameras(RIG, FRAMES))
     near = places.near(labels, index)
     assert len(near) < 0.7 * len(labels.elements)
     found = ghosts_in(index, "right", pose.inverse(), RIG, labels, near)
@@ -111,7 +112,7 @@ def test_a_frame_has_all_its_ghosts_though_little_is_placed(index: int) -> None:
 
 
 def test_the_whole_map_comes_bit_by_bit() -> None:
-    places = Places(RIG, FRAMES)
+    places = Places(Cameras(RIG, FRAMES))
     assert not places.settle(LABELS, 0.0)
     counts = []
     while not places.settle(LABELS, 1e-9):
@@ -123,7 +124,7 @@ def test_the_whole_map_comes_bit_by_bit() -> None:
 @settings(max_examples=20)
 @given(st.data())
 def test_after_any_edits_places_are_as_if_found_anew(data: st.DataObject) -> None:
-    places = Places(RIG, FRAMES)
+    places = Places(Cameras(RIG, FRAMES))
     labels = LABELS
     for _ in range(data.draw(st.integers(1, 4))):
         one = data.draw(st.sampled_from(sorted(labels.observations)))
@@ -152,7 +153,7 @@ def test_after_any_edits_places_are_as_if_found_anew(data: st.DataObject) -> Non
 
 def test_frames_that_are_not_there_any_more_count_as_unposed() -> None:
     """A workspace over fewer frames than were labelled."""
-    places = Places(RIG, FRAMES[:2])
+    places = Places(Cameras(RIG, FRAMES[:2]))
     element_id = min(LABELS.elements.values(), key=lambda one: one.number).id
     assert isinstance(places.of_element(LABELS, element_id), Triangulated)
     last = max(LABELS.observations.values(), key=lambda row: row.frame_index)
