@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from semviz_annotation.labels import Observation, Pixel
 from semviz_annotation.view import View
 from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError
 
 SURE = 0.8
@@ -46,8 +47,26 @@ class Shot:
         (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, [width, height])
         x0, y0 = min(x0, width - 1), min(y0, height - 1)
         window = self.image[y0 : max(y1, y0 + 1), x0 : max(x1, x0 + 1)].astype(np.float32)
-        maps = (points - [x0, y0]).astype(np.float32)
-        found = cv2.remap(window, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        u, v = np.moveaxis((points - [x0, y0]).astype(np.float32), -1, 0)
+        found = cv2.remap(window, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(found, dtype=np.float32)
+
+    def shrunk(self, middle_px: FloatArray, scale: float, half: int) -> Samples:
+        """(2 half + 1, 2 half + 1, 3) colours round a point, ``scale`` pixels each, smoothed."""
+        import cv2
+
+        height, width = self.image.shape[:2]
+        reach = int(np.ceil((half + 2) * scale))
+        x, y = np.round(middle_px).astype(int)
+        x0, x1 = (int(np.clip(one, 0, width - 1)) for one in (x - reach, x + reach))
+        y0, y1 = (int(np.clip(one, 0, height - 1)) for one in (y - reach, y + reach))
+        window = self.image[y0 : y1 + 1, x0 : x1 + 1].astype(np.float32)
+        smooth = cv2.GaussianBlur(window, (0, 0), 0.5 * scale)
+        left, top = middle_px - half * scale - [x0, y0]
+        matrix = np.array([[scale, 0.0, left], [0.0, scale, top]])
+        size = (2 * half + 1, 2 * half + 1)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        found = cv2.warpAffine(smooth, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
 
 
@@ -89,3 +108,20 @@ class Proposed:
 
 def pixel(point: FloatArray) -> Pixel:
     return float(point[0]), float(point[1])
+
+
+def clipped(mark: Mark, ends_px: FloatArray, camera: Camera) -> Mark:
+    """A mark with ends (1 or 2, 2) instead; where they leave the image, they are not known."""
+    if len(ends_px) == 1:
+        return Mark(pixel(ends_px[0]), None, mark.anchor_known, False)
+    low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
+    step = ends_px[1] - ends_px[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bounds = np.stack([(low - ends_px[0]) / step, (high - ends_px[0]) / step])
+    enter = float(np.nanmax(np.append(bounds.min(axis=0), 0.0)))
+    leave = float(np.nanmin(np.append(bounds.max(axis=0), 1.0)))
+    if enter >= leave:
+        enter, leave = 0.0, 1.0
+    first, last = ends_px[0] + enter * step, ends_px[0] + leave * step
+    known = (mark.anchor_known and enter == 0.0, mark.end_known and leave == 1.0)
+    return Mark(pixel(first), pixel(last), *known)

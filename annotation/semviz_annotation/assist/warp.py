@@ -34,3 +34,26 @@ def inverse_depths(
     length = np.concatenate([[0.0], np.cumsum(np.where(ok, steps, 0.0))])
     count = int(np.ceil(length[-1] / step_px)) + 1
     return np.asarray(1.0 / np.interp(np.linspace(0.0, length[-1], count), length, 1.0 / many))
+
+
+def depth_on_line(
+    here: View, there: View, pixel_px: FloatArray, line_px: FloatArray, depth_m: float
+) -> FloatArray | None:
+    """(2,) px in ``there`` where a pixel's epipolar line crosses a line (2, 2), near a depth.
+
+    None where it runs along it.
+    """
+    along = line_px[1] - line_px[0]
+    across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    inverse = 1.0 / depth_m
+    for _ in range(3):
+        step = 0.02 * inverse
+        depths = 1.0 / (inverse + np.array([-step, 0.0, step]))
+        places = transfer(here, there, pixel_px[None], depths)[:, 0]
+        off = (places - line_px[0]) @ across
+        moved = float(np.linalg.norm(places[2] - places[0]))
+        slope = off[2] - off[0]
+        if not np.isfinite(slope) or abs(slope) < 0.2 * moved or moved < 1e-6:
+            return None
+        inverse = max(inverse - 2.0 * step * off[1] / slope, 0.2 * inverse)
+    return np.asarray(transfer(here, there, pixel_px[None], np.array([1.0 / inverse]))[0, 0])

@@ -1,0 +1,61 @@
+"""What a pole or a sign looks like in one image, to be compared with another."""
+
+import numpy as np
+
+from semviz_annotation.assist.outline import find_outlines
+from semviz_annotation.assist.pole import across, find_axes
+from semviz_annotation.assist.shot import Samples, Shot
+from semviz_core.arrays import FloatArray
+from semviz_core.classes import ElementClass
+
+_ROWS, _COLUMNS = 24, 11
+_BESIDE_PX = 1.5
+_SIGN = 13
+_LEVELS = 20.0
+"""Mean difference of colours at which a row counts less than half."""
+
+
+def pole_points(ends_px: FloatArray, width_px: float) -> FloatArray:
+    """(rows, columns, 2) of a pole and a little beside it."""
+    share = (np.arange(_ROWS) + 0.5) / _ROWS
+    offsets = np.linspace(-1.0, 1.0, _COLUMNS) * (width_px / 2.0 + _BESIDE_PX)
+    points = ends_px[0] + share[:, None] * (ends_px[1] - ends_px[0])
+    return np.asarray(points[:, None] + offsets[:, None] * across(ends_px))
+
+
+def sign_points(middle_px: FloatArray, half_px: FloatArray) -> FloatArray:
+    """(n, n, 2) of a sign and a little beside it."""
+    place = np.linspace(-1.15, 1.15, _SIGN)
+    return np.asarray(middle_px + np.stack(np.meshgrid(place, place), axis=-1) * half_px)
+
+
+def pole_look(shot: Shot, ends_px: FloatArray, width_px: float) -> Samples:
+    return shot.sample(pole_points(ends_px, width_px))
+
+
+def likeness(one: Samples, others: Samples) -> FloatArray:
+    """(d, 3) of looks (rows, columns, 3) and (d, rows, columns, 3): their normalized correlation,
+    the share of rows that are alike, and the logarithm of the typical difference of colours."""
+    a = one.reshape(-1) - one.mean()
+    b = others.reshape(len(others), -1)
+    b = b - b.mean(axis=1, keepdims=True)
+    correlation = (b @ a) / (np.linalg.norm(a) * np.linalg.norm(b, axis=1) + 1e-3)
+    difference = np.abs(others - one).mean(axis=(2, 3))
+    alike = 1.0 / (1.0 + (difference / _LEVELS) ** 2)
+    middle = slice(one.shape[1] // 3, one.shape[1] - one.shape[1] // 3)
+    colors = np.abs(others[:, :, middle] - one[:, middle]).mean(axis=(2, 3))
+    typical = np.log(np.median(colors, axis=1) + 2.0)
+    return np.stack([correlation, alike.mean(axis=1), typical], axis=1).astype(np.float64)
+
+
+def width_of(shot: Shot, ends_px: FloatArray) -> float:
+    """A marked pole's width, px; 3 where its edges are not clear."""
+    axes = find_axes(shot, ends_px, 1.5, 1)
+    return float(np.clip(axes[0].width_px, 1.0, 40.0)) if axes else 3.0
+
+
+def half_of(shot: Shot, middle_px: FloatArray, element_class: ElementClass) -> FloatArray:
+    """(2,) half a marked sign's width and height, px; 8 where its outline is not clear."""
+    found = find_outlines(shot, middle_px, element_class.shape, 2)
+    near = [one for one in found if np.linalg.norm(one.middle_px - middle_px) < 3.0]
+    return np.clip(near[0].half_px, 3.0, 60.0) if near else np.array([8.0, 8.0])

@@ -1,0 +1,53 @@
+"""How likely a proposal is right: estimated probability that it is within 2 px.
+
+Logistic functions of a few measures each, fitted on simulated streets with seeds below 1000 by
+``python bench/assist.py --fit``; ``python bench/assist.py`` measures their reliability on others.
+"""
+
+import numpy as np
+
+from semviz_core.arrays import FloatArray
+
+WEIGHTS: dict[str, tuple[float, ...]] = {
+    "follow pole": (
+        -0.51,
+        2.07,
+        1.13,
+        -0.98,
+        2.38,
+        4.06,
+        -1.53,
+        -0.20,
+        0.17,
+        1.69,
+        -1.72,
+        -1.61,
+        0.35,
+        0.30,
+    ),
+    "follow sign": (3.69, 5.41, 1.37, -3.06, 1.79, 4.75, -0.50, -3.36, 1.08),
+    "partner pole": (
+        2.30,
+        -0.22,
+        -0.11,
+        -2.77,
+        1.69,
+        -0.37,
+        4.33,
+        0.30,
+        0.00,
+        5.99,
+        0.00,
+        -0.88,
+        -0.23,
+    ),
+    "partner sign": (0.45, 0.66, 0.84, -0.76, 0.99, 9.54, -0.93, 0.22),
+    "snap pole": (-8.70, -1.16, 0.82, 0.84, -0.65, 7.27, 0.36, -2.67, -0.82, -1.35, 1.98),
+    "snap sign": (3.16, 2.93, 1.26, 1.26, 0.36, -3.31, 0.55, 0.43, -5.87),
+}
+
+
+def probability(what: str, evidence: FloatArray) -> float:
+    """Of evidence (k,), led by nothing: the constant is the first weight."""
+    weights = WEIGHTS[what]
+    return float(1.0 / (1.0 + np.exp(-(weights[0] + evidence @ np.array(weights[1:])))))

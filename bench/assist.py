@@ -1,0 +1,467 @@
+"""How exact and how reliable snapping, partners and following are, on simulated streets.
+
+    python bench/assist.py [--quick]        figures, on seeds that nothing was fitted to
+    python bench/assist.py --fit            the weights of semviz_annotation.assist.score
+
+Beside plain peers with the same windows: template matching (NCC) along the epipolar line, and the
+pyramidal Lucas-Kanade tracker started at the expected place.
+"""
+
+import argparse
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from semviz_annotation.assist.follow import expected_px, found_in
+from semviz_annotation.assist.partner import candidates
+from semviz_annotation.assist.score import probability
+from semviz_annotation.assist.shot import SURE, Mark, Shot
+from semviz_annotation.assist.snap import CLEAR, best_snap
+from semviz_annotation.labels import Observation
+from semviz_annotation.triangulate import Failed, Triangulated, triangulate
+from semviz_annotation.view import View, rig_view
+from semviz_core.arrays import FloatArray
+from semviz_core.classes import DEFAULT_CLASSES, POLE
+from semviz_core.pose import Pose
+from semviz_core.sources.source import Side
+from semviz_core.sources.street.street import Street
+
+SIDES: tuple[Side, Side] = ("left", "right")
+FAR_M = 40.0
+CLICK_PX = 1.4
+"""Standard deviation of a click in each direction: about 2 px off."""
+LABEL_PX = 0.3
+POSE_M, POSE_RAD = 0.02, 0.0005
+"""What the poses of frames are off by, in each direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One answer and how far off it is; infinite where there is nothing to be found."""
+
+    what: str
+    name: str
+    depth_m: float
+    evidence: FloatArray
+    error_px: float
+    step: int = 0
+    peer_px: float = np.inf
+    best: bool = True
+    along_px: tuple[float, ...] = ()
+
+    @property
+    def probability(self) -> float:
+        return probability(self.what, self.evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One image with what it truly shows, by id."""
+
+    shot: Shot
+    marks: dict[int, Mark]
+    classes: dict[int, int]
+    depths: dict[int, float]
+
+
+def picture(street: Street, index: int, side: Side) -> Picture:
+    pose = street.frames[index].T_map_camera
+    assert pose is not None
+    view = rig_view(street.rig, side, pose.inverse())
+    seen, ids = street.labels(index, side)
+    anchors = street.truth_map.elements.anchor_m
+    rows = np.searchsorted(street.truth_map.elements.id, ids)
+    depths = view.depth_m(anchors[rows])
+    marks = {}
+    for k, element_id in enumerate(ids):
+        end = (float(seen.end_px[k, 0]), float(seen.end_px[k, 1])) if seen.is_line[k] else None
+        anchor = (float(seen.anchor_px[k, 0]), float(seen.anchor_px[k, 1]))
+        known = bool(seen.anchor_known[k]), bool(seen.end_known[k])
+        marks[int(element_id)] = Mark(anchor, end, *known)
+    classes = dict(zip(map(int, ids), map(int, seen.class_id), strict=True))
+    far = dict(zip(map(int, ids), map(float, depths), strict=True))
+    return Picture(Shot.of(view, street.image(index, side)), marks, classes, far)
+
+
+def shaken(mark: Mark, rng: np.random.Generator, sigma_px: float) -> Mark:
+    ends = mark.ends_px + np.clip(rng.normal(0.0, sigma_px, mark.ends_px.shape), -4.0, 4.0)
+    return moved(mark, ends)
+
+
+def moved(mark: Mark, ends: FloatArray) -> Mark:
+    points = [(float(u), float(v)) for u, v in ends]
+    return replace(mark, anchor_px=points[0], end_px=points[1] if len(points) == 2 else None)
+
+
+def error_px(mark: Mark, truth: Mark) -> float:
+    """Furthest that a true end is from its own: across only, where either is not known."""
+    ours, true = mark.ends_px, truth.ends_px
+    if len(true) == 1:
+        return float(np.linalg.norm(ours - true))
+    along = (ours[1] - ours[0]) / np.linalg.norm(ours[1] - ours[0])
+    offs = true - ours[0]
+    across = np.abs(offs @ np.array([along[1], -along[0]]))
+    known = np.array([mark.anchor_known, mark.end_known]) & [truth.anchor_known, truth.end_known]
+    return float(np.where(known, np.linalg.norm(ours - true, axis=1), across).max())
+
+
+# -- snapping
+
+
+def snaps(street: Street, frames: list[int], rng: np.random.Generator) -> Iterator[Answer]:
+    for index in frames:
+        for side in SIDES:
+            shown = picture(street, index, side)
+            for element_id, mark in shown.marks.items():
+                if shown.depths[element_id] < FAR_M:
+                    yield from _snap(street, shown, element_id, mark, rng)
+            for _ in range(8):
+                yield from _snap_nowhere(shown, rng)
+
+
+def _snap(
+    street: Street, shown: Picture, element_id: int, mark: Mark, rng: np.random.Generator
+) -> Iterator[Answer]:
+    class_id = shown.classes[element_id]
+    name = DEFAULT_CLASSES[class_id].name
+    depth = shown.depths[element_id]
+    if class_id == POLE:
+        clicked = shaken(mark, rng, CLICK_PX)
+    else:
+        sign = next(one for one in street.layout.signs if one.id == element_id)
+        share = rng.uniform(-0.5, 0.5, 2)
+        point = sign.middle_m + share[0] * sign.right_m + share[1] * sign.up_m
+        clicked = moved(mark, shown.shot.view.project(point[None]))
+    what = "snap pole" if class_id == POLE else "snap sign"
+    found = best_snap(shown.shot, clicked, DEFAULT_CLASSES[class_id])
+    if found is None:
+        return
+    now = found.snapped
+    if class_id == POLE:
+        across = replace(now.mark, anchor_known=False, end_known=False)
+        along = mark.ends_px[1] - mark.ends_px[0]
+        offs = (now.mark.ends_px - mark.ends_px) @ along / np.linalg.norm(along)
+        ok = (now.anchor_snapped, now.end_snapped)
+        slid = tuple(abs(float(off)) for off, one in zip(offs, ok, strict=True) if one)
+        yield Answer(what, name, depth, found.evidence, error_px(across, mark), along_px=slid)
+    else:
+        yield Answer(what, name, depth, found.evidence, error_px(now.mark, mark))
+
+
+def _snap_nowhere(shown: Picture, rng: np.random.Generator) -> Iterator[Answer]:
+    """A line, or a point, where no element is: on houses, trees, hedges."""
+    for class_id in (POLE, int(rng.integers(1, 4))):
+        begin = np.array([rng.uniform(30, 1210), rng.uniform(40, 230)])
+        ends = [begin, begin + np.array([rng.normal(0, 2), rng.uniform(25, 120)])][
+            : 2 if class_id == POLE else 1
+        ]
+        mark = moved(Mark((0.0, 0.0), (0.0, 0.0), False, False), np.array(ends))
+        near = [
+            error_px(mark, one) for one in shown.marks.values() if len(one.ends_px) == len(ends)
+        ]
+        if min(near, default=99.0) < 25.0:
+            continue
+        found = best_snap(shown.shot, mark, DEFAULT_CLASSES[class_id])
+        if found is not None:
+            what = "snap pole" if class_id == POLE else "snap sign"
+            yield Answer(what, "nothing there", 0.0, found.evidence, np.inf)
+
+
+# -- partners
+
+
+def partners(street: Street, frames: list[int]) -> Iterator[Answer]:
+    for index in frames:
+        both = {side: picture(street, index, side) for side in SIDES}
+        for here, there in ((both["left"], both["right"]), (both["right"], both["left"])):
+            for element_id in here.marks.keys() & there.marks.keys():
+                if here.depths[element_id] < FAR_M:
+                    yield from _partner(street, here, there, element_id)
+
+
+def _partner(street: Street, here: Picture, there: Picture, element_id: int) -> Iterator[Answer]:
+    class_id = here.classes[element_id]
+    mark = here.marks[element_id]
+    truth = moved(mark, there.shot.view.project(_points_m(street, here, element_id)))
+    what = "partner pole" if class_id == POLE else "partner sign"
+    found = candidates(here.shot, there.shot, mark, DEFAULT_CLASSES[class_id])
+    order = sorted(found, key=lambda one: -probability(what, one.evidence))
+    for k, one in enumerate(order):
+        ends = moved(mark, one.ends_px)
+        yield Answer(
+            what,
+            DEFAULT_CLASSES[class_id].name,
+            here.depths[element_id],
+            one.evidence,
+            float(np.linalg.norm(ends.ends_px - truth.ends_px, axis=1).max()),
+            peer_px=_template_px(here.shot, there.shot, mark, truth) if k == 0 else np.inf,
+            best=k == 0,
+        )
+
+
+def _points_m(street: Street, here: Picture, element_id: int) -> FloatArray:
+    """(1 or 2, 3) what is marked, in space: the visible part of a pole."""
+    elements = street.truth_map.elements
+    row = int(np.searchsorted(elements.id, element_id))
+    mark = here.marks[element_id].ends_px
+    if len(mark) == 1:
+        return elements.anchor_m[row][None]
+    whole = np.stack([elements.anchor_m[row], elements.end_m[row]])
+    depths = here.shot.view.depth_m(whole)
+    ends = here.shot.view.project(whole)
+    step = ends[1] - ends[0]
+    share = (mark - ends[0]) @ step / (step @ step)
+    share = share * depths[0] / (depths[1] + (depths[0] - depths[1]) * share)  # perspective
+    return np.asarray(whole[0] + share[:, None] * (whole[1] - whole[0]))
+
+
+def _template_px(here: Shot, there: Shot, mark: Mark, truth: Mark) -> float:
+    """Error of cv2.matchTemplate on the rows of the mark, 5.5 px of context on either side."""
+    ends = mark.ends_px
+    low = np.floor(ends.min(axis=0) - 6).astype(int)
+    high = np.ceil(ends.max(axis=0) + 6).astype(int)
+    (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, [1241, 376])
+    window = here.image[y0:y1, x0:x1]
+    rows = there.image[y0:y1]
+    score = cv2.matchTemplate(rows, window, cv2.TM_CCOEFF_NORMED)[0]
+    at = int(np.argmax(score))
+    if 0 < at < len(score) - 1:
+        a, b, c = score[at - 1 : at + 2]
+        at_px = at + 0.5 * (a - c) / min(a + c - 2 * b, -1e-9)
+    else:
+        at_px = float(at)
+    found = moved(mark, ends + np.array([at_px - x0, 0.0]))
+    return float(np.linalg.norm(found.ends_px - truth.ends_px, axis=1).max())
+
+
+# -- following
+
+
+def follows(
+    street: Street, first: int, steps: list[int], rng: np.random.Generator
+) -> Iterator[Answer]:
+    both = {side: picture(street, first, side) for side in SIDES}
+    mapped = dict(_mapped(both, rng))
+    for step in steps:
+        for side in SIDES:
+            true = picture(street, first + step, side)
+            off = Pose.exp(np.r_[rng.normal(0, POSE_M, 3), rng.normal(0, POSE_RAD, 3)])
+            view = true.shot.view
+            there = Shot(View(view.camera, off @ view.T_camera_map), true.shot.image)
+            turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.1)
+            aside = Pose.from_rotvec([0.0, turn, 0.0], [0.0, 0.0, 0.0]) @ there.view.T_camera_map
+            elsewhere = Shot(View(view.camera, aside), there.image)
+            for element_id, (element, marks) in mapped.items():
+                depth = float(there.view.depth_m(element.anchor_m[None])[0])
+                class_id = both["left"].classes[element_id]
+                seen = [
+                    (both[one].shot, marks[one]) for one in sorted(SIDES, key=lambda s: s != side)
+                ]
+                if not 3.0 < depth < FAR_M:
+                    continue
+                found = found_in(seen, element, there, DEFAULT_CLASSES[class_id])
+                decoy = found_in(seen, element, elsewhere, DEFAULT_CLASSES[class_id])
+                if decoy is not None:
+                    what = "follow pole" if class_id == POLE else "follow sign"
+                    yield Answer(what, "elsewhere", depth, decoy.evidence, np.inf, step)
+                if found is None:
+                    continue
+                truth = true.marks.get(element_id)
+                yield Answer(
+                    "follow pole" if class_id == POLE else "follow sign",
+                    DEFAULT_CLASSES[class_id].name,
+                    depth,
+                    found.evidence,
+                    np.inf if truth is None else error_px(found.mark, truth),
+                    step,
+                    np.inf if truth is None else _klt_px(seen[0], there, element, truth),
+                )
+
+
+def _mapped(
+    both: dict[Side, Picture], rng: np.random.Generator
+) -> Iterator[tuple[int, tuple[Triangulated, dict[Side, Mark]]]]:
+    """What both images show, triangulated from careful labels."""
+    for element_id in sorted(both["left"].marks.keys() & both["right"].marks.keys()):
+        marks = {side: shaken(both[side].marks[element_id], rng, LABEL_PX) for side in SIDES}
+        views = [both[side].shot.view for side in SIDES]
+        found = triangulate(views, [_label(marks[side]) for side in SIDES], 0.5)
+        if not isinstance(found, Failed):
+            yield element_id, (found, marks)
+
+
+def _label(mark: Mark) -> Observation:
+    known = (mark.anchor_known, mark.end_known)
+    return Observation("", "", 0, "left", mark.anchor_px, mark.end_px, *known)
+
+
+def _klt_px(seen: tuple[Shot, Mark], there: Shot, element: Triangulated, truth: Mark) -> float:
+    """Error of the pyramidal Lucas-Kanade tracker, started where the element is expected."""
+    expected = expected_px(element, there.view)
+    here, mark = seen
+    if expected is None:
+        return np.inf
+    images = [cv2.cvtColor(one.image, cv2.COLOR_RGB2GRAY) for one in (here, there)]
+    found, _, _ = cv2.calcOpticalFlowPyrLK(
+        *images,
+        mark.ends_px.astype(np.float32)[:, None],
+        expected.astype(np.float32)[:, None].copy(),
+        winSize=(21, 21),
+        maxLevel=2,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return error_px(moved(mark, found[:, 0].astype(np.float64)), truth)
+
+
+# -- figures
+
+
+def answers(seeds: range, quick: bool, only: str = "") -> list[Answer]:
+    result: list[Answer] = []
+    for seed in seeds:
+        street, rng = Street(seed), np.random.default_rng(seed)
+        frames = [12, 40] if quick else [5, 20, 35, 50]
+        if only in ("", "snap"):
+            result += snaps(street, frames, rng)
+        if only in ("", "partner"):
+            result += partners(street, frames)
+        if only in ("", "follow"):
+            result += follows(street, 20, [1, 2, 4, 8] if quick else list(range(1, 9)), rng)
+    return result
+
+
+def within(errors: FloatArray) -> str:
+    return f"within 1 px {np.mean(errors < 1):.1%}, 2 px {np.mean(errors < 2):.1%}"
+
+
+def print_figures(all_answers: list[Answer]) -> None:
+    by_kind: dict[str, list[Answer]] = defaultdict(list)
+    for one in all_answers:
+        by_kind[one.what].append(one)
+    for what in sorted(by_kind):
+        rows = by_kind[what]
+        print(f"\n{what}")
+        if what.startswith("snap"):
+            print_snaps(rows)
+        else:
+            print_found([one for one in rows if one.best])
+        print_reliability(rows)
+
+
+def print_snaps(rows: list[Answer]) -> None:
+    there = [one for one in rows if np.isfinite(one.error_px)]
+    clear = [one for one in there if one.probability >= CLEAR]
+    nothing = [one for one in rows if not np.isfinite(one.error_px)]
+    errors = np.array([one.error_px for one in clear])
+    p50, p75, p90 = np.percentile(errors, (50, 75, 90))
+    print(f"  snapped {len(clear)} of {len(there)}")
+    print(f"  error median {p50:.2f}, p75 {p75:.2f}, p90 {p90:.2f} px")
+    print(f"  more than 1 px off: {np.mean(errors > 1):.1%}, 2 px: {np.mean(errors > 2):.1%}")
+    for name in sorted({one.name for one in clear}):
+        of = np.array([one.error_px for one in clear if one.name == name])
+        p50, p90 = np.percentile(of, (50, 90))
+        print(f"    {name:<17} {len(of):>4}: median {p50:.2f}, p90 {p90:.2f} px")
+    slid = [off for one in clear for off in one.along_px]
+    if slid:
+        p50, p90 = np.percentile(slid, (50, 90))
+        print(f"  ends found along the pole: {len(slid)}, median {p50:.2f}, p90 {p90:.2f} px")
+    wrong = sum(one.probability >= CLEAR for one in nothing)
+    print(f"  where no element is: {wrong} of {len(nothing)} snapped to something like one")
+
+
+def print_found(rows: list[Answer]) -> None:
+    visible = [one for one in rows if np.isfinite(one.error_px)]
+    errors = np.array([one.error_px for one in visible])
+    peers = np.array([one.peer_px for one in visible])
+    sure = [one for one in rows if one.probability >= SURE]
+    print(f"  {len(visible)} visible: {within(errors)}")
+    print(f"  the plain peer: {within(peers)}")
+    of_visible = np.mean([one.probability >= SURE for one in visible])
+    wrong = np.mean([one.error_px > 2 for one in sure])
+    print(f"  sure {of_visible:.1%} of the visible; wrong (2 px) {wrong:.2%} of {len(sure)} sure")
+    hidden = [one.probability >= SURE for one in rows if not np.isfinite(one.error_px)]
+    if hidden:
+        print(
+            f"  hidden, or looked for 30 to 70 px aside, yet sure: {sum(hidden)} of {len(hidden)}"
+        )
+    for name in sorted({one.name for one in visible}):
+        for low, high in ((0, 12), (12, 25), (25, FAR_M)):
+            of = [one.error_px for one in visible if one.name == name and low <= one.depth_m < high]
+            if of:
+                good = np.mean(np.array(of) < 1)
+                print(
+                    f"    {name:<17} {low:>2}-{high:<3.0f} m {len(of):>4}: within 1 px {good:.1%}"
+                )
+    for step in sorted({one.step for one in visible} - {0}):
+        of = np.array([one.error_px for one in visible if one.step == step])
+        print(f"    {step} frames on {len(of):>4}: {within(of)}")
+
+
+def print_reliability(rows: list[Answer]) -> None:
+    said = np.array([one.probability for one in rows])
+    right = np.array([_right(one) for one in rows])
+    print("  said      answers  right")
+    for low, high in ((0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
+        of = (said >= low) & (said < high)
+        if of.any():
+            print(f"  {low:.2f}-{min(high, 1):.2f} {of.sum():>7} {right[of].mean():>7.1%}")
+
+
+def _right(one: Answer) -> bool:
+    return one.error_px < (1.0 if one.what.startswith("snap") else 2.0)
+
+
+def print_times() -> None:
+    street = Street(1000)
+    left, right = (picture(street, 12, side) for side in SIDES)
+    times = defaultdict(list)
+    for element_id in left.marks.keys() & right.marks.keys():
+        mark, kind = left.marks[element_id], DEFAULT_CLASSES[left.classes[element_id]]
+        for _ in range(3):
+            begin = time.process_time()
+            best_snap(left.shot, mark, kind)
+            middle = time.process_time()
+            candidates(left.shot, right.shot, mark, kind)
+            times[f"snap {kind.kind}"].append(middle - begin)
+            times[f"partner {kind.kind}"].append(time.process_time() - middle)
+    print("\nprocessor time, median of one call")
+    for name, all_s in sorted(times.items()):
+        print(f"  {name:<15} {1000 * np.median(all_s):.1f} ms")
+
+
+def print_fit(all_answers: list[Answer]) -> None:
+    """Logistic regression of what is right, by kind (Newton's method, a small ridge)."""
+    for what in sorted({one.what for one in all_answers}):
+        rows = [one for one in all_answers if one.what == what]
+        X = np.array([[1.0, *one.evidence] for one in rows])
+        y = np.array([_right(one) for one in rows], dtype=float)
+        weights = np.zeros(X.shape[1])
+        for _ in range(60):
+            p = 1.0 / (1.0 + np.exp(-X @ weights))
+            H = (X * (p * (1.0 - p) + 1e-9)[:, None]).T @ X + 0.1 * np.eye(len(weights))
+            weights = weights + np.linalg.solve(H, X.T @ (y - p) - 0.1 * weights)
+        print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in weights)}),')
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="two streets instead of six")
+    parser.add_argument("--fit", action="store_true", help="fit the weights instead")
+    parser.add_argument("--only", choices=["snap", "partner", "follow"], default="")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    if arguments.fit:
+        print_fit(answers(range(1, 9), False, arguments.only))
+        return
+    seeds = range(1000, 1002 if arguments.quick else 1006)
+    print(f"simulated streets, seeds {seeds[0]} to {seeds[-1]}; nearer than {FAR_M:.0f} m")
+    print_figures(answers(seeds, arguments.quick, arguments.only))
+    print_times()
+
+
+if __name__ == "__main__":
+    main()
