@@ -8,9 +8,9 @@ import numpy as np
 
 from semviz_annotation.edits import AddObservation
 from semviz_annotation.labels import Draft, Labels
-from semviz_annotation.operations import NO_HASH, Operation, sealed
 from semviz_annotation.rules import Rules
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.operations import NO_HASH, Operation, sealed
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.arrays import FloatArray
 
 FOCAL_PX, CENTER_PX, BASELINE_M = 720.0, (610.0, 180.0), 0.54

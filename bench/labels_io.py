@@ -25,7 +25,7 @@ from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import LabelElement, Observation
 from semviz_annotation.proposals import load_proposals, read_proposals, save_proposals
 from semviz_annotation.rows import derived_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.camera import Camera, Rig
 from semviz_core.pose import Pose
 

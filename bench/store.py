@@ -18,12 +18,12 @@ import numpy as np
 import tyro
 from big_labels import make_big_labels
 
-from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.edits import AddMany, AddObservation, MoveObservation
-from semviz_annotation.exchange import export_operations
-from semviz_annotation.integrity import check_labels
 from semviz_annotation.labels import new_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.backup import backup_labels, restore_labels
+from semviz_annotation.storing.exchange import export_operations
+from semviz_annotation.storing.integrity import check_labels
+from semviz_annotation.storing.store import LabelStore
 
 AUTHOR = "ann"
 OPENINGS = 5

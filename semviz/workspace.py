@@ -31,7 +31,7 @@ from semviz_core.sources.street.things import SectionKind
 
 if TYPE_CHECKING:
     from semviz_annotation.labels import Labels
-    from semviz_annotation.store import LabelStore
+    from semviz_annotation.storing.store import LabelStore
     from semviz_core.sources.street.layout import Section
     from semviz_core.sources.street.street import Street
 
@@ -269,7 +269,7 @@ class Workspace:
 
     def open_labels(self) -> "LabelStore":
         """The label file, made where there is none; close it (or use ``with``)."""
-        from semviz_annotation.store import LabelStore
+        from semviz_annotation.storing.store import LabelStore
 
         rig = self.source.rig
         store = LabelStore.open(self.labels_path, self.classes, rig)
@@ -280,7 +280,7 @@ class Workspace:
     def read_labels(self) -> "Labels":
         """The labels as they are now, also without images; none where nobody has labelled yet."""
         from semviz_annotation.labels import Labels
-        from semviz_annotation.store import LabelStore
+        from semviz_annotation.storing.store import LabelStore
 
         if not self.labels_path.exists():
             return Labels()

@@ -36,7 +36,7 @@ with atheris.instrument_imports(include=["semviz_annotation"]):
     from semviz_annotation.proposals import read_proposals
     from semviz_annotation.rows import derived_id
     from semviz_annotation.rules import Rules
-    from semviz_annotation.store import LabelStore
+    from semviz_annotation.storing.store import LabelStore
 
 import numpy as np
 from mutations import mutated

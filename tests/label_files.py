@@ -10,7 +10,7 @@ from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import LabelElement, Labels, Observation
 from semviz_annotation.rows import derived_id
 from semviz_annotation.rules import Rules
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.camera import Camera, Rig
 from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.pose import Pose

@@ -9,7 +9,7 @@ import numpy as np
 from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
 from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation
-from semviz_annotation.store import Operation
+from semviz_annotation.storing.store import Operation
 from semviz_annotation.triangulate import Triangulated, across_px
 
 AROUND = 60

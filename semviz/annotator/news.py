@@ -6,7 +6,7 @@ from semviz.annotator import views
 from semviz.annotator.facts import Facts
 from semviz.annotator.views import Json
 from semviz_annotation.labels import Labels
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.classes import ClassSet
 
 HISTORY = 100

@@ -17,7 +17,7 @@ from semviz.web.colors import Theme
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send
 from semviz_annotation.edits import first_fault
-from semviz_annotation.operations import ConflictError
+from semviz_annotation.storing.operations import ConflictError
 from semviz_core.errors import SemvizError
 
 _LOOK: TypeAdapter[Look] = TypeAdapter(Look)

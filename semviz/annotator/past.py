@@ -6,7 +6,7 @@ from semviz.annotator import views
 from semviz.annotator.panes import Panes
 from semviz.annotator.views import Json
 from semviz_annotation.labels import Labels
-from semviz_annotation.store import LabelStore, Operation
+from semviz_annotation.storing.store import LabelStore, Operation
 from semviz_core.classes import ClassSet
 from semviz_core.errors import SemvizError
 

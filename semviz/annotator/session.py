@@ -23,7 +23,7 @@ from semviz.workspace import Workspace
 from semviz_annotation.edits import AddMany, AddObservation, edit_from_json
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.proposals import load_proposals
-from semviz_annotation.store import Operation
+from semviz_annotation.storing.store import Operation
 from semviz_annotation.triangulate import Triangulated
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError

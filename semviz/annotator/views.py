@@ -15,7 +15,7 @@ from semviz_annotation.labels import (
     Review,
     Row,
 )
-from semviz_annotation.store import Operation
+from semviz_annotation.storing.store import Operation
 from semviz_core.classes import ClassSet
 from semviz_core.sources.source import Side
 

@@ -21,7 +21,7 @@ class LabelsCheck:
 
     def run(self) -> int:
         from semviz.workspace import Workspace
-        from semviz_annotation.integrity import check_labels
+        from semviz_annotation.storing.integrity import check_labels
 
         path = Workspace.open(self.workspace).labels_path
         found = check_labels(path)
@@ -46,7 +46,7 @@ class LabelsBackup:
 
     def run(self) -> int:
         from semviz.workspace import Workspace
-        from semviz_annotation.backup import backup_labels
+        from semviz_annotation.storing.backup import backup_labels
 
         found = backup_labels(Workspace.open(self.workspace).labels_path, self.file)
         print(f"{self.file}: {found.operations} operations, checked")
@@ -64,7 +64,7 @@ class LabelsRestore:
 
     def run(self) -> int:
         from semviz.workspace import Workspace
-        from semviz_annotation.backup import restore_labels
+        from semviz_annotation.storing.backup import restore_labels
 
         path = Workspace.open(self.workspace).labels_path
         found, aside = restore_labels(path, self.file)

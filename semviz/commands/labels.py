@@ -58,8 +58,8 @@ class LabelsExport:
         return 0
 
     def _export_log(self, workspace: "Workspace") -> int:
-        from semviz_annotation.exchange import export_operations
-        from semviz_annotation.store import LabelStore
+        from semviz_annotation.storing.exchange import export_operations
+        from semviz_annotation.storing.store import LabelStore
 
         if self.side is not None:
             raise SemvizError("--side: the log is of both sides")
@@ -98,7 +98,7 @@ class LabelsImport:
         class_map = parse_class_map(self.class_map)
         with workspace.open_labels() as store:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
-                from semviz_annotation.exchange import import_operations
+                from semviz_annotation.storing.exchange import import_operations
 
                 if class_map or self.side is not None:
                     raise SemvizError("--side and --class-map are not for a log of operations")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_annotation.view import rig_view
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera, Rig

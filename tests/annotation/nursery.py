@@ -13,7 +13,7 @@ from random_edits import pole
 
 from semviz_annotation.edits import AddMany, MoveObservation
 from semviz_annotation.labels import new_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 
 
 def write(path: Path, seed: int) -> None:

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from random_edits import pole, random_edit
 
-from semviz_annotation.integrity import check_labels
 from semviz_annotation.labels import Labels
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.integrity import check_labels
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 NURSERY = Path(__file__).with_name("nursery.py")
@@ -182,7 +182,7 @@ def test_a_disk_that_is_full_refuses_and_goes_on_when_there_is_room(tmp_path):
 
 def test_a_file_that_stays_locked_is_named_after_waiting(path, monkeypatch):
     LabelStore.open(path).close()
-    monkeypatch.setattr("semviz_annotation.connection.WAIT_S", 0.05)
+    monkeypatch.setattr("semviz_annotation.storing.connection.WAIT_S", 0.05)
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(SemvizError, match=r"Not opened: another program keeps .*labels.db locked"):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from semviz_annotation.edits import AddObservation, MoveObservation, ReviewFrame
-from semviz_annotation.exchange import export_operations, import_operations
 from semviz_annotation.labels import Labels, new_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.exchange import export_operations, import_operations
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 

@@ -16,7 +16,7 @@ from semviz_annotation.formats.plan import ImportLabels, plan_import
 from semviz_annotation.formats.reading import Reading, Seen, parse_class_map
 from semviz_annotation.labels import Labels
 from semviz_annotation.rows import Dismissal, new_id, proposal_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import skip_or_fail
 
 from semviz_annotation.formats.importing import ImportReport, guess_format, import_labels
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 pytestmark = pytest.mark.realdata

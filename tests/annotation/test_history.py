@@ -19,7 +19,7 @@ from semviz_annotation.edits import (
     ReviewFrame,
 )
 from semviz_annotation.labels import Dismissal, Labels, Observation, new_id, proposal_id, row_key
-from semviz_annotation.store import ConflictError, LabelStore
+from semviz_annotation.storing.store import ConflictError, LabelStore
 from semviz_core.errors import SemvizError
 
 
@@ -303,7 +303,7 @@ def test_who_wrote_what_last(store):
 def test_order_does_not_depend_on_the_clock_or_on_ids(path, monkeypatch):
     times = iter([5_000_000, 4_000_000, 3_000_000, 2_000_000, 1_000_000] * 10)
     monkeypatch.setattr("semviz_annotation.rows.time.time_ns", lambda: next(times) * 1_000_000)
-    monkeypatch.setattr("semviz_annotation.store._now", lambda: f"{next(times)}")
+    monkeypatch.setattr("semviz_annotation.storing.store._now", lambda: f"{next(times)}")
     with LabelStore.open(path) as store:
         edits = [pole(0) for _ in range(4)]
         assert [one.element_id for one in edits] != sorted(one.element_id for one in edits)

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from random_edits import pole
 
-from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.edits import AddMany, Dismiss, MoveObservation, ReviewFrame
-from semviz_annotation.integrity import check_labels
 from semviz_annotation.labels import Dismissal, proposal_id
-from semviz_annotation.operations import CHANGES, sealed
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.backup import backup_labels, restore_labels
+from semviz_annotation.storing.integrity import check_labels
+from semviz_annotation.storing.operations import CHANGES, sealed
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 
@@ -403,7 +403,7 @@ def test_a_restoring_that_fails_changes_nothing(file, tmp_path, monkeypatch):
     def full(connection: sqlite3.Connection) -> None:
         connection.execute("SELECT raise_it()")
 
-    monkeypatch.setattr("semviz_annotation.backup.make", full)
+    monkeypatch.setattr("semviz_annotation.storing.backup.make", full)
     with pytest.raises(SemvizError, match="Not restored"):
         restore_labels(file, backup)
     assert check_labels(file) == before

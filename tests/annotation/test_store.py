@@ -20,7 +20,7 @@ from semviz_annotation.edits import (
     MoveObservation,
 )
 from semviz_annotation.labels import LabelElement, Labels, new_id
-from semviz_annotation.store import LabelStore, Operation
+from semviz_annotation.storing.store import LabelStore, Operation
 from semviz_core.errors import SemvizError
 
 WORKER = Path(__file__).with_name("worker.py")

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from semviz_annotation import schema
-from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.edits import AddObservation, DeleteElement, MoveObservation, ReviewFrame
-from semviz_annotation.integrity import check_labels
 from semviz_annotation.labels import new_id
-from semviz_annotation.operations import CHANGES, Operation
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing import schema
+from semviz_annotation.storing.backup import backup_labels, restore_labels
+from semviz_annotation.storing.integrity import check_labels
+from semviz_annotation.storing.operations import CHANGES, Operation
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 
 VERSION_1 = """

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from semviz_annotation.edits import AddObservation
 from semviz_annotation.labels import new_id
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 
 if __name__ == "__main__":
     path, author, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
-from semviz_annotation.backup import backup_labels, restore_labels
 from semviz_annotation.labels import new_id
+from semviz_annotation.storing.backup import backup_labels, restore_labels
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose

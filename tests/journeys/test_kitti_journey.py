@@ -12,9 +12,9 @@ from journeys.driver import LabelDriver
 from serving import serving
 
 from semviz.workspace import Workspace
-from semviz_annotation.exchange import import_operations
 from semviz_annotation.labels import Labels, StereoPair
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.exchange import import_operations
+from semviz_annotation.storing.store import LabelStore
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

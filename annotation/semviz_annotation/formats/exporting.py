@@ -13,7 +13,7 @@ from semviz_annotation.formats.importing import KEPT
 from semviz_annotation.formats.kept import Kept, load_kept
 from semviz_annotation.formats.labelme import write_labelme
 from semviz_annotation.formats.writing import Writing
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 

@@ -22,7 +22,7 @@ from semviz_annotation.formats.reading import (
     read_bytes,
     read_json,
 )
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 

@@ -12,12 +12,14 @@ from itertools import islice
 from pathlib import Path
 from types import TracebackType
 
-from semviz_annotation.conflicts import Witness
 from semviz_annotation.edits import AnyEdit
-from semviz_annotation.history import difference
-from semviz_annotation.label_file import LabelFile
 from semviz_annotation.labels import Draft, Labels
-from semviz_annotation.operations import (
+from semviz_annotation.rows import LabelElement, Observation, new_id
+from semviz_annotation.rules import Rules
+from semviz_annotation.storing.conflicts import Witness
+from semviz_annotation.storing.history import difference
+from semviz_annotation.storing.label_file import LabelFile
+from semviz_annotation.storing.operations import (
     BrokenOperationError,
     ConflictError,
     Operation,
@@ -25,9 +27,7 @@ from semviz_annotation.operations import (
     Writer,
     sealed,
 )
-from semviz_annotation.rows import LabelElement, Observation, new_id
-from semviz_annotation.rules import Rules
-from semviz_annotation.tables import (
+from semviz_annotation.storing.tables import (
     last_writer,
     named_operations,
     operation_of_request,

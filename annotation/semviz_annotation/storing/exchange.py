@@ -6,8 +6,8 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from semviz_annotation.edits import first_fault
-from semviz_annotation.operations import NO_HASH, BrokenOperationError, Operation, sealed
-from semviz_annotation.store import LabelStore
+from semviz_annotation.storing.operations import NO_HASH, BrokenOperationError, Operation, sealed
+from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from semviz_annotation.edits import first_fault
-from semviz_annotation.schema import APPLICATION_ID, VERSION, make, upgrade
+from semviz_annotation.storing.schema import APPLICATION_ID, VERSION, make, upgrade
 from semviz_core.errors import SemvizError
 
 WAIT_S = 10.0

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from semviz_annotation.connection import connect, damaged, in_words
 from semviz_annotation.edits import first_fault
-from semviz_annotation.history import History, replayed, rewound
 from semviz_annotation.labels import Draft, Labels
-from semviz_annotation.operations import NO_HASH, Operation
-from semviz_annotation.tables import (
+from semviz_annotation.storing.connection import connect, damaged, in_words
+from semviz_annotation.storing.history import History, replayed, rewound
+from semviz_annotation.storing.operations import NO_HASH, Operation
+from semviz_annotation.storing.tables import (
     hash_of,
     read_history,
     read_labels,

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from semviz_annotation.connection import damaged, in_words, make_or_upgrade
 from semviz_annotation.edits import first_fault
-from semviz_annotation.history import History
 from semviz_annotation.labels import Draft, Labels
-from semviz_annotation.operations import NO_HASH, Operation, sealed
 from semviz_annotation.rows import Key, row_key
-from semviz_annotation.schema import make
-from semviz_annotation.tables import read_labels, read_operations, read_writers
+from semviz_annotation.storing.connection import damaged, in_words, make_or_upgrade
+from semviz_annotation.storing.history import History
+from semviz_annotation.storing.operations import NO_HASH, Operation, sealed
+from semviz_annotation.storing.schema import make
+from semviz_annotation.storing.tables import read_labels, read_operations, read_writers
 from semviz_core.errors import SemvizError
 
 

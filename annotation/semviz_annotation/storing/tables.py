@@ -4,9 +4,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from semviz_annotation.history import History
 from semviz_annotation.labels import Labels
-from semviz_annotation.operations import CHANGES, NO_HASH, Operation, Writer
 from semviz_annotation.rows import (
     TAGS,
     Change,
@@ -17,6 +15,8 @@ from semviz_annotation.rows import (
     Review,
     Row,
 )
+from semviz_annotation.storing.history import History
+from semviz_annotation.storing.operations import CHANGES, NO_HASH, Operation, Writer
 
 _OPERATION = "number, request_id, author, origin, time, kind, changes, undoes, redoes, text, hash"
 _WRITER = "number, author, origin, time, kind"

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.operations import Operation
 from semviz_annotation.rows import Change, Key, Row, row_key
+from semviz_annotation.storing.operations import Operation
 from semviz_core.errors import SemvizError
 
 

@@ -3,8 +3,8 @@
 import sqlite3
 from collections.abc import Iterator
 
-from semviz_annotation.operations import NO_HASH, sealed
-from semviz_annotation.tables import operation_of_row, write_operation
+from semviz_annotation.storing.operations import NO_HASH, sealed
+from semviz_annotation.storing.tables import operation_of_row, write_operation
 
 APPLICATION_ID = 0x53564C42
 """Marks a SQLite file as ours ("SVLB")."""

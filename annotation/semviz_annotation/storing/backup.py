@@ -7,11 +7,11 @@ import sqlite3
 from itertools import count
 from pathlib import Path
 
-from semviz_annotation.connection import WAIT_S, in_words
-from semviz_annotation.integrity import Integrity, check_snapshot, open_read_only, snapshot
-from semviz_annotation.operations import NO_HASH
-from semviz_annotation.schema import make
-from semviz_annotation.tables import hash_of
+from semviz_annotation.storing.connection import WAIT_S, in_words
+from semviz_annotation.storing.integrity import Integrity, check_snapshot, open_read_only, snapshot
+from semviz_annotation.storing.operations import NO_HASH
+from semviz_annotation.storing.schema import make
+from semviz_annotation.storing.tables import hash_of
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 

@@ -4,7 +4,6 @@ import sqlite3
 from collections.abc import Iterable
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.operations import ConflictError, Operation, Writer
 from semviz_annotation.rows import (
     Change,
     Dismissal,
@@ -15,7 +14,8 @@ from semviz_annotation.rows import (
     Row,
     row_key,
 )
-from semviz_annotation.tables import first_of_human, last_writer, read_operations
+from semviz_annotation.storing.operations import ConflictError, Operation, Writer
+from semviz_annotation.storing.tables import first_of_human, last_writer, read_operations
 from semviz_core.classes import ClassSet
 from semviz_core.errors import SemvizError
 

@@ -1,0 +1,1 @@
+"""The label file: an append-only log of operations, its state, and what keeps both safe."""
