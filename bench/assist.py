@@ -455,7 +455,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     if arguments.fit:
-        print_fit(answers(range(1, 9), False, arguments.only))
+        print_fit(answers(range(1, 13), False, arguments.only))
         return
     seeds = range(1000, 1002 if arguments.quick else 1006)
     print(f"simulated streets, seeds {seeds[0]} to {seeds[-1]}; nearer than {FAR_M:.0f} m")

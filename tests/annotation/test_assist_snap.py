@@ -146,35 +146,29 @@ def test_one_edge_alone_is_no_pole(off: float) -> None:
     assert snap(Shot.of(VIEW, picture), mark, DEFAULT_CLASSES[POLE]) is None
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    st.sampled_from([TRIANGULAR, RECTANGULAR, ROUNDED]),
-    st.floats(8.0, 32.0),
-    st.floats(0.85, 1.0),
-    st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
-    st.tuples(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45)),
-)
-def test_a_signs_middle_is_found_from_a_click_on_its_face(
-    class_id: int,
-    half: float,
-    aspect: float,
-    off: tuple[float, float],
-    click: tuple[float, float],
-) -> None:
+@pytest.mark.parametrize("class_id", [TRIANGULAR, RECTANGULAR, ROUNDED])
+def test_a_signs_middle_is_found_from_a_click_on_its_face(class_id: int) -> None:
+    """Signs of many sizes with a border, whose inner edge has the same shape, seen aslant."""
     unit = {
         TRIANGULAR: np.array([[0.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]),
         RECTANGULAR: np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]),
         ROUNDED: np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 90)[:-1]]),
     }[class_id]
-    middle = np.array([80.0, 90.0]) + off
-    size = half * np.array([aspect, 1.0])
-    picture = drawn(middle + unit * size, (190, 30, 40), plain(150, 170, 190))
-    inner = middle + (np.array([0.0, 0.14 * half]) if class_id == TRIANGULAR else 0.0)
-    picture = drawn(inner + 0.68 * unit * size, (240, 240, 240), picture)
-    u, v = middle + np.array(click) * size
-    found = snap(Shot.of(VIEW, picture), Mark((u, v)), DEFAULT_CLASSES[class_id])
-    assert found is not None
-    assert np.linalg.norm(found.mark.ends_px[0] - middle) < 0.35
+    rng = np.random.default_rng(class_id)
+    errors = []
+    for half in np.geomspace(6.0, 32.0, 30):
+        middle = np.array([80.0, 90.0]) + rng.uniform(-1.0, 1.0, 2)
+        size = half * np.array([rng.uniform(0.85, 1.0), 1.0])
+        picture = drawn(middle + unit * size, (190, 30, 40), plain(150, 170, 190))
+        inner = middle + np.array([0.0, 0.14 * half * (class_id == TRIANGULAR)])
+        picture = drawn(inner + 0.68 * unit * size, (240, 240, 240), picture)
+        u, v = middle + rng.uniform(-0.45, 0.45, 2) * size
+        found = snap(Shot.of(VIEW, picture), Mark((u, v)), DEFAULT_CLASSES[class_id])
+        if found is not None:
+            errors.append(np.linalg.norm(found.mark.ends_px[0] - middle))
+    assert len(errors) >= 24
+    assert np.percentile(errors, 50) < 0.15
+    assert np.percentile(errors, 90) < 0.3
 
 
 def test_on_a_street() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from semviz_annotation.assist.outline import find_outlines
 from semviz_annotation.assist.pole import across, find_axes
-from semviz_annotation.assist.shot import Samples, Shot
+from semviz_annotation.assist.shot import Mark, Samples, Shot, pixel
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
 
@@ -50,12 +50,18 @@ def likeness(one: Samples, others: Samples) -> FloatArray:
 
 def width_of(shot: Shot, ends_px: FloatArray) -> float:
     """A marked pole's width, px; 3 where its edges are not clear."""
-    axes = find_axes(shot, ends_px, 1.5, 1)
-    return float(np.clip(axes[0].width_px, 1.0, 40.0)) if axes else 3.0
+    key = Mark(pixel(ends_px[0]), pixel(ends_px[1]))
+    if key not in shot.sizes:
+        axes = find_axes(shot, ends_px, 1.5, 1)
+        shot.sizes[key] = np.clip([axes[0].width_px if axes else 3.0], 1.0, 40.0)
+    return float(shot.sizes[key][0])
 
 
 def half_of(shot: Shot, middle_px: FloatArray, element_class: ElementClass) -> FloatArray:
     """(2,) half a marked sign's width and height, px; 8 where its outline is not clear."""
-    found = find_outlines(shot, middle_px, element_class.shape, 2)
-    near = [one for one in found if np.linalg.norm(one.middle_px - middle_px) < 3.0]
-    return np.clip(near[0].half_px, 3.0, 60.0) if near else np.array([8.0, 8.0])
+    key = Mark(pixel(middle_px))
+    if key not in shot.sizes:
+        found = find_outlines(shot, middle_px, element_class.shape, 2)
+        near = [one for one in found if np.linalg.norm(one.middle_px - middle_px) < 3.0]
+        shot.sizes[key] = np.clip(near[0].half_px if near else np.array([8.0, 8.0]), 3.0, 60.0)
+    return shot.sizes[key]

@@ -196,10 +196,10 @@ def _edges(
     slope[:, 1:-1] = np.sqrt(((colors[:, 2:] - colors[:, :-2]) ** 2).mean(axis=2))
     near = slope * np.exp(-0.5 * (reach / (0.7 * search_px)) ** 2)
     at = np.clip(near.argmax(axis=1), 1, len(reach) - 2)
-    one = np.arange(len(at))
-    low, mid, high = slope[one, at - 1], slope[one, at], slope[one, at + 1]
-    bend = np.maximum(2.0 * mid - low - high, 1e-6)
-    off = reach[at] + step * np.clip(0.5 * (high - low) / bend, -1.0, 1.0)
+    mid = slope[np.arange(len(at)), at]
+    # the centre of mass: sampling between pixels does not move it, as it moves the maximum
+    mass = slope * (np.abs(reach - reach[at][:, None]) < 1.05)
+    off = (mass @ reach) / (mass.sum(axis=1) + 1e-6)
     weight = mid**2 / (mid**2 + _EDGE**2)
     return off.reshape(points.shape[:2]), weight.reshape(points.shape[:2])
 

@@ -20,7 +20,7 @@ _MARGIN_PX = 2.0
 _BLUR_PX = 0.45
 """Sigma of an edge: the pixel's own width, the lens and the sampling."""
 _LIT_PX = 2.9
-_CUR_PX = 2.9
+"""Wider poles show from which side they are lit."""
 _SAME = 1.0
 """How strongly a pole's level is the same in all rows: variance of noise over that of the level."""
 
@@ -55,7 +55,7 @@ def _profiles(width_px: float, reach_px: float, step_px: float) -> _Profiles:
     across = (offsets - middles[None, :, None]) / (widths[:, None, None] / 2.0)
     if width_px > _LIT_PX:  # round poles are lit from a side
         parts += [(left - right) * across]
-    if width_px > _CUR_PX:
+    if width_px > _LIT_PX:
         parts += [(left - right) * across**2]
     bases = np.linalg.qr(np.stack([*parts, left - right], axis=-1))
     weight = bases.R[..., -1, -1] ** 2

@@ -1,6 +1,8 @@
 """One image with its camera, what is marked in it, and what is proposed to be."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +26,11 @@ class Shot:
     view: View
     image: ByteImage
     """(height, width, 3) sRGB; shared, not copied."""
+    sizes: dict[Mark, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    """Of what is marked in it, once measured: it is followed into many frames."""
 
     @classmethod
-    def of(cls, view: View, rgb: ByteImage) -> "Shot":
+    def of(cls, view: View, rgb: ByteImage) -> Shot:
         """SemvizError where the image is not of the camera's size."""
         expected = (view.camera.height, view.camera.width, 3)
         if rgb.shape != expected or rgb.dtype != np.uint8:
@@ -82,7 +86,7 @@ class Mark:
     end_known: bool = True
 
     @classmethod
-    def of(cls, observation: Observation) -> "Mark":
+    def of(cls, observation: Observation) -> Mark:
         """Of a label."""
         one = observation
         return cls(one.anchor_px, one.end_px, one.anchor_known, one.end_known)
