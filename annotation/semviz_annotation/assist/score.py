@@ -1,8 +1,8 @@
 """How likely a proposal is right: estimated probability that it is within 2 px.
 
 Logistic functions of a few measures each (for snapping: of being within 1 px), fitted on
-simulated streets with seeds 1 to 12 by ``python bench/assist.py --fit``; ``python bench/assist.py`` measures
-their reliability on others.
+simulated streets with seeds below 1000 by ``python bench/assist.py --fit``. On others,
+``python bench/assist.py`` measures how reliable they are.
 """
 
 import numpy as np
