@@ -6,7 +6,7 @@ The script sees what a person would: the street's truth is its eye. It clicks wi
 trembles by 1.5 CSS pixels, at the zoom that shows the whole image, with snapping on. It accepts a
 proposal where both marks are right, turns it down where one is not, and draws what nobody proposed:
 every pole and sign up to 40 m ahead that is visible in both images. The page counts its inputs: a
-key or a click is one, a drag two. At the end every label is held against the truth.
+key, a click or a turn of the wheel is one, a drag two. At the end every label is held against the truth.
 
 Times are those of the keystroke-level model (Card, Moran & Newell 1980) with its own constants, for
 an average typist: a key 0.28 s, a click 0.2 s, pointing 1.1 s, and a thought of 1.35 s before each
@@ -33,16 +33,18 @@ from semviz_core.sources.street.street import Street
 CHROMIUM = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 FRAMES = 8
 REACH_M = 40.0
-RIGHT_PX = 2.0
-"""A mark this near to the truth is right: across a pole, to a sign's middle."""
+RIGHT_PX, RIGHT_M = 2.0, 0.04
+"""A mark this near to the truth, by one or the other, is right: across a pole, to a middle."""
 TREMOR_CSS_PX = 1.5
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
 SIDES = ("left", "right")
-RIVALS = """
-Inputs for one pole in both images of a frame, counted in the tools' documentation:
-  VIAME/DIVE, stereo line measurement: about 5 (two clicks in each image, and a key to link them)
-  CVAT, labelme: 5 and more (class, two clicks in each image; left and right are not linked)
-  semviz, both images by hand: 4; with the partner proposed: 3; followed: one key for all in a frame
+BY_HAND = """
+Inputs that a pole in both images of a frame needs, counted by its steps (other tools were not run):
+  each image by itself (labelme, CVAT):   5 and more: class, two clicks in each image; not linked
+  linked by hand afterwards:              6 and more: the same, and a key to link them
+  semviz, both by hand:                   5: class, two clicks in each image; linked by the rays
+  semviz, first frame:                    3: class, two clicks; the key of the frame takes its partner
+  semviz, later frames:                   none of its own: the key of the frame takes it
 """
 
 
@@ -52,8 +54,11 @@ class Work:
 
     keys: int = 0
     clicks: int = 0
+    points: int = 0
+    """At something, for a key."""
     thoughts: int = 0
     counts: Counter[str] = field(default_factory=Counter)
+    pressed: Counter[str] = field(default_factory=Counter)
 
     @property
     def inputs(self) -> int:
@@ -61,17 +66,33 @@ class Work:
 
     @property
     def seconds(self) -> float:
-        moves = self.clicks * (CLICK_S + POINT_S)
-        return self.keys * KEY_S + moves + self.thoughts * THINK_S
+        moves = (self.clicks + self.points) * POINT_S
+        return self.keys * KEY_S + self.clicks * CLICK_S + moves + self.thoughts * THINK_S
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What there is to label in a frame: marks by element, in both images."""
+    """What is visible in a frame: marks by element, in one image or both."""
 
     marks: dict[int, dict[str, tuple[np.ndarray, np.ndarray]]]
+    known: dict[int, dict[str, tuple[bool, bool]]]
+    """Whether a pole's peak and bottom are to be seen."""
     class_id: dict[int, int]
     depth_m: dict[int, float]
+    focal_px: float
+
+    @property
+    def wanted(self) -> list[int]:
+        """What is to be labelled: near, and in both images. Class by class."""
+        both = [one for one, marks in self.marks.items() if len(marks) == len(SIDES)]
+        near = [one for one in both if self.depth_m[one] < REACH_M]
+        return sorted(near, key=lambda one: (self.class_id[one], self.depth_m[one]))
+
+    def is_right(self, element: int, side: str, anchor: Any, end: Any) -> bool:
+        if side not in self.marks[element]:
+            return False
+        tolerance_px = max(RIGHT_PX, RIGHT_M * self.focal_px / self.depth_m[element])
+        return error_px((anchor, end), self.marks[element][side]) <= tolerance_px
 
 
 class Labeller:
@@ -91,54 +112,85 @@ class Labeller:
         truth = truth_of(self.street, frame)
         self.settle()
         self.judge(frame, truth)
-        for element in sorted(truth.marks, key=lambda one: truth.depth_m[one]):
-            if not self.is_here(frame, truth, element):
-                self.draw(truth, element, "left")
+        missing = [one for one in truth.wanted if not self.is_here(frame, truth, one)]
+        for element in missing:
+            self.draw(frame, truth, element, "left")
         self.settle()
-        self.judge(frame, truth)
-        for element in truth.marks:
-            if "right" in self.lacking(frame, truth, element):
-                self.draw(truth, element, "right")
+        if missing:
+            self.judge(frame, truth)
+        for element in truth.wanted:
+            if self.lacking(frame, truth, element) and not self.is_offered(frame, truth, element):
+                self.draw(frame, truth, element, "right")
         self.key("Control+Enter")
-        self.settle()
 
     def judge(self, frame: int, truth: Truth) -> None:
-        """Accepts what is weak but right, and turns down what is sure but wrong."""
+        """Turns down what is sure but wrong, and accepts what is weak but right."""
         for offer in self.offers(frame):
-            element = meant(offer, truth)
-            if offer["sure"] == (element is not None):
-                continue
-            if element is None or not self.lacking(frame, truth, element):
-                if offer["sure"]:
-                    self.pick(offer["id"])
-                    self.key("x")
-                    self.work.counts["sure but wrong"] += 1
-                continue
-            self.pick(offer["id"])
-            self.key(" ")
-            self.work.counts["weak but right"] += 1
+            element = self.meant(offer, truth)
+            if offer["sure"] and element is None:
+                self.point_at(offer)
+                self.key("x")
+                self.work.counts["sure but wrong"] += 1
+            elif not offer["sure"] and element is not None and self.lacking(frame, truth, element):
+                self.point_at(offer)
+                self.key(" ")
+                self.work.counts["weak but right"] += 1
 
-    def draw(self, truth: Truth, element: int, side: str) -> None:
+    def draw(self, frame: int, truth: Truth, element: int, side: str) -> None:
+        """With snapping where its preview is right, without where it isn't; then corrected."""
         self.work.thoughts += 1
         self.work.counts["drawn"] += 1
         if truth.class_id[element] != self.class_id:
             self.class_id = truth.class_id[element]
             self.key(str(self.class_id + 1))
-        anchor, end = truth.marks[element][side]
-        self.click(side, anchor)
-        if np.isfinite(end).all():
-            self.click(side, end)
+        marks = truth.marks[element][side]
+        self.click(side, marks[0])
+        if np.isfinite(marks[1]).all():
+            for key, known, end in zip("co", truth.known[element][side], marks, strict=True):
+                if not known and not self.is_at_border(end):  # there the page knows it is cut
+                    self.key(key)
+            self.hover(side, marks[1])
+            self.click(side, marks[1], snapped=self.is_preview_right(truth, element, side))
         self.saved()
+        self.correct(frame, truth, element, side)
 
-    def pick(self, element_id: str) -> None:
-        """By the fewest keys that lead to a proposal."""
+    def is_at_border(self, pixel: np.ndarray) -> bool:
+        camera = self.street.rig.left
+        return bool(
+            (pixel < 2.0).any() or (pixel > [camera.width - 3.0, camera.height - 3.0]).any()
+        )
+
+    def is_preview_right(self, truth: Truth, element: int, side: str) -> bool:
+        snapped = self.page.evaluate("semviz.state.look?.snapped ?? null")
+        return snapped is None or truth.is_right(element, side, snapped["anchor"], snapped["end"])
+
+    def correct(self, frame: int, truth: Truth, element: int, side: str) -> None:
+        """Zooms in and drags the ends of what was just drawn to where they belong."""
+        marks = truth.marks[element][side]
+        rows = self.labels.in_frame(frame, side)  # type: ignore[arg-type]
+        if not rows:
+            raise SystemExit(f"not drawn; the page says {self.page.text_content('#message')!r}")
+        row = max(rows, key=lambda one: one.id)  # the newest
+        if truth.is_right(element, side, row.anchor_px, row.end_px):
+            return
         self.work.thoughts += 1
-        for _ in range(40):
-            current = self.page.evaluate("semviz.state.currentOffer?.id ?? null")
-            if current == element_id:
-                return
-            self.key("Tab")
-        raise SystemExit(f"proposal {element_id} is not in the list")
+        self.work.counts["corrected"] += 1
+        self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
+        self.wheel(-1)
+        ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
+        for drawn, true in ends:
+            if np.hypot(*np.subtract(true, drawn)) > RIGHT_PX / 2.0:
+                self.drag(side, np.array(drawn), true)
+        self.key("0")
+
+    def point_at(self, offer: dict[str, Any]) -> None:
+        """The pointer over a proposal, so that the keys are for it."""
+        self.work.thoughts += 1
+        self.work.points += 1
+        side = "left" if "left" in offer else "right"
+        mark = offer[side]
+        ends = np.array([one for one in (mark["anchor"], mark["end"]) if one is not None])
+        self.page.mouse.move(*self.on_screen(side, ends.mean(axis=0)))
 
     # -- what there is
 
@@ -146,23 +198,38 @@ class Labeller:
         with self.annotator.lock:
             return self.annotator.session.frame(frame)["offers"]
 
+    def meant(self, offer: dict[str, Any], truth: Truth) -> int | None:
+        """The element that a proposal is right for; None where that is not the one it is of."""
+        element = meant(offer, truth)
+        for row in self.labels.of_element(offer["id"])[:1]:
+            then = truth_of(self.street, row.frame_index)
+            mark = row.side, row.anchor_px, row.end_px
+            labelled = [one for one in then.marks if then.is_right(one, *mark)]
+            return element if not labelled or element in labelled else None
+        return element
+
     @property
     def labels(self) -> Labels:
         with self.annotator.lock:
             return self.annotator.session.labels
 
     def is_here(self, frame: int, truth: Truth, element: int) -> bool:
-        """Labelled, or about to be: proposed and sure."""
-        offered = any(one["sure"] and meant(one, truth) == element for one in self.offers(frame))
-        return offered or len(self.lacking(frame, truth, element)) < 2
+        """Labelled in one of the images, or about to be."""
+        return self.is_offered(frame, truth, element) or (
+            len(self.lacking(frame, truth, element)) < len(SIDES)
+        )
+
+    def is_offered(self, frame: int, truth: Truth, element: int) -> bool:
+        """Proposed and sure: the key at the end takes it."""
+        return any(one["sure"] and self.meant(one, truth) == element for one in self.offers(frame))
 
     def lacking(self, frame: int, truth: Truth, element: int) -> list[str]:
-        """The images in which an element is not labelled."""
+        """The images in which an element is to be seen and not labelled."""
         return [
             side
-            for side in SIDES
+            for side in truth.marks[element]
             if not any(
-                is_right((row.anchor_px, row.end_px), truth.marks[element][side])
+                truth.is_right(element, side, row.anchor_px, row.end_px)
                 for row in self.labels.in_frame(frame, side)  # type: ignore[arg-type]
             )
         ]
@@ -171,65 +238,111 @@ class Labeller:
 
     def key(self, key: str) -> None:
         self.work.keys += 1
+        self.work.pressed[key] += 1
         self.page.keyboard.press("Space" if key == " " else key)
         self.saved()
 
-    def click(self, side: str, pixel: np.ndarray) -> None:
+    def hover(self, side: str, pixel: np.ndarray) -> None:
+        """The pointer over a pixel, until the page says what is there."""
+        self.page.mouse.move(*self.on_screen(side, pixel))
+        self.page.wait_for_function("() => !semviz.looking.waiting")
+
+    def click(self, side: str, pixel: np.ndarray, snapped: bool = True) -> None:
         self.work.clicks += 1
+        if not snapped:
+            self.work.counts["snap off"] += 1
+            self.key("m")
+        self.page.keyboard.down("Shift")  # draws, even where something is
+        self.page.mouse.click(*self.on_screen(side, pixel, self.hand))
+        self.page.keyboard.up("Shift")
+        if not snapped:
+            self.key("m")
+
+    def wheel(self, turns: int) -> None:
+        """Zooms at the pointer, threefold a turn."""
+        self.work.clicks += 1
+        self.page.mouse.wheel(0, turns * np.log(3.0) / 0.002)
+        self.page.wait_for_timeout(50)
+
+    def drag(self, side: str, start: np.ndarray, end: np.ndarray) -> None:
+        self.work.clicks += 2
+        self.page.mouse.move(*self.on_screen(side, start))
+        self.page.mouse.down()
+        self.page.mouse.move(*self.on_screen(side, end, self.hand), steps=4)
+        self.page.mouse.up()
+        self.saved()
+
+    def on_screen(
+        self, side: str, pixel: np.ndarray, hand: np.random.Generator | None = None
+    ) -> tuple[float, float]:
+        """Where a pixel is; where ``hand`` hits that means it."""
         canvas = self.page.locator(f"#{side}-image canvas.marks")
         box = canvas.bounding_box()
         assert box is not None
-        shown = canvas.get_attribute("data-view") or ""
-        scale, x, y = map(float, shown.split())
-        at = (pixel + 0.5) * scale + [x, y] + self.hand.normal(0.0, TREMOR_CSS_PX, 2)
-        u, v = np.clip(at, 2.0, [box["width"] - 2.0, box["height"] - 2.0])
-        self.page.keyboard.down("Shift")  # draws, even where something is
-        self.page.mouse.click(box["x"] + u, box["y"] + v)
-        self.page.keyboard.up("Shift")
+        scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
+        u, v = (pixel + 0.5) * scale + [x, y]
+        if hand is not None:
+            u, v = np.array([u, v]) + hand.normal(0.0, TREMOR_CSS_PX, 2)
+        return box["x"] + u, box["y"] + v
 
     def saved(self) -> None:
         self.page.wait_for_function("() => semviz.state.pending.length === 0")
 
     def settle(self) -> None:
-        """Waits until the images were asked about everything that is proposed."""
+        """Waits for the images, and until they were asked about everything that is proposed."""
         self.saved()
         self.page.wait_for_function(
-            "() => semviz.state.labels.frame.index === semviz.state.frame"
-            " && semviz.state.offers.every((one) => one.score !== null)"
+            """() => {
+                const { frame, labels } = semviz.state;
+                const shown = [...document.querySelectorAll("canvas.marks")];
+                return shown.every((one) => one.dataset.frame === String(frame))
+                    && labels.frame.index === frame && !labels.frame.looking;
+            }"""
         )
 
 
 def truth_of(street: Street, frame: int) -> Truth:
-    """What is visible in both images and near enough."""
     pose = street.frames[frame].T_map_camera
     assert pose is not None
     elements = street.truth_map.elements
     depths = pose.inverse().apply(elements.anchor_m)[:, 2]
-    depth_m = dict(zip(elements.id.tolist(), depths.tolist(), strict=True))
     seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}  # type: ignore[arg-type]
-    both = [one for one in seen["left"] if one in seen["right"] and depth_m[one] < REACH_M]
-    marks = {one: {side: seen[side][one][:2] for side in SIDES} for one in both}
-    return Truth(marks, {one: seen["left"][one][2] for one in both}, depth_m)
+    visible = sorted(seen["left"].keys() | seen["right"].keys())
+    marks = {
+        one: {side: seen[side][one][:2] for side in SIDES if one in seen[side]} for one in visible
+    }
+    known = {
+        one: {side: seen[side][one][3] for side in SIDES if one in seen[side]} for one in visible
+    }
+    return Truth(
+        marks,
+        known,
+        {one: (seen["left"].get(one) or seen["right"][one])[2] for one in visible},
+        dict(zip(elements.id.tolist(), depths.tolist(), strict=True)),
+        float(street.rig.left.K[0, 0]),
+    )
 
 
-def by_id(seen: Elements2D, ids: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray, int]]:
-    rows = zip(seen.anchor_px, seen.end_px, seen.class_id.tolist(), strict=True)
+Seen = tuple[np.ndarray, np.ndarray, int, tuple[bool, bool]]
+
+
+def by_id(seen: Elements2D, ids: np.ndarray) -> dict[int, Seen]:
+    """Anchor, end, class, and which ends are known."""
+    known = zip(seen.anchor_known.tolist(), seen.end_known.tolist(), strict=True)
+    rows = zip(seen.anchor_px, seen.end_px, seen.class_id.tolist(), known, strict=True)
     return dict(zip(ids.tolist(), rows, strict=True))
 
 
 def meant(offer: dict[str, Any], truth: Truth) -> int | None:
     """The element that all marks of a proposal are right for."""
-    for element, marks in truth.marks.items():
-        sides = [side for side in SIDES if side in offer]
+    sides = [side for side in SIDES if side in offer]
+    for element in truth.marks:
         if truth.class_id[element] == offer["class"] and all(
-            is_right((offer[side]["anchor"], offer[side]["end"]), marks[side]) for side in sides
+            truth.is_right(element, side, offer[side]["anchor"], offer[side]["end"])
+            for side in sides
         ):
             return element
     return None
-
-
-def is_right(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> bool:
-    return error_px(mark, truth) <= RIGHT_PX
 
 
 def error_px(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> float:
@@ -296,13 +409,14 @@ def main() -> None:
                 f"clicks), {work.seconds:.0f} s; {len(right) / len(errors):.1%} within "
                 f"{RIGHT_PX:g} px, median {np.median(right):.2f} px; {dict(work.counts)}"
             )
+            print(f"  keys: {dict(work.pressed)}")
             print(f"  the page's own count since it was opened: {said}")
             inputs, labels = inputs + work.inputs, labels + len(errors)
             seconds += work.seconds
     pairs = labels / 2
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2)")
     print(f"1,000 stereo observations: {seconds / pairs * 1000 / 60:.1f} min (goal 20)")
-    print(RIVALS)
+    print(BY_HAND)
 
 
 if __name__ == "__main__":

@@ -60,6 +60,7 @@ def take_annotator(page: Page) -> None:
         workspace = Workspace.create_street(Path(folder) / "street", 7, range(10))
         label(workspace)
         with Door(Annotator(workspace, author="you")).running() as url:
+            page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
             page.goto(url)
             page.wait_for_timeout(SETTLED_MS)
             page.click(f'.tile[data-frame="{LABELLED_FRAMES[-1]}"]')

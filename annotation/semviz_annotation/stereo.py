@@ -49,12 +49,6 @@ def _ahead(far: float, near: float, z: float, slope: float) -> tuple[float, floa
     return (far, near) if far < near else None
 
 
-def segment_inside(ends_px: FloatArray, camera: Camera) -> FloatArray | None:
-    """The part (2, 2) of a segment (2, 2) that is inside the image; None where there is none."""
-    part = _clipped(ends_px, camera)
-    return part if len(part) == 2 else None
-
-
 def _clipped(line_px: FloatArray, camera: Camera) -> FloatArray:
     """The part of a polyline inside the image (Liang & Barsky 1984, segment by segment)."""
     low = np.array([-0.5, -0.5])

@@ -15,6 +15,8 @@ from semviz_core.sources.source import Side
 
 REACH_M = 60.0
 """Elements further ahead are too small to label."""
+ALONG = 9
+"""Points of a pole that are looked at: both its ends may be out of the image, and it be in it."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ def ghosts_in(
 ) -> tuple[Ghost, ...]:
     """What is expected in one image of a frame and not labelled there, nearest first.
 
-    The frame's left camera is at ``T_camera_map``. An element counts as visible where its anchor or
-    its end is inside, and both are less than ``REACH_M`` ahead.
+    The frame's left camera is at ``T_camera_map``. An element counts as visible where some of it is
+    inside, and all of it is less than ``REACH_M`` ahead.
     """
     if not mapped:
         return ()
@@ -63,7 +65,9 @@ def _in_image(
     depth = ends[..., 2]
     near = ((depth > 0.5) & (depth < REACH_M)) | np.isnan(depth)
     pixels = camera.project(ends.reshape(-1, 3)).reshape(-1, 2, 2)
-    inside = camera.contains(pixels.reshape(-1, 2)).reshape(-1, 2)
+    along = pixels[:, :1] + np.linspace(0.0, 1.0, ALONG)[:, None] * (pixels[:, 1:] - pixels[:, :1])
+    points = np.where(np.isnan(along), pixels[:, :1], along)
+    inside = camera.contains(points.reshape(-1, 2)).reshape(-1, ALONG)
     rows = np.flatnonzero(near.all(axis=1) & inside.any(axis=1))
     return [
         Ghost(

@@ -37,6 +37,11 @@ class Drawing:
     snap: bool = False
 
     @property
+    def has_shape(self) -> bool:
+        """False for a pole whose second point is still on its first."""
+        return self.end_px != self.anchor_px
+
+    @property
     def mark(self) -> Mark:
         return Mark(self.anchor_px, self.end_px, self.anchor_known, self.end_known)
 
@@ -105,7 +110,7 @@ class Hand:
             if one.id in look.moved:
                 anchor, end = look.moved[one.id]
                 observations[place] = replace(one, anchor_px=anchor, end_px=end)
-        if look.drawing is not None:
+        if look.drawing is not None and look.drawing.has_shape:
             observations.append(self.observation(look.drawing, look.frame_index))
         return tuple(observations)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from semviz.annotator.hand import Drawing
-from semviz.annotator.offers import Offer, clipped
+from semviz.annotator.offers import Offer, inside
 from semviz.annotator.panes import Pane
 from semviz.annotator.views import Json, element_json
 from semviz_annotation.assist.shot import SURE, Mark
@@ -23,14 +23,14 @@ def offers_json(
     rig: Rig,
     classes: ClassSet,
 ) -> list[Json]:
-    """Proposals by element, surest last seen nearest first, with their marks in each image.
+    """Proposals by element with their marks in each image: first what needs a look, then by depth.
 
     ``score`` is null before the images were looked at; ``sure`` where all marks are.
     """
     shown_as = {pane: side for side, pane in panes.items()}
     found: dict[str, Json] = {}
     for one in offers:
-        mark = None if one.mark is None else clipped(one.mark, camera_of(rig, one.pane.side)[0])
+        mark = None if one.mark is None else inside(one.mark, camera_of(rig, one.pane.side)[0])
         if mark is None or one.pane not in shown_as:
             continue
         key = one.element_id or one.id
@@ -40,7 +40,7 @@ def offers_json(
         scores = [entry[side]["score"] for side in shown_as.values() if side in entry]
         entry["score"] = None if None in scores else min(scores)
         entry["sure"] = entry["score"] is not None and entry["score"] >= SURE
-    return sorted(found.values(), key=lambda one: one["depth_m"] or 0.0)
+    return sorted(found.values(), key=lambda one: (one["sure"], one["depth_m"] or 0.0))
 
 
 def _offered_json(offer: Offer, key: str, labels: Labels, classes: ClassSet) -> Json:

@@ -12,10 +12,9 @@ import numpy as np
 
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.panes import Pane
-from semviz_annotation.assist.shot import Mark, Proposed
+from semviz_annotation.assist.shot import SURE, Mark, Proposed, clipped
 from semviz_annotation.labels import Labels, Observation, proposal_id
 from semviz_annotation.proposals import Proposal
-from semviz_annotation.stereo import segment_inside
 from semviz_annotation.triangulate import Triangulated
 from semviz_core.camera import Camera
 from semviz_core.sources.source import Side
@@ -24,8 +23,9 @@ Origin: TypeAlias = Literal["map", "partner", "detector"]
 
 SEEN_IN = 2
 """An element is compared with so many labelled images of it: the nearest in time."""
-TAKEN_PX = 4.0
-"""An offer this near to a label is of a thing that has one already."""
+TAKEN_PX = 1.5
+"""An offer this near to a label of its class lies on a thing that has one already. Poles that stand
+one behind the other may well be a little further apart."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,10 @@ class Offer:
     runner_up: Proposed | None = None
     depth_m: float | None = None
     question: Question | None = None
+
+    @property
+    def sure(self) -> bool:
+        return self.score is not None and self.score >= SURE
 
     def answered(self, answer: Answer) -> "Offer":
         """With what the images say. What is expected stays where it was not found, unsure."""
@@ -240,21 +244,7 @@ def _gap_px(mark: Mark, other: Mark | Observation) -> float:
     return float(across.max()) if overlap > 0.0 else float("inf")
 
 
-def clipped(mark: Mark, camera: Camera) -> Mark | None:
-    """What of a mark is inside the image; an end that is not is cut off there. None for nothing."""
-    if mark.end_px is None:
-        return mark if camera.contains(np.array([mark.anchor_px]))[0] else None
-    ends = np.array([mark.anchor_px, mark.end_px])
-    inside = camera.contains(ends)
-    if inside.all():
-        return mark
-    part = segment_inside(ends, camera)
-    if part is None:
-        return None
-    (u0, v0), (u1, v1) = part.tolist()
-    return Mark(
-        (u0, v0),
-        (u1, v1),
-        mark.anchor_known and bool(inside[0]),
-        mark.end_known and bool(inside[1]),
-    )
+def inside(mark: Mark, camera: Camera) -> Mark | None:
+    """What of a mark is in the image; None where nothing is."""
+    part = clipped(mark, mark.ends_px, camera)
+    return part if camera.contains(part.ends_px).all() else None

@@ -60,6 +60,7 @@ class Past:
                 "elements": views.elements_json(labels, panes, self._classes),
                 "offers": [],
                 "nearby": [],
+                "looking": False,
             },
         }
 

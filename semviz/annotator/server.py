@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import getpass
 import sqlite3
 import threading
 import time
@@ -14,6 +13,7 @@ from aiohttp import web
 from semviz.annotator.opened_page import OpenedPage
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import Json
+from semviz.author import login_name
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Send, Sessions
 from semviz.workspace import Workspace
@@ -36,7 +36,7 @@ class Annotator:
     """
 
     def __init__(self, workspace: Workspace, author: str | None = None) -> None:
-        self.session = LabelSession(workspace, author or _login_name())
+        self.session = LabelSession(workspace, author or login_name())
         self.lock = threading.RLock()
         self.scenes = Scenes()
         self.painter = ThreadPoolExecutor(1, "semviz-scenes")
@@ -121,13 +121,6 @@ class Annotator:
     async def _thumbnail(self, request: web.Request) -> web.Response:
         future = self.session.images.thumbnail(int(request.match_info["frame"]))
         return await _picture(future, "image/jpeg")
-
-
-def _login_name() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "somebody"
 
 
 async def _picture(future: "Future[bytes]", kind: str) -> web.Response:

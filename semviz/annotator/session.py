@@ -12,7 +12,7 @@ from semviz.annotator.images import Images
 from semviz.annotator.looker import Looker
 from semviz.annotator.news import News
 from semviz.annotator.offer_views import offers_json, snapped_json
-from semviz.annotator.offers import Question
+from semviz.annotator.offers import Question, inside
 from semviz.annotator.pairing import Partner, partner_of
 from semviz.annotator.panes import Panes
 from semviz.annotator.past import Past, operation_number
@@ -25,6 +25,7 @@ from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.proposals import load_proposals
 from semviz_annotation.storing.store import Operation
 from semviz_annotation.triangulate import Triangulated
+from semviz_annotation.view import camera_of
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
@@ -131,7 +132,10 @@ class LabelSession:
         return self._frames_json(labels, frames), done
 
     def frame(self, index: int) -> Json:
-        """One frame: what is labelled in it, what is proposed, and what else may go on in it."""
+        """One frame: what is labelled in it, what is proposed, and what else may go on in it.
+
+        ``looking``: the images have not been asked about all of it yet.
+        """
         self._known(index)
         labels = self.labels
         panes = self._panes.of(index)
@@ -143,6 +147,7 @@ class LabelSession:
             "elements": views.elements_json(labels, panes, self.classes),
             "offers": offers_json(offers, panes, labels, self.rig, self.classes),
             "nearby": views.nearby_json(nearby, labels, self.classes),
+            "looking": bool(self._proposing.unanswered(index, labels)),
         }
 
     def unanswered(self, index: int) -> list[Question]:
@@ -236,7 +241,13 @@ class LabelSession:
             return on_pane, ""
         drawing = self._snapped(_drawing(added, added.class_id, snap is True), added.frame_index)
         partner = self._partner(added.frame_index, drawing, selected_id)
-        placed = replace(on_pane, anchor_px=drawing.anchor_px, end_px=drawing.end_px)
+        placed = replace(
+            on_pane,
+            anchor_px=drawing.anchor_px,
+            end_px=drawing.end_px,
+            anchor_known=drawing.anchor_known,
+            end_known=drawing.end_known,
+        )
         if partner.element_id is not None:
             placed = replace(placed, element_id=partner.element_id, class_id=None)
         return placed, partner.note
@@ -267,7 +278,8 @@ class LabelSession:
             drawing = self._snapped(look.drawing, look.frame_index)
             snapped = None if drawing is look.drawing else snapped_json(look.drawing, drawing)
             look = replace(look, drawing=drawing)
-            partner = self._partner(look.frame_index, drawing, look.selected_id)
+            if drawing.has_shape:
+                partner = self._partner(look.frame_index, drawing, look.selected_id)
         element = labels.elements.get(partner.element_id or "")
         name = None if element is None else views.element_name(element, self.classes)
         return self._hand.about(look, partner.element_id, labels) | {
@@ -281,9 +293,16 @@ class LabelSession:
             return drawing
         pane = self._panes.pane(frame_index, drawing.side)
         found = self.looker.snap(pane, drawing.mark, drawing.class_id)
-        if found is None:
+        mark = None if found is None else inside(found.mark, camera_of(self.rig, pane.side)[0])
+        if mark is None:
             return drawing
-        return replace(drawing, anchor_px=found.mark.anchor_px, end_px=found.mark.end_px)
+        return replace(
+            drawing,
+            anchor_px=mark.anchor_px,
+            end_px=mark.end_px,
+            anchor_known=drawing.anchor_known and mark.anchor_known,
+            end_known=drawing.end_known and mark.end_known,
+        )
 
     def _partner(self, frame_index: int, drawing: Drawing, selected_id: str | None) -> Partner:
         labels = self.labels
@@ -293,7 +312,7 @@ class LabelSession:
             observation,
             drawing.class_id,
             selected_id,
-            self._proposing.ghosts(pane, labels),
+            [one for one in self._proposing.offers(frame_index, labels) if one.pane == pane],
             labels,
             self._places,
             self.classes,

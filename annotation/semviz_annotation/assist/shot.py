@@ -115,7 +115,10 @@ def pixel(point: FloatArray) -> Pixel:
 
 
 def clipped(mark: Mark, ends_px: FloatArray, camera: Camera) -> Mark:
-    """A mark with ends (1 or 2, 2) instead; where they leave the image, they are not known."""
+    """A mark with ends (1 or 2, 2) instead; where they leave the image, they are not known.
+
+    What is outside altogether stays there.
+    """
     if len(ends_px) == 1:
         return Mark(pixel(ends_px[0]), None, mark.anchor_known, False)
     low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
@@ -125,7 +128,8 @@ def clipped(mark: Mark, ends_px: FloatArray, camera: Camera) -> Mark:
     enter = float(np.nanmax(np.append(bounds.min(axis=0), 0.0)))
     leave = float(np.nanmin(np.append(bounds.max(axis=0), 1.0)))
     if enter >= leave:
-        enter, leave = 0.0, 1.0
-    first, last = ends_px[0] + enter * step, ends_px[0] + leave * step
+        return Mark(pixel(ends_px[0]), pixel(ends_px[1]), mark.anchor_known, mark.end_known)
+    ends = ends_px[0] + np.array([[enter], [leave]]) * step
+    first, last = np.clip(ends, low, high)  # digits: a cut end is on the border exactly
     known = (mark.anchor_known and enter == 0.0, mark.end_known and leave == 1.0)
     return Mark(pixel(first), pixel(last), *known)

@@ -148,6 +148,16 @@ export class Images {
     return hits[0] ?? null;
   }
 
+  /** The proposal that is under `point` (CSS pixels), or null. */
+  hitOffer(side, point) {
+    const hits = (this.state.aids.ghosts ? this.state.offers : []).flatMap((offer) => {
+      const found = offer[side] && paint.hitTest(this.view, offer[side], point);
+      return found ? [{ offer, ...found }] : [];
+    });
+    hits.sort((a, b) => a.rank - b.rank || a.distance - b.distance);
+    return hits[0]?.offer ?? null;
+  }
+
   // -- painting
 
   #paintPicture(side, context) {

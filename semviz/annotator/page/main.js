@@ -101,6 +101,7 @@ function inHand() {
       end_px: drawing.end,
       anchor_known: drawing.anchor_known,
       end_known: drawing.end_known,
+      snap: state.aids.snap && !drawing.box,
     },
     moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
   };
@@ -266,7 +267,7 @@ keys.onchange = () => state.set({ changedKeys: keys.changed });
 keys.listen(window);
 watchLists();
 
-window.semviz = { state }; // for scripts that drive the page
+window.semviz = { state, looking }; // for scripts that drive the page
 
 const socket = new Socket({
   onmessage: (message) => received[message.type]?.(message),

@@ -22,6 +22,7 @@ export class State {
     this.drawing = null; // {side, class, anchor, end, box}: the element under the pen
     this.dragged = null; // {observation, anchor, end}: what the pen moves
     this.look = null; // guides, snapped drawing and card of what is in hand, from the server
+    this.pointed = null; // the element whose offer is under the pointer
     this.swapped = new Set(); // ids of offers whose runner-up is taken for the best
     this.jump = "unreviewed"; // the list that the jump keys go through; see jumps.js
     this.conflict = null; // {edit, theirs, text}: somebody changed what an edit starts from
@@ -103,11 +104,13 @@ export class State {
     return this.offers.filter((offer) => !here.has(offer.id));
   }
 
-  /** What the proposal keys act on: the selected element's offer, or else the first of all. */
+  /** What the proposal keys act on: the offer under the pointer, or else the selected element's, or
+   * else the first of all. */
   get currentOffer() {
-    const { offers, selected } = this;
+    const { offers, selected, pointed } = this;
     if (!this.aids.ghosts || this.drawing) return null;
-    return offers.find((offer) => offer.id === selected?.element) ?? offers[0] ?? null;
+    const named = (id) => id && offers.find((offer) => offer.id === id);
+    return named(pointed) || named(selected?.element) || offers[0] || null;
   }
 
   /** Offers of which every mark is sure. */

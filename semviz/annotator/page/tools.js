@@ -2,6 +2,7 @@
 import { pointerAt } from "/static/canvas.js";
 import { SIDES, uuid7 } from "./state.js";
 
+const BESIDE = 8; // CSS pixels; a press so near to the image is meant for its border
 const DRAG_FROM = 4; // CSS pixels; a shorter way is a click
 
 export class Tools {
@@ -68,7 +69,7 @@ export class Tools {
   stretchTo(side, pixel) {
     const { drawing } = this.state;
     if (drawing?.side !== side || !drawing.end) return;
-    this.state.set({ drawing: { ...drawing, end: pixel } });
+    this.state.set({ drawing: { ...drawing, end: this.#inside(side, pixel) } });
     this.look();
   }
 
@@ -89,7 +90,9 @@ export class Tools {
 
   /** Returns whether something is being drawn now. */
   #begin(side, anchor) {
-    if (!this.images.bitmaps[side] || !this.#inside(side, anchor) || !this.mayEdit()) return false;
+    const near = BESIDE / this.images.view.scale;
+    if (!this.images.bitmaps[side] || !this.#isInside(side, anchor, near) || !this.mayEdit()) return false;
+    anchor = this.#inside(side, anchor);
     const id = this.state.classId;
     const kind = this.state.classOf(id).kind;
     this.state.set({ drawing: {
@@ -138,8 +141,8 @@ export class Tools {
     const at = this.images.view.toImage(pointerAt(event));
     const by = [at[0] - grab[0], at[1] - grab[1]];
     const moved = {
-      anchor: hit.part === "end" ? original.anchor : shifted(original.anchor, by),
-      end: hit.part === "anchor" || !original.end ? original.end : shifted(original.end, by),
+      anchor: hit.part === "end" ? original.anchor : this.#inside(side, shifted(original.anchor, by)),
+      end: hit.part === "anchor" || !original.end ? original.end : this.#inside(side, shifted(original.end, by)),
     };
     this.state.set({ dragged: { observation: hit.observation, ...moved } });
     this.look();
@@ -149,6 +152,13 @@ export class Tools {
     const hit = this.images.hit(side, point);
     this.images.hovered = hit;
     this.images.canvas(side).style.cursor = hit ? "grab" : "crosshair";
+    this.#point(hit ? null : this.images.hitOffer(side, point));
+  }
+
+  /** The proposal under the pointer is the one that the keys are for. */
+  #point(offer) {
+    const id = offer?.id ?? null;
+    if (id !== this.state.pointed) this.state.set({ pointed: id });
   }
 
   #up(side, event) {
@@ -179,7 +189,8 @@ export class Tools {
   }
 
   #finish(end) {
-    this.#save(this.state.drawing.anchor, end);
+    const { side, anchor } = this.state.drawing;
+    this.#save(anchor, this.#inside(side, end));
   }
 
   #save(anchor, end) {
@@ -195,8 +206,8 @@ export class Tools {
       class_id: id,
       anchor_px: anchor,
       end_px: end,
-      anchor_known,
-      end_known,
+      anchor_known: anchor_known && !(end && this.#isCut(side, anchor)),
+      end_known: end_known && !(end && this.#isCut(side, end)),
       selected_id: this.state.selected?.element ?? null,
       snap: this.state.aids.snap && !box,
     });
@@ -211,6 +222,7 @@ export class Tools {
     if (this.press) return;
     this.images.pointer = null;
     this.images.hovered = null;
+    this.#point(null);
     this.images.repaint();
   }
 
@@ -221,9 +233,21 @@ export class Tools {
     else this.images.zoomAt(point, Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.002)));
   }
 
+  /** Whether a pole's end lies on the image's border: there it is cut off, not at an end. */
+  #isCut(side, pixel) {
+    return !this.#isInside(side, pixel, -1);
+  }
+
+  #isInside(side, [u, v], margin) {
+    const { width, height } = this.state.hello.images[side];
+    const low = -0.5 - margin;
+    return u >= low && v >= low && u <= width - 0.5 + margin && v <= height - 0.5 + margin;
+  }
+
+  /** The nearest pixel of the image: what is cut off ends at its border. */
   #inside(side, [u, v]) {
     const { width, height } = this.state.hello.images[side];
-    return u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5;
+    return [Math.min(Math.max(u, -0.5), width - 0.5), Math.min(Math.max(v, -0.5), height - 0.5)];
   }
 }
 
