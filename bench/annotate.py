@@ -28,7 +28,7 @@ import numpy as np
 import tyro
 from aiohttp import ClientSession, ClientWebSocketResponse, WSMsgType
 from big_labels import STEP_M, make_big_labels
-from pages import CHROMIUM, edits, opened, report, serving, steps
+from pages import CHROMIUM, label, report, serving
 from playwright.sync_api import sync_playwright
 
 from semviz.workspace import Workspace
@@ -191,18 +191,11 @@ def _is_saved(request: str, told: dict[str, Any]) -> bool:
 
 
 def in_chromium(url: str) -> None:
-    """Steps and edits as somebody at the screen has them: key to pixel, click to "Saved"."""
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, map(shutil.which, names)), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
-        with opened(browser, with_3d=True) as page:
-            start = time.perf_counter()
-            page.goto(url)
-            page.wait_for_selector("#saved.saved")
-            print(f"{'page to what is saved':<44} {time.perf_counter() - start:6.2f} s", flush=True)
-            report("page: frame step, left and right", steps(page, pictures=2))
-            report("page: click to saved", edits(page))
+        label(browser, url, "page")
         browser.close()
 
 

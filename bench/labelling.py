@@ -6,7 +6,8 @@ The script sees what a person would: the street's truth is its eye. It clicks wi
 trembles by 1.5 CSS pixels, at the zoom that shows the whole image, with snapping on. It accepts a
 proposal where both marks are right, turns it down where one is not, and draws what nobody proposed:
 every pole and sign up to 40 m ahead that is visible in both images. The page counts its inputs: a
-key, a click or a turn of the wheel is one, a drag two. At the end every label is held against the truth.
+key, a click or a turn of the wheel is one, a drag two. At the end every label is held against the
+truth.
 
 Times are those of the keystroke-level model (Card, Moran & Newell 1980) with its own constants, for
 an average typist: a key 0.28 s, a click 0.2 s, pointing 1.1 s, and a thought of 1.35 s before each
@@ -43,8 +44,8 @@ Inputs that a pole in both images of a frame needs, counted by its steps (other 
   each image by itself (labelme, CVAT):   5 and more: class, two clicks in each image; not linked
   linked by hand afterwards:              6 and more: the same, and a key to link them
   semviz, both by hand:                   5: class, two clicks in each image; linked by the rays
-  semviz, first frame:                    3: class, two clicks; the key of the frame takes its partner
-  semviz, later frames:                   none of its own: the key of the frame takes it
+  semviz, first frame:                    3: class, two clicks; the frame's key takes its partner
+  semviz, later frames:                   none of its own: the frame's key takes it
 """
 
 

@@ -91,6 +91,7 @@ def opened(browser: Browser, with_3d: bool) -> Iterator[Page]:
     context = browser.new_context(viewport={"width": 1600, "height": 950})
     page = context.new_page()
     page.add_init_script(WATCH)
+    page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
     if not with_3d:
         page.route("**/view/**", lambda route: route.abort())
     yield page
@@ -126,7 +127,9 @@ def edits(page: Page) -> list[float]:
     for row in range(STEPS):
         page.keyboard.press("4")
         x, y = 0.1 + 0.08 * (row % 10), 0.2 + 0.15 * (row // 10)
+        page.keyboard.down("Shift")  # draws, even where something is
         page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        page.keyboard.up("Shift")
         until(page, f"window.acknowledged.length > {row}")
         page.wait_for_timeout(PAUSE_MS)
     times: list[float] = page.evaluate("window.acknowledged")
@@ -162,11 +165,22 @@ def annotate(browser: Browser) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "street"
         Workspace.create_street(path, 7, range(STEPS + 2))
-        with serving("annotate", str(path)) as (url, _), opened(browser, with_3d=True) as page:
+        with serving("annotate", str(path)) as (url, _):
+            label(browser, url, "annotate")
+
+
+def label(browser: Browser, url: str, what: str) -> None:
+    """Steps and edits as somebody at the screen has them: key to pixel, click to "Saved"."""
+    for with_3d in (False, True):
+        pane = "with" if with_3d else "without"
+        with opened(browser, with_3d) as page:
+            start = time.perf_counter()
             page.goto(url)
             page.wait_for_selector("#saved.saved")
-            report("annotate: frame step, left and right", steps(page, pictures=2))
-            report("annotate: click to saved", edits(page))
+            seconds = time.perf_counter() - start
+            print(f"{what + ': page to what is saved, ' + pane + ' 3D':<44} {seconds:6.2f} s")
+            report(f"{what}: frame step, {pane} 3D", steps(page, pictures=2))
+            report(f"{what}: click to saved, {pane} 3D", edits(page))
 
 
 def main() -> None:

@@ -39,8 +39,10 @@ function whileDrawing(kind) {
 function withElement(state, element, { side }) {
   const here = element.observations[side];
   const isLine = state.classOf(element.class).kind === "line";
+  const sure = state.sureOffers.length;
   const missing = state.hasRight && ["left", "right"].find((one) => !element.observations[one]);
   return [
+    ...(sure ? [hint(`accept ${sure} sure`, "Shift Space")] : []),
     ...(missing ? [hint(`${element.name} in the ${missing} image`, "Click")] : []),
     ...(here ? [hint("0.1 px", "Arrows"), hint("delete", "Del")] : []),
     ...(here && isLine ? [hint("bottom hidden", "O"), hint("peak cut", "C"), hint("swap", "R")] : []),

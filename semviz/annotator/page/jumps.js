@@ -65,11 +65,17 @@ export class Jumps {
     this.keys = keys;
     this.actions = actions;
     this.kept = new Kept(state);
+    this.frames = null;
+    this.lists = []; // of these frames
   }
 
   show() {
-    const lists = Object.entries(JUMPS).map(([name, { title, about }]) => [name, title, about(jumpFrames(this.state, name))]);
-    this.kept.show("jumps", [lists, this.state.jump], () => lists.map((one) => this.#row(one)));
+    const { labels, jump } = this.state;
+    if (this.frames !== labels.frames) {
+      this.frames = labels.frames;
+      this.lists = Object.entries(JUMPS).map(([name, { title, about }]) => [name, title, about(jumpFrames(this.state, name))]);
+    }
+    this.kept.show("jumps", [this.lists, jump], () => this.lists.map((one) => this.#row(one)));
   }
 
   #row([name, title, about]) {

@@ -1,5 +1,6 @@
 // Elements, ghosts, guides and the loupe on an image. Sizes are CSS pixels and don't grow with zoom.
 import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
+import { shownScore } from "./state.js";
 
 const ACCENT = "#4DABF7"; // the dark set is used on images in both themes
 const HANDLE_HIT = 8; // a handle is taken hold of within this radius
@@ -43,12 +44,12 @@ export class Painter {
   offer(offer, mark, { selected, current }) {
     const { score, runner_up } = mark;
     this.#proposed(offer, mark, { selected, dash: offer.sure ? [5, 4] : [1.5, 4] });
-    const said = [offer.name, score === null ? "" : score.toFixed(2), current ? this.shownKey("Space") : ""];
+    const said = [offer.name, score === null ? "" : shownScore(score), current ? this.shownKey("Space") : ""];
     const text = current ? said.filter(Boolean).join(" · ") : offer.name;
     this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : offer.sure ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
     this.#proposed(offer, runner_up, { dash: [1, 5] });
-    this.#label(`runner-up ${runner_up.score.toFixed(2)} · ${this.shownKey("K")}`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
+    this.#label(`runner-up ${shownScore(runner_up.score)} · ${this.shownKey("K")}`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
   }
 
   #proposed({ class: id }, { anchor, end, anchor_known, end_known }, { selected = false, dash }) {

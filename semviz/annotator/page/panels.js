@@ -6,7 +6,7 @@ import { Conflict } from "./conflict.js";
 import { editing } from "./commands.js";
 import { hints } from "./hints.js";
 import { Jumps } from "./jumps.js";
-import { SIDES } from "./state.js";
+import { SIDES, shownScore } from "./state.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
 import { Kept, badge, capital, header, row } from "./widgets.js";
@@ -183,7 +183,7 @@ function scoreBar({ score, sure }) {
   if (score === null) return el("span", { class: "faint", text: "looking …" });
   const bar = svg("svg", { class: sure ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
-  return el("span", { class: "scored" }, bar, el("span", { class: "dim", text: score.toFixed(2) }), sure ? null : el("span", { class: "faint", text: "weak" }));
+  return el("span", { class: "scored" }, bar, el("span", { class: "dim", text: shownScore(score) }), sure ? null : el("span", { class: "faint", text: "weak" }));
 }
 
 function hintItem({ keys: names, text, push }, keys) {

@@ -31,6 +31,7 @@ export class State {
     this.theme = "dark";
     this.changedKeys = {}; // as `Keys.changed`: badges are drawn again
     this.trouble = null; // why the server could not save
+    this.ordered = {}; // `order`, of these frames
     this.listeners = [];
     this.shown = null; // `elements` and `offers`, kept until something changes: they are asked
     this.offered = null; // for many times
@@ -120,7 +121,9 @@ export class State {
 
   /** Numbers of all frames, in order of time. */
   get order() {
-    return this.labels.frames.map((one) => one.index);
+    const { frames } = this.labels;
+    if (this.ordered.frames !== frames) this.ordered = { frames, order: frames.map((one) => one.index) };
+    return this.ordered.order;
   }
 
   get selectedElement() {
@@ -306,3 +309,6 @@ export function uuid7() {
 
 /** 4213 as people read it: "4 213". */
 export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+
+/** A score as people read it, never rounded up: 0.798 is not yet the 0.80 that is sure. */
+export const shownScore = (score) => (Math.floor(100 * score) / 100).toFixed(2);

@@ -8,39 +8,66 @@ export const REVIEWS = [
   ["unseen", "Unseen"],
 ];
 
+const BESIDE = 4; // tiles drawn beyond each end of what is on screen
+
+/** Only the tiles on screen are there: a drive may have ten thousand frames. */
 export class Strip {
   constructor(state, actions) {
     this.state = state;
     this.actions = actions;
-    this.tiles = new Map();
+    this.tiles = new Map(); // by place in time
     this.current = null;
-    // pictures are asked for when their tile comes near, not a thousand at once
-    this.watch = new IntersectionObserver((entries) => entries.forEach(load), { root: byId("strip"), rootMargin: "0px 300px" });
+    this.frames = null;
+    this.rail = el("div", { class: "rail" });
+    this.root = byId("strip");
+    this.root.append(this.rail);
+    this.root.addEventListener("scroll", () => this.#draw(), { passive: true });
+    new ResizeObserver(() => this.#draw()).observe(this.root);
   }
 
   show() {
-    const { frames } = this.state.labels;
-    if (this.tiles.size !== frames.length) this.#build(frames);
-    const counts = new Map();
-    for (const frame of frames) {
-      counts.set(frame.state, (counts.get(frame.state) ?? 0) + 1);
-      this.#update(this.tiles.get(frame.index), frame);
+    const { labels, order, frame } = this.state;
+    if (labels.frames !== this.frames) {
+      this.frames = labels.frames;
+      this.rail.style.width = `calc(${this.frames.length} * var(--pitch))`;
+      this.#legend();
     }
-    this.#legend(counts);
-    if (this.current === this.state.frame) return;
-    this.current = this.state.frame;
-    this.tiles.get(this.current)?.scrollIntoView({ block: "nearest", inline: "center" });
+    if (this.current !== frame) {
+      this.current = frame;
+      const pitch = this.#pitch();
+      this.root.scrollLeft = (order.indexOf(frame) + 0.5) * pitch - this.root.clientWidth / 2;
+    }
+    this.#draw();
   }
 
-  #build(frames) {
-    this.tiles = new Map(frames.map(({ index }) => [index, this.#tile(index)]));
-    byId("strip").replaceChildren(...this.tiles.values());
-    this.tiles.forEach((tile) => this.watch.observe(tile));
+  /** CSS pixels from one tile to the next. */
+  #pitch() {
+    return this.rail.getBoundingClientRect().width / this.frames.length;
   }
 
-  #tile(index) {
-    return el("button", { class: "tile", data: { frame: index }, "aria-label": `Frame ${index}`, onclick: () => this.actions.go(index) },
-      el("img", { alt: "", draggable: "false" }), el("span", { class: "caption" }, el("b", { text: index })));
+  #draw() {
+    if (!this.frames?.length) return;
+    const pitch = this.#pitch();
+    const first = Math.max(0, Math.floor(this.root.scrollLeft / pitch) - BESIDE);
+    const last = Math.min(this.frames.length - 1, Math.ceil((this.root.scrollLeft + this.root.clientWidth) / pitch) + BESIDE);
+    for (const [place, tile] of this.tiles) {
+      if (place >= first && place <= last) continue;
+      tile.remove();
+      this.tiles.delete(place);
+    }
+    for (let place = first; place <= last; place += 1) {
+      if (!this.tiles.has(place)) this.tiles.set(place, this.#tile(place));
+      this.#update(this.tiles.get(place), this.frames[place]);
+    }
+  }
+
+  #tile(place) {
+    const { index } = this.frames[place];
+    const tile = el("button", { class: "tile", data: { frame: index }, "aria-label": `Frame ${index}`, onclick: () => this.actions.go(index) },
+      el("img", { alt: "", draggable: "false", src: `/thumbnail/${index}.jpg` }), el("span", { class: "caption" }, el("b", { text: index })));
+    tile.style.left = `calc(${place} * var(--pitch))`;
+    this.rail.append(tile);
+    return tile;
   }
 
   #update(tile, { index, state, elements }) {
@@ -53,16 +80,12 @@ export class Strip {
       el("b", { text: index }), el("span", { class: "dim", text: state === "unseen" ? "" : elements }), reviewMark(state));
   }
 
-  #legend(counts) {
+  #legend() {
+    const count = (wanted) => this.frames.filter(({ state }) => state === wanted).length;
     const rows = REVIEWS.map(([state, text]) =>
-      el("li", {}, reviewMark(state), el("span", { class: "fill", text }), el("b", { text: counts.get(state) ?? 0 })));
+      el("li", {}, reviewMark(state), el("span", { class: "fill", text }), el("b", { text: count(state) })));
     byId("legend").replaceChildren(...rows);
   }
-}
-
-function load(entry) {
-  const picture = entry.target.querySelector("img");
-  if (entry.isIntersecting && !picture.src) picture.src = `/thumbnail/${entry.target.dataset.frame}.jpg`;
 }
 
 /** Disc, struck circle, half disc or dashed circle. */
