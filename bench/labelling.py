@@ -182,7 +182,7 @@ class Labeller:
         for drawn, true in ends:
             if np.hypot(*np.subtract(true, drawn)) > RIGHT_PX / 2.0:
                 self.drag(side, np.array(drawn), true)
-        self.key("0")
+        self.whole()
 
     def point_at(self, offer: dict[str, Any]) -> None:
         """The pointer over a proposal, so that the keys are for it."""
@@ -262,8 +262,20 @@ class Labeller:
     def wheel(self, turns: int) -> None:
         """Zooms at the pointer, threefold a turn."""
         self.work.clicks += 1
+        before = self.zoom()
         self.page.mouse.wheel(0, turns * np.log(3.0) / 0.002)
-        self.page.wait_for_timeout(50)
+        while self.zoom() == before:
+            self.page.wait_for_timeout(20)
+
+    def whole(self) -> None:
+        """Zooms out."""
+        self.key("0")
+        self.page.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => setTimeout(done, 50)))"
+        )
+
+    def zoom(self) -> str | None:
+        return self.page.get_attribute("#left-image canvas.marks", "data-view")
 
     def drag(self, side: str, start: np.ndarray, end: np.ndarray) -> None:
         self.work.clicks += 2

@@ -7,11 +7,11 @@ from typing import Generic, TypeVar
 
 from semviz.annotator.cameras import Cameras
 from semviz.annotator.images import Images
-from semviz.annotator.offers import Answer, FindPartner, Offer, Question
+from semviz.annotator.offers import Answer, FindPartner, Offer, Question, Settle
 from semviz.annotator.panes import Pane
 from semviz_annotation.assist.follow import follow
 from semviz_annotation.assist.partner import find_partner
-from semviz_annotation.assist.shot import Mark, Shot
+from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import Snapped, snap
 from semviz_core.classes import ClassSet
 from semviz_core.errors import SemvizError
@@ -69,6 +69,10 @@ class Looker:
         if isinstance(question, FindPartner):
             partners = find_partner(self._shot(question.here), there, question.mark, one)
             return Answer(None) if partners is None else Answer(partners.best, partners.runner_up)
+        if isinstance(question, Settle):
+            found = snap(there, question.mark, one)
+            mark = question.mark if found is None else found.mark
+            return Answer(Proposed(mark, question.score))
         seen = [(self._shot(pane), mark) for pane, mark in question.seen]
         return Answer(follow(seen, question.element, there, one))
 

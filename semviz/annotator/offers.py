@@ -21,6 +21,8 @@ from semviz_core.sources.source import Side
 
 Origin: TypeAlias = Literal["map", "partner", "detector"]
 
+DETECTED_PX = 6.0
+"""The same for a detector's: it marks no better than that."""
 SEEN_IN = 2
 """An element is compared with so many labelled images of it: the nearest in time."""
 TAKEN_PX = 1.5
@@ -58,7 +60,17 @@ class Follow:
     there: Pane
 
 
-Question: TypeAlias = FindPartner | Follow
+@dataclass(frozen=True)
+class Settle:
+    """Exactly where is what a detector marked in ``there``?"""
+
+    class_id: int
+    mark: Mark
+    score: float
+    there: Pane
+
+
+Question: TypeAlias = FindPartner | Follow | Settle
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,10 @@ class Offer:
     runner_up: Proposed | None = None
     depth_m: float | None = None
     question: Question | None = None
+
+    @property
+    def is_detected(self) -> bool:
+        return self.origin == "detector"
 
     @property
     def sure(self) -> bool:
@@ -193,17 +209,21 @@ def _detected(
         pane = Pane(one.frame_index, one.side)
         mark = Mark(one.anchor_px, one.end_px, one.anchor_known, one.end_known)
         rows = labels.in_frame(pane.frame_index, pane.side)
-        spent = one.id in labels.observations or any(_gap_px(mark, row) < TAKEN_PX for row in rows)
-        if pane in panes.values() and not spent:
+        needless = any(_gap_px(mark, row) < DETECTED_PX for row in rows)
+        if pane in panes.values() and one.id not in labels.observations and not needless:
+            question = Settle(one.class_id, mark, one.score, pane)
             offer = Offer(one.id, pane, one.class_id, "detector", None, mark, one.score)
-            found.append(offer)
+            found.append(replace(offer, question=question))
     return found
 
 
 def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
-    """Answered offers, unsure where a label or another offer is in the same place."""
+    """Answered offers, unsure where a label or another offer is in the same place.
+
+    A detector's are left out there: what is known of an element says more.
+    """
     kept: list[Offer] = []
-    for one in sorted(offers, key=lambda offer: -(offer.score or 0.0)):
+    for one in sorted(offers, key=lambda offer: (offer.is_detected, -(offer.score or 0.0))):
         rows = labels.in_frame(one.pane.frame_index, one.pane.side)
         labelled = any(
             labels.element(row.element_id).class_id == one.class_id and _near(one.mark, row)
@@ -214,7 +234,7 @@ def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
             for other in kept
         )
         if labelled or offered:
-            if one.origin == "detector":
+            if one.is_detected:
                 continue
             one = replace(one, score=0.0)
         kept.append(one)
@@ -226,9 +246,12 @@ def _near(mark: Mark | None, row: Observation) -> bool:
 
 
 def _same(one: Offer, two: Offer) -> bool:
-    if one.mark is None or two.mark is None or one.score is None or two.score is None:
+    if one.mark is None or two.mark is None:
         return False
-    return _gap_px(one.mark, two.mark) < TAKEN_PX
+    if two.is_detected:
+        return _gap_px(one.mark, two.mark) < DETECTED_PX
+    both_known = one.score is not None and two.score is not None
+    return both_known and _gap_px(one.mark, two.mark) < TAKEN_PX
 
 
 def _gap_px(mark: Mark, other: Mark | Observation) -> float:

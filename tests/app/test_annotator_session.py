@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
 from semviz_annotation.labels import new_id
+from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.storing.backup import backup_labels, restore_labels
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.errors import SemvizError
@@ -401,3 +402,27 @@ def test_labels_that_were_put_back_are_shown_and_labelled_on(
     ) | {0: 1}
     draw(session, sign(3, "left", (700.0, 120.0)))
     assert session.news()["operation"] == 2
+
+
+def test_what_a_detector_found_is_proposed_until_it_is_labelled(tmp_path: Path) -> None:
+    workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 2))
+    places = {"aside": (700.0, 120.0), "labelled": (300.0, 150.0)}
+    found = [
+        Proposal(new_id(), 0, "left", ROUNDED, place, None, True, False, 0.9, 1.0)
+        for place in places.values()
+    ]
+    save_proposals(Proposals.of(found), workspace.proposals_path)
+    session = LabelSession(workspace, "tester")
+    draw(session, sign(0, "left", (303.0, 152.0)))  # by a person, about where the detector's is
+    (offer,) = [one for one in session.frame(0)["offers"] if one["origin"] == "detector"]
+    assert (offer["id"], offer["score"], offer["sure"]) == (found[0].id, 0.9, True)
+    assert session.frame(0)["looking"]
+    for question in session.unanswered(0):
+        session.looker.answer(question)
+    assert not session.frame(0)["looking"]
+    mark = sign(0, "left", places["aside"], observation_id=found[0].id)
+    session.do(new_id(), {"kind": "accept", "marks": [mark]})
+    assert session.labels.observations[found[0].id].anchor_px == places["aside"]
+    origins = {one["origin"] for one in session.frame(0)["offers"]}
+    assert "detector" not in origins
+    session.close()
