@@ -7,19 +7,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from annotating import Served, annotating
 from journeys.driver import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, LabelDriver
 
-from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
-from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.labels import Labels, Observation, new_id
+from semviz_annotation.labels import new_id
 from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -30,30 +28,6 @@ PANE_MS = 240_000
 """A pane that never comes is told from one that is drawn by a busy processor."""
 
 
-@dataclass
-class Served:
-    """A workspace behind the door."""
-
-    url: str
-    annotator: Annotator
-
-    @property
-    def labels(self) -> Labels:
-        return self.annotator.session.labels
-
-    @property
-    def observations(self) -> list[Observation]:
-        """Oldest first."""
-        return sorted(self.labels.observations.values(), key=lambda row: row.id)
-
-
-def serve(workspace: Workspace) -> Iterator[Served]:
-    annotator = Annotator(workspace, author="tester")
-    with Door(annotator).running() as url:
-        yield Served(url, annotator)
-    annotator.close()
-
-
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
     return Workspace.create_street(tmp_path / "street", 7, range(0, 4))
@@ -61,7 +35,8 @@ def workspace(tmp_path: Path) -> Workspace:
 
 @pytest.fixture
 def served(workspace: Workspace) -> Iterator[Served]:
-    yield from serve(workspace)
+    with annotating(workspace) as served:
+        yield served
 
 
 @pytest.fixture
@@ -342,7 +317,7 @@ def test_an_image_that_cannot_be_read_says_why(
         return image(index, side)
 
     source.image = broken  # type: ignore[method-assign]
-    for served in serve(workspace):
+    with annotating(workspace) as served:
         page.goto(served.url)
         page.wait_for_selector("#right-image .message:has-text('calibration says 1241x376')")
         page.goto("about:blank")

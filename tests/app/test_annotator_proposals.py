@@ -1,18 +1,16 @@
 """What the page proposes on a simulated street: accepted, turned down, kept through all trouble."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from annotating import Served, annotating
 from journeys.driver import POLE, ROUNDED, LabelDriver, Pixel, Side
 
-from semviz.annotator.server import Annotator
-from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.labels import Labels, new_id
+from semviz_annotation.labels import new_id
 from semviz_core.camera import Rig
 from semviz_core.sources.street.street import Street
 
@@ -23,34 +21,29 @@ pytestmark = pytest.mark.browser
 NEAR_M = 25.0
 
 
-@dataclass
-class Served:
-    """A street behind the door."""
+def poles(served: Served, frame: int, near_m: float = NEAR_M) -> list[tuple[int, Pixel, Pixel]]:
+    """Id, peak and bottom in the left image of the poles that are near and whole in both."""
+    street = street_of(served)
+    pose = street.frames[frame].T_map_camera
+    assert pose is not None
+    elements = street.truth_map.elements
+    depths = pose.inverse().apply(elements.anchor_m)[:, 2]
+    near = set(elements.id[depths < near_m].tolist())
+    right, right_ids = street.labels(frame, "right")
+    whole = set(right_ids[right.anchor_known & right.end_known].tolist())
+    seen, ids = street.labels(frame, "left")
+    rows = np.flatnonzero(seen.anchor_known & seen.end_known & (seen.class_id == POLE))
+    return [
+        (int(ids[row]), tuple(seen.anchor_px[row]), tuple(seen.end_px[row]))
+        for row in rows
+        if ids[row] in near & whole
+    ]
 
-    url: str
-    annotator: Annotator
-    street: Street
 
-    @property
-    def labels(self) -> Labels:
-        return self.annotator.session.labels
-
-    def poles(self, frame: int, near_m: float = NEAR_M) -> list[tuple[int, Pixel, Pixel]]:
-        """Id, peak and bottom in the left image of the poles that are near and whole in both."""
-        pose = self.street.frames[frame].T_map_camera
-        assert pose is not None
-        elements = self.street.truth_map.elements
-        depths = pose.inverse().apply(elements.anchor_m)[:, 2]
-        near = set(elements.id[depths < near_m].tolist())
-        right, right_ids = self.street.labels(frame, "right")
-        whole = set(right_ids[right.anchor_known & right.end_known].tolist())
-        seen, ids = self.street.labels(frame, "left")
-        rows = np.flatnonzero(seen.anchor_known & seen.end_known & (seen.class_id == POLE))
-        return [
-            (int(ids[row]), tuple(seen.anchor_px[row]), tuple(seen.end_px[row]))
-            for row in rows
-            if ids[row] in near & whole
-        ]
+def street_of(served: Served) -> Street:
+    """With what is truly to be seen, also where the page has only one camera of it."""
+    source = served.annotator.session.source
+    return getattr(source, "street", source)
 
 
 def truth(street: Street, frame: int, side: Side, element: int) -> tuple[np.ndarray, np.ndarray]:
@@ -64,16 +57,10 @@ def workspace(tmp_path: Path) -> Workspace:
     return Workspace.create_street(tmp_path / "street", 7, range(0, 6))
 
 
-def serve(workspace: Workspace, street: Street) -> Iterator[Served]:
-    annotator = Annotator(workspace, author="tester")
-    with Door(annotator).running() as url:
-        yield Served(url, annotator, street)
-    annotator.close()
-
-
 @pytest.fixture
 def served(workspace: Workspace) -> Iterator[Served]:
-    yield from serve(workspace, workspace.street)
+    with annotating(workspace) as served:
+        yield served
 
 
 @pytest.fixture
@@ -85,7 +72,7 @@ def driver(served: Served, page: "Page") -> LabelDriver:
 
 def draw_first(driver: LabelDriver, served: Served) -> int:
     """The first pole of the street, in the left image only; its id there."""
-    element, peak, bottom = served.poles(0)[0]
+    element, peak, bottom = poles(served, 0)[0]
     assert driver.draw_pole("left", peak, bottom) == "P-01"
     return element
 
@@ -102,7 +89,7 @@ def test_the_partner_is_proposed_and_one_key_accepts_it(
     assert len(served.labels.observations) == 1  # a proposal is no label
     driver.press_and_save("Space")
     (row,) = served.labels.in_frame(0, "right")
-    peak, bottom = truth(served.street, 0, "right", element)
+    peak, bottom = truth(street_of(served), 0, "right", element)
     across = np.array([1.0, 0.0])
     assert abs((row.anchor_px - peak) @ across) < 1.0
     assert abs((row.end_px - bottom) @ across) < 1.0
@@ -124,7 +111,7 @@ def test_a_mapped_element_is_followed_into_the_next_frame(
     assert driver.operation == before + 1  # both images in one operation
     for side in ("left", "right"):
         (row,) = served.labels.in_frame(1, side)
-        peak, _ = truth(served.street, 1, side, element)
+        peak, _ = truth(street_of(served), 1, side, element)
         assert abs(row.anchor_px[0] - peak[0]) < 2.0
     assert "Accept P-01" in driver.page.inner_text("#history .row >> nth=0")
 
@@ -152,10 +139,10 @@ def test_what_is_turned_down_stays_so_until_it_is_undone(
 def test_a_click_beside_a_pole_snaps_to_its_axis(served: Served, page: "Page") -> None:
     driver = LabelDriver(page)
     driver.open(served.url, with_snap=True)
-    element, peak, bottom = served.poles(0)[0]
+    element, peak, bottom = poles(served, 0)[0]
     driver.draw_pole("left", (peak[0] + 1.5, peak[1]), (bottom[0] - 1.5, bottom[1]))
     (row,) = served.labels.observations.values()
-    true = truth(served.street, 0, "left", element)
+    true = truth(street_of(served), 0, "left", element)
     assert row.end_px is not None
     for drawn, at in zip((row.anchor_px, row.end_px), true, strict=True):
         assert abs(drawn[0] - at[0]) < 0.5
@@ -167,7 +154,7 @@ def test_a_click_beside_a_pole_snaps_to_its_axis(served: Served, page: "Page") -
 
 
 def test_a_reload_in_mid_drawing_loses_nothing(driver: LabelDriver, served: Served) -> None:
-    _, peak, bottom = served.poles(0)[0]
+    _, peak, bottom = poles(served, 0)[0]
     driver.page.keyboard.press("1")
     driver.click_at("left", peak)
     driver.page.wait_for_selector("#left-image .status:has-text('second click sets the bottom')")
@@ -258,19 +245,19 @@ def test_one_camera_is_labelled_in_two_frames(page: "Page", workspace: Workspace
     class OneCamera:
         def __init__(self, source: Street) -> None:
             self.frames, self.map_frame = source.frames, source.map_frame
-            self.rig, self._source = Rig(source.rig.left), source
+            self.rig, self.street = Rig(source.rig.left), source
 
         def image(self, index: int, side: Side) -> np.ndarray:
-            return self._source.image(index, side)
+            return self.street.image(index, side)
 
     street = workspace.street
     workspace.__dict__["source"] = OneCamera(street)
-    for served in serve(workspace, street):
+    with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
         page.wait_for_selector("#right-image h2:has-text('Frame 5')")
-        later = {one for one, _, _ in served.poles(5, 60.0)}
-        element, peak, bottom = next(one for one in served.poles(0, 60.0) if one[0] in later)
+        later = {one for one, _, _ in poles(served, 5, 60.0)}
+        element, peak, bottom = next(one for one in poles(served, 0, 60.0) if one[0] in later)
         driver.draw_pole("left", peak, bottom)
         wait_for_score(driver, "P-01")
         there = truth(street, 5, "left", element)
