@@ -20,7 +20,7 @@ from semviz_core.frame import Prior
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame, SemanticMap
 from semviz_core.sequence.odometry import Odometry, OdometryNoise
-from semviz_core.sequence.tracker import Track, Tracker
+from semviz_core.sequence.tracker import Track
 
 INTERVAL_S = 0.1
 """KITTI's rate; a simulated road has a pose each metre, so it is driven at 10 m/s."""
@@ -80,11 +80,6 @@ def make_drive(
             for row, one in enumerate(frames)
         )
     return Drive(problems[0].camera, _whole_map(problems), frames)
-
-
-def run_drive(drive: Drive, tracker: Tracker) -> tuple[Track, ...]:
-    """What ``tracker`` makes of each frame."""
-    return tuple(tracker.step(one.observed, one.odometry, one.prior) for one in drive.frames)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Prior-guided upright search: from classes and a rough position to poses that explain the image.
 
-Class-consistent pairs of matches give upright candidates (``hypotheses``); azimuths and slopes rate
-them quickly (``rating``); the best distinct ones are paired one-to-one and fitted, with gates that
-narrow as they settle; what remains are the modes, best first.
+Places about the prior vote for headings (``hypotheses``); azimuths and slopes rate what they
+propose quickly (``rating``); the best distinct ones are paired one-to-one and fitted, with gates
+that narrow as they settle; what remains are the modes, best first.
 """
 
 from dataclasses import dataclass
