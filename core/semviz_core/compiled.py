@@ -10,6 +10,11 @@ import numba
 from numba.core import event
 from platformdirs import user_cache_path
 
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -21,7 +26,23 @@ def compiled(function: Function) -> Function:
         made: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before
+    made._cache.save_overload = _one_at_a_time(made._cache.save_overload)  # type: ignore[attr-defined]
     return made
+
+
+def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
+    """``save`` under a lock between processes. Numba reads its index, adds to it and writes it
+    back: two processes at once can leave the code for some types under the name of others."""
+
+    def saved(*arguments: Any) -> None:
+        folder = _cache_folder()
+        if fcntl is None or not folder:
+            return save(*arguments)
+        with (Path(folder) / "lock").open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # until the file is closed
+            return save(*arguments)
+
+    return saved
 
 
 def tell_when_compiling(tell: Callable[[], None]) -> None:
