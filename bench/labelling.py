@@ -29,6 +29,7 @@ from semviz.web.door import Door
 from semviz.workspace import Workspace
 from semviz_annotation.labels import Labels
 from semviz_core.elements import Elements2D
+from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 
 CHROMIUM = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -38,7 +39,7 @@ RIGHT_PX, RIGHT_M = 2.0, 0.04
 """A mark this near to the truth, by one or the other, is right: across a pole, to a middle."""
 TREMOR_CSS_PX = 1.5
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
-SIDES = ("left", "right")
+SIDES: tuple[Side, Side] = ("left", "right")
 BY_HAND = """
 Inputs that a pole in both images of a frame needs, counted by its steps (other tools were not run):
   each image by itself (labelme, CVAT):   5 and more: class, two clicks in each image; not linked
@@ -89,7 +90,7 @@ class Truth:
         near = [one for one in both if self.depth_m[one] < REACH_M]
         return sorted(near, key=lambda one: (self.class_id[one], self.depth_m[one]))
 
-    def is_right(self, element: int, side: str, anchor: Any, end: Any) -> bool:
+    def is_right(self, element: int, side: Side, anchor: Any, end: Any) -> bool:
         if side not in self.marks[element]:
             return False
         tolerance_px = max(RIGHT_PX, RIGHT_M * self.focal_px / self.depth_m[element])
@@ -137,7 +138,7 @@ class Labeller:
                 self.key(" ")
                 self.work.counts["weak but right"] += 1
 
-    def draw(self, frame: int, truth: Truth, element: int, side: str) -> None:
+    def draw(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """With snapping where its preview is right, without where it isn't; then corrected."""
         self.work.thoughts += 1
         self.work.counts["drawn"] += 1
@@ -161,14 +162,14 @@ class Labeller:
             (pixel < 2.0).any() or (pixel > [camera.width - 3.0, camera.height - 3.0]).any()
         )
 
-    def is_preview_right(self, truth: Truth, element: int, side: str) -> bool:
+    def is_preview_right(self, truth: Truth, element: int, side: Side) -> bool:
         snapped = self.page.evaluate("semviz.state.look?.snapped ?? null")
         return snapped is None or truth.is_right(element, side, snapped["anchor"], snapped["end"])
 
-    def correct(self, frame: int, truth: Truth, element: int, side: str) -> None:
+    def correct(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Zooms in and drags the ends of what was just drawn to where they belong."""
         marks = truth.marks[element][side]
-        rows = self.labels.in_frame(frame, side)  # type: ignore[arg-type]
+        rows = self.labels.in_frame(frame, side)
         if not rows:
             raise SystemExit(f"not drawn; the page says {self.page.text_content('#message')!r}")
         row = max(rows, key=lambda one: one.id)  # the newest
@@ -231,7 +232,7 @@ class Labeller:
             for side in truth.marks[element]
             if not any(
                 truth.is_right(element, side, row.anchor_px, row.end_px)
-                for row in self.labels.in_frame(frame, side)  # type: ignore[arg-type]
+                for row in self.labels.in_frame(frame, side)
             )
         ]
 
@@ -243,12 +244,12 @@ class Labeller:
         self.page.keyboard.press("Space" if key == " " else key)
         self.saved()
 
-    def hover(self, side: str, pixel: np.ndarray) -> None:
+    def hover(self, side: Side, pixel: np.ndarray) -> None:
         """The pointer over a pixel, until the page says what is there."""
         self.page.mouse.move(*self.on_screen(side, pixel))
         self.page.wait_for_function("() => !semviz.looking.waiting")
 
-    def click(self, side: str, pixel: np.ndarray, snapped: bool = True) -> None:
+    def click(self, side: Side, pixel: np.ndarray, snapped: bool = True) -> None:
         self.work.clicks += 1
         if not snapped:
             self.work.counts["snap off"] += 1
@@ -277,7 +278,7 @@ class Labeller:
     def zoom(self) -> str | None:
         return self.page.get_attribute("#left-image canvas.marks", "data-view")
 
-    def drag(self, side: str, start: np.ndarray, end: np.ndarray) -> None:
+    def drag(self, side: Side, start: np.ndarray, end: np.ndarray) -> None:
         self.work.clicks += 2
         self.page.mouse.move(*self.on_screen(side, start))
         self.page.mouse.down()
@@ -286,7 +287,7 @@ class Labeller:
         self.saved()
 
     def on_screen(
-        self, side: str, pixel: np.ndarray, hand: np.random.Generator | None = None
+        self, side: Side, pixel: np.ndarray, hand: np.random.Generator | None = None
     ) -> tuple[float, float]:
         """Where a pixel is; where ``hand`` hits that means it."""
         canvas = self.page.locator(f"#{side}-image canvas.marks")
@@ -319,7 +320,7 @@ def truth_of(street: Street, frame: int) -> Truth:
     assert pose is not None
     elements = street.truth_map.elements
     depths = pose.inverse().apply(elements.anchor_m)[:, 2]
-    seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}  # type: ignore[arg-type]
+    seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}
     visible = sorted(seen["left"].keys() | seen["right"].keys())
     marks = {
         one: {side: seen[side][one][:2] for side in SIDES if one in seen[side]} for one in visible

@@ -23,8 +23,9 @@ Origin: TypeAlias = Literal["map", "partner", "detector"]
 
 DETECTED_PX = 6.0
 """The same for a detector's: it marks no better than that."""
-SEEN_IN = 2
-"""An element is compared with so many labelled images of it: the nearest in time."""
+SEEN_IN = 1
+"""An element is compared with so many labelled images of it, the nearest in time; ``follow`` takes
+no more, and each one is read from disk."""
 TAKEN_PX = 1.5
 """An offer this near to a label of its class lies on a thing that has one already. Poles that stand
 one behind the other may well be a little further apart."""

@@ -8,6 +8,7 @@ import numpy as np
 from semviz_annotation.assist.align import aligned_pole, aligned_sign
 from semviz_annotation.assist.ends import with_visible_ends
 from semviz_annotation.assist.look import (
+    LIKENESS,
     half_of,
     likeness,
     pole_look,
@@ -31,7 +32,6 @@ _REACH_PX = 24.0
 _NEAR_PX = 1.0
 _LEAN_PX = 0.4
 _UPRIGHT_RAD = 0.02
-_LOOK = np.array([1.0, 1.0, -0.3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def _pole(
     offs = np.arange(-np.ceil(reach), np.ceil(reach) + 0.5)
     points = np.stack([pole_points(shifted(start, off, off), there_width) for off in offs])
     looks = there.sample(points.reshape(-1, *points.shape[2:])).reshape(len(offs), *look.shape)
-    total = likeness(look, looks) @ _LOOK - 0.5 * (offs / (3.0 * sigma)) ** 2
+    total = likeness(look, looks) @ LIKENESS - 0.5 * (offs / (3.0 * sigma)) ** 2
     at = int(np.argmax(total))
     rest = total[np.abs(offs - offs[at]) > 2.5]
     begun = shifted(start, offs[at], offs[at])
@@ -238,7 +238,7 @@ def _sign(
     offs = grid @ axes.T
     points = sign_points(expected[0], half * scale) + offs[:, None, None]
     looks = there.sample(points.reshape(-1, *points.shape[2:])).reshape(len(offs), *look.shape)
-    total = likeness(look, looks) @ _LOOK - 0.5 * ((grid / (3.0 * sigmas)) ** 2).sum(axis=1)
+    total = likeness(look, looks) @ LIKENESS - 0.5 * ((grid / (3.0 * sigmas)) ** 2).sum(axis=1)
     at = int(np.argmax(total))
     far = np.linalg.norm(offs - offs[at], axis=1) > 3.5
     found, fit = aligned_sign(look, there, expected[0] + offs[at], half * scale)

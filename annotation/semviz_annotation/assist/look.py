@@ -13,6 +13,8 @@ _BESIDE_PX = 1.5
 _SIGN = 13
 _LEVELS = 20.0
 """Mean difference of colours at which a row counts less than half."""
+LIKENESS: FloatArray = np.array([1.0, 1.0, -0.3])
+"""How much each measure of ``likeness`` counts where places are compared."""
 
 
 def pole_points(ends_px: FloatArray, width_px: float) -> FloatArray:

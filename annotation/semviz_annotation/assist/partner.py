@@ -6,6 +6,7 @@ import numpy as np
 
 from semviz_annotation.assist.align import aligned_pole, aligned_sign
 from semviz_annotation.assist.look import (
+    LIKENESS,
     half_of,
     likeness,
     pole_look,
@@ -13,7 +14,7 @@ from semviz_annotation.assist.look import (
     sign_points,
     width_of,
 )
-from semviz_annotation.assist.pole import Axis, support
+from semviz_annotation.assist.pole import support
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
 from semviz_annotation.assist.warp import depth_on_line, inverse_depths, transfer
@@ -92,12 +93,11 @@ def _poles(
     points = pole_points(mark.ends_px, width)
     look = here.sample(points)
     alike = likeness(look, _looks(here, there, points, mark.ends_px, depths))
-    total = alike @ np.array([1.0, 1.0, -0.3])
+    total = alike @ LIKENESS
     found = []
     for at in _peaks(total, places):
         lean = _lean_px(here, there, mark.ends_px, depths[at])
-        axis = Axis(aligned_pole(look, there, places[at], width, lean), width, np.zeros(0), 0.0)
-        found.append((at, axis))
+        found.append((at, aligned_pole(look, there, places[at], width, lean)))
     return _described(here, there, mark, look, width, depths, places, total, found)
 
 
@@ -110,20 +110,20 @@ def _described(
     depths: FloatArray,
     places: FloatArray,
     total: FloatArray,
-    found: list[tuple[int, Axis]],
+    found: list[tuple[int, FloatArray]],
 ) -> list[Candidate]:
     result: list[Candidate] = []
     order = [total[at] for at, _ in found]
-    for n, (at, axis) in enumerate(found):
-        ends = _on_epipolar_lines(here, there, mark, axis.ends_px, places[at], depths[at])
+    for n, (at, line) in enumerate(found):
+        ends = _on_epipolar_lines(here, there, mark, line, places[at], depths[at])
         alike = likeness(look, pole_look(there, ends, width)[None])[0]
         others = [one for k, one in enumerate(order) if k != n]
         margin = order[n] - max(others) if others else 0.5
-        moved = float(np.abs(axis.ends_px - places[at]).max())
+        moved = float(np.abs(line - places[at]).max())
         evidence = np.array(
             [
-                *alike, *support(there, ends, axis.width_px), total[at], np.clip(margin, -0.5, 0.5),
-                abs(np.log(axis.width_px / width)), moved, np.log(width),
+                *alike, *support(there, ends, width), total[at], np.clip(margin, -0.5, 0.5),
+                moved, np.log(width),
             ]
         )  # fmt: skip
         result.append(Candidate(clipped(mark, ends, there.view.camera), ends, evidence))
@@ -168,7 +168,7 @@ def _signs(
     points = sign_points(mark.ends_px[0], half)
     look = here.sample(points)
     alike = likeness(look, _looks(here, there, points, mark.ends_px[:1], depths))
-    total = alike @ np.array([1.0, 1.0, -0.3])
+    total = alike @ LIKENESS
     peaks = _peaks(total, places)
     result = []
     for n, at in enumerate(peaks):
