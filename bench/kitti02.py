@@ -14,9 +14,9 @@ import numpy as np
 
 from semviz.drive import DriveOptions, drive_workspace
 from semviz.workspace import Workspace
-from semviz_annotation.accuracy import mapping_accuracy
-from semviz_annotation.build_map import BuildOptions, build_map
 from semviz_annotation.labels import Labels
+from semviz_annotation.mapping.accuracy import mapping_accuracy
+from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.observe import observe
 from semviz_annotation.storing.exchange import import_operations
 from semviz_core.evaluation.metrics import summarize

@@ -14,7 +14,8 @@ from semviz.commands.evaluate import Evaluate
 from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
 from semviz.commands.localize import Localize
-from semviz.commands.maps import MapBuild, MapCheck
+from semviz.commands.map_build import MapBuild
+from semviz.commands.map_check import MapCheck
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
 from semviz.commands.serve import Serve

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ from semviz_core.classes import ClassSet, ElementClass
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.semantic_map import Decision, MapFrame, Provenance, SemanticMap
 
 FORMAT = "semviz-map"
-VERSION = 1
+VERSION = 2
 _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
 
 
@@ -66,7 +67,7 @@ def load_map(path: Path | str) -> SemanticMap:
             return _assemble(table, metadata)
     except SemvizError as error:
         raise SemvizError(f"{path}: broken map ({error}); rebuild it") from None
-    except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError, RecursionError, zlib.error) as error:
         raise SemvizError(f"{path}: broken map ({error!r}); rebuild it") from None
     newer = f"map version {version}, this semviz reads up to {VERSION}"
     raise SemvizError(f"{path}: {newer}; update semviz")
@@ -105,6 +106,7 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         classes=ClassSet(tuple(ElementClass(**one) for one in metadata["classes"])),
         trajectory_m=_decode_points(metadata["trajectory_m"]),
         provenance=provenance if any(one.label_ids for one in provenance) else (),
+        decisions=tuple(_decision(one) for one in _unpacked(metadata.get("decisions"))),
         made_by=metadata["made_by"],
         operation=metadata["operation"],
     )
@@ -119,10 +121,29 @@ def _metadata(semantic_map: SemanticMap) -> str:
             "frame": asdict(semantic_map.frame),
             "classes": [asdict(one) for one in semantic_map.classes],
             "trajectory_m": _encode_points(semantic_map.trajectory_m),
+            "decisions": _packed([asdict(one) for one in semantic_map.decisions]),
             "made_by": semantic_map.made_by,
             "operation": semantic_map.operation,
         }
     )
+
+
+def _decision(data: dict[str, Any]) -> Decision:
+    lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
+    return Decision(**(data | lists))
+
+
+def _packed(rows: list[dict[str, Any]]) -> str:
+    """As JSON, made small: Parquet does not compress its metadata."""
+    return base64.b64encode(zlib.compress(json.dumps(rows).encode())).decode()
+
+
+def _unpacked(text: str | None) -> list[dict[str, Any]]:
+    """What was packed; nothing where the map is of version 1."""
+    if text is None:
+        return []
+    rows: list[dict[str, Any]] = json.loads(zlib.decompress(base64.b64decode(text, validate=True)))
+    return rows
 
 
 def _encode_points(points: FloatArray) -> str:

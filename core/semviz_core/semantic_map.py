@@ -1,9 +1,10 @@
 """The sparse semantic map: elements in one frame, with a spatial index."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,29 @@ class Provenance:
     """UUIDs of the observations it was triangulated from."""
 
 
+DecisionKind: TypeAlias = Literal["merge", "apart", "split", "leave out"]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was decided about label elements when the map was built, and what speaks for it."""
+
+    kind: DecisionKind
+    """``merge``: they are one thing; ``apart``: near each other and alike, yet two; ``split``: one
+    label element is two things; ``leave out``: it, or some of its observations, is not used."""
+    label_ids: tuple[str, ...]
+    """UUIDs of the label elements that it is about, by their numbers."""
+    numbers: tuple[int, ...]
+    """Their numbers, as people know them."""
+    by: Literal["machine", "human"]
+    reason: str
+    """One sentence."""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    """Figures by name and unit, such as ``distance_m``."""
+    observation_ids: tuple[str, ...] = ()
+    """Those that are split off or left out; empty where it is about all of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class SemanticMap:
     """Elements, what they mean and where they come from."""
@@ -48,6 +72,8 @@ class SemanticMap:
     """(k, 3) camera centres from which the map was made: where the road is, and how high."""
     provenance: tuple[Provenance, ...] = ()
     """One for each element, or empty for maps not made from labels."""
+    decisions: tuple[Decision, ...] = ()
+    """What was decided on the way from labels to elements."""
     made_by: str = ""
     """Method, version and settings, for people."""
     operation: int = 0

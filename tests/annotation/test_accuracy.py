@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semviz_annotation.accuracy import mapping_accuracy
-from semviz_annotation.build_map import build_map
 from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
+from semviz_annotation.mapping.accuracy import mapping_accuracy
+from semviz_annotation.mapping.build import build_map
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap

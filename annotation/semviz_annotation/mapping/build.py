@@ -13,9 +13,9 @@ from itertools import combinations
 
 import numpy as np
 
-from semviz_annotation.fuse import Sighting, Thing, fuse
 from semviz_annotation.labels import LabelElement, Labels, Observation
-from semviz_annotation.motion import place_by_motion
+from semviz_annotation.mapping.fuse import Sighting, Thing, fuse
+from semviz_annotation.mapping.motion import place_by_motion
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray, IntArray

@@ -1,0 +1,1 @@
+"""Labels to a map, and how good a map is."""
