@@ -125,7 +125,7 @@ class Localizer:
 def _too_few(observed: Elements2D, submap: Elements3D) -> str:
     seen = len(observed)
     if seen < NEEDED_ELEMENTS:
-        return f"{seen} elements seen, {NEEDED_ELEMENTS} needed."
+        return f"{seen} element{'' if seen == 1 else 's'} seen, {NEEDED_ELEMENTS} needed."
     if len(submap) == 0:
         return "Nothing is mapped around the prior: the submap is empty."
     return ""
