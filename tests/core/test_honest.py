@@ -114,7 +114,8 @@ def test_fewer_elements_than_needed(count: int) -> None:
     world, pose = street(0), looking(0.3, -1.0)
     found = localized(seen(world, pose, 0)[:count], near(world, np.zeros(2)), prior_at(2.0, 2.0))
     assert found.status == "cannot"
-    assert found.reason == f"{count} elements seen, 4 needed."
+    elements = "element" if count == 1 else "elements"
+    assert found.reason == f"{count} {elements} seen, 4 needed."
 
 
 @pytest.mark.parametrize("count", [1, 2])
