@@ -1,6 +1,7 @@
 """Files that are whole or absent."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +35,28 @@ def replacing(path: Path) -> Iterator[Path]:
         raise SemvizError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder; on success it becomes ``path``, which is not there, or empty.
+
+    Raises SemvizError where something is there already, or it cannot be written.
+    """
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise SemvizError(f"{path}: is there already; choose a new folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        try:
+            inner = temporary / "inner"  # mkdtemp's own folder would be closed to others
+            inner.mkdir()
+            yield inner
+            inner.replace(path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise SemvizError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def check_replaceable(path: Path) -> None:

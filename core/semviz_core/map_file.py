@@ -99,10 +99,11 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
             table["label_ids"].to_pylist(), table["observation_ids"].to_pylist(), strict=True
         )
     )
-    origin = metadata["frame"]["origin"]
+    frame = metadata["frame"]
+    origin = tuple(frame["origin"]) if frame["origin"] else None
     return SemanticMap(
         elements=elements,
-        frame=MapFrame(metadata["frame"]["name"], tuple(origin) if origin else None),
+        frame=MapFrame(frame["name"], origin, frame.get("x_heading_deg", 90.0)),
         classes=ClassSet(tuple(ElementClass(**one) for one in metadata["classes"])),
         trajectory_m=_decode_points(metadata["trajectory_m"]),
         provenance=provenance if any(one.label_ids for one in provenance) else (),

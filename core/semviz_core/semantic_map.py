@@ -26,6 +26,8 @@ class MapFrame:
     """Such as ``kitti-02`` or ``street-7``; two values with other names never meet."""
     origin: tuple[float, float, float] | None = None
     """WGS84 latitude (deg), longitude (deg), height (m) of the local origin, where known."""
+    x_heading_deg: float = 90.0
+    """Compass direction of the x axis at the origin: 90, so x east and y north, unless said."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from semviz_core.errors import SemvizError
-from semviz_core.files import replacing
+from semviz_core.files import new_folder, replacing
 
 
 def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
@@ -86,3 +86,16 @@ def test_a_full_disk_is_named_and_nothing_left(tmp_path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert target.read_text() == "before"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_appears_when_all_is_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "folder"
+    with new_folder(path) as temporary:
+        (temporary / "one").write_text("1")
+        assert not path.exists()
+    assert [file.name for file in path.iterdir()] == ["one"]
+    with pytest.raises(SemvizError, match="is there already"), new_folder(path):
+        raise AssertionError("nothing is to be written")
+    with pytest.raises(RuntimeError), new_folder(tmp_path / "other"):
+        raise RuntimeError("stopped")
+    assert [one.name for one in tmp_path.iterdir()] == ["deep"]

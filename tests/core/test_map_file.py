@@ -47,7 +47,9 @@ def maps(draw: st.DrawFn) -> SemanticMap:
     provenance = st.builds(Provenance, texts, texts)
     return SemanticMap(
         elements=elements,
-        frame=MapFrame(draw(WORDS), draw(st.none() | st.tuples(FINITE, FINITE, FINITE))),
+        frame=MapFrame(
+            draw(WORDS), draw(st.none() | st.tuples(FINITE, FINITE, FINITE)), draw(FINITE)
+        ),
         classes=ClassSet((*DEFAULT_CLASSES, BEACON)),
         trajectory_m=draw(hnp.arrays(np.float64, (draw(st.integers(0, 4)), 3), elements=FINITE)),
         provenance=draw(st.just(()) | st.tuples(*[provenance] * n)),

@@ -1,7 +1,5 @@
 """Labels into other tools' formats: a file, or a folder of files, whole or not at all."""
 
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,11 +8,12 @@ from typing import Any, Literal, TypeAlias
 from semviz_annotation.formats.coco import write_coco
 from semviz_annotation.formats.cvat import write_cvat, write_cvat_video
 from semviz_annotation.formats.importing import KEPT
-from semviz_annotation.formats.kept import Kept, load_kept
+from semviz_annotation.formats.kept import load_kept
 from semviz_annotation.formats.labelme import write_labelme
 from semviz_annotation.formats.writing import Writing
 from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
+from semviz_core.files import new_folder
 from semviz_core.sources.source import Side
 
 ExportFormat: TypeAlias = Literal["cvat", "cvat-video", "labelme", "coco"]
@@ -63,26 +62,10 @@ def export_labels(
     elif format_ == "coco":
         write_coco(writing, path)
     else:
-        _write_folder(writing, path, load_kept(store.path.parent / KEPT))
+        kept = load_kept(store.path.parent / KEPT)
+        with new_folder(path) as folder:
+            write_labelme(writing, folder, kept)
     observations = sum(len(sheet.observations) for sheet in writing.sheets)
     return ExportReport(
         str(path), format_, len(writing.sheets), observations, dict(writing.dropped)
     )
-
-
-def _write_folder(writing: Writing, path: Path, kept: Kept) -> None:
-    """A folder that is not there yet, or empty: it appears when all is in it."""
-    try:
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise SemvizError(f"{path}: is there already; choose a new folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
-        try:
-            inner = temporary / "labels"  # mkdtemp's own folder would be closed to others
-            inner.mkdir()
-            write_labelme(writing, inner, kept)
-            inner.replace(path)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise SemvizError(f"{path}: cannot be written ({error.strerror or error})") from None
