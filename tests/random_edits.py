@@ -11,15 +11,18 @@ from semviz_annotation.edits import (
     DeleteObservation,
     Dismiss,
     Edit,
+    Judge,
     Link,
     MoveObservation,
     ReviewFrame,
     SetClass,
     SetKnown,
     SwapEnds,
+    TakeBack,
     Unlink,
 )
 from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.rows import apart, judged
 
 
 def pole(frame: int = 0, side: str = "left") -> AddObservation:
@@ -31,8 +34,8 @@ def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
         known = sorted(ids)
         return known[rng.integers(len(known))] if known else new_id()
 
-    a, b = some(labels.elements), some(labels.elements)
-    row = some(labels.observations)
+    a, b, c = (some(labels.elements) for _ in range(3))
+    row, other_row = some(labels.observations), some(labels.observations)
     frame, side = int(rng.integers(3)), ("left", "right")[rng.integers(2)]
     point, other = (tuple(map(float, rng.uniform(0, 300, 2))) for _ in range(2))
     class_id = int(rng.integers(4))
@@ -52,11 +55,16 @@ def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
         SwapEnds(row),
         DeleteObservation(row),
         DeleteElement(a),
-        Link(a, b),
-        Unlink(row, new_id()),
+        Link((a, b)),
+        Link((a, b, c)),
+        Unlink((row,), new_id()),
+        Unlink((row, other_row), new_id()),
         SetClass(a, class_id),
         ReviewFrame(frame, ("unseen", "in work", "reviewed", "reviewed, empty")[rng.integers(4)]),
         Dismiss((down,)),
         Dismiss((down, Dismissal(new_id(), frame, side, why, None))),
+        Judge((apart(a, b),)),
+        Judge((judged(c, ("keep", "leave out")[rng.integers(2)]), apart(b, c))),
+        TakeBack(some(labels.judgements)),
     ]
     return choices[rng.integers(len(choices))]

@@ -10,12 +10,15 @@ from semviz_annotation.rows import (
     Dismissal,
     Id,
     Index,
+    Judgement,
     Key,
     LabelElement,
     Observation,
     Pixel,
     Review,
     Row,
+    elements_of,
+    judgement_id,
     new_id,
     proposal_id,
     row_key,
@@ -31,6 +34,7 @@ __all__ = [
     "Draft",
     "Id",
     "Index",
+    "Judgement",
     "Key",
     "LabelElement",
     "Labels",
@@ -67,6 +71,7 @@ class Labels:
     observations: Mapping[str, Observation] = field(default_factory=SharingDict)
     reviews: Mapping[int, Review] = field(default_factory=SharingDict)
     dismissals: Mapping[str, Dismissal] = field(default_factory=SharingDict)
+    judgements: Mapping[str, Judgement] = field(default_factory=SharingDict)
     next_number: int = field(default=1, compare=False)
     """What the next new element is called. Only grows, also over undo."""
     operation: int = field(default=0, compare=False)
@@ -76,6 +81,7 @@ class Labels:
     _of_element: Mapping[str, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
     _dismissed_in: Mapping[int, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
     _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
+    _judged_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharingDict, compare=False)
 
     @classmethod
     def from_rows(cls, rows: Iterable[Row], next_number: int = 1, operation: int = 0) -> "Labels":
@@ -109,6 +115,7 @@ class Labels:
             Observation: self.observations,
             Review: self.reviews,
             Dismissal: self.dismissals,
+            Judgement: self.judgements,
         }
 
     def element(self, element_id: str) -> LabelElement:
@@ -145,6 +152,10 @@ class Labels:
     def dismissed_of(self, element_id: str) -> tuple[Dismissal, ...]:
         """Where an element was expected and turned down, by id."""
         return tuple(self.dismissals[one] for one in sorted(self._dismissed_of.get(element_id, ())))
+
+    def judgements_of(self, element_id: str) -> tuple[Judgement, ...]:
+        """What was decided about an element, alone or with another, by id."""
+        return tuple(self.judgements[one] for one in sorted(self._judged_of.get(element_id, ())))
 
     def find(self, element_id: str, frame_index: int, side: Side) -> Observation | None:
         """The observation of an element in one image, if there is one."""
@@ -196,6 +207,7 @@ class Draft:
         self._observations = table(labels.observations)
         self._reviews = table(labels.reviews)
         self._dismissals = table(labels.dismissals)
+        self._judgements = table(labels.judgements)
         self.next_number = labels.next_number
         self._operation = labels.operation
         self._numbered = table(labels._numbered)
@@ -203,6 +215,7 @@ class Draft:
         self._of_element = table(labels._of_element)
         self._dismissed_in = table(labels._dismissed_in)
         self._dismissed_of = table(labels._dismissed_of)
+        self._judged_of = table(labels._judged_of)
 
     def apply(self, changes: Iterable[Change]) -> None:
         """Apply ``changes`` together; the draft must be thrown away where this raises.
@@ -218,6 +231,7 @@ class Draft:
             Observation: self._observations,
             Review: self._reviews,
             Dismissal: self._dismissals,
+            Judgement: self._judgements,
         }
         for change in changes:
             kind, name = change.key
@@ -228,16 +242,16 @@ class Draft:
         for change in changes:
             if change.after is not None:
                 self._add(change.after)
-        for element_id in {one for change in changes for one in _elements_of(change)}:
+        rows = (row for change in changes for row in (change.before, change.after))
+        for element_id in {one for row in rows for one in elements_of(row)}:
             self._check(element_id)
 
     def fill(self, rows: Iterable[Row]) -> None:
         """Add rows that are not there yet, in any order; as ``apply``, but faster."""
         for row in rows:
             self._add(row)
-        for element_id in (
-            self._elements.keys() | self._of_element.keys() | self._dismissed_of.keys()
-        ):
+        indices = (self._of_element, self._dismissed_of, self._judged_of)
+        for element_id in self._elements.keys() | {one for index in indices for one in index}:
             self._check(element_id)
 
     def labels(self) -> Labels:
@@ -247,6 +261,7 @@ class Draft:
             SharingDict.of(self._observations),
             SharingDict.of(self._reviews),
             SharingDict.of(self._dismissals),
+            SharingDict.of(self._judgements),
             self.next_number,
             self._operation,
             SharingDict.of(self._numbered),
@@ -254,6 +269,7 @@ class Draft:
             SharingDict.of(self._of_element),
             SharingDict.of(self._dismissed_in),
             SharingDict.of(self._dismissed_of),
+            SharingDict.of(self._judged_of),
         )
 
     def class_of(self, row: Observation) -> int:
@@ -276,6 +292,10 @@ class Draft:
             _discard(self._dismissed_in, row.frame_index, row.id)
             if row.element_id is not None:
                 _discard(self._dismissed_of, row.element_id, row.id)
+        elif isinstance(row, Judgement):
+            del self._judgements[row.id]
+            for element_id in elements_of(row):
+                _discard(self._judged_of, element_id, row.id)
 
     def _add(self, row: Row) -> None:
         if isinstance(row, LabelElement):
@@ -295,6 +315,11 @@ class Draft:
             _include(self._dismissed_in, row.frame_index, row.id)
             if row.element_id is not None:
                 _include(self._dismissed_of, row.element_id, row.id)
+        elif isinstance(row, Judgement):
+            _check_judgement(row)
+            self._judgements[row.id] = row
+            for element_id in elements_of(row):
+                _include(self._judged_of, element_id, row.id)
         else:
             self._reviews[row.frame_index] = row
 
@@ -305,6 +330,8 @@ class Draft:
                 raise SemvizError("observations of others would be left without their element")
             if element_id in self._dismissed_of:
                 raise SemvizError("something turned down would be left without its element")
+            if element_id in self._judged_of:
+                raise SemvizError("what was decided for the map would be left without its element")
             return
         number = self._elements[element_id].number
         if not rows:
@@ -318,17 +345,22 @@ class Draft:
             return f"the review of frame {row.frame_index}"
         if isinstance(row, Dismissal):
             return f"what was turned down in frame {row.frame_index}"
-        element_id = row.element_id if isinstance(row, Observation) else str(change.key[1])
-        element = self._elements.get(element_id)
-        return f"element {element.number}" if element else "an element that is no longer there"
+        names = [
+            f"element {self._elements[one].number}"
+            for one in elements_of(row)
+            if one in self._elements
+        ]
+        if isinstance(row, Judgement):
+            return f"what was decided about {' and '.join(names) or 'elements that are gone'}"
+        return names[0] if names else "an element that is no longer there"
 
 
-def _elements_of(change: Change) -> Iterator[str]:
-    for row in (change.before, change.after):
-        if isinstance(row, LabelElement):
-            yield row.id
-        elif isinstance(row, Observation | Dismissal) and row.element_id is not None:
-            yield row.element_id
+def _check_judgement(row: Judgement) -> None:
+    first, *more = elements_of(row)
+    if bool(more) != (row.verdict == "apart") or any(first >= one for one in more):
+        raise SemvizError("two elements are apart, smaller id first; other verdicts are about one")
+    if row.id != judgement_id(row.element_id, row.other_id):
+        raise SemvizError("this is not the id of a judgement about these elements")
 
 
 def _include(index: MutableMapping[Any, tuple[str, ...]], key: object, row_id: str) -> None:

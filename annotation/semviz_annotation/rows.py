@@ -112,20 +112,54 @@ class Dismissal:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
 
-Row: TypeAlias = LabelElement | Observation | Review | Dismissal
+@dataclass(frozen=True)
+class Judgement:
+    """What a person decided about one label element or two; every map that is built honours it."""
+
+    id: Id
+    """``judgement_id`` of the elements: there is one judgement about them, or none."""
+    verdict: Literal["apart", "keep", "leave out"]
+    """``apart``: they are two things; ``keep``: it is one thing, with all its observations;
+    ``leave out``: it does not belong in a map."""
+    element_id: Id
+    other_id: Id | None
+    """The second element where they are ``apart``, None otherwise; ``element_id < other_id``."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+def apart(element_id: str, other_id: str) -> Judgement:
+    """The judgement that two elements are two things."""
+    first, second = sorted((element_id, other_id))
+    return Judgement(judgement_id(first, second), "apart", first, second)
+
+
+def judged(element_id: str, verdict: Literal["keep", "leave out"]) -> Judgement:
+    """A judgement about one element."""
+    return Judgement(judgement_id(element_id), verdict, element_id, None)
+
+
+def judgement_id(element_id: str, other_id: str | None = None) -> str:
+    """Id of the judgement about one element or two: always the same."""
+    ids = sorted(one for one in (element_id, other_id) if one is not None)
+    return derived_id(" ".join(["judgement", *ids]))
+
+
+Row: TypeAlias = LabelElement | Observation | Review | Dismissal | Judgement
 Key: TypeAlias = tuple[type[Row], str | int]
 TAGS: dict[type[Row], str] = {
     LabelElement: "element",
     Observation: "observation",
     Review: "review",
     Dismissal: "dismissal",
+    Judgement: "judgement",
 }
 
 
 def _row_tag(row: object) -> str:
     """Which row it is, parsed or not, so that what is wrong in it is reported as of that row."""
     names = row if isinstance(row, dict) else vars(row) if isinstance(row, Row) else {}
-    marks = {"state": "review", "number": "element", "why": "dismissal"}
+    marks = {"state": "review", "number": "element", "why": "dismissal", "verdict": "judgement"}
     return next((tag for name, tag in marks.items() if name in names), "observation")
 
 
@@ -133,7 +167,8 @@ _Tagged: TypeAlias = Annotated[
     Annotated[LabelElement, Tag("element")]
     | Annotated[Observation, Tag("observation")]
     | Annotated[Review, Tag("review")]
-    | Annotated[Dismissal, Tag("dismissal")],
+    | Annotated[Dismissal, Tag("dismissal")]
+    | Annotated[Judgement, Tag("judgement")],
     Discriminator(_row_tag),
 ]
 
@@ -162,3 +197,17 @@ class Change:
 def row_key(row: Row) -> Key:
     """Type and id of a row."""
     return (Review, row.frame_index) if isinstance(row, Review) else (type(row), row.id)
+
+
+def elements_of(row: Row | None) -> tuple[str, ...]:
+    """Ids of the elements that a row is about."""
+    match row:
+        case LabelElement():
+            return (row.id,)
+        case Observation():
+            return (row.element_id,)
+        case Judgement():
+            return (row.element_id,) if row.other_id is None else (row.element_id, row.other_id)
+        case Dismissal() if row.element_id is not None:
+            return (row.element_id,)
+    return ()

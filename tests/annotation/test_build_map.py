@@ -102,7 +102,7 @@ def test_ids_stay_over_rebuilds_and_links(world):
     before, _ = build_map(labels, world)
     by_number = {one.number: one.id for one in labels.elements.values()}
     first, second = sorted(labels.element(i).number for i in before.provenance[0].label_ids)[:2]
-    edit = Link(by_number[second], by_number[first])
+    edit = Link((by_number[second], by_number[first]))
     after, _ = build_map(labels.changed(edit.changes(labels, Rules())), world)
     assert np.array_equal(after.elements.id, before.elements.id)
 

@@ -10,17 +10,20 @@ from semviz_annotation.edits import (
     DeleteElement,
     DeleteObservation,
     Dismiss,
+    Judge,
     Link,
     MoveObservation,
     ReviewFrame,
     SetClass,
     SetKnown,
     SwapEnds,
+    TakeBack,
     Unlink,
     edit_from_json,
     edit_to_json,
 )
 from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.rows import apart, judged
 from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 
@@ -100,10 +103,10 @@ def test_the_last_observation_takes_its_element_along():
 
 def test_link_keeps_the_smaller_number_and_unlink_makes_a_new_one():
     first, second = pole(), pole(side="right")
-    labels = after(Labels(), first, second, Link(second.element_id, first.element_id))
+    labels = after(Labels(), first, second, Link((second.element_id, first.element_id)))
     assert [one.number for one in labels.elements.values()] == [1]
     assert len(list(labels.pairs(0))) == 1
-    labels = after(labels, Unlink(second.observation_id, new_id()))
+    labels = after(labels, Unlink((second.observation_id,), new_id()))
     assert sorted(one.number for one in labels.elements.values()) == [1, 3]
     assert list(labels.pairs(0)) == []
 
@@ -166,8 +169,71 @@ def test_dismissals_go_with_their_element():
     for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
         rest = after(labels, gone).dismissals.values()
         assert {one.element_id for one in rest} == {a.element_id, None}
-    linked = after(labels, Link(b.element_id, a.element_id))  # b is seen where a was turned down
+    linked = after(labels, Link((b.element_id, a.element_id)))  # b is seen where a was turned down
     assert [one.element_id for one in linked.dismissals.values()] == [None]
+
+
+def test_a_judgement_is_made_once_about_its_elements_and_taken_back():
+    a, b = pole(), pole(frame=1)
+    two, other = apart(b.element_id, a.element_id), judged(a.element_id, "leave out")
+    assert two == apart(a.element_id, b.element_id)
+    assert two.element_id < (two.other_id or "")
+    labels = after(Labels(), a, b, Judge((two, judged(a.element_id, "keep"))))
+    labels = after(labels, Judge((two, other)))
+    assert set(labels.judgements.values()) == {two, other}
+    assert set(labels.judgements_of(a.element_id)) == {two, other}
+    assert labels.judgements_of(b.element_id) == (two,)
+    assert list(Judge((two, other)).changes(labels, RULES)) == []
+    labels = after(labels, TakeBack(two.id))
+    assert labels.judgements_of(b.element_id) == ()
+    with pytest.raises(SemvizError, match="nothing was decided"):
+        after(labels, TakeBack(two.id))
+
+
+def test_judgements_go_with_their_element():
+    a, b, c = pole(), pole(frame=1), pole(frame=2)
+    said = Judge(
+        (apart(a.element_id, b.element_id), judged(b.element_id, "keep"),
+         judged(c.element_id, "leave out"))
+    )  # fmt: skip
+    labels = after(Labels(), a, b, c, said)
+    for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
+        rest = after(labels, gone)
+        assert set(rest.judgements.values()) == {judged(c.element_id, "leave out")}
+        assert rest.judgements_of(a.element_id) == ()
+
+
+def test_what_was_said_of_linked_elements_is_said_of_the_one_that_is_kept():
+    a, b, c, d = (pole(frame=frame) for frame in range(4))
+    ab, bd, cd = (apart(one.element_id, two.element_id) for one, two in ((a, b), (b, d), (c, d)))
+    said = Judge((ab, bd, cd, judged(b.element_id, "keep"), judged(c.element_id, "leave out")))
+    labels = after(Labels(), a, b, c, d, said)
+    linked = after(labels, Link((c.element_id, a.element_id, b.element_id)))
+    (first,) = (one for one in linked.judgements_of(a.element_id) if one.other_id is None)
+    assert first.verdict in ("keep", "leave out")  # of b and c: either, but always the same
+    assert set(linked.judgements.values()) == {first, apart(a.element_id, d.element_id)}
+    alone = after(labels, Link((a.element_id, b.element_id)))
+    assert set(alone.judgements.values()) == {
+        judged(a.element_id, "keep"), apart(a.element_id, d.element_id), cd,
+        judged(c.element_id, "leave out"),
+    }  # fmt: skip
+    own = judged(a.element_id, "leave out")
+    stays = after(labels, Judge((own,)), Link((a.element_id, b.element_id)))
+    assert own in stays.judgements.values()
+
+
+def test_what_is_unlinked_is_apart_and_no_longer_kept_as_one():
+    first = pole()
+    more = [replace(partner(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
+    labels = after(Labels(), first, *more, Judge((judged(first.element_id, "keep"),)))
+    new = new_id()
+    labels = after(labels, Unlink(tuple(one.observation_id for one in more), new))
+    assert [len(labels.of_element(one)) for one in (first.element_id, new)] == [1, 2]
+    assert set(labels.judgements.values()) == {apart(first.element_id, new)}
+    assert not after(labels, Link((new, first.element_id))).judgements
+    left_out = after(labels, Judge((judged(new, "leave out"),)))
+    left_out = after(left_out, Unlink((more[0].observation_id,), new_id()))
+    assert judged(new, "leave out") in left_out.judgements.values()
 
 
 def test_many_are_added_together_or_not_at_all():
@@ -206,10 +272,20 @@ A, B, S = pole(), pole(), sign(frame=3)
         (MoveObservation(A.observation_id, anchor_px=(101.0, 200.0)), "same point"),
         (SetKnown(S.observation_id, end_known=True), "pole"),
         (SwapEnds(S.observation_id), "nothing to swap"),
-        (Link(A.element_id, A.element_id), "itself"),
-        (Link(A.element_id, B.element_id), "left image of frame 0"),
-        (Link(A.element_id, S.element_id), "differ in class"),
-        (Unlink(A.observation_id, new_id()), "only observation"),
+        (Link((A.element_id, A.element_id)), "itself"),
+        (Link((A.element_id, B.element_id)), "left image of frame 0"),
+        (Link((A.element_id, S.element_id)), "differ in class"),
+        (Unlink((A.observation_id,), new_id()), "only observation"),
+        (Link((A.element_id, S.element_id, A.element_id)), "itself"),
+        (Unlink((A.observation_id, B.observation_id), new_id()), "not all of them are"),
+        (Unlink((A.observation_id,) * 2, new_id()), "nothing to unlink|same row twice"),
+        (Judge((judged(new_id(), "keep"),)), "no element"),
+        (Judge((apart(A.element_id, new_id()),)), "no element"),
+        (Judge((apart(A.element_id, A.element_id),)), "are apart, smaller id first"),
+        (Judge((replace(judged(A.element_id, "keep"), verdict="apart"),)), "two elements"),
+        (Judge((replace(apart(A.element_id, B.element_id), verdict="keep"),)), "about one"),
+        (Judge((replace(judged(A.element_id, "keep"), id=new_id()),)), "not the id"),
+        (Judge((judged(A.element_id, "keep"), judged(A.element_id, "leave out"))), "twice"),
         (SetClass(A.element_id, 2), "cannot become"),
         (SetClass(S.element_id, 9), "unknown class 9"),
         (DeleteElement(new_id()), "no element"),
@@ -252,12 +328,14 @@ EVERY = [
     SwapEnds(A.observation_id),
     DeleteObservation(A.observation_id),
     DeleteElement(A.element_id),
-    Link(A.element_id, B.element_id),
-    Unlink(A.observation_id, new_id()),
+    Link((A.element_id, B.element_id)),
+    Unlink((A.observation_id,), new_id()),
     SetClass(A.element_id, 3),
     ReviewFrame(3, "reviewed, empty"),
     AddMany((A, S)),
     Dismiss((dismissal(A.element_id, 1), of_detector(2))),
+    Judge((apart(A.element_id, B.element_id), judged(A.element_id, "leave out"))),
+    TakeBack(judged(A.element_id, "keep").id),
 ]
 
 
@@ -289,7 +367,7 @@ def test_broken_json_is_refused_by_field(change, field):
 
 
 def test_an_empty_list_is_no_edit():
-    for edit in (AddMany(()), Dismiss(())):
+    for edit in (AddMany(()), Dismiss(()), Judge(()), Unlink((), new_id())):
         with pytest.raises(SemvizError, match="at least 1 item"):
             edit_from_json(edit_to_json(edit))
 

@@ -1,13 +1,15 @@
 """The operation log as JSON lines."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from semviz_annotation.edits import AddObservation, MoveObservation, ReviewFrame
+from semviz_annotation.edits import AddObservation, Judge, MoveObservation, ReviewFrame, Unlink
 from semviz_annotation.labels import Labels, new_id
+from semviz_annotation.rows import apart, judged
 from semviz_annotation.storing.exchange import export_operations, import_operations
 from semviz_annotation.storing.store import LabelStore
 from semviz_core.errors import SemvizError
@@ -91,6 +93,34 @@ def test_a_log_of_version_1_gives_the_same_store(log, tmp_path):
     assert (tmp_path / "new.jsonl").read_bytes() == log.read_bytes()
 
 
+def test_judgements_are_in_the_log_too(tmp_path):
+    first, second = (
+        AddObservation(new_id(), new_id(), frame, "left", (1.0, 2.0), (3.0, 40.0), class_id=0)
+        for frame in range(2)
+    )
+    more = replace(first, observation_id=new_id(), frame_index=3, class_id=None)
+    log = tmp_path / "log.jsonl"
+    with LabelStore.open(tmp_path / "first.db") as store:
+        for edit in (
+            first, second, more,
+            Judge((apart(first.element_id, second.element_id), judged(second.element_id, "keep"))),
+            Unlink((more.observation_id,), new_id()),
+        ):  # fmt: skip
+            store.apply(edit, "ann")
+        store.undo("ann")
+        export_operations(store, log)
+        with LabelStore.open(tmp_path / "second.db") as other:
+            assert import_operations(log, other) == 6
+            assert other.labels == store.labels
+            assert len(other.labels.judgements) == 2
+            assert len(store.redo("ann").changes) == 3
+    log.write_text(as_version_1(log).replace('"verdict":"apart"', '"verdict":"keep"'))
+    with LabelStore.open(tmp_path / "third.db") as other:
+        with pytest.raises(SemvizError, match=r"line 5: operation 4: .* other verdicts are about"):
+            import_operations(log, other)
+        assert other.labels == Labels()
+
+
 @pytest.mark.parametrize("line", range(2, 9))
 def test_an_altered_line_is_named(log, tmp_path, line):
     lines = log.read_text(encoding="utf-8").split("\n")
@@ -108,7 +138,7 @@ def test_an_altered_line_is_named(log, tmp_path, line):
     [
         (1, lambda line: "{}", "not a log of label operations"),
         (1, lambda line: "[]", "not a log"),
-        (1, lambda line: changed(line, version=3), "version 3, this semviz reads up to 2"),
+        (1, lambda line: changed(line, version=4), "version 4, this semviz reads up to 3"),
         (3, lambda line: line[:-10], "line 3: Invalid JSON"),
         (4, lambda line: "", "line 4: Invalid JSON"),
         (4, lambda line: changed(line, number=9), "line 4: number 9 where 3 follows"),

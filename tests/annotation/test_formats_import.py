@@ -90,7 +90,7 @@ def test_what_is_labelled_differently_is_refused(tmp_path: Path) -> None:
         assert second.last_operation == before
         second.undo("ann")
         assert import_labels(tmp_path / "out.xml", second, "bea").already == 6
-        second.apply(Unlink(row.id, new_id()), "ann")
+        second.apply(Unlink((row.id,), new_id()), "ann")
         with pytest.raises(SemvizError, match="given to another element since"):
             import_labels(tmp_path / "out.xml", second, "bea")
 

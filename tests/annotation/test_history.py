@@ -15,10 +15,12 @@ from semviz_annotation.edits import (
     DeleteElement,
     DeleteObservation,
     Dismiss,
+    Judge,
     MoveObservation,
     ReviewFrame,
 )
 from semviz_annotation.labels import Dismissal, Labels, Observation, new_id, proposal_id, row_key
+from semviz_annotation.rows import apart, judged
 from semviz_annotation.storing.store import ConflictError, LabelStore
 from semviz_core.errors import SemvizError
 
@@ -79,6 +81,22 @@ def test_one_edit_is_undone_by_its_number(store):
         with pytest.raises(SemvizError, match=f"Cannot undo operation {number}: it is no edit of"):
             store.undo(author, number=number)
     assert store.redo("ann").redoes == 2
+
+
+def test_a_judgement_of_others_is_named(store):
+    mine, theirs = pole(0), pole(1)
+    store.apply(mine, "ann")
+    store.apply(theirs, "bea")
+    store.apply(Judge((apart(mine.element_id, theirs.element_id),)), "bea")
+    with pytest.raises(
+        SemvizError, match=r"bea changed what was decided about P-0. and P-0. since"
+    ):
+        store.undo("ann")
+    store.undo("bea")
+    store.apply(Judge((judged(mine.element_id, "keep"),)), "ann")
+    store.apply(Judge((judged(mine.element_id, "leave out"),)), "bea")
+    with pytest.raises(SemvizError, match=r"bea changed what was decided about P-01 since"):
+        store.undo("ann")
 
 
 def test_what_was_deleted_is_named_as_it_was(store):

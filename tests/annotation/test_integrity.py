@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from random_edits import pole
 
-from semviz_annotation.edits import AddMany, Dismiss, MoveObservation, ReviewFrame
+from semviz_annotation.edits import AddMany, Dismiss, Judge, MoveObservation, ReviewFrame
 from semviz_annotation.labels import Dismissal, proposal_id
+from semviz_annotation.rows import apart, judged
 from semviz_annotation.storing.backup import backup_labels, restore_labels
 from semviz_annotation.storing.integrity import check_labels
 from semviz_annotation.storing.operations import CHANGES, sealed
@@ -130,12 +131,28 @@ def test_a_last_operation_that_is_missing_shows_in_the_tables(file):
         ("CREATE TRIGGER t AFTER INSERT ON reviews BEGIN SELECT 1; END", "were altered: t"),
         ("ALTER TABLE elements ADD COLUMN more", "its tables were altered: elements"),
         ("PRAGMA application_id = 3", "a SQLite file, but not labels"),
-        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 2"),
+        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 3"),
     ],
 )
 def test_every_planted_fault_is_found(file, statement, words):
     meddle(file, statement)
     assert words in refusal(file)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "DELETE FROM judgements WHERE other_id IS NULL",
+        "UPDATE judgements SET verdict = 'leave out' WHERE other_id IS NULL",
+    ],
+)
+def test_a_judgement_that_is_not_what_was_said_is_named(file, statement):
+    with LabelStore.open(file) as store:
+        one, other, third = sorted(store.labels.elements)
+        store.apply(Judge((apart(one, other), judged(third, "keep"))), "ann")
+    check_labels(file)
+    meddle(file, statement)
+    assert "operation 9: the tables hold another Judgement than the log" in refusal(file)
 
 
 def test_a_lost_trigger_is_found(file):

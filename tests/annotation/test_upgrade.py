@@ -1,12 +1,19 @@
-"""Label files of version 1 are opened and upgraded, or left as they were."""
+"""Label files of versions 1 and 2 are opened and upgraded, or left as they were."""
 
 import sqlite3
 from pathlib import Path
 
 import pytest
 
-from semviz_annotation.edits import AddObservation, DeleteElement, MoveObservation, ReviewFrame
+from semviz_annotation.edits import (
+    AddObservation,
+    DeleteElement,
+    Judge,
+    MoveObservation,
+    ReviewFrame,
+)
 from semviz_annotation.labels import new_id
+from semviz_annotation.rows import judged
 from semviz_annotation.storing import schema
 from semviz_annotation.storing.backup import backup_labels, restore_labels
 from semviz_annotation.storing.integrity import check_labels
@@ -169,3 +176,39 @@ def test_an_old_file_is_checked_and_backed_up_as_it_is(old, known, tmp_path):
     assert dump(aside) == before
     with LabelStore.open(old) as store:
         assert store.operations() == known.operations()
+
+
+@pytest.fixture
+def without_judgements(known: LabelStore, tmp_path: Path) -> Path:
+    """The file of version 2 with the same content."""
+    path = tmp_path / "version_2.db"
+    backup_labels(known.path, path)
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE judgements")
+        connection.execute("PRAGMA user_version = 2")
+    return path
+
+
+def test_a_file_of_version_2_gets_room_for_judgements_and_loses_nothing(without_judgements, known):
+    assert check_labels(without_judgements) == check_labels(known.path)
+    with LabelStore.open(without_judgements) as store:
+        assert store.operations() == known.operations()
+        assert store.labels == known.labels
+        (element_id,) = store.labels.elements
+        store.apply(Judge((judged(element_id, "keep"),)), "ann")
+    assert contents(without_judgements, "sqlite_master") == contents(known.path, "sqlite_master")
+    check_labels(without_judgements)
+    with LabelStore.open(without_judgements) as store:
+        assert [one.verdict for one in store.labels.judgements_of(element_id)] == ["keep"]
+
+
+def test_an_upgrade_from_version_2_that_fails_leaves_the_file_as_it_was(
+    without_judgements, monkeypatch
+):
+    before = dump(without_judgements)
+    monkeypatch.setattr(schema, "_SINCE_3", schema._SINCE_3 + "CREATE TABLE elements (id);\n")
+    with pytest.raises(SemvizError, match=r"Not opened: .*elements already exists"):
+        LabelStore.open(without_judgements)
+    assert dump(without_judgements) == before
+    monkeypatch.undo()
+    LabelStore.open(without_judgements).close()

@@ -63,6 +63,9 @@ class Writing:
         dropped: Counter[str] = Counter()
         dropped["reviews of frames: the format has no word for them"] = len(labels.reviews)
         dropped["proposals turned down: the format has no word for them"] = len(labels.dismissals)
+        dropped["decisions for map building: the format has no word for them"] = len(
+            labels.judgements
+        )
         written = sum(len(sheet.observations) for sheet in sheets)
         other = "right" if side == "left" else "left"
         dropped[f"labels of {other} images: export them with --side {other}"] = (

@@ -6,12 +6,13 @@ from collections.abc import Iterable
 from semviz_annotation.labels import Labels
 from semviz_annotation.rows import (
     Change,
-    Dismissal,
+    Judgement,
     Key,
     LabelElement,
     Observation,
     Review,
     Row,
+    elements_of,
     row_key,
 )
 from semviz_annotation.storing.operations import ConflictError, Operation, Writer
@@ -69,9 +70,11 @@ class Witness:
         """What was written since beside the rows of ``changes``, of the same elements."""
         found: dict[Key, Row | None] = {}
         changed = {change.key for change in changes}
-        for element_id in {_element_id(change.before or change.after) for change in changes}:
-            rows: list[Row] = [*self._labels.of_element(element_id or "")]
-            rows += self._labels.dismissed_of(element_id or "")
+        about = (elements_of(change.before or change.after) for change in changes)
+        for element_id in sorted({one for ids in about for one in ids}):
+            rows: list[Row] = [*self._labels.of_element(element_id)]
+            rows += self._labels.dismissed_of(element_id)
+            rows += self._labels.judgements_of(element_id)
             for row in rows:
                 key = row_key(row)
                 writer = last_writer(self._connection, [key])
@@ -90,14 +93,16 @@ class Witness:
     def _name(self, row: Row) -> str:
         if isinstance(row, Review):
             return f"the review of frame {row.frame_index}"
-        element_id = _element_id(row)
-        element = None if element_id is None else self._element(element_id)
-        if element is None:
+        elements = [one for one in map(self._element, elements_of(row)) if one is not None]
+        names = [self._classes.element_name(one.class_id, one.number) for one in elements]
+        if not names:
             return "a proposal"
-        name = self._classes.element_name(element.class_id, element.number)
-        if isinstance(row, LabelElement):
-            return name
-        return f"{name} in the {row.side} image of frame {row.frame_index}"
+        match row:
+            case LabelElement():
+                return names[0]
+            case Judgement():
+                return f"what was decided about {' and '.join(names)}"
+        return f"{names[0]} in the {row.side} image of frame {row.frame_index}"
 
     def _element(self, element_id: str) -> LabelElement | None:
         """An element as it is, or was before it was deleted."""
@@ -109,9 +114,3 @@ class Witness:
         (operation,) = read_operations(self._connection, writer.number - 1, limit=1)
         rows = (row for one in operation.changes for row in (one.before, one.after))
         return next(row for row in rows if isinstance(row, LabelElement) and row.id == element_id)
-
-
-def _element_id(row: Row | None) -> str | None:
-    if isinstance(row, LabelElement):
-        return row.id
-    return row.element_id if isinstance(row, Observation | Dismissal) else None

@@ -62,7 +62,7 @@ def make_or_upgrade(connection: sqlite3.Connection, path: Path) -> None:
         )
     if version < VERSION:
         try:
-            upgrade(connection)
+            upgrade(connection, version)
         except ValidationError as error:
             raise damaged(path, first_fault(error)) from None
 

@@ -12,8 +12,8 @@ from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
 
 FORMAT = "semviz-operations"
-VERSION = 2
-"""Version 1 had neither hashes nor texts."""
+VERSION = 3
+"""Version 1 had neither hashes nor texts, version 2 no judgements."""
 _OPERATION = TypeAdapter(Operation)
 
 

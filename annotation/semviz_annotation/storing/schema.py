@@ -8,7 +8,7 @@ from semviz_annotation.storing.tables import operation_of_row, write_operation
 
 APPLICATION_ID = 0x53564C42
 """Marks a SQLite file as ours ("SVLB")."""
-VERSION = 2
+VERSION = 3
 
 _STATE = """
 CREATE TABLE elements (
@@ -68,21 +68,38 @@ CREATE TABLE dismissals (
 );
 CREATE INDEX dismissals_of_element ON dismissals (element_id);
 """
+_SINCE_3 = """
+CREATE TABLE judgements (
+    id TEXT PRIMARY KEY,
+    verdict TEXT NOT NULL CHECK (verdict IN ('apart', 'keep', 'leave out')),
+    element_id TEXT NOT NULL REFERENCES elements DEFERRABLE INITIALLY DEFERRED,
+    other_id TEXT REFERENCES elements DEFERRABLE INITIALLY DEFERRED
+);
+CREATE INDEX judgements_of_element ON judgements (element_id);
+CREATE INDEX judgements_of_other ON judgements (other_id);
+"""
 
 
 def make(connection: sqlite3.Connection) -> None:
     """Make the tables in an empty file, in the transaction that is open."""
-    _run(connection, _STATE + _SINCE_2)
+    _run(connection, _STATE + _SINCE_2 + _SINCE_3)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
-def upgrade(connection: sqlite3.Connection) -> None:
-    """Bring a file of version 1 to this version, in the transaction that is open.
+def upgrade(connection: sqlite3.Connection, version: int) -> None:
+    """Bring a file of an older ``version`` to this one, in the transaction that is open.
 
-    Operations get their hashes and the writers of rows are noted; nothing else changes. Raises
-    pydantic's ValidationError where an operation cannot be read.
+    Raises pydantic's ValidationError where an operation cannot be read.
     """
+    if version < 2:
+        _seal_operations(connection)
+    _run(connection, _SINCE_3)
+    connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def _seal_operations(connection: sqlite3.Connection) -> None:
+    """From version 1: operations get their hashes and the writers of rows are noted."""
     _run(connection, "DROP TRIGGER operations_stay;\nDROP TRIGGER operations_last;\n")
     connection.execute("ALTER TABLE operations RENAME TO operations_1")
     _run(connection, _SINCE_2)
@@ -95,7 +112,6 @@ def upgrade(connection: sqlite3.Connection) -> None:
         hash_before = one.hash
         write_operation(connection, one)
     connection.execute("DROP TABLE operations_1")
-    connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def _run(connection: sqlite3.Connection, script: str) -> None:

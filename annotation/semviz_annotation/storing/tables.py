@@ -9,6 +9,7 @@ from semviz_annotation.rows import (
     TAGS,
     Change,
     Dismissal,
+    Judgement,
     Key,
     LabelElement,
     Observation,
@@ -44,6 +45,8 @@ def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
         yield Review(*row)
     for row in connection.execute("SELECT id, frame_index, side, why, element_id FROM dismissals"):
         yield Dismissal(*row)
+    for row in connection.execute("SELECT id, verdict, element_id, other_id FROM judgements"):
+        yield Judgement(*row)
 
 
 def write_changes(
@@ -83,6 +86,8 @@ def _insert(connection: sqlite3.Connection, row: Row) -> None:
             values = (row.frame_index, row.state)
         case Dismissal():
             values = (row.id, row.frame_index, row.side, row.why, row.element_id)
+        case Judgement():
+            values = (row.id, row.verdict, row.element_id, row.other_id)
     marks = ", ".join("?" * len(values))
     connection.execute(f"INSERT INTO {TAGS[type(row)]}s VALUES ({marks})", values)
 

@@ -112,10 +112,10 @@ export function editing(state, { submit, select }) {
     },
     link() {
       const { element, also } = state.selected ?? {};
-      if (element && also) submit({ kind: "link", element_id: element, other_id: also });
+      if (element && also) submit({ kind: "link", element_ids: [element, also] });
     },
     unlink() {
-      if (observation()) submit({ kind: "unlink", observation_id: observation().id, new_element_id: uuid7() });
+      if (observation()) submit({ kind: "unlink", observation_ids: [observation().id], new_element_id: uuid7() });
     },
     flag(end) {
       const { drawing } = state;
