@@ -111,7 +111,7 @@ def _kind(hint: Any) -> tuple[str, Any]:
         return "array", np.dtype(get_args(inner[1])[0]).name
     if origin is tuple and len({one for one in inner if one is not Ellipsis}) == 1:
         return "tuple", inner[0]
-    if origin is dict:
+    if origin in (dict, Mapping):
         return "dict", inner[1]
     if hint is float:
         return "float", None

@@ -28,6 +28,7 @@ from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame, Prior
 from semviz_core.localization import Alternative, Localization, Match, Refinement, Search
 from semviz_core.pose import Pose
+from semviz_core.semantic_map import Decision, SemanticMap
 
 BENCH = Path(__file__).parents[2] / "bench" / "recording.py"
 made_up: dict[str, Any] = runpy.run_path(str(BENCH))
@@ -78,6 +79,19 @@ def odd(rng: np.random.Generator, *shape: int) -> FloatArray:
 
 
 scalars = st.floats(allow_nan=False) | st.just(float("nan"))  # JSON does not keep the sign of a NaN
+
+
+names = st.lists(st.text(max_size=9), max_size=3).map(tuple)
+decisions = st.builds(
+    Decision,
+    kind=st.sampled_from(["merge", "apart", "split", "leave out"]),
+    label_ids=names,
+    numbers=st.lists(st.integers(1, 2**31), max_size=3).map(tuple),
+    by=st.sampled_from(["machine", "human"]),
+    reason=st.text(),
+    evidence=st.dictionaries(st.text(max_size=9), scalars, max_size=3),
+    observation_ids=names,
+)
 
 
 def some_pose(rng: np.random.Generator) -> Pose:
@@ -147,6 +161,20 @@ def test_codec_gives_back_every_bit(record: FrameRecord) -> None:
     record = replace(record, image=None)
     structure, pools = encode(record)
     assert_same(decode(FrameRecord, structure, pools), record)
+
+
+@given(st.lists(decisions, max_size=4))
+def test_codec_gives_back_what_was_decided(decided: list[Decision]) -> None:
+    semantic_map = replace(MAP, decisions=tuple(decided))
+    assert_same(decode(SemanticMap, *encode(semantic_map)), semantic_map)
+
+
+def test_a_run_keeps_what_was_decided_when_its_map_was_built(tmp_path: Path) -> None:
+    one = Decision("merge", ("a", "b"), (3, 9), "machine", "Near.", {"distance_m": 0.1 + 0.2})
+    decided = replace(MAP, decisions=(one, replace(one, kind="apart", by="human", evidence={})))
+    with RunWriter(tmp_path / "run.rrd", INFO, decided):
+        pass
+    assert_same(load_run(tmp_path / "run.rrd"), Run(INFO, decided, ()))
 
 
 def test_codec_refuses_another_dtype() -> None:
