@@ -1,0 +1,120 @@
+"""How far things are from where they were seen: the one definition of fit of a map.
+
+Signs: both image axes. Poles: how far the projected line passes beside both observed ends, and how
+far along it the known ends are. So a line is a line: where on it a hidden end is means nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.camera import MIN_DEPTH_M
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Of k sightings, four rows each; a row that does not exist is zero throughout."""
+
+    error_px: FloatArray
+    """(k, 4) thing minus sighting. Signs: u, v, nothing, nothing. Poles: across the projected line
+    (to its right where it runs downwards) at the observed anchor and end, along it at both."""
+    J: FloatArray
+    """(k, 4, 6) px/m, by (anchor, end) in the map frame. An end that nobody saw is held where it is
+    along the line: its rows along have no error, but a derivative."""
+    counts: BoolArray
+    """(k, 4) whether the row is a measurement."""
+    ahead: BoolArray
+    """(k,) False where the thing is behind the camera and the rows mean nothing."""
+
+    def squared_px2(self) -> FloatArray:
+        """(k, 3) squared lengths of what is wrong for one reason: a click, or the line through an
+        observed pole, then each of a pole's ends along it."""
+        squares = self.error_px**2
+        return np.stack([squares[:, 0] + squares[:, 1], squares[:, 2], squares[:, 3]], axis=1)
+
+
+def residuals(
+    views: Views, sightings: Sightings, anchor_m: FloatArray, end_m: FloatArray
+) -> Residuals:
+    """Of the n things of ``sightings`` at (n, 3) each; ends of points are not looked at."""
+    k = len(sightings)
+    result = Residuals(
+        error_px=np.zeros((k, 4)),
+        J=np.zeros((k, 4, 6)),
+        counts=np.zeros((k, 4), dtype=bool),
+        ahead=np.zeros(k, dtype=bool),
+    )
+    is_line = sightings.is_line
+    _fill_points(views, sightings, np.flatnonzero(~is_line), anchor_m, result)
+    _fill_lines(views, sightings, np.flatnonzero(is_line), anchor_m, end_m, result)
+    return result
+
+
+def _fill_points(
+    views: Views, sightings: Sightings, rows: IntArray, anchor_m: FloatArray, result: Residuals
+) -> None:
+    pixels, J, ahead = projected(views, sightings.view[rows], anchor_m[sightings.thing[rows]])
+    result.error_px[rows, :2] = pixels - sightings.anchor_px[rows]
+    result.J[rows, :2, :3] = J
+    result.counts[rows, :2] = True
+    result.ahead[rows] = ahead
+
+
+def _fill_lines(
+    views: Views,
+    sightings: Sightings,
+    rows: IntArray,
+    anchor_m: FloatArray,
+    end_m: FloatArray,
+    result: Residuals,
+) -> None:
+    things, images = sightings.thing[rows], sightings.view[rows]
+    anchor, of_anchor, anchor_ahead = projected(views, images, anchor_m[things])
+    end, of_end, end_ahead = projected(views, images, end_m[things])
+    result.ahead[rows] = anchor_ahead & end_ahead
+    length = np.maximum(np.linalg.norm(end - anchor, axis=1), 1e-9)[:, None]
+    along = (end - anchor) / length
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    anchor_across, end_across = _dot(across, of_anchor), _dot(across, of_end)
+    anchor_along, end_along = _dot(along, of_anchor), _dot(along, of_end)
+    seen_px = (sightings.anchor_px[rows], sightings.end_px[rows])
+    known = (sightings.anchor_known, sightings.end_known)
+    places, moves = (anchor, end), (anchor_along, end_along)
+    for which in range(2):
+        off = places[which] - seen_px[which]
+        share = ((seen_px[which] - anchor) * along).sum(axis=1)[:, None] / length
+        result.error_px[rows, which] = (off * across).sum(axis=1)
+        result.J[rows, which, :3] = (1.0 - share) * anchor_across
+        result.J[rows, which, 3:] = share * end_across
+        result.counts[rows, which] = True
+        seen_by_any = sightings.of(known[which])[things]
+        counts = known[which][rows]
+        result.counts[rows, 2 + which] = counts
+        result.error_px[rows, 2 + which] = np.where(counts, (off * along).sum(axis=1), 0.0)
+        turn = np.where(counts, (off * across).sum(axis=1), 0.0)[:, None] / length
+        by_turn = turn * np.concatenate([-anchor_across, end_across], axis=1)
+        by_turn[:, 3 * which : 3 * which + 3] += moves[which]
+        result.J[rows, 2 + which] = np.where((counts | ~seen_by_any)[:, None], by_turn, 0.0)
+
+
+def projected(
+    views: Views, rows: IntArray, points_m: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Pixels (k, 2) of points (k, 3), each in the view in its row (k,); how they move with the
+    points (k, 2, 3); and whether the point is ahead (k,). Numbers behind the camera mean nothing.
+    """
+    P = views.projection[rows]
+    homogeneous = (P[:, :, :3] @ points_m[:, :, None])[:, :, 0] + P[:, :, 3]
+    depth = homogeneous[:, 2]
+    ahead = depth > MIN_DEPTH_M
+    safe = np.where(ahead, depth, 1.0)[:, None]
+    pixels = homogeneous[:, :2] / safe
+    J = (P[:, :2, :3] - pixels[:, :, None] * P[:, 2:, :3]) / safe[:, :, None]
+    return pixels, J, np.asarray(ahead)
+
+
+def _dot(direction: FloatArray, J: FloatArray) -> FloatArray:
+    """(k, 3) of directions (k, 2) and derivatives (k, 2, 3)."""
+    return np.asarray((direction[:, None] @ J)[:, 0])

@@ -1,0 +1,242 @@
+"""What was labelled as arrays: in which images, where in them, and of which thing."""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz_annotation.view import View, rig_view
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.camera import Camera, Rig
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+from semviz_core.sources.source import Side, Source
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """v images without distortion, each at its pose in the map frame."""
+
+    frame_index: IntArray
+    """(v,)"""
+    is_right: BoolArray
+    """(v,)"""
+    R: FloatArray
+    """(v, 3, 3) rotation of ``T_camera_map``."""
+    t: FloatArray
+    """(v, 3) m, translation of ``T_camera_map``."""
+    K: FloatArray
+    """(v, 3, 3) px"""
+
+    def __len__(self) -> int:
+        return len(self.frame_index)
+
+    @cached_property
+    def center_m(self) -> FloatArray:
+        """(v, 3) camera centres in the map frame."""
+        return np.asarray(-(self.R.transpose(0, 2, 1) @ self.t[:, :, None])[:, :, 0])
+
+    @cached_property
+    def projection(self) -> FloatArray:
+        """(v, 3, 4) of homogeneous map points to homogeneous pixels; the third is the depth (m)."""
+        return np.asarray(self.K @ np.concatenate([self.R, self.t[:, :, None]], axis=2))
+
+    def rays(self, rows: IntArray, pixels_px: FloatArray) -> FloatArray:
+        """(k, 3) unit, in the map frame: through pixels (k, 2) of the views in rows (k,)."""
+        homogeneous = np.concatenate([pixels_px, np.ones((len(pixels_px), 1))], axis=1)
+        to_map = np.linalg.inv(self.projection[:, :, :3])
+        rays = (to_map[rows] @ homogeneous[:, :, None])[:, :, 0]
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def depth_m(self, rows: IntArray, points_m: FloatArray) -> FloatArray:
+        """(k,) of points (k, 3), each in the view in its row of rows (k,)."""
+        return np.asarray(np.einsum("ki,ki->k", self.R[rows, 2], points_m) + self.t[rows, 2])
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """k observations of n things; rows sorted by thing."""
+
+    thing: IntArray
+    """(k,) 0 to n - 1, ascending: what is seen."""
+    view: IntArray
+    """(k,) row in ``Views``."""
+    anchor_px: FloatArray
+    """(k, 2) without distortion."""
+    end_px: FloatArray
+    """(k, 2) without distortion; NaN for points."""
+    anchor_known: BoolArray
+    """(k,)"""
+    end_known: BoolArray
+    """(k,)"""
+    observation: IntArray
+    """(k,) row in ``Gathered.observations``."""
+    count: int
+    """n"""
+
+    def __len__(self) -> int:
+        return len(self.thing)
+
+    @cached_property
+    def seen(self) -> IntArray:
+        """(n,) sightings of each thing."""
+        return np.bincount(self.thing, minlength=self.count)
+
+    @cached_property
+    def is_line(self) -> BoolArray:
+        """(k,) True for sightings of poles."""
+        return np.isfinite(self.end_px[:, 0])
+
+    def per_thing(self, combine: np.ufunc, values: FloatArray, nothing: float = 0.0) -> FloatArray:
+        """(n, ...) of values (k, ...), such as sums for ``np.add``; ``nothing`` where unseen."""
+        result = np.full((self.count, *values.shape[1:]), nothing, dtype=values.dtype)
+        if len(values):
+            starts = np.cumsum(self.seen) - self.seen
+            result[self.seen > 0] = combine.reduceat(values, starts[self.seen > 0], axis=0)
+        return result
+
+    def of(self, values: BoolArray) -> BoolArray:
+        """(n,) whether any sighting of a thing has True in values (k,)."""
+        return self.per_thing(np.logical_or, values, False)
+
+    def where(self, rows: BoolArray) -> "Sightings":
+        """Those with True in rows (k,), of the same things."""
+        return self._taken(np.flatnonzero(rows), self.thing[rows], self.count)
+
+    def only(self, things: BoolArray) -> "Sightings":
+        """Those of the things with True in (n,), which are numbered anew, from 0."""
+        rows = np.flatnonzero(things[self.thing])
+        number = np.cumsum(things) - 1
+        return self._taken(rows, number[self.thing[rows]], int(things.sum()))
+
+    def regrouped(self, thing: IntArray, count: int) -> "Sightings":
+        """The same of ``count`` other things: thing (k,) is 0 to count - 1, or -1 to leave out.
+
+        Sightings of one thing are then in their present order.
+        """
+        order = np.argsort(thing, kind="stable")
+        order = order[thing[order] >= 0]
+        return self._taken(order, thing[order], count)
+
+    def _taken(self, rows: IntArray, thing: IntArray, count: int) -> "Sightings":
+        return Sightings(
+            thing=thing,
+            view=self.view[rows],
+            anchor_px=self.anchor_px[rows],
+            end_px=self.end_px[rows],
+            anchor_known=self.anchor_known[rows],
+            end_known=self.end_known[rows],
+            observation=self.observation[rows],
+            count=count,
+        )
+
+
+class Gathered(NamedTuple):
+    """The labels of the chosen frames."""
+
+    views: Views
+    """Of all chosen frames that have a pose, by frame, left before right."""
+    sightings: Sightings
+    """Thing i is the i-th of ``elements``; by view within a thing."""
+    elements: tuple[LabelElement, ...]
+    """Those labelled in the chosen frames, by number."""
+    observations: tuple[Observation, ...]
+
+
+def gather(labels: Labels, source: Source, frames: Collection[int] | None = None) -> Gathered:
+    """What is labelled in ``frames`` (None: all).
+
+    Raises SemvizError where a labelled frame is not in the source or has no pose, or no element is
+    labelled in two images.
+    """
+    posed = _posed(labels, source, frames)
+    rows = [row for index in posed for row in labels.in_frame(index)]
+    _check_twice(rows)
+    by_number = {labels.element(row.element_id).number: row.element_id for row in rows}
+    elements = tuple(labels.element(by_number[number]) for number in sorted(by_number))
+    thing_of = {element.id: thing for thing, element in enumerate(elements)}
+    rows.sort(key=lambda row: (thing_of[row.element_id], row.frame_index, row.side))
+    sides: tuple[Side, ...] = ("left", "right") if source.rig.right is not None else ("left",)
+    images = {
+        (index, side): number
+        for number, (index, side) in enumerate((index, side) for index in posed for side in sides)
+    }
+    where = [rig_view(source.rig, side, posed[index].inverse()) for index, side in images]
+    sightings = Sightings(
+        thing=np.array([thing_of[row.element_id] for row in rows], dtype=np.int64),
+        view=np.array([_image(images, row) for row in rows], dtype=np.int64),
+        anchor_px=_undistorted(source.rig, rows, [row.anchor_px for row in rows]),
+        end_px=_undistorted(source.rig, rows, [row.end_px or (np.nan, np.nan) for row in rows]),
+        anchor_known=np.array([row.anchor_known for row in rows], dtype=np.bool_),
+        end_known=np.array([row.end_known for row in rows], dtype=np.bool_),
+        observation=np.arange(len(rows)),
+        count=len(elements),
+    )
+    return Gathered(as_views(list(images), where), sightings, elements, tuple(rows))
+
+
+def as_views(images: Sequence[tuple[int, Side]], views: Sequence[View]) -> Views:
+    """Images (frame index, side) and their views as arrays; any distortion is left out."""
+    return Views(
+        frame_index=np.array([index for index, _ in images], dtype=np.int64),
+        is_right=np.array([side == "right" for _, side in images], dtype=np.bool_),
+        R=np.array([view.T_camera_map.rotation for view in views]).reshape(-1, 3, 3),
+        t=np.array([view.T_camera_map.translation for view in views]).reshape(-1, 3),
+        K=np.array([view.camera.K for view in views]).reshape(-1, 3, 3),
+    )
+
+
+def undistorted(camera: Camera, pixels_px: FloatArray) -> FloatArray:
+    """Pixels (n, 2) where a camera with the same ``K`` but no distortion sees them; NaN stays."""
+    if not camera.distortion.size:
+        return pixels_px
+    plane = camera.normalize(pixels_px)
+    return np.asarray(plane @ camera.K[:2, :2].T + camera.K[:2, 2])
+
+
+def _posed(labels: Labels, source: Source, frames: Collection[int] | None) -> dict[int, Pose]:
+    """``T_map_camera`` of the chosen frames that have one, by index."""
+    poses = {frame.index: frame.T_map_camera for frame in source.frames}
+    chosen = set(poses) if frames is None else set(frames)
+    for index in labels.frames:
+        if frames is not None and index not in chosen:
+            continue
+        if index not in poses:
+            raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")
+        if poses[index] is None:
+            raise SemvizError(f"frame {index} is labelled but has no pose; a map needs true poses")
+    return {index: pose for index, pose in poses.items() if index in chosen and pose is not None}
+
+
+def _check_twice(rows: Sequence[Observation]) -> None:
+    views = Counter(row.element_id for row in rows)
+    if max(views.values(), default=0) < 2:
+        raise SemvizError(
+            "no element is labelled in two images; in 'semviz annotate', label elements in left "
+            "and right, or in several frames"
+        )
+
+
+def _image(images: dict[tuple[int, Side], int], row: Observation) -> int:
+    try:
+        return images[row.frame_index, row.side]
+    except KeyError:
+        raise SemvizError(
+            f"frame {row.frame_index} is labelled in the right image, but the sequence has one "
+            "camera; wrong source?"
+        ) from None
+
+
+def _undistorted(
+    rig: Rig, rows: Sequence[Observation], pixels_px: Sequence[tuple[float, float]]
+) -> FloatArray:
+    result = np.array(pixels_px, dtype=np.float64).reshape(-1, 2)
+    is_right = np.array([row.side == "right" for row in rows], dtype=np.bool_)
+    for camera, mine in ((rig.left, ~is_right), (rig.right, is_right)):
+        if camera is not None:
+            result[mine] = undistorted(camera, result[mine])
+    return result
