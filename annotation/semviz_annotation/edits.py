@@ -13,6 +13,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from semviz_annotation.editing.drawing import (
     AddMany,
     AddObservation,
+    DeleteMany,
     DeleteObservation,
     MoveObservation,
     SetKnown,
@@ -30,6 +31,7 @@ __all__ = [
     "AddObservation",
     "AnyEdit",
     "DeleteElement",
+    "DeleteMany",
     "DeleteObservation",
     "Dismiss",
     "Edit",
@@ -69,6 +71,7 @@ Edit: TypeAlias = (
     | SetKnown
     | SwapEnds
     | DeleteObservation
+    | DeleteMany
     | DeleteElement
     | Link
     | Unlink

@@ -8,6 +8,7 @@ from semviz_annotation.edits import (
     AddMany,
     AddObservation,
     DeleteElement,
+    DeleteMany,
     DeleteObservation,
     Dismiss,
     Judge,
@@ -99,6 +100,20 @@ def test_the_last_observation_takes_its_element_along():
     assert len(labels.elements) == 1
     (rest,) = labels.observations
     assert after(labels, DeleteObservation(rest)) == Labels()
+
+
+def test_many_are_deleted_together_or_not_at_all():
+    one, other = pole(), pole(frame=1)
+    more = partner(one)
+    labels = after(Labels(), one, more, other, Judge((judged(one.element_id, "keep"),)))
+    left = after(labels, DeleteMany((more.observation_id, other.observation_id)))
+    assert set(left.observations) == {one.observation_id}
+    assert len(left.judgements) == 1
+    assert after(left, DeleteMany((one.observation_id,))) == Labels()
+    every = DeleteMany((one.observation_id, more.observation_id, other.observation_id))
+    assert after(labels, every) == Labels()
+    with pytest.raises(SemvizError, match="no observation"):
+        after(labels, DeleteMany((one.observation_id, new_id())))
 
 
 def test_link_keeps_the_smaller_number_and_unlink_makes_a_new_one():
@@ -328,6 +343,7 @@ EVERY = [
     SwapEnds(A.observation_id),
     DeleteObservation(A.observation_id),
     DeleteElement(A.element_id),
+    DeleteMany((A.observation_id, S.observation_id)),
     Link((A.element_id, B.element_id)),
     Unlink((A.observation_id,), new_id()),
     SetClass(A.element_id, 3),
@@ -367,7 +383,7 @@ def test_broken_json_is_refused_by_field(change, field):
 
 
 def test_an_empty_list_is_no_edit():
-    for edit in (AddMany(()), Dismiss(()), Judge(()), Unlink((), new_id())):
+    for edit in (AddMany(()), Dismiss(()), Judge(()), DeleteMany(()), Unlink((), new_id())):
         with pytest.raises(SemvizError, match="at least 1 item"):
             edit_from_json(edit_to_json(edit))
 

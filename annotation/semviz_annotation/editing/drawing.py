@@ -177,3 +177,20 @@ class DeleteObservation:
         if len(labels.of_element(row.element_id)) == 1:
             yield Change(labels.element(row.element_id), None)
             yield from fall_with(labels, row.element_id)
+
+
+@dataclass(frozen=True)
+class DeleteMany:
+    """Delete several observations, all or none, each as ``DeleteObservation`` does."""
+
+    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    kind: Literal["delete many"] = "delete many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
+        draft = Draft(labels)
+        for one in self.observation_ids:
+            changes = tuple(DeleteObservation(one).changes(draft.labels(), rules))
+            draft.apply(changes)
+            yield from changes
