@@ -1,0 +1,1 @@
+"""The rules of ``mapping.lint``, each a small function over one ``Case``."""
