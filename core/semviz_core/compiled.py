@@ -2,9 +2,11 @@
 
 import hashlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from threading import RLock
+from typing import IO, Any, TypeVar
 
 import numba
 from numba.core import event
@@ -26,23 +28,51 @@ def compiled(function: Function) -> Function:
         made: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before
-    made._cache.save_overload = _one_at_a_time(made._cache.save_overload)  # type: ignore[attr-defined]
+    made.compile = _one_process_at_a_time(made.compile)  # type: ignore[attr-defined]
     return made
 
 
-def _one_at_a_time(save: Callable[..., None]) -> Callable[..., None]:
-    """``save`` under a lock between processes. Numba reads its index, adds to it and writes it
-    back: two processes at once can leave the code for some types under the name of others."""
+def _one_process_at_a_time(compile_: Callable[..., Any]) -> Callable[..., Any]:
+    """``compile_``, which loads from disk or compiles and saves, while no other process does.
 
-    def saved(*arguments: Any) -> None:
+    Numba names code by the order in which its process compiled it: what two processes compile at
+    the same time and put into one folder can take each other's code, and crash (numba #10128). And
+    the second one has nothing to do once the first is done.
+    """
+
+    def compiled_alone(*arguments: Any) -> Any:
+        with _alone:
+            return compile_(*arguments)
+
+    return compiled_alone
+
+
+class _Alone(AbstractContextManager[None]):
+    """A lock between processes and threads; who holds it may take it again."""
+
+    def __init__(self) -> None:
+        self._thread = RLock()
+        self._depth = 0
+        self._file: IO[str] | None = None
+
+    def __enter__(self) -> None:
+        self._thread.acquire()
+        self._depth += 1
         folder = _cache_folder()
-        if fcntl is None or not folder:
-            return save(*arguments)
-        with (Path(folder) / "lock").open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)  # until the file is closed
-            return save(*arguments)
+        if self._depth == 1 and fcntl is not None and folder:
+            with suppress(OSError):  # a folder that nobody can write into needs no lock
+                self._file = (Path(folder) / "lock").open("w")
+                fcntl.flock(self._file, fcntl.LOCK_EX)
 
-    return saved
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._file is not None:
+            self._file.close()  # and so given back
+            self._file = None
+        self._thread.release()
+
+
+_alone = _Alone()
 
 
 def tell_when_compiling(tell: Callable[[], None]) -> None:
