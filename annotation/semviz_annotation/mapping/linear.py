@@ -59,6 +59,15 @@ class Start:
                 "apart): too far away, or along the line between the cameras"
             )
 
+    @property
+    def ok(self) -> BoolArray:
+        """(n,) True where there is a place."""
+        return np.asarray(self.failure == "")
+
+    def places_m(self) -> FloatArray:
+        """(n, 6) of (anchor, end); zero for the ends of points."""
+        return np.concatenate([self.anchor_m, np.nan_to_num(self.end_m)], axis=1)
+
     def put(self, things: BoolArray, others: "Start") -> None:
         """``others`` are those with True in things (n,)."""
         for mine, theirs in zip(vars(self).values(), vars(others).values(), strict=True):
@@ -242,7 +251,8 @@ def _widest_angle(sightings: Sightings, directions: FloatArray, unsigned: bool) 
 
 def _first_row(sightings: Sightings, rows: BoolArray) -> IntArray:
     """(n,) the first row of each thing with True in rows (k,)."""
-    return sightings.per_thing(np.minimum, np.where(rows, np.arange(len(rows)), len(rows)))
+    number = np.where(rows, np.arange(len(rows)), len(rows))
+    return np.asarray(sightings.per_thing(np.minimum, number))
 
 
 def _solved(A: FloatArray, b: FloatArray) -> FloatArray:

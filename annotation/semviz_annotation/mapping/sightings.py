@@ -4,9 +4,10 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from semviz_annotation.labels import LabelElement, Labels, Observation
 from semviz_annotation.view import View, rig_view
@@ -15,6 +16,8 @@ from semviz_core.camera import Camera, Rig
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 from semviz_core.sources.source import Side, Source
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +94,9 @@ class Sightings:
         """(k,) True for sightings of poles."""
         return np.isfinite(self.end_px[:, 0])
 
-    def per_thing(self, combine: np.ufunc, values: FloatArray, nothing: float = 0.0) -> FloatArray:
-        """(n, ...) of values (k, ...), such as sums for ``np.add``; ``nothing`` where unseen."""
-        result = np.full((self.count, *values.shape[1:]), nothing, dtype=values.dtype)
+    def per_thing(self, combine: np.ufunc, values: NDArray[Number]) -> NDArray[Number]:
+        """(n, ...) of values (k, ...), such as sums for ``np.add``; zero for unseen things."""
+        result = np.zeros((self.count, *values.shape[1:]), dtype=values.dtype)
         if len(values):
             starts = np.cumsum(self.seen) - self.seen
             result[self.seen > 0] = combine.reduceat(values, starts[self.seen > 0], axis=0)
@@ -101,17 +104,17 @@ class Sightings:
 
     def of(self, values: BoolArray) -> BoolArray:
         """(n,) whether any sighting of a thing has True in values (k,)."""
-        return self.per_thing(np.logical_or, values, False)
+        return self.per_thing(np.logical_or, values)
 
     def where(self, rows: BoolArray) -> "Sightings":
         """Those with True in rows (k,), of the same things."""
-        return self._taken(np.flatnonzero(rows), self.thing[rows], self.count)
+        return self.taken(np.flatnonzero(rows), self.thing[rows], self.count)
 
     def only(self, things: BoolArray) -> "Sightings":
         """Those of the things with True in (n,), which are numbered anew, from 0."""
         rows = np.flatnonzero(things[self.thing])
         number = np.cumsum(things) - 1
-        return self._taken(rows, number[self.thing[rows]], int(things.sum()))
+        return self.taken(rows, number[self.thing[rows]], int(things.sum()))
 
     def regrouped(self, thing: IntArray, count: int) -> "Sightings":
         """The same of ``count`` other things: thing (k,) is 0 to count - 1, or -1 to leave out.
@@ -120,9 +123,10 @@ class Sightings:
         """
         order = np.argsort(thing, kind="stable")
         order = order[thing[order] >= 0]
-        return self._taken(order, thing[order], count)
+        return self.taken(order, thing[order], count)
 
-    def _taken(self, rows: IntArray, thing: IntArray, count: int) -> "Sightings":
+    def taken(self, rows: IntArray, thing: IntArray, count: int) -> "Sightings":
+        """Those in rows (m,), as sightings of thing (m,), ascending, 0 to count - 1."""
         return Sightings(
             thing=thing,
             view=self.view[rows],
