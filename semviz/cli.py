@@ -16,14 +16,19 @@ from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
 from semviz.commands.localize import Localize
 from semviz.commands.map_build import MapBuild
 from semviz.commands.map_check import MapCheck
+from semviz.commands.map_export import MapExport
+from semviz.commands.map_import import MapImport
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
 from semviz.commands.serve import Serve
 from semviz_core.errors import SemvizError
 
 MapCommands = Annotated[
-    Annotated[MapBuild, subcommand("build")] | Annotated[MapCheck, subcommand("check")],
-    subcommand("map", description="Build a map from labels, and check it against them."),
+    Annotated[MapBuild, subcommand("build")]
+    | Annotated[MapCheck, subcommand("check")]
+    | Annotated[MapExport, subcommand("export")]
+    | Annotated[MapImport, subcommand("import")],
+    subcommand("map", description="Maps: built from labels, checked, in and out."),
 ]
 LabelCommands = Annotated[
     Annotated[LabelsExport, subcommand("export")]

@@ -1,11 +1,14 @@
 """Small texts that options are written in."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
 from semviz_core.errors import SemvizError
+
+if TYPE_CHECKING:
+    from semviz_annotation.map_formats.georeference import Georeference
 
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")]
@@ -48,3 +51,25 @@ def parse_interval(text: str, option: str) -> tuple[float, float]:
     if not 0.0 <= low <= high:
         raise SemvizError(f"{option} {text}: write LOW:HIGH in metres, such as 5:10")
     return low, high
+
+
+def parse_anchor(text: str | None, x_heading_deg: float | None) -> "Georeference | None":
+    """``49.0,8.4,115``: WGS84 latitude, longitude and, if known, height of a map's origin.
+
+    ``x_heading_deg`` is the compass direction of its x axis there, east if None.
+    """
+    from semviz_annotation.map_formats.georeference import Georeference
+
+    if text is None:
+        if x_heading_deg is not None:
+            raise SemvizError("--anchor-heading: say --anchor LATITUDE,LONGITUDE[,HEIGHT] too")
+        return None
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise SemvizError(f"--anchor {text}: write LATITUDE,LONGITUDE[,HEIGHT], such as 49.0,8.4")
+    latitude, longitude, height = (*numbers, 0.0)[:3]
+    heading = 90.0 if x_heading_deg is None else x_heading_deg
+    return Georeference(latitude, longitude, height, heading)

@@ -1,0 +1,1 @@
+"""Maps in other tools' formats; see docs/map-formats.md."""

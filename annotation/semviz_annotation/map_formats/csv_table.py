@@ -1,0 +1,119 @@
+"""CSV, in and out: one row an element, metres in the map frame, every digit."""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from semviz_annotation.formats.numbers import number, quoted
+from semviz_annotation.formats.reading import MOST_JSON_BYTES, at, read_bytes
+from semviz_annotation.map_formats.reading import Found, Reading, Thing, whole
+from semviz_annotation.map_formats.tally import Tally
+from semviz_annotation.map_formats.writing import drop_history
+from semviz_core.arrays import FloatArray
+from semviz_core.errors import SemvizError
+from semviz_core.files import replacing
+from semviz_core.semantic_map import SemanticMap
+
+ANCHOR = ("anchor_x_m", "anchor_y_m", "anchor_z_m")
+END = ("end_x_m", "end_y_m", "end_z_m")
+SIGMA = tuple(f"sigma_{name}" for name in (*ANCHOR, *END))
+KNOWN = ("anchor_known", "end_known")
+COLUMNS = ("id", "class", "frame", *ANCHOR, *END, *SIGMA, *KNOWN)
+_NEEDED = ("class", *ANCHOR)
+_FLAGS = {"true": True, "false": False, "1": True, "0": False, "": True}
+
+
+def write_csv(semantic_map: SemanticMap, path: Path) -> Tally:
+    """One row an element; the end of a sign is empty."""
+    elements = semantic_map.elements
+    sigmas = np.sqrt(np.diagonal(elements.covariance_m2, axis1=1, axis2=2))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row, is_line in enumerate(elements.is_line.tolist()):
+        name = semantic_map.classes[int(elements.class_id[row])].name
+        end, end_sigmas = elements.end_m[row].tolist(), sigmas[row, 3:].tolist()
+        writer.writerow(
+            [int(elements.id[row]), name, semantic_map.frame.name, *elements.anchor_m[row].tolist(),
+             *(end if is_line else [""] * 3), *sigmas[row, :3].tolist(),
+             *(end_sigmas if is_line else [""] * 3),
+             *(str(bool(getattr(elements, flag)[row])).lower() for flag in KNOWN)]
+        )  # fmt: skip
+    with replacing(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+    tally = Tally()
+    correlated = elements.covariance_m2 * ~np.eye(6, dtype=bool)
+    tally.drop("correlations of coordinates", int(correlated.any(axis=(1, 2)).sum()))
+    drop_history(semantic_map, tally)
+    tally.drop("labels and observations that elements come from", len(semantic_map.provenance))
+    tally.drop("where the map's origin is on Earth", int(semantic_map.frame.origin is not None))
+    return tally
+
+
+def read_csv(path: Path, reading: Reading) -> Found:
+    """Poles and signs of a table with at least the columns ``class`` and ``anchor_*_m``."""
+    try:
+        text = read_bytes(path, MOST_JSON_BYTES).decode("utf-8-sig")
+        rows = csv.DictReader(io.StringIO(text), restkey="more", strict=True)
+        header = rows.fieldnames or []
+        missing = [name for name in _NEEDED if name not in header]
+        if missing:
+            raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
+        found = Found(georeference=reading.anchor)
+        for row in rows:
+            with at(f"{path}, line {rows.line_num}"):
+                _read_row(row, found, reading)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SemvizError(f"not a CSV table ({error})") from None
+    for name in header:
+        if name not in COLUMNS:
+            found.tally.drop(f"columns {quoted(name)}")
+    return found
+
+
+def _read_row(row: Mapping[str, str | None], found: Found, reading: Reading) -> None:
+    if "more" in row or None in row.values():
+        raise SemvizError("more or fewer values than the header has names")
+    values = {name: text.strip() for name, text in row.items() if text is not None}
+    reading.check_frame(values.get("frame") or None)
+    class_id = reading.class_id(values["class"])
+    if class_id is None:
+        return found.tally.drop("rows of a class that is ignored, as asked")
+    anchor, end = _numbers(values, ANCHOR), _numbers(values, END)
+    if anchor is None:
+        raise SemvizError(f"no numbers in {', '.join(ANCHOR)}")
+    is_line = reading.classes[class_id].kind == "line"
+    if is_line != (end is not None):
+        name = quoted(values["class"])
+        raise SemvizError(f"{name} {'without' if is_line else 'with'} an end; {', '.join(END)}")
+    anchor_known, end_known = (_flag(values.get(name, ""), name) for name in KNOWN)
+    id_, covariance = whole(values.get("id")), _covariance(values, is_line)
+    found.add(Thing(class_id, anchor, end, id_, covariance, anchor_known, end_known))
+    return None
+
+
+def _numbers(values: Mapping[str, str], names: tuple[str, ...]) -> FloatArray | None:
+    """The numbers in some columns; None where all are empty or there are no such columns."""
+    texts = [values.get(name, "") for name in names]
+    return np.array([number(text) for text in texts]) if any(texts) else None
+
+
+def _covariance(values: Mapping[str, str], is_line: bool) -> FloatArray | None:
+    names = SIGMA if is_line else SIGMA[:3]
+    sigmas = _numbers(values, names)
+    if sigmas is None:
+        return None
+    if (sigmas < 0.0).any():
+        raise SemvizError(f"a negative standard deviation in {', '.join(names)}")
+    variances = np.zeros(6)
+    variances[: len(sigmas)] = sigmas**2
+    return np.diag(variances)
+
+
+def _flag(text: str, name: str) -> bool:
+    if text.lower() not in _FLAGS:
+        raise SemvizError(f"{name} is neither true nor false but {quoted(text)}")
+    return _FLAGS[text.lower()]

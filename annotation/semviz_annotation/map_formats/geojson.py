@@ -1,0 +1,250 @@
+"""GeoJSON (RFC 7946), in and out: longitude and latitude of WGS84, height above the ellipsoid.
+
+A pole is a LineString from its peak to its bottom, a sign a Point. What we write says in the
+member ``semviz`` which map frame it is, and where its origin is.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semviz_annotation.formats.numbers import json_number, quoted
+from semviz_annotation.formats.reading import (
+    MOST_JSON_BYTES,
+    as_flag,
+    as_object,
+    as_text,
+    at,
+    listed,
+    read_bytes,
+    read_json,
+)
+from semviz_annotation.map_formats.georeference import Georeference, needed
+from semviz_annotation.map_formats.reading import (
+    Found,
+    Reading,
+    Thing,
+    checked_covariance,
+    upper_first,
+    whole,
+)
+from semviz_annotation.map_formats.tally import Tally
+from semviz_annotation.map_formats.writing import as_json
+from semviz_core.arrays import FloatArray
+from semviz_core.errors import SemvizError
+from semviz_core.files import replacing
+from semviz_core.semantic_map import Provenance, SemanticMap
+
+DIGITS_DEG, DIGITS_M = 10, 5
+"""Decimals: 0.01 mm."""
+ROAD = "road"
+"""Our name of the feature that is ``SemanticMap.trajectory_m``."""
+_WGS84 = ("CRS84", "4326", "4979")
+_OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m2", "label_ids",
+                   "observation_ids", "height"})  # fmt: skip
+
+
+def write_geojson(
+    semantic_map: SemanticMap, path: Path, georeference: Georeference | None
+) -> Tally:
+    """Write the map with all that it knows of its elements; it needs its place on Earth."""
+    place = needed(georeference, "GeoJSON is in longitude and latitude")
+    features = _features(semantic_map, place)
+    if len(semantic_map.trajectory_m) > 1:
+        road = _rounded(place.to_wgs84(semantic_map.trajectory_m))
+        features.append(_feature("LineString", road, {"semviz": ROAD}))
+    collection = {
+        "type": "FeatureCollection",
+        "semviz": {
+            "frame": semantic_map.frame.name,
+            "anchor": place.origin,
+            "x_heading_deg": place.x_heading_deg,
+        },
+    }
+    lines = ",\n".join(as_json(one) for one in features)
+    with replacing(path) as temporary:
+        temporary.write_text(
+            f'{as_json(collection)[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8"
+        )
+    tally = Tally()
+    tally.drop("decisions that the map was built by", len(semantic_map.decisions))
+    return tally
+
+
+def _features(semantic_map: SemanticMap, place: Georeference) -> list[dict[str, Any]]:
+    elements = semantic_map.elements
+    anchors, ends = (
+        _rounded(place.to_wgs84(points))
+        for points in (elements.anchor_m, np.nan_to_num(elements.end_m))
+    )
+    J = np.kron(np.eye(2), place.rotation)
+    covariances = J @ elements.covariance_m2 @ J.T
+    provenance = semantic_map.provenance or (Provenance(),) * len(elements)
+    features = []
+    for row, is_line in enumerate(elements.is_line.tolist()):
+        size = 6 if is_line else 3
+        properties = {
+            "class": semantic_map.classes[int(elements.class_id[row])].name,
+            "anchor_known": bool(elements.anchor_known[row]),
+            "covariance_enu_m2": covariances[row, :size, :size].tolist(),
+            "label_ids": provenance[row].label_ids,
+            "observation_ids": provenance[row].observation_ids,
+        }
+        if is_line:
+            properties["end_known"] = bool(elements.end_known[row])
+        coordinates = [anchors[row], ends[row]] if is_line else anchors[row]
+        kind = "LineString" if is_line else "Point"
+        features.append(_feature(kind, coordinates, properties, int(elements.id[row])))
+    return features
+
+
+def _feature(
+    kind: str, coordinates: object, properties: Mapping[str, Any], id_: int | None = None
+) -> dict[str, Any]:
+    geometry = {"type": kind, "coordinates": coordinates}
+    named = {} if id_ is None else {"id": id_}
+    return {"type": "Feature", **named, "geometry": geometry, "properties": dict(properties)}
+
+
+def _rounded(places: FloatArray) -> list[list[float]]:
+    degrees, heights = np.round(places[:, :2], DIGITS_DEG), np.round(places[:, 2:], DIGITS_M)
+    rounded: list[list[float]] = np.concatenate([degrees, heights], axis=1).tolist()
+    return rounded
+
+
+def read_geojson(path: Path, reading: Reading) -> Found:
+    """Poles and signs of a file, ours or another's; SemvizError naming what is broken."""
+    document = as_object(read_json(read_bytes(path, MOST_JSON_BYTES)))
+    if document.get("type") != "FeatureCollection":
+        raise SemvizError("JSON, but no FeatureCollection of GeoJSON")
+    _check_crs(document.get("crs"))
+    ours = document.get("semviz")
+    about = as_object(ours) if ours is not None else {}
+    reading.check_frame(about.get("frame"))
+    place = needed(reading.georeference(_anchor(about)), "the file is in longitude and latitude")
+    found = Found(georeference=place)
+    for number, feature in enumerate(listed(document, "features"), 1):
+        with at(f"{path}, feature {number}"):
+            _read_feature(as_object(feature), bool(about), found, reading)
+    return found
+
+
+def _check_crs(crs: object) -> None:
+    """GeoJSON before RFC 7946 could name another reference system."""
+    if crs is not None and not any(name in str(crs) for name in _WGS84):
+        raise SemvizError(
+            f"coordinates of {quoted(crs)}, not WGS84; convert the file to EPSG:4326 first"
+        )
+
+
+def _anchor(about: Mapping[str, Any]) -> Georeference | None:
+    anchor = about.get("anchor")
+    if anchor is None:
+        return None
+    numbers = [*anchor, about.get("x_heading_deg", 90)] if isinstance(anchor, list) else []
+    if len(numbers) != 4:
+        raise SemvizError("the anchor is not latitude, longitude and height")
+    return Georeference(*(float(json_number(one)) for one in numbers))
+
+
+def _read_feature(feature: dict[str, Any], ours: bool, found: Found, reading: Reading) -> None:
+    properties = as_object(feature.get("properties") or {})
+    geometry = as_object(feature.get("geometry") or {})
+    kind = geometry.get("type")
+    if kind not in ("Point", "LineString"):
+        return found.tally.drop(f"features that are {quoted(kind)}, neither Point nor LineString")
+    place = found.georeference
+    assert place is not None
+    coordinates = geometry.get("coordinates")
+    points = place.to_map(_places([coordinates] if kind == "Point" else coordinates, found, place))
+    if ours and properties.get("semviz") == ROAD:
+        found.trajectory_m = points
+        return None
+    class_id = reading.class_id(_class_name(properties))
+    if class_id is None:
+        return found.tally.drop("features of a class that is ignored, as asked")
+    for name in sorted(properties.keys() - _OURS):
+        found.tally.drop(f"properties {quoted(name)}")
+    is_line = reading.classes[class_id].kind == "line"
+    ends = _ends(points, is_line, ours, properties, found)
+    if ends is not None:
+        found.add(
+            Thing(
+                class_id,
+                *ends,
+                _id(feature, properties),
+                _covariance(properties, place, is_line),
+                as_flag(properties.get("anchor_known", True), "anchor_known"),
+                as_flag(properties.get("end_known", True), "end_known"),
+                Provenance(_texts(properties, "label_ids"), _texts(properties, "observation_ids")),
+            )
+        )
+    return None
+
+
+def _ends(
+    points: FloatArray, is_line: bool, ours: bool, properties: Mapping[str, Any], found: Found
+) -> tuple[FloatArray, FloatArray | None] | None:
+    """Anchor and end of a feature; None where its geometry is none of its class."""
+    if not is_line:
+        if len(points) > 1:
+            found.tally.drop("signs that are lines: a sign is a Point")
+            return None
+        return points[0], None
+    if len(points) == 1:
+        if properties.get("height") is None:
+            found.tally.drop("poles that are points without a height: a pole has two ends")
+            return None
+        height = float(json_number(properties["height"]))
+        return upper_first(points[0], points[0] + [0.0, 0.0, height])
+    found.tally.drop("inner points of poles: a pole is its peak and its bottom", len(points) - 2)
+    return (points[0], points[-1]) if ours else upper_first(points[0], points[-1])
+
+
+def _places(coordinates: object, found: Found, place: Georeference) -> FloatArray:
+    """(k, 3) longitude, latitude, height."""
+    if not isinstance(coordinates, list) or not coordinates:
+        raise SemvizError("no coordinates")
+    rows = []
+    for position in coordinates:
+        if not isinstance(position, list) or len(position) not in (2, 3):
+            raise SemvizError(f"{quoted(position)} is not longitude, latitude and height")
+        row = [float(json_number(one)) for one in position]
+        if len(row) == 2:
+            found.tally.assume("heights: that of the map's origin where a point has none")
+            row.append(place.height_m)
+        rows.append(row)
+    return np.array(rows)
+
+
+def _class_name(properties: Mapping[str, Any]) -> str:
+    name = properties.get("class")
+    if not isinstance(name, str):
+        raise SemvizError(f"property 'class' says what it is; here it is {quoted(name)}")
+    return name
+
+
+def _id(feature: Mapping[str, Any], properties: Mapping[str, Any]) -> int | None:
+    id_ = feature.get("id", properties.get("id"))
+    return whole(str(id_)) if isinstance(id_, int | str) else None
+
+
+def _covariance(
+    properties: Mapping[str, Any], place: Georeference, is_line: bool
+) -> FloatArray | None:
+    """(6, 6) in the axes of the map; None where the file has none."""
+    if properties.get("covariance_enu_m2") is None:
+        return None
+    matrix = checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
+    if not is_line and matrix[3:].any():
+        raise SemvizError("covariance_enu_m2 of a sign has 6 rows; it has 3 coordinates only")
+    J = np.kron(np.eye(2), place.rotation.T)
+    return np.asarray(J @ matrix @ J.T)
+
+
+def _texts(properties: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    if properties.get(name) is None:
+        return ()
+    return tuple(as_text(one, name) for one in listed(properties, name))
