@@ -13,6 +13,7 @@ import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray, float_array
 from semviz_core.errors import SemvizError
+from semviz_core.localizability.route import poses_along
 from semviz_core.pose import Pose
 from semviz_core.sources.kitti import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
 from semviz_core.sources.street.map_errors import MAPPED_FROM_M
@@ -29,7 +30,6 @@ T_CAM0_VELODYNE = Pose(
 """As KITTI's car was built: the laser 0.27 m behind camera 0 (Geiger 2013, fig. 3). For the
 sequences whose calibration is not at hand; only horizontal positions are taken through it."""
 _THINNED_M = 1.0
-_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera to x ahead, z up
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def simulated_road(seed: int) -> Road:
     hills = rng.uniform(0.0, 2.0 * np.pi, 2)
     height = 50.0 * _HILL_SLOPE * np.sin(middle / 50.0 + hills).sum(axis=1) / np.sqrt(2.0)
     track = np.column_stack([path, height + on_bridge + CAMERA_HEIGHT_M])
-    road = Road(f"simulated-{seed}", _poses(track), _poles(track, rng))
+    road = Road(f"simulated-{seed}", poses_along(track), _poles(track, rng))
     return _cleared(road)
 
 
@@ -223,19 +223,6 @@ def _route(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
         heights.append(bump if (begin, end) == _BRIDGE else np.zeros_like(along))
     path = gaussian_filter1d(np.concatenate(points), _ROUNDING_M, axis=0, mode="nearest")
     return path, np.concatenate(heights)
-
-
-def _poses(track: FloatArray) -> tuple[Pose, ...]:
-    """Cameras at ``track`` (k, 3) that look along it and do not roll."""
-    ahead = np.gradient(track, axis=0)
-    heading = np.arctan2(ahead[:, 1], ahead[:, 0])
-    slope = np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
-    poses = []
-    for center, turn, rise in zip(track, heading, slope, strict=True):
-        level = Pose.from_rotvec([0.0, 0.0, turn], center)
-        uphill = Pose.from_rotvec([0.0, -rise, 0.0], np.zeros(3))
-        poses.append(level @ uphill @ Pose(_AXES, np.zeros(3)))
-    return tuple(poses)
 
 
 def _poles(track: FloatArray, rng: np.random.Generator) -> FloatArray:
