@@ -11,7 +11,8 @@ from semviz.commands.parsing import OptionalText, parse_frames
 
 @dataclass(frozen=True)
 class MapCheck:
-    """Measure how far a map's projections are from the labels, class by class."""
+    """Say how good a map is: its errors against the labels, class by class, the labels that agree
+    least with the others, and what cannot be right in it."""
 
     workspace: Positional[Path]
     """The workspace."""
@@ -19,19 +20,39 @@ class MapCheck:
     """Name of the map."""
     frames: OptionalText = None
     """FIRST:END[:STEP]: measure in these frames only."""
+    gate: bool = False
+    """Exit with status 1, and a line for each class, where the map is not good enough."""
+    max_rmse_px: float = 1.0
+    """With --gate: signs' RMSE and poles' lateral RMSE must be below this."""
+    max_angle_deg: float = 1.0
+    """With --gate: poles' angular RMSE must be below this."""
     json: bool = False
-    """Print one JSON object instead of a table."""
+    """Print one JSON object instead of tables."""
 
     def run(self) -> int:
+        import sys
+
         from semviz.workspace import Workspace
-        from semviz_annotation.mapping.accuracy import mapping_accuracy
+        from semviz_annotation.mapping.accuracy import Gate
+        from semviz_annotation.mapping.check import check_map
 
         workspace = Workspace.open(self.workspace)
-        accuracy = mapping_accuracy(
+        check = check_map(
             workspace.read_map(self.map),
             workspace.read_labels(),
             workspace.source,
             parse_frames(self.frames),
         )
-        print(json.dumps(accuracy.as_dict()) if self.json else accuracy.as_text())
-        return 0
+        print(json.dumps(check.as_dict()) if self.json else check.as_text())
+        if check.is_old:
+            print(
+                f"labels are at operation {check.labels_operation}, the map knows "
+                f"{check.semantic_map.operation}: rebuild it",
+                file=sys.stderr,
+            )
+        if not self.gate:
+            return 0
+        failures = Gate(self.max_rmse_px, self.max_angle_deg).failures(check.accuracy)
+        for line in failures:
+            print(f"not good enough: {line}", file=sys.stderr)
+        return 1 if failures else 0

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.mapping.labelled import check_frame
 from semviz_annotation.observe import map_ids
 from semviz_annotation.triangulate import across_px
 from semviz_annotation.view import View, rig_view
@@ -37,6 +38,7 @@ class ClassAccuracy:
     angular_me_deg: float | None
     """Poles only: from the labelled to the projected direction, from u towards v."""
     angular_sde_deg: float | None
+    angular_rmse_deg: float | None
     observations: int
 
 
@@ -66,6 +68,7 @@ class Accuracy:
             "longitudinal SDE (px)": "longitudinal_sde_px",
             "angular ME (deg)": "angular_me_deg",
             "angular SDE (deg)": "angular_sde_deg",
+            "angular RMSE (deg)": "angular_rmse_deg",
             "observations": "observations",
         }
         lines = [" " * 22 + "".join(f"{name:>18}" for name in self.classes)]
@@ -74,6 +77,38 @@ class Accuracy:
             lines.append(f"{title:<22}" + "".join(f"{_cell(value):>18}" for value in values))
         lines.append(f"{self.elements} map elements; {self.unmapped} observations not in the map")
         return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """How good a map must be: below these limits in every class that was measured.
+
+    The paper asks for 1 px and 1 deg. Its table has no RMSE of poles, whose ends need not be the
+    same points in map and label, so poles are judged by their lateral RMSE and their angle.
+    """
+
+    max_rmse_px: float = 1.0
+    max_angle_deg: float = 1.0
+
+    def failures(self, accuracy: Accuracy) -> tuple[str, ...]:
+        """A line for each class that fails, or for all if nothing was measured."""
+        lines = [
+            f"{name}: {', '.join(reasons)}"
+            for name, one in accuracy.classes.items()
+            if (reasons := list(self._reasons(one)))
+        ]
+        if not any(one.observations for one in accuracy.classes.values()):
+            lines.append("nothing was measured: no label is of an element of the map")
+        return tuple(lines)
+
+    def _reasons(self, one: ClassAccuracy) -> Iterator[str]:
+        for what, value, limit, unit in (
+            ("RMSE", one.rmse_px, self.max_rmse_px, "px"),
+            ("lateral RMSE", one.lateral_rmse_px, self.max_rmse_px, "px"),
+            ("angular RMSE", one.angular_rmse_deg, self.max_angle_deg, "deg"),
+        ):
+            if value is not None and not value < limit:
+                yield f"{what} {value:.3f} {unit}, not below {limit:g}"
 
 
 def mapping_accuracy(
@@ -87,11 +122,7 @@ def mapping_accuracy(
     Raises SemvizError where the map is of another frame, knows no labels, or a labelled frame has
     no pose.
     """
-    if semantic_map.frame.name != source.map_frame.name:
-        raise SemvizError(
-            f"the map is of '{semantic_map.frame.name}', the images of '{source.map_frame.name}'; "
-            "choose the map of this sequence"
-        )
+    check_frame(semantic_map, source)
     if not semantic_map.provenance:
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
     elements = semantic_map.elements
@@ -151,8 +182,11 @@ def _observations(
         pose = poses.get(index)
         if pose is None:
             raise SemvizError(f"frame {index} is labelled but has no pose to project the map with")
-        for one in labels.in_frame(index):
-            yield rig_view(source.rig, one.side, pose.inverse()), one
+        rows = labels.in_frame(index)
+        sides = {one.side for one in rows}
+        views = {side: rig_view(source.rig, side, pose.inverse()) for side in sides}
+        for one in rows:
+            yield views[one.side], one
 
 
 def _summary(errors: list[_Errors]) -> ClassAccuracy:
@@ -169,6 +203,7 @@ def _summary(errors: list[_Errors]) -> ClassAccuracy:
         longitudinal_sde_px=_deviation(longitudinal),
         angular_me_deg=_mean(angular),
         angular_sde_deg=_deviation(angular),
+        angular_rmse_deg=_rms(angular),
         observations=len(errors),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.mapping.sightings import Sightings, Views, gather
 from semviz_annotation.observe import map_ids
+from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
 
@@ -23,6 +24,15 @@ class Labelled(NamedTuple):
     """What ``Sightings.observation`` counts."""
 
 
+def check_frame(semantic_map: SemanticMap, source: Source) -> None:
+    """Raises SemvizError where map and images do not share their coordinates."""
+    have, want = semantic_map.frame.name, source.map_frame.name
+    if have != want:
+        raise SemvizError(
+            f"the map is of '{have}', the images of '{want}'; choose the map of this sequence"
+        )
+
+
 def labelled(
     semantic_map: SemanticMap,
     labels: Labels,
@@ -32,8 +42,10 @@ def labelled(
     """The labels of the map's elements in ``frames`` (None: all).
 
     An observation belongs to the element that was made from it, or else from its label element.
-    None where no element of the map is labelled twice there. Raises SemvizError as ``gather``.
+    None where no element of the map is labelled twice there. Raises SemvizError as ``gather``, and
+    where the map is of another frame.
     """
+    check_frame(semantic_map, source)
     row_of_label, row_of_observation = _rows(semantic_map)
     views = Counter(
         row.element_id

@@ -11,6 +11,8 @@ from semviz_core.elements import Elements3D
 
 LEANING_DEG = (5.0, 15.0)
 """Warning, error. Posts are set to a degree or two; 5 is an accident, 15 a wrong click."""
+VAGUE_DEG = 5.0
+"""An axis that is known no better may lean or not: no error."""
 SHORT_POLE_M = (1.0, 0.3)
 """Warning, error. Bollards are the shortest that people label, just under 1 m."""
 TALL_POLE_M = (15.0, 40.0)
@@ -38,7 +40,7 @@ def leaning_pole(case: Case) -> Iterator[Finding]:
     elements = case.semantic_map.elements
     lean, sigma = _lean_deg(elements)
     for row in np.flatnonzero(elements.is_line & (lean - SIGMAS * sigma > LEANING_DEG[0])).tolist():
-        sure = lean[row] - SIGMAS * sigma[row] > LEANING_DEG[1]
+        sure = sigma[row] < VAGUE_DEG and lean[row] - SIGMAS * sigma[row] > LEANING_DEG[1]
         yield case.finding(
             "leaning pole",
             "error" if sure else "warning",

@@ -8,9 +8,9 @@ import numpy as np
 
 from semviz_annotation.mapping.linting.case import Case
 from semviz_annotation.mapping.linting.finding import Finding, Severity
+from semviz_annotation.mapping.stand import stand_covariance_m2, stand_m
 from semviz_annotation.observe import map_ids
-from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.elements import Elements3D
+from semviz_core.arrays import IntArray
 from semviz_core.semantic_map import Decision
 
 POST_M = 0.6
@@ -32,7 +32,7 @@ def sign_without_post(case: Case) -> Iterator[Finding]:
     if not len(signs) or not len(poles):
         return
     sigma = np.sqrt(np.trace(elements.covariance_m2[:, :2, :2], axis1=1, axis2=2))
-    distance, _ = cKDTree(_stand_m(elements)[poles, :2]).query(elements.anchor_m[signs, :2])
+    distance, _ = cKDTree(stand_m(elements)[poles, :2]).query(elements.anchor_m[signs, :2])
     for row, nearest in zip(signs.tolist(), distance, strict=True):
         if nearest > POST_M + 2.0 * sigma[row]:
             yield case.finding(
@@ -109,7 +109,7 @@ def _near(case: Case, group: IntArray) -> Iterator[_Pair]:
     from scipy.spatial import cKDTree
 
     elements = case.semantic_map.elements
-    place, covariance = _stand_m(elements), _stand_covariance_m2(elements)
+    place, covariance = stand_m(elements), stand_covariance_m2(elements)
     for number in np.unique(group[group >= 0]):
         rows = np.flatnonzero(group == number)
         pairs = cKDTree(place[rows]).query_pairs(SAME_PLACE_MOST_M, output_type="ndarray")
@@ -121,20 +121,6 @@ def _near(case: Case, group: IntArray) -> Iterator[_Pair]:
             distance = float(np.linalg.norm(offset))
             if distance < SAME_PLACE_M or squared < CHI2_99[dimension]:
                 yield _Pair((int(i), int(j)), distance, float(np.sqrt(squared)))
-
-
-def _stand_m(elements: Elements3D) -> FloatArray:
-    """(n, 3) a sign's middle; a pole's on the ground plane, as its ends may be unseen."""
-    middle = np.where(elements.is_line[:, None], (elements.anchor_m + elements.end_m) / 2.0, 0.0)
-    middle[:, 2] = 0.0
-    return np.where(elements.is_line[:, None], middle, elements.anchor_m)
-
-
-def _stand_covariance_m2(elements: Elements3D) -> FloatArray:
-    """(n, 3, 3) of ``_stand_m``."""
-    ends = elements.covariance_m2.reshape(-1, 2, 3, 2, 3)
-    middle = ends.sum(axis=(1, 3)) / 4.0
-    return np.where(elements.is_line[:, None, None], middle, elements.covariance_m2[:, :3, :3])
 
 
 def _seen_together(case: Case, pair: _Pair) -> bool:
