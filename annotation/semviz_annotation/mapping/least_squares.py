@@ -10,8 +10,8 @@ from semviz_annotation.mapping.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.errors import SemvizError
 
-_STEPS = 50
-_DONE = 1e-10
+_STEPS = 100
+_DONE = 1e-8
 """Settled when a step promises less than this, as a squared multiple of sigma."""
 
 
@@ -66,6 +66,8 @@ def settled(
     damping = np.full(len(busy), 1e-4)
     here = _normal(views, sightings, X[busy], options)
     for _ in range(_STEPS):
+        if not len(busy):
+            break
         damped = here.information * (1.0 + damping[:, None, None] * np.eye(6))
         step = -np.linalg.solve(damped, here.gradient[:, :, None])[:, :, 0]
         promised = -(here.gradient * step).sum(axis=1)

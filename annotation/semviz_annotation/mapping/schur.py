@@ -1,0 +1,147 @@
+"""Normal equations of things and the frames that see them, solved by way of the frames alone.
+
+Things are not bound to each other, so they are eliminated first (Triggs et al. 2000, 6.1): what is
+left is sparse, as frames are only bound to those that see the same things.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve
+from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from semviz_annotation.mapping.sightings import Sightings
+from semviz_core.arrays import FloatArray, IntArray
+
+_AT_ONCE = 32
+"""Things whose covariances are found together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bonds:
+    """Which of f frames see which of n things: p pairs, sorted by thing and frame."""
+
+    things: int
+    """n"""
+    frames: int
+    """f"""
+    pair: IntArray
+    """(k,) of each sighting, 0 to p - 1"""
+    frame: IntArray
+    """(p,)"""
+    first: IntArray
+    """(n + 1,) where each thing's pairs begin, and the last ends"""
+
+    @classmethod
+    def of(cls, sightings: Sightings, frame: IntArray, frames: int) -> "Bonds":
+        """``frame`` (k,) is that of each sighting, 0 to ``frames`` - 1."""
+        keys, pair = np.unique(sightings.thing * frames + frame, return_inverse=True)
+        first = np.searchsorted(keys, np.arange(sightings.count + 1) * frames)
+        return cls(sightings.count, frames, pair, keys % frames, first)
+
+    @cached_property
+    def thing(self) -> IntArray:
+        """(p,)"""
+        return np.repeat(np.arange(self.things), np.diff(self.first))
+
+    def per_pair(self, values: FloatArray) -> FloatArray:
+        """(p, ...) sums of values (k, ...)."""
+        return _summed(self.pair, values, len(self.frame))
+
+    def per_frame(self, values: FloatArray) -> FloatArray:
+        """(f, ...) sums of values (k, ...)."""
+        return _summed(self.frame[self.pair], values, self.frames)
+
+    def matrix(self, blocks: FloatArray) -> bsr_matrix:
+        """(6 n, 6 f) with blocks (p, 6, 6)."""
+        shape = (6 * self.things, 6 * self.frames)
+        return bsr_matrix((blocks, self.frame, self.first), shape=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations, six unknowns each: of things, of frames, and what binds the two."""
+
+    bonds: Bonds
+    things: FloatArray
+    """(n, 6, 6)"""
+    frames: FloatArray
+    """(f, 6, 6)"""
+    between: FloatArray
+    """(p, 6, 6) rows by thing, columns by frame"""
+    things_gradient: FloatArray
+    """(n, 6)"""
+    frames_gradient: FloatArray
+    """(f, 6)"""
+
+    @property
+    def gradients(self) -> tuple[FloatArray, FloatArray]:
+        return self.things_gradient, self.frames_gradient
+
+    def step(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Of things (n, 6) and frames (f, 6): Levenberg-Marquardt's."""
+        more = 1.0 + damping * np.eye(6)
+        things = np.linalg.inv(self.things * more)
+        Y, reduced = self._reduced(things, self.frames * more)
+        right = self.frames_gradient.ravel() - self.bonds.matrix(Y).T @ self.things_gradient.ravel()
+        factors = splu(reduced.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        frames_step = -factors.solve(right)
+        pull = (things @ self.things_gradient[:, :, None])[:, :, 0]
+        things_step = -pull - (self.bonds.matrix(Y) @ frames_step).reshape(-1, 6)
+        return things_step, frames_step.reshape(-1, 6)
+
+    def things_covariance(self) -> FloatArray:
+        """(n, 6, 6) of each thing, the frames' uncertainty included.
+
+        Frames that see nothing of what its frames see are taken as exact.
+        """
+        alone = np.linalg.inv(self.things)
+        Y, reduced = self._reduced(alone, self.frames)
+        bonds, reduced_rows = self.bonds, reduced.tocsr()
+        by_frames = np.empty_like(alone)
+        order = np.argsort(bonds.frame[bonds.first[:-1]], kind="stable")
+        for things in np.split(order, range(_AT_ONCE, len(order), _AT_ONCE)):
+            rows = np.flatnonzero(np.isin(bonds.thing, things))
+            seeing = np.unique(bonds.frame[rows])
+            near = np.unique(np.concatenate([_neighbours(reduced, one) for one in seeing]))
+            column = np.searchsorted(near, bonds.frame[rows])
+            row = np.searchsorted(np.sort(things), bonds.thing[rows])
+            follow = np.zeros((len(things), 6, len(near), 6))
+            follow[row, :, column] = Y[rows]
+            flat = follow.reshape(-1, 6 * len(near))
+            spread = solve(_blocks(reduced_rows, near), flat.T, assume_a="pos")
+            spread = spread.reshape(-1, len(things), 6).transpose(1, 0, 2)
+            by_frames[np.sort(things)] = flat.reshape(len(things), 6, -1) @ spread
+        return alone + by_frames
+
+    def _reduced(self, things: FloatArray, frames: FloatArray) -> tuple[FloatArray, bsr_matrix]:
+        """What is left for frames (6 f, 6 f) once things are eliminated, whose information has the
+        inverse ``things``; and (p, 6, 6) how these follow the frames."""
+        f = self.bonds.frames
+        Y = things[self.bonds.thing] @ self.between
+        alone = bsr_matrix((frames, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f))
+        return Y, alone - self.bonds.matrix(self.between).T @ self.bonds.matrix(Y)
+
+
+def _summed(where: IntArray, values: FloatArray, count: int) -> FloatArray:
+    ones = np.ones(len(where))
+    chooser = csr_matrix((ones, (where, np.arange(len(where)))), shape=(count, len(where)))
+    return np.asarray(chooser @ values.reshape(len(values), -1)).reshape(count, *values.shape[1:])
+
+
+def _neighbours(reduced: bsr_matrix, frame: int) -> IntArray:
+    """Frames bound to one, itself too."""
+    return np.asarray(reduced.indices[reduced.indptr[frame] : reduced.indptr[frame + 1]])
+
+
+def _six(rows: IntArray) -> IntArray:
+    """(6 m,) rows of the unknowns of m."""
+    return (6 * rows[:, None] + np.arange(6)).ravel()
+
+
+def _blocks(matrix: csr_matrix, frames: IntArray) -> FloatArray:
+    """(6 m, 6 m) of the m frames."""
+    rows = _six(frames)
+    return np.asarray(matrix[rows][:, rows].toarray())
