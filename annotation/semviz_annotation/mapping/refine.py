@@ -1,7 +1,8 @@
 """All things and the poses of all frames improved together, under what is known of the poses.
 
-Each frame's pose may move a little from the given one: by ``pose_sigma_m`` and ``pose_sigma_deg``.
-The cameras of a frame move as one. Bundle adjustment (Triggs et al. 2000) with points and lines.
+Each frame's pose may move a little from the given one, its cameras as one. All right images may be
+shifted by one offset, as rectified images often are. Bundle adjustment (Triggs et al. 2000) with
+points and lines.
 """
 
 from collections.abc import Callable
@@ -13,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from semviz_annotation.mapping.least_squares import PlaceOptions, information
 from semviz_annotation.mapping.placed import Placed, measured
 from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.schur import Bonds, Normal
+from semviz_annotation.mapping.schur import Bonds, Normal, Unknowns
 from semviz_annotation.mapping.sightings import Sightings, Views
 from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.errors import SemvizError
 
-_STEPS = 30
+_STEPS = 50
 _DONE = 1e-9
 """Settled when a step promises less than this for each sighting, in multiples of sigma squared."""
 
@@ -27,10 +29,17 @@ class RefineOptions:
     """How far poses may be from the given ones, and how well things were seen."""
 
     place: PlaceOptions = field(default_factory=PlaceOptions)
-    pose_sigma_m: float = 0.05
+    pose_sigma_m: float = 0.01
     """Standard deviation of each frame's place, in each direction."""
-    pose_sigma_deg: float = 0.1
+    pose_sigma_deg: float = 0.02
     """Standard deviation of its rotation, about each axis."""
+    offset_sigma_px: float = 0.5
+    """Standard deviation of how far all right images are shifted along u."""
+
+    def __post_init__(self) -> None:
+        for name in ("pose_sigma_m", "pose_sigma_deg", "offset_sigma_px"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise SemvizError(f"{name} must be positive, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +47,7 @@ class Refined:
     """What came out."""
 
     views: Views
-    """At the improved poses."""
+    """At the improved poses, and the principal points of right images moved by the offset."""
     placed: Placed
     """With covariances that include the poses' uncertainty."""
     frame_index: IntArray
@@ -46,6 +55,8 @@ class Refined:
     moved: FloatArray
     """(f, 6) by how much (m) each frame's camera moved from the given pose, and the rotation vector
     (rad) of its turn; both along the map's axes."""
+    offset_px: float
+    """By how much right images show everything further to the right than calibrated."""
     costs: tuple[float, ...]
     """Robust, the prior's share included, at the start and after each step."""
     settled: bool
@@ -64,27 +75,26 @@ def refine(
     """
     chosen = sightings.only(placed.ok)
     problem = _Problem(views, chosen, options)
-    X = np.concatenate([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)[placed.ok]
-    here = problem.at(X, np.zeros((len(problem.frame_index), 6)))
+    here = problem.at(problem.start(placed))
     costs, damping, settled = [here.cost], 1e-4, False
     for number in range(_STEPS):
         on_progress(number, _STEPS)
         step = here.normal.step(damping)
-        promised = -sum((g * s).sum() for g, s in zip(here.normal.gradients, step, strict=True))
-        there = problem.at(here.X + step[0], _turned_on(here.moved, step[1]))
-        if there.cost <= here.cost:
-            here = there
+        there = problem.at(_after(here.at, step))
+        better = there.cost <= here.cost
+        settled = -here.normal.gradient.dot(step) <= _DONE * len(chosen)
+        here = there if better else here
         costs.append(here.cost)
-        damping = float(np.clip(damping * (0.1 if there is here else 10.0), 1e-9, 1e9))
-        if promised <= _DONE * len(chosen):
-            settled = True
+        damping = float(np.clip(damping * (0.1 if better else 10.0), 1e-9, 1e9))
+        if settled:
             break
-    refined = problem.views(here.moved)
+    refined = problem.views(here.at)
     return Refined(
         views=refined,
         placed=_measured(refined, sightings, placed, here, options.place),
         frame_index=problem.frame_index,
-        moved=here.moved,
+        moved=here.at.frames,
+        offset_px=here.at.shared,
         costs=tuple(costs),
         settled=settled,
     )
@@ -92,12 +102,9 @@ def refine(
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Things and frames somewhere."""
+    """Things, frames' moves (as ``Refined.moved``) and the offset, and how well they fit."""
 
-    X: FloatArray
-    """(n, 6) anchor and end of each thing"""
-    moved: FloatArray
-    """(f, 6) as ``Refined.moved``"""
+    at: Unknowns
     cost: float
     normal: Normal
 
@@ -106,7 +113,7 @@ class _Problem:
     """The sightings, and how far poses may be from the given ones."""
 
     def __init__(self, views: Views, sightings: Sightings, options: RefineOptions) -> None:
-        self._given, self._sightings, self._options = views, sightings, options
+        self._given, self._sightings, self._place = views, sightings, options.place
         self.frame_index, first, frame = np.unique(
             views.frame_index, return_index=True, return_inverse=True
         )
@@ -114,71 +121,94 @@ class _Problem:
         self._center_m = views.center_m[first]
         self._bonds = Bonds.of(sightings, frame[sightings.view], len(first))
         sigmas = [options.pose_sigma_m] * 3 + [float(np.deg2rad(options.pose_sigma_deg))] * 3
-        self._prior = np.array(sigmas) ** -2.0
+        self._by_prior = np.array(sigmas) ** -2.0
+        self._by_offset = options.offset_sigma_px**-2.0
 
-    def views(self, moved: FloatArray) -> Views:
-        """The cameras of each frame moved by (f, 6) as one."""
+    def start(self, placed: Placed) -> Unknowns:
+        """Things where they were placed, frames where they were given."""
+        ends = np.concatenate([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)
+        return Unknowns(ends[placed.ok], np.zeros((len(self.frame_index), 6)), 0.0)
+
+    def views(self, at: Unknowns) -> Views:
+        """The cameras of each frame moved as one, and the images of right ones shifted."""
         given, frame = self._given, self._frame_of_view
-        turn = Rotation.from_rotvec(moved[:, 3:]).as_matrix()[frame]
-        middle = self._center_m[frame]
-        center = (turn @ (given.center_m - middle)[:, :, None])[:, :, 0] + middle + moved[frame, :3]
-        R = given.R @ turn.transpose(0, 2, 1)
-        return replace(given, R=R, t=-(R @ center[:, :, None])[:, :, 0])
+        turn = Rotation.from_rotvec(at.frames[:, 3:]).as_matrix()[frame]
+        middle, shift = self._center_m[frame], at.frames[frame, :3]
+        center = middle + shift + (turn @ (given.center_m - middle)[:, :, None])[:, :, 0]
+        R, K = given.R @ turn.transpose(0, 2, 1), given.K.copy()
+        K[given.is_right, 0, 2] += at.shared
+        return replace(given, R=R, t=-(R @ center[:, :, None])[:, :, 0], K=K)
 
-    def at(self, X: FloatArray, moved: FloatArray) -> _State:
-        """Cost and normal equations with things at X (n, 6) and frames moved by (f, 6)."""
-        sigma_px, bonds = self._options.place.sigma_px, self._bonds
-        at = residuals(self.views(moved), self._sightings, X[:, :3], X[:, 3:])
-        cost, weights = at.robust(sigma_px, self._options.place.outlier_sigmas)
-        by_frame = self._by_frame(at, X, moved)
-        weighted = weights[:, :, None] * at.J / sigma_px**2
-        frame_weighted = weights[:, :, None] * by_frame / sigma_px**2
-        pull = (weighted.transpose(0, 2, 1) @ at.error_px[:, :, None])[:, :, 0]
-        frame_pull = (frame_weighted.transpose(0, 2, 1) @ at.error_px[:, :, None])[:, :, 0]
-        frames = bonds.per_frame(frame_weighted.transpose(0, 2, 1) @ by_frame)
-        normal = Normal(
-            bonds=bonds,
-            things=information(self._sightings, at, weights, sigma_px),
-            frames=frames + np.diag(self._prior),
-            between=bonds.per_pair(weighted.transpose(0, 2, 1) @ by_frame),
-            things_gradient=self._sightings.per_thing(np.add, pull),
-            frames_gradient=bonds.per_frame(frame_pull) + moved * self._prior,
+    def at(self, at: Unknowns) -> _State:
+        """Cost and normal equations there."""
+        fit = residuals(self.views(at), self._sightings, at.things[:, :3], at.things[:, 3:])
+        cost, weights = fit.robust(self._place.sigma_px, self._place.outlier_sigmas)
+        prior = (at.frames**2 * self._by_prior).sum() + at.shared**2 * self._by_offset
+        return _State(at, float(cost.sum() + prior), self._normal(at, fit, weights))
+
+    def _normal(self, at: Unknowns, fit: Residuals, weights: FloatArray) -> Normal:
+        sightings, bonds = self._sightings, self._bonds
+        sigma_px = self._place.sigma_px
+        by_frame = self._by_frame(at, fit)
+        by_offset = np.where(self._given.is_right[sightings.view, None], fit.by_u, 0.0)
+        weight = weights / sigma_px**2
+        thing_rows = (weight[:, :, None] * fit.J).transpose(0, 2, 1)
+        frame_rows = (weight[:, :, None] * by_frame).transpose(0, 2, 1)
+        gradient = Unknowns(
+            things=sightings.per_thing(np.add, _times(thing_rows, fit.error_px)),
+            frames=bonds.per_frame(_times(frame_rows, fit.error_px)) + at.frames * self._by_prior,
+            shared=(weight * by_offset * fit.error_px).sum() + at.shared * self._by_offset,
         )
-        return _State(X, moved, float(cost.sum() + (moved**2 * self._prior).sum()), normal)
+        return Normal(
+            bonds=bonds,
+            things=information(sightings, fit, weights, sigma_px),
+            frames=bonds.per_frame(frame_rows @ by_frame) + np.diag(self._by_prior),
+            shared=(weight * by_offset**2).sum() + self._by_offset,
+            between=bonds.per_pair(thing_rows @ by_frame),
+            things_shared=sightings.per_thing(np.add, _times(thing_rows, by_offset)),
+            frames_shared=bonds.per_frame(_times(frame_rows, by_offset)),
+            gradient=gradient,
+        )
 
-    def _by_frame(self, at: Residuals, X: FloatArray, moved: FloatArray) -> FloatArray:
+    def _by_frame(self, at: Unknowns, fit: Residuals) -> FloatArray:
         """(k, 4, 6) derivatives of the measured rows by the frames' moves.
 
         A camera that moves by d and turns by w sees a point p at c from it as if that had moved by
         -d - w x (p - c).
         """
         frame = self._frame_of_view[self._sightings.view]
-        center = self._center_m[frame] + moved[frame, :3]
-        result = np.zeros_like(at.J)
+        center = self._center_m[frame] + at.frames[frame, :3]
+        result = np.zeros_like(fit.J)
         for ends in (slice(0, 3), slice(3, 6)):
-            away = X[self._sightings.thing, ends] - center
-            J = np.where(at.counts[:, :, None], at.J[:, :, ends], 0.0)
+            away = at.things[self._sightings.thing, ends] - center
+            J = np.where(fit.counts[:, :, None], fit.J[:, :, ends], 0.0)
             result[:, :, :3] -= J
             result[:, :, 3:] += np.cross(J, away[:, None])
         return result
 
 
-def _turned_on(moved: FloatArray, step: FloatArray) -> FloatArray:
-    """Moves (f, 6) after another (f, 6)."""
-    turn = Rotation.from_rotvec(step[:, 3:]) * Rotation.from_rotvec(moved[:, 3:])
-    return np.concatenate([moved[:, :3] + step[:, :3], turn.as_rotvec()], axis=1)
+def _times(rows: FloatArray, values: FloatArray) -> FloatArray:
+    """(k, 6) of matrices (k, 6, 4) and vectors (k, 4)."""
+    return np.asarray((rows @ values[:, :, None])[:, :, 0])
+
+
+def _after(at: Unknowns, step: Unknowns) -> Unknowns:
+    turn = Rotation.from_rotvec(step.frames[:, 3:]) * Rotation.from_rotvec(at.frames[:, 3:])
+    moved = np.concatenate([at.frames[:, :3] + step.frames[:, :3], turn.as_rotvec()], axis=1)
+    return Unknowns(at.things + step.things, moved, at.shared + step.shared)
 
 
 def _measured(
     views: Views, sightings: Sightings, placed: Placed, state: _State, options: PlaceOptions
 ) -> Placed:
+    """Things at their new places."""
     X = np.zeros((sightings.count, 6))
-    X[placed.ok] = state.X
+    X[placed.ok] = state.at.things
     result = measured(
         views, sightings, X, placed.failure, placed.too_narrow, placed.angle_rad, options
     )
-    result.covariance_m2[placed.ok] = state.normal.things_covariance()
-    points = ~sightings.of(sightings.is_line)
-    result.covariance_m2[points, 3:] = 0.0
-    result.covariance_m2[points, :, 3:] = 0.0
+    covariance = state.normal.things_covariance()
+    is_line = sightings.of(sightings.is_line)[placed.ok]
+    covariance[~is_line, 3:, 3:] = 0.0
+    result.covariance_m2[placed.ok] = covariance
     return result

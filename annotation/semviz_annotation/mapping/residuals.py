@@ -27,6 +27,8 @@ class Residuals:
     J: FloatArray
     """(k, 4, 6) px/m, by (anchor, end) in the map frame. An end that nobody saw is held where it is
     along the line: its rows along have no error, but a derivative."""
+    by_u: FloatArray
+    """(k, 4) derivative by a shift of what is projected to the right, in px/px."""
     counts: BoolArray
     """(k, 4) whether the row is a measurement."""
     ahead: BoolArray
@@ -67,14 +69,15 @@ def residuals(
     result = Residuals(
         error_px=np.zeros((k, 4)),
         J=np.zeros((k, 4, 6)),
+        by_u=np.zeros((k, 4)),
         counts=np.zeros((k, 4), dtype=bool),
         ahead=np.zeros(k, dtype=bool),
     )
     is_line = sightings.is_line
     _fill_points(views, sightings, np.flatnonzero(~is_line), anchor_m, result)
     _fill_lines(views, sightings, np.flatnonzero(is_line), anchor_m, end_m, result)
-    result.error_px[~result.ahead] = 0.0
-    result.J[~result.ahead] = 0.0
+    for values in (result.error_px, result.J, result.by_u):
+        values[~result.ahead] = 0.0
     return result
 
 
@@ -84,6 +87,7 @@ def _fill_points(
     pixels, J, ahead = projected(views, sightings.view[rows], anchor_m[sightings.thing[rows]])
     result.error_px[rows, :2] = pixels - sightings.anchor_px[rows]
     result.J[rows, :2, :3] = J
+    result.by_u[rows, 0] = 1.0
     result.counts[rows, :2] = True
     result.ahead[rows] = ahead
 
@@ -114,9 +118,11 @@ def _fill_lines(
         result.error_px[rows, which] = (off * across).sum(axis=1)
         result.J[rows, which, :3] = (1.0 - share) * anchor_across
         result.J[rows, which, 3:] = share * end_across
+        result.by_u[rows, which] = across[:, 0]
         result.counts[rows, which] = True
         seen_by_any = sightings.of(known[which])[things]
         counts = known[which][rows]
+        result.by_u[rows, 2 + which] = np.where(counts, along[:, 0], 0.0)
         result.counts[rows, 2 + which] = counts
         result.error_px[rows, 2 + which] = np.where(counts, (off * along).sum(axis=1), 0.0)
         turn = np.where(counts, (off * across).sum(axis=1), 0.0)[:, None] / length

@@ -61,43 +61,67 @@ class Bonds:
 
 
 @dataclass(frozen=True, eq=False)
+class Unknowns:
+    """A value for each unknown: where things and frames are, a step, or a gradient."""
+
+    things: FloatArray
+    """(n, 6)"""
+    frames: FloatArray
+    """(f, 6)"""
+    shared: float
+
+    def dot(self, other: "Unknowns") -> float:
+        """Sum of the products."""
+        things, frames = (self.things * other.things).sum(), (self.frames * other.frames).sum()
+        return float(things + frames + self.shared * other.shared)
+
+
+@dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations, six unknowns each: of things, of frames, and what binds the two."""
+    """Normal equations: six unknowns of each thing and of each frame, and one that all share."""
 
     bonds: Bonds
     things: FloatArray
     """(n, 6, 6)"""
     frames: FloatArray
     """(f, 6, 6)"""
+    shared: float
     between: FloatArray
     """(p, 6, 6) rows by thing, columns by frame"""
-    things_gradient: FloatArray
-    """(n, 6)"""
-    frames_gradient: FloatArray
+    things_shared: FloatArray
+    """(n, 6) what binds each thing to the shared unknown"""
+    frames_shared: FloatArray
     """(f, 6)"""
+    gradient: Unknowns
 
-    @property
-    def gradients(self) -> tuple[FloatArray, FloatArray]:
-        return self.things_gradient, self.frames_gradient
-
-    def step(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """Of things (n, 6) and frames (f, 6): Levenberg-Marquardt's."""
+    def step(self, damping: float) -> Unknowns:
+        """Levenberg-Marquardt's."""
         more = 1.0 + damping * np.eye(6)
-        things = np.linalg.inv(self.things * more)
+        things = np.asarray(np.linalg.inv(self.things * more))
         Y, reduced = self._reduced(things, self.frames * more)
-        right = self.frames_gradient.ravel() - self.bonds.matrix(Y).T @ self.things_gradient.ravel()
+        follow = self.bonds.matrix(Y)
         factors = splu(reduced.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        frames_step = -factors.solve(right)
-        pull = (things @ self.things_gradient[:, :, None])[:, :, 0]
-        things_step = -pull - (self.bonds.matrix(Y) @ frames_step).reshape(-1, 6)
-        return things_step, frames_step.reshape(-1, 6)
+        by_shared = self.frames_shared.ravel() - follow.T @ self.things_shared.ravel()
+        right = self.gradient.frames.ravel() - follow.T @ self.gradient.things.ravel()
+        frames, frames_by_shared = factors.solve(np.stack([right, by_shared], axis=1)).T
+        things_by_shared = (things @ self.things_shared[:, :, None])[:, :, 0]
+        stiffness = self.shared * (1.0 + damping) - (self.things_shared * things_by_shared).sum()
+        pull = self.gradient.shared - (self.gradient.things * things_by_shared).sum()
+        shared = -(pull - by_shared @ frames) / (stiffness - by_shared @ frames_by_shared)
+        frames = -frames - shared * frames_by_shared
+        things_alone = (things @ self.gradient.things[:, :, None])[:, :, 0]
+        return Unknowns(
+            things=-things_alone - (follow @ frames).reshape(-1, 6) - shared * things_by_shared,
+            frames=frames.reshape(-1, 6),
+            shared=float(shared),
+        )
 
     def things_covariance(self) -> FloatArray:
         """(n, 6, 6) of each thing, the frames' uncertainty included.
 
-        Frames that see nothing of what its frames see are taken as exact.
+        Frames that see nothing of what its frames see, and what all share, are taken as exact.
         """
-        alone = np.linalg.inv(self.things)
+        alone = np.asarray(np.linalg.inv(self.things))
         Y, reduced = self._reduced(alone, self.frames)
         bonds, reduced_rows = self.bonds, reduced.tocsr()
         by_frames = np.empty_like(alone)
@@ -114,7 +138,7 @@ class Normal:
             spread = solve(_blocks(reduced_rows, near), flat.T, assume_a="pos")
             spread = spread.reshape(-1, len(things), 6).transpose(1, 0, 2)
             by_frames[np.sort(things)] = flat.reshape(len(things), 6, -1) @ spread
-        return alone + by_frames
+        return np.asarray(alone + by_frames)
 
     def _reduced(self, things: FloatArray, frames: FloatArray) -> tuple[FloatArray, bsr_matrix]:
         """What is left for frames (6 f, 6 f) once things are eliminated, whose information has the
