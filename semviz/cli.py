@@ -16,19 +16,22 @@ from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
 from semviz.commands.localize import Localize
 from semviz.commands.map_build import MapBuild
 from semviz.commands.map_check import MapCheck
+from semviz.commands.map_diff import MapDiff
 from semviz.commands.map_export import MapExport
 from semviz.commands.map_import import MapImport
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
 from semviz.commands.serve import Serve
+from semviz.commands.trajectory import Trajectory
 from semviz_core.errors import SemvizError
 
 MapCommands = Annotated[
     Annotated[MapBuild, subcommand("build")]
     | Annotated[MapCheck, subcommand("check")]
+    | Annotated[MapDiff, subcommand("diff")]
     | Annotated[MapExport, subcommand("export")]
     | Annotated[MapImport, subcommand("import")],
-    subcommand("map", description="Maps: built from labels, checked, in and out."),
+    subcommand("map", description="Maps: built from labels, checked, compared, in and out."),
 ]
 LabelCommands = Annotated[
     Annotated[LabelsExport, subcommand("export")]
@@ -47,6 +50,7 @@ Command = (
     | Annotated[Localize, subcommand("localize")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[OpenRun, subcommand("open")]
+    | Annotated[Trajectory, subcommand("trajectory")]
     | LabelCommands
     | Annotated[Benchmark, subcommand("benchmark")]
 )

@@ -40,6 +40,8 @@ SETTINGS = "semviz.toml"
 STREET_FRAMES = 60
 MOST_NAME_BYTES = 200
 """File systems take 255 with the ending and a temporary one."""
+MAIN = "main"
+"""Name of the map that is built and used where no other is asked for."""
 TRUTH = "truth"
 """Name of the map that a simulated street comes with."""
 
@@ -74,6 +76,8 @@ class KittiSettings(_Model):
     sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
     frames: FrameRange | None = None
+    poses: str | None = None
+    """A file of poses in place of KITTI's own, relative to the workspace likewise."""
 
 
 class SectionSettings(_Model):
@@ -135,14 +139,16 @@ class Workspace:
         cameras: tuple[int, ...] = (2, 3),
         frames: range | None = None,
         trust_poses: bool = False,
+        poses: Path | None = None,
     ) -> "Workspace":
         """A new workspace over a KITTI sequence; ``frames`` None takes all.
 
-        ``trust_poses``: also where they jump or lead backwards.
+        ``trust_poses``: also where they jump or lead backwards. ``poses``: a file of TUM's or
+        KITTI's format in place of the sequence's own.
         """
         from semviz_core.sources.kitti import KittiSequence
 
-        sequence_there = KittiSequence(root, sequence, cameras, frames)
+        sequence_there = KittiSequence(root, sequence, cameras, frames, poses)
         _refuse_faults(sequence_there, trust_poses)  # wrong input leaves no folder behind
         source = {
             "kind": "kitti",
@@ -150,6 +156,7 @@ class Workspace:
             "sequence": sequence,
             "cameras": cameras,
             "frames": None if frames is None else FrameRange.of(frames),
+            "poses": None if poses is None else os.path.relpath(poses.resolve(), path.resolve()),
         }
         settings = _new_settings(path, source, trust_poses)
         return cls._create(path, settings, sequence_there.rig)
@@ -324,7 +331,8 @@ class Workspace:
                 f"edit 'root' in {self.path / SETTINGS}"
             )
         frames = None if settings.frames is None else settings.frames.as_range()
-        return KittiSequence(root, settings.sequence, settings.cameras, frames)
+        poses = None if settings.poses is None else (self.path.resolve() / settings.poses).resolve()
+        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
 
     def _open_street(self, settings: StreetSettings) -> Source:
         from semviz_core.sources.street.layout import Section, StreetOptions

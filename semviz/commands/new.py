@@ -31,6 +31,9 @@ class New:
     """Seed of a simulated street, in place of --kitti."""
     frames: OptionalText = None
     """FIRST:END[:STEP], end excluded; all frames (KITTI) or 60 (street) if not given."""
+    poses: OptionalPath = None
+    """File of poses in place of KITTI's own, such as a SLAM wrote: TUM's or KITTI's format, poses
+    of the left camera."""
     trust_poses: bool = False
     """Take poses that jump, or lead backwards all the way, for what they are."""
 
@@ -43,10 +46,18 @@ class New:
         if self.kitti is not None:
             cameras = parse_cameras(self.cameras)
             made = Workspace.create_kitti(
-                self.folder, self.kitti, self.sequence, cameras, frames, self.trust_poses
+                self.folder,
+                self.kitti,
+                self.sequence,
+                cameras,
+                frames,
+                self.trust_poses,
+                self.poses,
             )
         else:
             assert self.simulate is not None
+            if self.poses is not None:
+                raise SemvizError("--poses: a simulated street has its own; say --kitti ROOT")
             made = Workspace.create_street(self.folder, self.simulate, frames)
         print(f"{made.path}: {len(made.source.frames)} frames, {made.source.map_frame.name}")
         print(f"next: semviz annotate {self.folder}")

@@ -11,9 +11,9 @@ from semviz.cli import main
 from semviz.workspace import Workspace
 from semviz_annotation.edits import AddObservation
 from semviz_annotation.labels import new_id
-from semviz_core.sources.kitti import T_MAP_WORLD
 from semviz_core.sources.street.layout import StreetOptions
 from semviz_core.sources.street.street import Street
+from semviz_core.sources.trajectory import T_MAP_WORLD
 
 FRAMES = 12
 SIGMA_PX = 0.5

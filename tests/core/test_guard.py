@@ -16,11 +16,12 @@ from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame
 from semviz_core.sources.calibration import Calibration
 from semviz_core.sources.guard import check_poses, check_sizes
-from semviz_core.sources.kitti import T_MAP_WORLD, KittiSequence
+from semviz_core.sources.kitti import KittiSequence
 from semviz_core.sources.sides import check_sides
 from semviz_core.sources.source import Side, Source
 from semviz_core.sources.street.layout import StreetOptions
 from semviz_core.sources.street.street import Street
+from semviz_core.sources.trajectory import T_MAP_WORLD
 
 K = np.array([[720.0, 0.0, 607.2], [0.0, 720.0, 185.2], [0.0, 0.0, 1.0]])
 RIG = Rig(Camera(1241, 376, K), Camera(1241, 376, K), Pose(np.eye(3), np.array([-0.54, 0.0, 0.0])))

@@ -15,8 +15,8 @@ from semviz_core.arrays import BoolArray, FloatArray, IntArray, float_array
 from semviz_core.errors import SemvizError
 from semviz_core.localizability.route import poses_along
 from semviz_core.pose import Pose
-from semviz_core.sources.kitti import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
 from semviz_core.sources.street.map_errors import MAPPED_FROM_M
+from semviz_core.sources.trajectory import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

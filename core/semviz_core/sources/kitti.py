@@ -9,6 +9,7 @@ KITTI's world is camera 0 of frame 0 (x right, y down, z forward); here it is tu
 """
 
 import re
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from struct import unpack
@@ -22,9 +23,15 @@ from semviz_core.frame import Frame
 from semviz_core.pose import Pose, nearest_rotation
 from semviz_core.semantic_map import MapFrame
 from semviz_core.sources.source import Side
+from semviz_core.sources.trajectory import (
+    T_MAP_WORLD,
+    Trajectory,
+    load_trajectory,
+    parsed_numbers,
+    read_numbers,
+    read_text,
+)
 
-T_MAP_WORLD = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
-"""KITTI's world, turned to z up: x ahead, y left."""
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _FRAME_NAME = re.compile(r"[0-9]{6}")
 
@@ -34,7 +41,8 @@ class KittiSequence:
 
     ``cameras`` are the left one and, for stereo, the right one: (2, 3) colour, (0, 1) grey. Only
     frames with a left image are offered, and of those the numbers in ``frames``. A frame's pose
-    is that of its left camera, in the map frame ``kitti-SEQUENCE``.
+    is that of its left camera, in the map frame ``kitti-SEQUENCE``. Poses come from KITTI's own
+    file, or from ``trajectory``; the map frame is then ``kitti-SEQUENCE-NAME`` of that file.
 
     Raises SemvizError where the folder, its calibration, times or poses are missing or wrong.
     """
@@ -45,18 +53,20 @@ class KittiSequence:
         sequence: str = "02",
         cameras: tuple[int, ...] = (2, 3),
         frames: range | None = None,
+        trajectory: Path | None = None,
     ) -> None:
         if len(cameras) not in (1, 2) or len(set(cameras)) != len(cameras):
             raise SemvizError(f"cameras {cameras}: give one camera, or two different ones")
         self._folder = _sequence_folder(root, sequence)
         self._poses_path = root / "poses" / f"{sequence}.txt"
         self._cameras = cameras
-        self.map_frame = MapFrame(f"kitti-{sequence}")
+        name = f"kitti-{sequence}" + ("" if trajectory is None else f"-{trajectory.stem}")
+        self.map_frame = MapFrame(name)
         projections = _read_calibration(self._folder / "calib.txt", cameras)
         self._indices = self._find_frames(frames)
         self.rig = self._make_rig(projections)
         self._T_cam0_left = _extrinsics(projections[0]).inverse()
-        self.frames = self._make_frames()
+        self.frames = self._make_frames(None if trajectory is None else load_trajectory(trajectory))
 
     @cached_property
     def _index_set(self) -> frozenset[int]:
@@ -140,13 +150,16 @@ class KittiSequence:
                 )
         return left
 
-    def _make_frames(self) -> tuple[Frame, ...]:
-        times_s = self._of_each_frame(self._folder / "times.txt", 1)
-        poses = self._of_each_frame(self._poses_path, 12) if self._poses_path.exists() else None
-        T_map_left = [None] * len(times_s) if poses is None else self._poses_of_left(poses)
+    def _make_frames(self, trajectory: Trajectory | None) -> tuple[Frame, ...]:
+        times_s = self._of_each_frame(self._folder / "times.txt", 1)[:, 0]
+        T_map_left: Sequence[Pose | None] = [None] * len(times_s)
+        if trajectory is not None:
+            T_map_left = trajectory.of_frames(self._indices, times_s)
+        elif self._poses_path.exists():
+            T_map_left = self._poses_of_left(self._of_each_frame(self._poses_path, 12))
         return tuple(
             Frame(index, float(time_s), pose)
-            for index, time_s, pose in zip(self._indices, times_s[:, 0], T_map_left, strict=True)
+            for index, time_s, pose in zip(self._indices, times_s, T_map_left, strict=True)
         )
 
     def _of_each_frame(self, path: Path, width: int) -> FloatArray:
@@ -211,39 +224,6 @@ def _read_calibration(path: Path, cameras: tuple[int, ...]) -> list[FloatArray]:
 def _extrinsics(P: FloatArray) -> Pose:
     """T_camera_cam0 of a rectified camera: P = K [I | t], all of P's last column counts."""
     return Pose(np.eye(3), np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64))
-
-
-def read_numbers(path: Path, width: int) -> FloatArray:
-    """(lines, width) numbers of a text file. Raises SemvizError naming the line that has others."""
-    lines = read_text(path).rstrip().splitlines()
-    rows = [
-        parsed_numbers(line, width, f"{path}, line {number}")
-        for number, line in enumerate(lines, 1)
-    ]
-    return np.array(rows).reshape(-1, width)
-
-
-def parsed_numbers(text: str, width: int, where: str) -> FloatArray:
-    """(width,) finite numbers; else SemvizError, which says that they are from ``where``."""
-    try:
-        numbers = np.array([float(word) for word in text.split()])
-    except ValueError as error:
-        raise SemvizError(f"{where}: {error}; expected {width} numbers") from None
-    if len(numbers) != width:
-        raise SemvizError(f"{where}: {len(numbers)} numbers, expected {width}")
-    if not np.isfinite(numbers).all():
-        raise SemvizError(f"{where}: holds NaN or infinite numbers; repair that line")
-    return numbers
-
-
-def read_text(path: Path) -> str:
-    """A whole text file. Raises SemvizError where there is none, or no text in it."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise SemvizError(f"{path}: no such file; a KITTI sequence needs it") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SemvizError(f"{path}: not a readable text file ({error}); copy it again") from None
 
 
 def _read_png(path: Path) -> bytes:
