@@ -101,8 +101,9 @@ def look_out(
     parts = parts_in_view(crop, camera, T_map_camera, conditions, rng)
     road_m = semantic_map.road_near(center, conditions.road_radius_m)
     known = _known(camera, _prior(T_map_camera, road_m, conditions), T_map_camera)
-    total = sum((parts.of(i) for i in range(len(parts.id))), known)
-    total = np.broadcast_to(total, (conditions.outcomes, 6, 6))
+    total = np.tile(known, (conditions.outcomes, 1, 1))
+    for i in range(len(parts.id)):
+        total += parts.of(i)
     return Outlook(T_map_camera, parts, total, parts.found.sum(axis=0))
 
 

@@ -39,7 +39,7 @@ def try_out(
     conditions: Conditions,
     number: int,
 ) -> Shares:
-    """Localize ``conditions.trials`` made-up frames at one pose; NaN without any.
+    """Localize ``conditions.trials`` made-up frames at one pose.
 
     What stands there is drawn from the map and its covariances, so the map is as wrong as it says.
     """
