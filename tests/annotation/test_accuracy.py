@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.mapping.accuracy import mapping_accuracy
+from semviz_annotation.mapping.accuracy import Gate, mapping_accuracy
 from semviz_annotation.mapping.build import build_map
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
@@ -73,10 +73,29 @@ def test_hand_worked_example(example, world):
     assert pole.lateral_rmse_px == pytest.approx(np.sqrt(50.0), abs=1e-9)
     assert pole.angular_me_deg == pytest.approx(np.rad2deg(np.arctan2(14, 160)), abs=1e-9)
     assert pole.angular_sde_deg == pytest.approx(0.0, abs=1e-9)
+    assert pole.angular_rmse_deg == pytest.approx(np.rad2deg(np.arctan2(14, 160)), abs=1e-9)
     assert (pole.rmse_px, pole.longitudinal_me_px, pole.observations) == (None, None, 1)
     assert (result.elements, result.unmapped) == (2, 1)
     assert result.classes["rounded sign"].observations == 0
     assert result.classes["rounded sign"].rmse_px is None
+
+
+def test_the_gate_is_of_rmse_and_angle(example, world):
+    """The sign's RMSE is sqrt(13) = 3.606 px, the pole's lateral RMSE sqrt(50) = 7.071 px and its
+    angle atan(14 / 160) = 5.001 deg: each limit fails just above its figure, not just below."""
+    result = mapping_accuracy(*example, world)
+    assert Gate(max_rmse_px=7.08, max_angle_deg=5.01).failures(result) == ()
+    assert Gate(max_rmse_px=7.07, max_angle_deg=5.01).failures(result) == (
+        "pole: lateral RMSE 7.071 px, not below 7.07",
+    )
+    assert Gate(max_rmse_px=7.08, max_angle_deg=5.0).failures(result) == (
+        "pole: angular RMSE 5.001 deg, not below 5",
+    )
+    strict = Gate().failures(result)
+    assert [line.partition(":")[0] for line in strict] == ["pole", "triangular sign"]
+    assert strict[1] == "triangular sign: RMSE 3.606 px, not below 1"
+    nothing = Gate().failures(mapping_accuracy(*example, world, [4]))
+    assert nothing == ("nothing was measured: no label is of an element of the map",)
 
 
 def test_frames_are_chosen(example, world):

@@ -102,9 +102,10 @@ class Gate:
         return tuple(lines)
 
     def _reasons(self, one: ClassAccuracy) -> Iterator[str]:
+        lateral = one.lateral_rmse_px if one.rmse_px is None else None  # else it is within RMSE
         for what, value, limit, unit in (
             ("RMSE", one.rmse_px, self.max_rmse_px, "px"),
-            ("lateral RMSE", one.lateral_rmse_px, self.max_rmse_px, "px"),
+            ("lateral RMSE", lateral, self.max_rmse_px, "px"),
             ("angular RMSE", one.angular_rmse_deg, self.max_angle_deg, "deg"),
         ):
             if value is not None and not value < limit:
