@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from semviz_annotation.assist.follow import expected_px, found_in
+from semviz_annotation.assist.expect import expected_px
+from semviz_annotation.assist.follow import Followed, Sight, found_in
 from semviz_annotation.assist.partner import candidates
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import SURE, Mark, Shot
@@ -25,7 +26,7 @@ from semviz_annotation.labels import Observation
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
-from semviz_core.classes import DEFAULT_CLASSES, POLE
+from semviz_core.classes import DEFAULT_CLASSES, POLE, ElementClass
 from semviz_core.pose import Pose
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
@@ -51,6 +52,7 @@ class Answer:
     step: int = 0
     peer_px: float = np.inf
     best: bool = True
+    way: str = ""
     along_px: tuple[float, ...] = ()
 
     @property
@@ -240,58 +242,105 @@ def _template_px(here: Shot, there: Shot, mark: Mark, truth: Mark) -> float:
 
 # -- following
 
+Seen = dict[Side, tuple[Shot, Mark]]
+
 
 def follows(
     street: Street, first: int, steps: list[int], rng: np.random.Generator
 ) -> Iterator[Answer]:
+    """From one labelled pair into later frames: the map is never updated on the way."""
     both = {side: picture(street, first, side) for side in SIDES}
-    mapped = dict(_mapped(both, rng))
-    for step in steps:
-        for side in SIDES:
-            true = picture(street, first + step, side)
-            off = Pose.exp(np.r_[rng.normal(0, POSE_M, 3), rng.normal(0, POSE_RAD, 3)])
-            view = true.shot.view
-            there = Shot(View(view.camera, off @ view.T_camera_map), true.shot.image)
-            turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.1)
-            aside = Pose.from_rotvec([0.0, turn, 0.0], [0.0, 0.0, 0.0]) @ there.view.T_camera_map
-            elsewhere = Shot(View(view.camera, aside), there.image)
-            for element_id, (element, marks) in mapped.items():
-                depth = float(there.view.depth_m(element.anchor_m[None])[0])
-                class_id = both["left"].classes[element_id]
-                seen = [
-                    (both[one].shot, marks[one]) for one in sorted(SIDES, key=lambda s: s != side)
-                ]
-                if not 3.0 < depth < FAR_M:
-                    continue
-                found = found_in(seen, element, there, DEFAULT_CLASSES[class_id])
-                decoy = found_in(seen, element, elsewhere, DEFAULT_CLASSES[class_id])
-                if decoy is not None:
-                    what = "follow pole" if class_id == POLE else "follow sign"
-                    yield Answer(what, "elsewhere", depth, decoy.evidence, np.inf, step)
-                if found is None:
-                    continue
-                truth = true.marks.get(element_id)
-                yield Answer(
-                    "follow pole" if class_id == POLE else "follow sign",
-                    DEFAULT_CLASSES[class_id].name,
-                    depth,
-                    found.evidence,
-                    np.inf if truth is None else error_px(found.mark, truth),
-                    step,
-                    np.inf if truth is None else _klt_px(seen[0], there, element, truth),
-                )
-
-
-def _mapped(
-    both: dict[Side, Picture], rng: np.random.Generator
-) -> Iterator[tuple[int, tuple[Triangulated, dict[Side, Mark]]]]:
-    """What both images show, triangulated from careful labels."""
+    mapped = {}
     for element_id in sorted(both["left"].marks.keys() & both["right"].marks.keys()):
         marks = {side: shaken(both[side].marks[element_id], rng, LABEL_PX) for side in SIDES}
-        views = [both[side].shot.view for side in SIDES]
-        found = triangulate(views, [_label(marks[side]) for side in SIDES], 0.5)
-        if not isinstance(found, Failed):
-            yield element_id, (found, marks)
+        place = _place([(both[side].shot.view, marks[side]) for side in SIDES])
+        if place is not None:
+            mapped[element_id] = place, {side: (both[side].shot, marks[side]) for side in SIDES}
+    for step in steps:
+        there = _pictured(street, first + step, rng)
+        yield from _followed(there, mapped, street, rng, step, " alone")
+
+
+def works(street: Street, first: int, count: int, rng: np.random.Generator) -> Iterator[Answer]:
+    """From frame to frame, as people work: what each shows is labelled before the next."""
+    labels: dict[int, list[tuple[View, Mark]]] = defaultdict(list)
+    newest: dict[int, Seen] = {}
+    for step in range(count):
+        there = _pictured(street, first + step, rng)
+        places = {one: _place(rows) for one, rows in labels.items()}
+        mapped = {one: (place, newest[one]) for one, place in places.items() if place is not None}
+        yield from _followed(there, mapped, street, rng, 1, "")
+        seen: dict[int, Seen] = defaultdict(dict)
+        for side, picture_ in there.items():
+            for element_id, mark in picture_.marks.items():
+                mark = shaken(mark, rng, LABEL_PX)
+                labels[element_id].append((picture_.shot.view, mark))
+                seen[element_id][side] = picture_.shot, mark
+        newest |= seen
+
+
+def _pictured(street: Street, index: int, rng: np.random.Generator) -> dict[Side, Picture]:
+    """Both images of a frame, with a pose that is a little off."""
+    off = Pose.exp(np.r_[rng.normal(0, POSE_M, 3), rng.normal(0, POSE_RAD, 3)])
+    both = {side: picture(street, index, side) for side in SIDES}
+    return {side: _turned(one, off) for side, one in both.items()}
+
+
+def _turned(shown: Picture, off: Pose) -> Picture:
+    """As if its camera were elsewhere."""
+    view = shown.shot.view
+    return replace(shown, shot=Shot(View(view.camera, off @ view.T_camera_map), shown.shot.image))
+
+
+def _followed(
+    there: dict[Side, Picture],
+    mapped: dict[int, tuple[Triangulated, Seen]],
+    street: Street,
+    rng: np.random.Generator,
+    step: int,
+    way: str,
+) -> Iterator[Answer]:
+    """Each element in both images, and where it is not: the camera turned by 30 to 70 px."""
+    turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.1)
+    aside = Pose.from_rotvec([0.0, turn, 0.0], [0.0, 0.0, 0.0])
+    elsewhere = {side: _turned(one, aside) for side, one in there.items()}
+    row = {int(one): k for k, one in enumerate(street.truth_map.elements.id)}
+    for element_id, (place, seen) in mapped.items():
+        depth = float(there["left"].shot.view.depth_m(place.anchor_m[None])[0])
+        if not 3.0 < depth < FAR_M:
+            continue
+        kind = DEFAULT_CLASSES[int(street.truth_map.elements.class_id[row[element_id]])]
+        what = "follow pole" if place.is_line else "follow sign"
+        for one in _found(elsewhere, place, seen, kind).values():
+            yield Answer(what, "elsewhere", depth, one.evidence, np.inf, step, way=way)
+        for side, one in _found(there, place, seen, kind).items():
+            truth = there[side].marks.get(element_id)
+            error, peer = np.inf, np.inf
+            if truth is not None:
+                error = error_px(one.mark, truth)
+                peer = _klt_px(_nearest(seen, side), there[side].shot, place, truth)
+            yield Answer(what, kind.name, depth, one.evidence, error, step, peer_px=peer, way=way)
+
+
+def _found(
+    there: dict[Side, Picture], place: Triangulated, seen: Seen, kind: ElementClass
+) -> dict[Side, Followed]:
+    sights = [Sight(one.shot, *_nearest(seen, side)) for side, one in there.items()]
+    found = found_in(sights, place, kind)
+    return {side: one for side, one in zip(there, found, strict=True) if one is not None}
+
+
+def _nearest(seen: Seen, side: Side) -> tuple[Shot, Mark]:
+    """The same camera's if it shows the element."""
+    return seen[side] if side in seen else next(iter(seen.values()))
+
+
+def _place(rows: list[tuple[View, Mark]]) -> Triangulated | None:
+    """Of careful labels."""
+    if len(rows) < 2:
+        return None
+    found = triangulate([view for view, _ in rows], [_label(mark) for _, mark in rows], 0.5)
+    return None if isinstance(found, Failed) else found
 
 
 def _label(mark: Mark) -> Observation:
@@ -331,6 +380,7 @@ def answers(seeds: range, quick: bool, only: str = "") -> list[Answer]:
             result += partners(street, frames)
         if only in ("", "follow"):
             result += follows(street, 20, [1, 2, 4, 8] if quick else list(range(1, 9)), rng)
+            result += works(street, 20, 9, rng)
     return result
 
 
@@ -341,7 +391,7 @@ def within(errors: FloatArray) -> str:
 def print_figures(all_answers: list[Answer]) -> None:
     by_kind: dict[str, list[Answer]] = defaultdict(list)
     for one in all_answers:
-        by_kind[one.what].append(one)
+        by_kind[one.what + one.way].append(one)
     for what in sorted(by_kind):
         rows = by_kind[what]
         print(f"\n{what}")

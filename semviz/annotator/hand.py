@@ -35,6 +35,8 @@ class Drawing:
     anchor_known: bool = True
     end_known: bool = True
     snap: bool = False
+    asks_bottom: bool = False
+    """Whether the tool may say that the bottom is hidden."""
 
     @property
     def has_shape(self) -> bool:

@@ -2,14 +2,14 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Generic, TypeVar
 
 from semviz.annotator.cameras import Cameras
 from semviz.annotator.images import Images
-from semviz.annotator.offers import Answer, FindPartner, Offer, Question, Settle
+from semviz.annotator.offers import Answer, Follow, Offer, Question, Settle
 from semviz.annotator.panes import Pane
-from semviz_annotation.assist.follow import follow
+from semviz_annotation.assist.follow import Sight, follow
 from semviz_annotation.assist.partner import find_partner
 from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import Snapped, snap
@@ -31,7 +31,7 @@ class Looker:
         self._images = images
         self._cameras = cameras
         self._classes = classes
-        self._answers: _Recent[Question, Answer] = _Recent(KEPT_ANSWERS)
+        self._answers: _Recent[Question, Mapping[Pane, Answer]] = _Recent(KEPT_ANSWERS)
         self._shots: _Recent[Pane, Shot] = _Recent(KEPT_SHOTS)
 
     def answered(self, offers: Iterable[Offer]) -> list[Offer]:
@@ -41,16 +41,22 @@ class Looker:
 
     def unanswered(self, offers: Iterable[Offer]) -> list[Question]:
         """What nobody has looked at yet."""
-        questions = [one.question for one in offers if one.question is not None]
+        questions = dict.fromkeys(one.question for one in offers if one.question is not None)
         return [one for one in questions if self._answers.get(one) is None]
 
     def answer(self, question: Question) -> None:
         """Takes some milliseconds. Where an image cannot be read nothing is found."""
         try:
-            answer = self._look(question)
+            answers = self._look(question)
         except SemvizError:  # the page says so in the image's place
-            answer = Answer(None)
-        self._answers.put(question, answer)
+            answers = {}
+        self._answers.put(question, answers)
+
+    def found(self, question: Question, pane: Pane) -> Proposed | None:
+        """What there is in an image; asks it if nobody has yet."""
+        if self._answers.get(question) is None:
+            self.answer(question)
+        return (self._answers.get(question) or {}).get(pane, Answer(None)).best
 
     def snap(self, pane: Pane, mark: Mark, class_id: int) -> Snapped | None:
         """The edges that ``mark`` is meant to be on; None where nothing clear is there."""
@@ -60,21 +66,29 @@ class Looker:
             return None
 
     def _answered(self, offer: Offer) -> Offer:
-        answer = None if offer.question is None else self._answers.get(offer.question)
-        return offer if answer is None else offer.answered(answer)
+        answers = None if offer.question is None else self._answers.get(offer.question)
+        return offer if answers is None else offer.answered(answers.get(offer.pane, Answer(None)))
 
-    def _look(self, question: Question) -> Answer:
+    def _look(self, question: Question) -> dict[Pane, Answer]:
+        """What was found, by image."""
         one = self._classes[question.class_id]
+        if isinstance(question, Follow):
+            sought = question.sought
+            sights = [
+                Sight(self._shot(each.there), self._shot(each.here), each.mark) for each in sought
+            ]
+            found = follow(sights, question.element, one)
+            return {each.there: Answer(best) for each, best in zip(sought, found, strict=True)}
         there = self._shot(question.there)
-        if isinstance(question, FindPartner):
-            partners = find_partner(self._shot(question.here), there, question.mark, one)
-            return Answer(None) if partners is None else Answer(partners.best, partners.runner_up)
         if isinstance(question, Settle):
-            found = snap(there, question.mark, one)
-            mark = question.mark if found is None else found.mark
-            return Answer(Proposed(mark, question.score))
-        seen = [(self._shot(pane), mark) for pane, mark in question.seen]
-        return Answer(follow(seen, question.element, there, one))
+            snapped = snap(there, question.mark, one)
+            mark = question.mark if snapped is None else snapped.mark
+            return {question.there: Answer(Proposed(mark, question.score))}
+        here = self._shot(question.here)
+        partners = find_partner(here, there, question.mark, one, question.element)
+        if partners is None:
+            return {}
+        return {question.there: Answer(partners.best, partners.runner_up)}
 
     def _shot(self, pane: Pane) -> Shot:
         shot = self._shots.get(pane)

@@ -23,9 +23,6 @@ Origin: TypeAlias = Literal["map", "partner", "detector"]
 
 DETECTED_PX = 6.0
 """The same for a detector's: it marks no better than that."""
-SEEN_IN = 1
-"""An element is compared with so many labelled images of it, the nearest in time; ``follow`` takes
-no more, and each one is read from disk."""
 TAKEN_PX = 1.5
 """An offer this near to a label of its class lies on a thing that has one already. Poles that stand
 one behind the other may well be a little further apart."""
@@ -49,16 +46,26 @@ class FindPartner:
     here: Pane
     mark: Mark
     there: Pane
+    element: Triangulated | None = None
+    """What it is of, as far as that has a place."""
+
+
+@dataclass(frozen=True)
+class Sought:
+    """An image to be searched, and one in which what is sought is marked."""
+
+    there: Pane
+    here: Pane
+    mark: Mark
 
 
 @dataclass(frozen=True)
 class Follow:
-    """Is a mapped element, marked in the images ``seen``, in ``there`` too; exactly where?"""
+    """Is a mapped element in these images of one moment too; exactly where in each?"""
 
     class_id: int
-    seen: tuple[tuple[Pane, Mark], ...]
     element: Triangulated
-    there: Pane
+    sought: tuple[Sought, ...]
 
 
 @dataclass(frozen=True)
@@ -136,15 +143,19 @@ def offers_in(
     turned_down = {
         one.id for pane in panes.values() for one in labels.dismissed_in(pane.frame_index)
     }
+    expected = list(expected)
     mapped = {one.id: one for one in _expected(expected, labels, order)}
-    partners = {one.id: one for one in _partners(panes, labels)}
+    places = {one.ghost.element_id: one.place for one in expected}
+    partners = {one.id: one for one in _partners(panes, labels, places)}
     for both in mapped.keys() & partners.keys():  # the other image of the same moment says more
         partners[both] = replace(partners[both], mark=mapped[both].mark)
     offers = [*(mapped | partners).values(), *_detected(panes, detected, labels)]
     return [one for one in offers if one.id not in turned_down]
 
 
-def _partners(panes: Mapping[Side, Pane], labels: Labels) -> list[Offer]:
+def _partners(
+    panes: Mapping[Side, Pane], labels: Labels, places: Mapping[str, Triangulated | None]
+) -> list[Offer]:
     """What is labelled in one of two images is proposed for the other."""
     if len(panes) < 2:
         return []
@@ -153,6 +164,7 @@ def _partners(panes: Mapping[Side, Pane], labels: Labels) -> list[Offer]:
         for row in labels.in_frame(here.frame_index, here.side):
             if labels.find(row.element_id, there.frame_index, there.side) is None:
                 class_id = labels.element(row.element_id).class_id
+                place = places.get(row.element_id)
                 offer = Offer(
                     id=proposal_id(row.element_id, there.frame_index, there.side),
                     pane=there,
@@ -160,14 +172,14 @@ def _partners(panes: Mapping[Side, Pane], labels: Labels) -> list[Offer]:
                     origin="partner",
                     element_id=row.element_id,
                     mark=None,
-                    question=FindPartner(class_id, here, Mark.of(row), there),
+                    question=FindPartner(class_id, here, Mark.of(row), there, place),
                 )
                 found.append(offer)
     return found
 
 
 def _expected(
-    expected: Iterable[Expected], labels: Labels, order: Mapping[int, int]
+    expected: Sequence[Expected], labels: Labels, order: Mapping[int, int]
 ) -> list[Offer]:
     found = []
     for one in expected:
@@ -185,20 +197,24 @@ def _expected(
         if one.place is None:  # too vague to be looked for
             offer = replace(offer, score=0.0)
         else:
-            seen = _seen(ghost.element_id, pane, labels, order)
-            offer = replace(offer, question=Follow(class_id, seen, one.place, pane))
+            panes = [
+                other.pane
+                for other in expected
+                if other.ghost.element_id == ghost.element_id
+                and other.pane.frame_index == pane.frame_index
+            ]
+            sought = tuple(_sought(ghost.element_id, pane, labels, order) for pane in panes)
+            offer = replace(offer, question=Follow(class_id, one.place, sought))
         found.append(offer)
     return found
 
 
-def _seen(
-    element_id: str, pane: Pane, labels: Labels, order: Mapping[int, int]
-) -> tuple[tuple[Pane, Mark], ...]:
-    """The labelled images of an element nearest in time to ``pane``, of the same camera first."""
+def _sought(element_id: str, there: Pane, labels: Labels, order: Mapping[int, int]) -> Sought:
+    """With the labelled image of an element nearest in time, of the same camera if it may be."""
     rows = [one for one in labels.of_element(element_id) if one.frame_index in order]
-    here = order[pane.frame_index]
-    rows.sort(key=lambda one: (abs(order[one.frame_index] - here), one.side != pane.side))
-    return tuple((Pane(one.frame_index, one.side), Mark.of(one)) for one in rows[:SEEN_IN])
+    here = order[there.frame_index]
+    row = min(rows, key=lambda one: (abs(order[one.frame_index] - here), one.side != there.side))
+    return Sought(there, Pane(row.frame_index, row.side), Mark.of(row))
 
 
 def _detected(

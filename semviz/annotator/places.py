@@ -72,6 +72,13 @@ class Places:
             self._near[frame_index] = near
         return self._near[frame_index]
 
+    def centers_near(self, frame_index: int, reach_m: float) -> FloatArray:
+        """(k, 3) cameras within a reach of that of a frame, which has a pose."""
+        here = self._cameras.T_map_camera[frame_index]
+        assert here is not None
+        away_m = np.linalg.norm(self._centers_m - here.translation, axis=1)
+        return np.asarray(self._centers_m[away_m <= reach_m])
+
     def mapped(self, labels: Labels) -> Mapping[str, Triangulated]:
         """The elements that have a place in the map frame, as far as they are settled, by id."""
         self.settle(labels)

@@ -1,6 +1,6 @@
 """What the images say about a mark: snap it, find its partner, follow it into other frames."""
 
-from semviz_annotation.assist.follow import follow
+from semviz_annotation.assist.follow import Sight, follow
 from semviz_annotation.assist.partner import Partners, find_partner
 from semviz_annotation.assist.shot import SURE, Mark, Proposed, Shot
 from semviz_annotation.assist.snap import Snapped, snap
@@ -11,6 +11,7 @@ __all__ = [
     "Partners",
     "Proposed",
     "Shot",
+    "Sight",
     "Snapped",
     "find_partner",
     "follow",

@@ -79,3 +79,12 @@ def with_visible_ends(
         mark, anchor_px=pixel(ends[0] - moved[0] * along), end_px=pixel(ends[1] + moved[1] * along)
     )
     return found, places[0] is not None, places[1] is not None
+
+
+def with_visible_peak(shot: Shot, mark: Mark, width_px: float, reach_px: float) -> Mark:
+    """As ``with_visible_ends``, for a pole whose place is known well: the peak alone.
+
+    Its bottom has a shadow, a foot or grass on it, and was marked by somebody who knew.
+    """
+    found, *_ = with_visible_ends(shot, replace(mark, end_known=False), width_px, reach_px)
+    return replace(found, end_known=mark.end_known)

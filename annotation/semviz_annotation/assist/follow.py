@@ -1,37 +1,59 @@
-"""Find a mapped element in another frame: expected from its place, refined in the image."""
+"""Find a mapped element in other images: expected from its place, refined in the image.
+
+The images of one moment are searched together: what is off to the left of where it is expected
+in one of them is so in the other too, but for what the depth may be wrong. So of two poles that
+stand side by side in the image only the one at the right depth suits both.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from semviz_annotation.assist.align import aligned_pole, aligned_sign
-from semviz_annotation.assist.ends import with_visible_ends
+from semviz_annotation.assist.ends import with_visible_peak
+from semviz_annotation.assist.expect import SIGMA_PX, expected_px, spread_px2, upright
 from semviz_annotation.assist.look import (
     LIKENESS,
     half_of,
     likeness,
     pole_look,
     pole_points,
+    seen_rows,
     sign_points,
     width_of,
 )
 from semviz_annotation.assist.pole import Axis, across, shifted, support
 from semviz_annotation.assist.profile import refine
 from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.shot import Mark, Proposed, Shot, clipped
+from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
 from semviz_annotation.triangulate import Triangulated
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
 
-SIGMA_PX = 1.5
-"""What slightly wrong poses add to an expected place."""
 _REACH_PX = 24.0
 """Nothing is looked for further away from where it is expected."""
 _NEAR_PX = 1.0
 _LEAN_PX = 0.4
-_UPRIGHT_RAD = 0.02
+_TRIED = 6
+"""Places in each image that are tried with those in the other."""
+_WHOLE = 0.07
+"""An end that is not compared, but for this share of the pole, is one of which nothing is known."""
+_PEAK_SIGMAS = 1.3
+"""A peak that is found further from where it is expected is something else's end."""
+_OTHER_PX = 2.5
+"""A place so far away is another one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """An image in which to look for an element, and one in which it is labelled."""
+
+    there: Shot
+    here: Shot
+    marked: Mark
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,138 +64,256 @@ class Followed:
     evidence: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Expected:
+    """An element where one image should show it."""
+
+    sight: Sight
+    ends_px: FloatArray
+    spread_px2: FloatArray
+    """(e, 2, e, 2)"""
+    mark: Mark
+    """Says which ends are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """How like the element each place of one image is."""
+
+    expected: _Expected
+    look: Samples
+    start_px: FloatArray
+    """(e, 2) what is compared, where it is expected: of a pole perhaps a part."""
+    shares: FloatArray
+    """(2,) which part."""
+    size_px: FloatArray
+    """A pole's width, or a sign's half width and height, there."""
+    scale: float
+    """How much larger it is there than here."""
+    axes: FloatArray
+    """(m, 2) unit directions in which it is looked for: across a pole, and both of a sign."""
+    offs: FloatArray
+    """(n, m) places, px along the axes from the expected one."""
+    total: FloatArray
+    """(n,) likeness."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """The place that was chosen in one image."""
+
+    off: FloatArray
+    total: float
+    margin: float
+    """By how much the best of the other places is worse."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """Found at sub-pixel accuracy, ``off`` (m,) from where it was expected."""
+
+    mark: Mark
+    off: FloatArray
+    evidence: FloatArray
+
+
 def follow(
-    seen: Sequence[tuple[Shot, Mark]],
+    sights: Sequence[Sight],
     element: Triangulated,
-    there: Shot,
     element_class: ElementClass,
     sigma_px: float = SIGMA_PX,
-) -> Proposed | None:
-    """A mapped element in an image in which it is not labelled yet; None where it is out of it.
+) -> list[Proposed | None]:
+    """A mapped element in the images of one moment; None for those that it is out of.
 
-    ``seen`` are images in which it is labelled, the nearest first; ``element`` and all views share
-    the map frame. What is hidden there, or cannot be told, comes with a low score.
+    ``element`` and all views share the map frame. What is hidden there, or cannot be told, comes
+    with a low score.
     """
-    found = found_in(seen, element, there, element_class, sigma_px)
-    if found is None:
-        return None
     what = "follow pole" if element.is_line else "follow sign"
-    return Proposed(found.mark, probability(what, found.evidence))
-
-
-def expected_px(element: Triangulated, view: View) -> FloatArray | None:
-    """(1 or 2, 2) an element's projection; None where it is out of the image."""
-    points = np.stack([element.anchor_m, element.end_m])[: 1 + element.is_line]
-    pixels = view.project(points)
-    if not np.isfinite(pixels).all():
-        return None
-    along = np.linspace(0.0, 1.0, 9)[:, None]
-    return (
-        pixels if view.camera.contains(pixels[0] + along * (pixels[-1] - pixels[0])).any() else None
-    )
+    return [
+        None if one is None else Proposed(one.mark, probability(what, one.evidence))
+        for one in found_in(sights, element, element_class, sigma_px)
+    ]
 
 
 def found_in(
-    seen: Sequence[tuple[Shot, Mark]],
+    sights: Sequence[Sight],
     element: Triangulated,
-    there: Shot,
     element_class: ElementClass,
     sigma_px: float = SIGMA_PX,
-) -> Followed | None:
+) -> list[Followed | None]:
     """As ``follow``, not judged yet."""
     element = upright(element)
-    expected = expected_px(element, there.view)
-    if expected is None or not seen:
-        return None
-    spread = _spread_px2(element, there.view, sigma_px)
+    views = [one.there.view for one in sights]
+    pixels = [expected_px(element, view) for view in views]
+    spread = spread_px2(element, views, sigma_px)
     mark = Mark((0.0, 0.0), None, element.anchor_known, element.end_known)
-    if element.is_line:
-        return _pole(seen[0], element, there, expected, spread, mark)
-    return _sign(seen[0], element, there, expected, spread, mark, element_class)
+    searches: dict[int, _Search] = {}
+    for k, (sight, ends) in enumerate(zip(sights, pixels, strict=True)):
+        if ends is not None:
+            expected = _Expected(sight, ends, spread[k, :, :, k], mark)
+            search = (
+                _search_pole(expected, element)
+                if element.is_line
+                else _search_sign(expected, element, element_class)
+            )
+            if search is not None:
+                searches[k] = search
+    found = _together([*searches.values()], _joint_px2(searches, spread))
+    by_place = dict(zip(searches, found, strict=True))
+    return [by_place.get(k) for k in range(len(sights))]
 
 
-def upright(element: Triangulated) -> Triangulated:
-    """A pole with what is known of all poles: they stand upright, to about ``_UPRIGHT_RAD``.
-
-    One stereo pair tells little of how a pole leans towards it, and other frames see that from
-    aside. The update of a Gaussian by one more measurement (Kalman); z is up in the map frame.
-    """
-    if not element.is_line:
-        return element
-    ends = np.concatenate([element.anchor_m, element.end_m])
-    length = float(np.linalg.norm(element.end_m - element.anchor_m))
-    H = np.array([[-1.0, 0, 0, 1.0, 0, 0], [0, -1.0, 0, 0, 1.0, 0]])
-    P = element.covariance_m2
-    S = H @ P @ H.T + (_UPRIGHT_RAD * length) ** 2 * np.eye(2)
-    gain = P @ H.T @ np.linalg.inv(S)
-    ends = ends - gain @ (H @ ends)
-    return replace(element, anchor_m=ends[:3], end_m=ends[3:], covariance_m2=P - gain @ H @ P)
+# -- the images of one moment together
 
 
-def _spread_px2(element: Triangulated, view: View, sigma_px: float) -> FloatArray:
-    """(e, 2, e, 2) px^2 covariance of the projections of an element's e ends."""
-    points = (element.anchor_m, element.end_m)[: 1 + element.is_line]
-    size = len(points)
-    J = np.zeros((2 * size, 3 * size))
-    for k, point in enumerate(points):
-        J[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = view.jacobian(point)
-    covariance = J @ element.covariance_m2[: 3 * size, : 3 * size] @ J.T
-    covariance += sigma_px**2 * np.tile(np.eye(2), (size, size))  # a turned camera moves all alike
-    return covariance.reshape(size, 2, size, 2)
+def _joint_px2(searches: dict[int, _Search], spread: FloatArray) -> FloatArray:
+    """(s m, s m) covariance of the offsets of s searches along their m axes each."""
+    rows = [
+        [
+            np.einsum("xi,aiaj,yj->xy", one.axes, spread[k, :, :, j], other.axes) / spread.shape[1]
+            for j, other in searches.items()
+        ]
+        for k, one in searches.items()
+    ]
+    return np.block(rows) if rows else np.zeros((0, 0))
 
 
-def _pole(
-    seen: tuple[Shot, Mark],
-    element: Triangulated,
-    there: Shot,
-    expected: FloatArray,
-    spread: FloatArray,
-    mark: Mark,
-) -> Followed | None:
-    here, before = seen
-    part = _part(element, here.view, before, there.view, expected)
+def _together(searches: Sequence[_Search], spread: FloatArray) -> list[Followed]:
+    if not searches:
+        return []
+    information = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+    choices = _chosen(searches, information)
+    is_line = len(searches[0].axes) == 1
+    settled = [
+        (_settled_pole if is_line else _settled_sign)(search, choice)
+        for search, choice in zip(searches, choices, strict=True)
+    ]
+    off = np.concatenate([one.off for one in settled])
+    pull = float(np.sqrt(off @ information @ off / len(off)))
+    result = []
+    for k, one in enumerate(settled):
+        beside = [choice.total for j, choice in enumerate(choices) if j != k]
+        evidence = [*one.evidence, min([choices[k].total, *beside]), pull]
+        result.append(Followed(one.mark, np.array(evidence)))
+    return result
+
+
+def _chosen(searches: Sequence[_Search], information: FloatArray) -> list[_Choice]:
+    """The places, one in each image, that are like the element and suit one another best."""
+    m = len(searches[0].axes)
+    peaks = [
+        _peaks(one, information[m * k : m * k + m, m * k : m * k + m])
+        for k, one in enumerate(searches)
+    ]
+    tried = list(product(*peaks))
+    totals = np.empty(len(tried))
+    for n, places in enumerate(tried):
+        off = np.concatenate([one.offs[at] for one, at in zip(searches, places, strict=True)])
+        alike = sum(one.total[at] for one, at in zip(searches, places, strict=True))
+        totals[n] = alike - 0.5 * off @ information @ off / 9.0
+    best = int(np.argmax(totals))
+    result = []
+    for k, one in enumerate(searches):
+        off = one.offs[tried[best][k]]
+        away = [np.linalg.norm(one.offs[places[k]] - off) > _OTHER_PX for places in tried]
+        rest = totals[away]
+        margin = float(np.clip(totals[best] - rest.max(), 0.0, 0.5)) if len(rest) else 0.5
+        result.append(_Choice(off, float(one.total[tried[best][k]]), margin))
+    return result
+
+
+def _peaks(search: _Search, information: FloatArray) -> list[int]:
+    """The likeliest places in one image, apart from one another."""
+    pull = np.einsum("ni,ij,nj->n", search.offs, information, search.offs)
+    total = search.total - 0.5 * pull / 9.0
+    found: list[int] = []
+    for at in np.argsort(-total, kind="stable"):
+        gaps = [np.abs(search.offs[at] - search.offs[one]).max() for one in found]
+        if min(gaps, default=np.inf) > 1.6:
+            found.append(int(at))
+        if len(found) == _TRIED:
+            break
+    return found
+
+
+# -- poles
+
+
+def _search_pole(expected: _Expected, element: Triangulated) -> _Search | None:
+    """Across the pole, what both images show of it."""
+    here, there = expected.sight.here, expected.sight.there
+    part = _part(element, here.view, expected.sight.marked, there.view, expected.ends_px)
     if part is None:
         return None
     ends_here, shares = part
     axis = _axis(here, ends_here, width_of(here, ends_here))
-    ends_here, width = axis.ends_px, axis.width_px
-    start = expected[0] + shares[:, None] * (expected[1] - expected[0])
-    scale = np.linalg.norm(start[1] - start[0]) / np.linalg.norm(ends_here[1] - ends_here[0])
-    there_width = float(np.clip(width * scale, 0.7, 60.0))
+    line = expected.ends_px
+    start = line[0] + shares[:, None] * (line[1] - line[0])
+    long_px = np.linalg.norm(np.diff([start, axis.ends_px], axis=1)[:, 0], axis=1)
+    scale = float(long_px[0] / long_px[1])
+    width = float(np.clip(axis.width_px * scale, 0.7, 60.0))
     # beside the pole, both looks reach equally far relative to its width
-    look = here.sample(pole_points(ends_here, width))
-    normal = across(expected)
-    sideways = np.einsum("aibj,i,j->ab", spread, normal, normal)
-    sigma = float(np.sqrt(np.trace(sideways) / 2.0))
-    lean = float(np.sqrt(max(sideways[0, 0] + sideways[1, 1] - 2.0 * sideways[0, 1], 0.0)))
-    along = np.array([-normal[1], normal[0]])
-    lengthwise = float(np.sqrt(np.einsum("aiai->i", spread) @ along**2 / 2.0))
-    reach = float(np.clip(3.0 * sigma, 2.0, _REACH_PX))
+    look = here.sample(pole_points(axis.ends_px, axis.width_px))
+    normal = across(line)
+    reach = float(np.clip(3.0 * _sigma_px(expected, normal), 2.0, _REACH_PX))
     offs = np.arange(-np.ceil(reach), np.ceil(reach) + 0.5)
-    points = np.stack([pole_points(shifted(start, off, off), there_width) for off in offs])
+    points = np.stack([pole_points(shifted(start, off, off), width) for off in offs])
     looks = there.sample(points.reshape(-1, *points.shape[2:])).reshape(len(offs), *look.shape)
-    total = likeness(look, looks) @ LIKENESS - 0.5 * (offs / (3.0 * sigma)) ** 2
-    at = int(np.argmax(total))
-    rest = total[np.abs(offs - offs[at]) > 2.5]
-    begun = shifted(start, offs[at], offs[at])
-    ends = aligned_pole(look, there, begun, there_width, max(lean, _LEAN_PX), lengthwise)
-    alike = likeness(look, pole_look(there, ends, there_width)[None])[0]
-    ends = _axis(there, ends, there_width).ends_px
-    moved = ends - start
-    whole = _extended(ends, shares)
+    total = likeness(look, looks) @ LIKENESS
+    return _Search(
+        expected, look, start, shares, np.array([width]), scale, normal[None], offs[:, None], total
+    )
+
+
+def _sigma_px(expected: _Expected, direction: FloatArray) -> float:
+    """How far a pole's ends may be off in a direction: root of the mean of both."""
+    return float(np.sqrt(np.einsum("aiaj,i,j->", expected.spread_px2, direction, direction) / 2.0))
+
+
+def _settled_pole(search: _Search, choice: _Choice) -> _Settled:
+    expected, there = search.expected, search.expected.sight.there
+    normal, width, start = search.axes[0], float(search.size_px[0]), search.start_px
+    along = np.array([-normal[1], normal[0]])
+    sigma, lengthwise = _sigma_px(expected, normal), _sigma_px(expected, along)
+    sideways = np.einsum("aibj,i,j->ab", expected.spread_px2, normal, normal)
+    lean = float(np.sqrt(max(sideways[0, 0] + sideways[1, 1] - 2.0 * sideways[0, 1], 0.0)))
+    begun = shifted(start, choice.off[0], choice.off[0])
+    ends = aligned_pole(search.look, there, begun, width, max(lean, _LEAN_PX), lengthwise)
+    now = pole_look(there, ends, width)
+    alike = likeness(search.look, now[None])[0]
+    ends = _axis(there, ends, width).ends_px
+    moved = (ends - start) @ normal
     evidence = np.array(
         [
-            *alike, *support(there, ends, there_width), total[at],
-            np.clip(total[at] - rest.max(), -0.5, 0.5) if len(rest) else 0.5,
-            np.abs(moved @ normal).max() / sigma, np.log(lengthwise), abs(np.log(scale)),
-            np.log(there_width),
+            *alike, *support(there, ends, width), choice.total, choice.margin,
+            np.abs(moved).max() / sigma, np.log(lengthwise), abs(np.log(search.scale)),
+            np.log(width),
         ]
     )  # fmt: skip
+    mark, whole = _seen_part(expected.mark, ends, search.shares, seen_rows(search.look, now))
     found = clipped(mark, whole, there.view.camera)
-    found, *_ = with_visible_ends(
-        there, found, there_width, float(np.clip(3.0 * lengthwise, 2.0, 15.0))
+    reach = float(np.clip(_PEAK_SIGMAS * lengthwise, 1.5, 15.0))
+    return _Settled(
+        with_visible_peak(there, found, width, reach), np.array([moved.mean()]), evidence
     )
-    return Followed(found, evidence)
+
+
+def _seen_part(
+    mark: Mark, ends: FloatArray, shares: FloatArray, rows: tuple[float, float]
+) -> tuple[Mark, FloatArray]:
+    """A pole's mark and ends (2, 2) of which ``ends`` are at ``shares``, as far as it is seen.
+
+    ``rows`` say from where to where, along ``ends``, it is like what it was. An end that was not
+    compared, or is unlike, is hidden.
+    """
+    whole = _extended(ends, shares)
+    known = [mark.anchor_known, mark.end_known]
+    compared = [shares[0] < _WHOLE and rows[0] == 0.0, shares[1] > 1.0 - _WHOLE and rows[1] == 1.0]
+    for k in range(2):
+        if not compared[k]:
+            known[k] = False
+            whole[k] = ends[0] + rows[k] * (ends[1] - ends[0])
+    return replace(mark, anchor_known=known[0], end_known=known[1]), whole
 
 
 def _axis(shot: Shot, ends_px: FloatArray, width_px: float) -> Axis:
@@ -216,41 +356,50 @@ def _extended(ends: FloatArray, shares: FloatArray) -> FloatArray:
     return np.stack([first, first + step])
 
 
-def _sign(
-    seen: tuple[Shot, Mark],
-    element: Triangulated,
-    there: Shot,
-    expected: FloatArray,
-    spread: FloatArray,
-    mark: Mark,
-    element_class: ElementClass,
-) -> Followed | None:
-    here, before = seen
-    half = half_of(here, before.ends_px[0], element_class)
+# -- signs
+
+
+def _search_sign(
+    expected: _Expected, element: Triangulated, element_class: ElementClass
+) -> _Search:
+    """Round where its middle is expected."""
+    here, there = expected.sight.here, expected.sight.there
+    middle = expected.sight.marked.ends_px[0]
+    half = half_of(here, middle, element_class)
     depths = [float(one.depth_m(element.anchor_m[None])[0]) for one in (here.view, there.view)]
     focal = there.view.camera.K[0, 0] / here.view.camera.K[0, 0]
-    scale = focal * depths[0] / depths[1]
-    look = here.sample(sign_points(before.ends_px[0], half))
-    variances, axes = np.linalg.eigh(spread[0, :, 0])
-    sigmas = np.sqrt(variances)
-    places = [_places(3.0 * one) for one in sigmas]
-    grid = np.stack(np.meshgrid(*places), axis=-1).reshape(-1, 2)
-    offs = grid @ axes.T
-    points = sign_points(expected[0], half * scale) + offs[:, None, None]
+    scale = float(focal * depths[0] / depths[1])
+    look = here.sample(sign_points(middle, half))
+    variances, axes = np.linalg.eigh(expected.spread_px2[0, :, 0])
+    places = [_places(3.0 * one) for one in np.sqrt(variances)]
+    offs = np.stack(np.meshgrid(*places), axis=-1).reshape(-1, 2)
+    points = sign_points(expected.ends_px[0], half * scale) + (offs @ axes.T)[:, None, None]
     looks = there.sample(points.reshape(-1, *points.shape[2:])).reshape(len(offs), *look.shape)
-    total = likeness(look, looks) @ LIKENESS - 0.5 * ((grid / (3.0 * sigmas)) ** 2).sum(axis=1)
-    at = int(np.argmax(total))
-    far = np.linalg.norm(offs - offs[at], axis=1) > 3.5
-    found, fit = aligned_sign(look, there, expected[0] + offs[at], half * scale)
-    moved = float(np.linalg.norm((found - expected[0]) @ axes / sigmas))
-    margin = float(np.clip(total[at] - total[far].max(), -0.5, 0.5)) if far.any() else 0.5
-    evidence = np.array(
-        [*fit, total[at], margin, moved, abs(np.log(scale)), np.log(half.mean() * scale)]
+    total = likeness(look, looks) @ LIKENESS
+    whole = np.array([0.0, 1.0])
+    return _Search(
+        expected, look, expected.ends_px, whole, half * scale, scale, axes.T, offs, total
     )
-    return Followed(clipped(mark, found[None], there.view.camera), evidence)
 
 
 def _places(reach_px: float) -> FloatArray:
     """Evenly from -reach to reach, as far as is looked; closely where that is not far."""
     reach = float(np.clip(reach_px, 2.0, _REACH_PX))
     return np.linspace(-reach, reach, 2 * int(np.ceil(reach / 1.5)) + 1)
+
+
+def _settled_sign(search: _Search, choice: _Choice) -> _Settled:
+    expected, half = search.expected, search.size_px
+    there = expected.sight.there
+    begun = search.start_px[0] + choice.off @ search.axes
+    found, fit = aligned_sign(search.look, there, begun, half)
+    off = search.axes @ (found - search.start_px[0])
+    sigmas = np.sqrt(np.diag(search.axes @ expected.spread_px2[0, :, 0] @ search.axes.T))
+    moved = float(np.linalg.norm(off / sigmas))
+    evidence = np.array(
+        [
+            *fit, choice.total, choice.margin, moved, abs(np.log(search.scale)),
+            np.log(half.mean()),
+        ]
+    )  # fmt: skip
+    return _Settled(clipped(expected.mark, found[None], there.view.camera), off, evidence)

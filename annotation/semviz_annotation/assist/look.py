@@ -11,6 +11,8 @@ from semviz_core.classes import ElementClass
 _ROWS, _COLUMNS = 24, 11
 _BESIDE_PX = 1.5
 _SIGN = 13
+_HIDDEN_ROWS = 2
+"""Of a pole's look, at one end: fewer may be unlike for a shadow."""
 _LEVELS = 20.0
 """Mean difference of colours at which a row counts less than half."""
 LIKENESS: FloatArray = np.array([1.0, 1.0, -0.3])
@@ -48,6 +50,25 @@ def likeness(one: Samples, others: Samples) -> FloatArray:
     colors = np.abs(others[:, :, middle] - one[:, middle]).mean(axis=(2, 3))
     typical = np.log(np.median(colors, axis=1) + 2.0)
     return np.stack([correlation, alike.mean(axis=1), typical], axis=1).astype(np.float64)
+
+
+def seen_rows(one: Samples, other: Samples) -> tuple[float, float]:
+    """From where to where a pole's looks (rows, columns, 3) are alike, as shares of its length.
+
+    0 and 1 where nothing hides its ends: at an end all rows must be unlike, and all others alike.
+    """
+    middle = slice(one.shape[1] // 3, one.shape[1] - one.shape[1] // 3)
+    difference = np.abs(other[:, middle] - one[:, middle]).mean(axis=(1, 2))
+    alike = 1.0 / (1.0 + (difference / _LEVELS) ** 2) - 0.5
+    return _unlike(alike) / len(one), 1.0 - _unlike(alike[::-1]) / len(one)
+
+
+def _unlike(alike: FloatArray) -> int:
+    """How many of the first rows are unlike (negative), if the others are alike."""
+    split = np.concatenate([[0.0], -np.cumsum(alike)])  # what the first n speak for
+    count = int(np.argmax(split))
+    rest = alike[count:]
+    return count if count >= _HIDDEN_ROWS and len(rest) and rest.mean() > 0.15 else 0
 
 
 def width_of(shot: Shot, ends_px: FloatArray) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_annotation.assist.align import aligned_pole, aligned_sign
+from semviz_annotation.assist.expect import SIGMA_PX, expected_px, spread_px2
 from semviz_annotation.assist.look import (
     LIKENESS,
     half_of,
@@ -14,17 +15,20 @@ from semviz_annotation.assist.look import (
     sign_points,
     width_of,
 )
-from semviz_annotation.assist.pole import support
+from semviz_annotation.assist.pole import across, support
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
 from semviz_annotation.assist.warp import depth_on_line, inverse_depths, transfer
 from semviz_annotation.stereo import PLAUSIBLE_DEPTH_M
+from semviz_annotation.triangulate import Triangulated
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
 
 _STEP_PX = 1.0
 _TRIED = 3
 _APART_PX = 3.0
+_MOST = 2.0
+"""The most that an element's known place speaks against another: squares of 3 sigma."""
 _LEAN = 0.05
 """How much a pole, or the camera, may lean towards the other: radians."""
 
@@ -48,14 +52,18 @@ class Candidate:
 
 
 def find_partner(
-    here: Shot, there: Shot, mark: Mark, element_class: ElementClass
+    here: Shot,
+    there: Shot,
+    mark: Mark,
+    element_class: ElementClass,
+    element: Triangulated | None = None,
 ) -> Partners | None:
     """The mark in ``there`` of what is marked in ``here``; None where it cannot be in it.
 
     The views share one map frame: two cameras of a rig, or two frames of one camera. Both ends of
-    a pole get the depth that suits an upright one.
+    a pole get the depth that suits an upright one; ``element`` is what is known of its place.
     """
-    found = candidates(here, there, mark, element_class)
+    found = candidates(here, there, mark, element_class, element)
     if not found:
         return None
     what = "partner pole" if mark.end_px is not None else "partner sign"
@@ -66,7 +74,13 @@ def find_partner(
     return Partners(scored[0], scored[1] if len(scored) > 1 else None)
 
 
-def candidates(here: Shot, there: Shot, mark: Mark, element_class: ElementClass) -> list[Candidate]:
+def candidates(
+    here: Shot,
+    there: Shot,
+    mark: Mark,
+    element_class: ElementClass,
+    element: Triangulated | None = None,
+) -> list[Candidate]:
     """The likeliest partners, at distinct places."""
     ends = mark.ends_px
     depths = inverse_depths(here.view, there.view, ends.mean(axis=0), PLAUSIBLE_DEPTH_M, _STEP_PX)
@@ -78,22 +92,41 @@ def candidates(here: Shot, there: Shot, mark: Mark, element_class: ElementClass)
     depths, places = depths[inside], places[inside]
     if len(depths) < 2:
         return []
+    prior = np.zeros(len(depths)) if element is None else _prior(there, element, mark, places)
     if len(ends) == 2:
-        return _poles(here, there, mark, depths, places)
-    return _signs(here, there, mark, element_class, depths, places)
+        return _poles(here, there, mark, depths, places, prior)
+    return _signs(here, there, mark, element_class, depths, places, prior)
+
+
+def _prior(there: Shot, element: Triangulated, mark: Mark, places: FloatArray) -> FloatArray:
+    """(d,) what an element's place says about where its partner is: 0 there, else less."""
+    expected = expected_px(element, there.view)
+    if expected is None:
+        return np.zeros(len(places))
+    spread = spread_px2(element, [there.view], SIGMA_PX)[0, :, :, 0]
+    axes = across(expected)[None] if mark.end_px is not None else np.eye(2)
+    off = (places - expected).mean(axis=1) @ axes.T
+    covariance = axes @ np.einsum("aiaj->ij", spread) / len(expected) @ axes.T
+    pull = np.einsum("di,ij,dj->d", off, np.linalg.inv(covariance), off)
+    return np.asarray(-0.5 * np.minimum(pull / 9.0, _MOST))
 
 
 # -- poles
 
 
 def _poles(
-    here: Shot, there: Shot, mark: Mark, depths: FloatArray, places: FloatArray
+    here: Shot,
+    there: Shot,
+    mark: Mark,
+    depths: FloatArray,
+    places: FloatArray,
+    prior: FloatArray,
 ) -> list[Candidate]:
     width = width_of(here, mark.ends_px)
     points = pole_points(mark.ends_px, width)
     look = here.sample(points)
     alike = likeness(look, _looks(here, there, points, mark.ends_px, depths))
-    total = alike @ LIKENESS
+    total = alike @ LIKENESS + prior
     found = []
     for at in _peaks(total, places):
         lean = _lean_px(here, there, mark.ends_px, depths[at])
@@ -163,12 +196,13 @@ def _signs(
     element_class: ElementClass,
     depths: FloatArray,
     places: FloatArray,
+    prior: FloatArray,
 ) -> list[Candidate]:
     half = half_of(here, mark.ends_px[0], element_class)
     points = sign_points(mark.ends_px[0], half)
     look = here.sample(points)
     alike = likeness(look, _looks(here, there, points, mark.ends_px[:1], depths))
-    total = alike @ LIKENESS
+    total = alike @ LIKENESS + prior
     peaks = _peaks(total, places)
     result = []
     for n, at in enumerate(peaks):

@@ -1,0 +1,88 @@
+"""Whether the bottom of a pole that is being drawn is hidden: the ground is clearly below it.
+
+Depth is that of its likely partner in the other image. Where the ground is, the drive tells, and
+the bottoms of poles that are mapped nearby, or will be once their partners are accepted.
+"""
+
+import numpy as np
+
+from semviz.annotator.cameras import Cameras
+from semviz.annotator.looker import Looker
+from semviz.annotator.offers import FindPartner
+from semviz.annotator.panes import Pane, Panes
+from semviz.annotator.places import Places
+from semviz.annotator.proposing import Proposing
+from semviz_annotation.assist.ground import Ground
+from semviz_annotation.assist.shot import Mark
+from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.triangulate import Failed, Triangulated, triangulate
+from semviz_annotation.view import other
+from semviz_core.sources.source import Side
+
+NEAR_M = 60.0
+"""What is further away says nothing about the ground here."""
+OTHER_M = 0.7
+"""A bottom this near may well be of the same pole."""
+
+
+class Bottoms:
+    """Judges bottoms. One thread at a time."""
+
+    def __init__(
+        self, cameras: Cameras, panes: Panes, places: Places, looker: Looker, proposing: Proposing
+    ) -> None:
+        self._cameras = cameras
+        self._panes = panes
+        self._places = places
+        self._looker = looker
+        self._proposing = proposing
+
+    def is_hidden(
+        self, mark: Mark, class_id: int, frame_index: int, side: Side, labels: Labels
+    ) -> bool:
+        """Of a pole drawn on ``side`` of the page. Unless that is clear, it is not."""
+        panes = self._panes.of(frame_index)
+        if other(side) not in panes or self._cameras.T_map_camera[frame_index] is None:
+            return False
+        here, there = panes[side], panes[other(side)]
+        found = self._looker.found(FindPartner(class_id, here, mark, there), there)
+        if found is None or not found.sure:
+            return False
+        place = self._place({here: mark, there: found.mark})
+        if place is None:
+            return False
+        sigma = float(np.sqrt(place.covariance_m2[5, 5]))
+        return self._ground(frame_index, labels, place).is_below(place.end_m, sigma)
+
+    def _ground(self, frame_index: int, labels: Labels, around: Triangulated) -> Ground:
+        """As other poles show it."""
+        centers = self._places.centers_near(frame_index, NEAR_M)
+        mapped = self._places.near(labels, frame_index).values()
+        places = [*mapped, *self._partnered(frame_index, labels)]
+        ends = [one.end_m for one in places if one.is_line and one.end_known]
+        bottoms = np.array(ends).reshape(-1, 3)
+        gaps = np.linalg.norm(bottoms[:, :2] - around.end_m[:2], axis=1)
+        return Ground(centers, bottoms[(gaps > OTHER_M) & (gaps < NEAR_M)])
+
+    def _partnered(self, frame_index: int, labels: Labels) -> list[Triangulated]:
+        """Where poles are if their partners are those that are proposed and sure."""
+        shown = self._panes.of(frame_index).values()
+        places = []
+        for one in self._proposing.offers(frame_index, labels):
+            if one.origin == "partner" and one.sure and one.mark is not None and one.element_id:
+                rows = [labels.find(one.element_id, each.frame_index, each.side) for each in shown]
+                here = {Pane(row.frame_index, row.side): Mark.of(row) for row in rows if row}
+                places.append(self._place(here | {one.pane: one.mark}))
+        return [one for one in places if one is not None]
+
+    def _place(self, marks: dict[Pane, Mark]) -> Triangulated | None:
+        views = [self._cameras.view(pane.frame_index, pane.side) for pane in marks]
+        rows = [
+            Observation(
+                "", "", pane.frame_index, pane.side, one.anchor_px, one.end_px, one.anchor_known,
+                one.end_known,
+            )
+            for pane, one in marks.items()
+        ]  # fmt: skip
+        place = triangulate(views, rows)
+        return None if isinstance(place, Failed) else place
