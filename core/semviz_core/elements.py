@@ -184,6 +184,13 @@ class Elements3D:
         return Elements3D(**values)
 
 
+def joined(one: Elements, other: Elements) -> Elements:
+    """The elements of ``one``, then those of ``other``."""
+    return type(one)(
+        **{name: np.concatenate([value, vars(other)[name]]) for name, value in vars(one).items()}
+    )
+
+
 def _set(value: object, name: str, array: object) -> None:
     object.__setattr__(value, name, array)  # the dataclass is frozen
 

@@ -1,6 +1,7 @@
 """Localizability: laws of what a map lets a camera know, and planted weaknesses to be found."""
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import POLE, RECTANGULAR
 from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements3D
+from semviz_core.elements import Elements3D, joined
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.bound import bound_covariance
 from semviz_core.evaluation.problems import CAMERA, Problem
@@ -95,13 +96,7 @@ def test_where_all_is_found_the_bound_is_that_of_the_benchmark(street: SemanticM
 def test_more_elements_are_never_worse(street: SemanticMap) -> None:
     rng = np.random.default_rng(0)
     more = elements_at(np.column_stack([rng.uniform(0.0, 150.0, 10), rng.uniform(-8.0, 8.0, 10)]))
-    grown = np.concatenate([street.elements.id, 1000 + more.id])
-    both = Elements3D(
-        **{
-            name: grown if name == "id" else np.concatenate([value, vars(more)[name]])
-            for name, value in vars(street.elements).items()
-        }
-    )
+    both = joined(street.elements, replace(more, id=1000 + more.id))
     better = 0
     for before, after in zip(outlooks(street), outlooks(mapped(both)), strict=True):
         assert (after.sigmas() <= before.sigmas() * (1.0 + 1e-9)).all()
@@ -140,13 +135,8 @@ def test_a_suggested_element_helps_where_it_is_said(
     """Put up, and predicted anew with other draws: as good as was said, within chance."""
     first = predicted.suggested[0]
     assert BARE_M[0] - 5.0 < first.element.anchor_m[0, 0] < BARE_M[1] + 30.0
-    old, new = street.elements, predicted.suggested
-    grown = Elements3D(
-        **{
-            name: np.concatenate([value, *(vars(one.element)[name] for one in new)])
-            for name, value in vars(old).items()
-        }
-    )
+    new = predicted.suggested
+    grown = reduce(joined, (one.element for one in new), street.elements)
     again = predict(mapped(grown), CAMERA, predicted.T_map_camera, replace(CONDITIONS, seed=9))
     said = sum(one.total_m2 for one in new)
     got = float(((again.expected_m - predicted.expected_m) * np.gradient(predicted.along_m)).sum())

@@ -16,7 +16,7 @@ from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.elements import Elements2D, Elements3D, joined
 from semviz_core.evaluation.roads import Road, simulated_road
 from semviz_core.frame import Prior
 from semviz_core.pose import Pose
@@ -136,19 +136,25 @@ def make_problem(
     index: int | None = None,
     *,
     driving: bool = False,
+    look: int | None = None,
+    added: Elements3D | None = None,
 ) -> Problem:
     """A camera on a road, what it sees and what the map holds. Repeatable by seed.
 
     ``road`` is a simulated one if not given; ``index`` is the frame of its drive, drawn if not
     given. ``driving``: the camera is as far beside the road's pose in all frames of the seed, so
-    that it does not jump between them.
+    that it does not jump between them. ``look``: another frame at the same place, by number.
+    ``added`` stands there too, with ids of its own, and is mapped without an error.
     """
     level = difficulty or Difficulty()
     road = road or default_road()
     if index is None:
         index = int(np.random.default_rng([seed, 0]).integers(len(road)))
-    rng = np.random.default_rng([seed, 1, index])
+    rng = np.random.default_rng([seed, 1, index] if look is None else [seed, 1, index, look])
     world, mapped = _world(road, seed), _mapped(road, seed, level)
+    if added is not None:
+        moved = np.append(mapped.moved, np.zeros(len(added), dtype=bool))
+        world, mapped = joined(world, added), _Mapped(joined(mapped.elements, added), moved)
     beside = np.random.default_rng([seed, 6]) if driving else rng
     T_camera_map = _query(road.T_map_camera[index], beside)
     prior = _prior(road, T_camera_map, level, rng)
@@ -159,6 +165,11 @@ def make_problem(
     trusted = np.where(mapped.moved[rows], -2, submap.id)  # -1 is a false detection
     pairs = np.argwhere(ids[:, None] == trusted[None, :])
     return Problem(observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible)
+
+
+def mapped_elements(road: Road, seed: int, difficulty: Difficulty | None = None) -> Elements3D:
+    """The whole map that the problems of this road and seed have their submaps from."""
+    return _mapped(road, seed, difficulty or Difficulty()).elements
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import MIN_DEPTH_M, Camera
 from semviz_core.classes import POLE
 from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.elements import Elements2D, Elements3D, joined
 from semviz_core.localizability.conditions import Conditions
 from semviz_core.pose import Pose
 from semviz_core.sources.street.detector import Noise
@@ -105,11 +105,7 @@ def detect(
     true, hidden = sight.seen[found], hidden[sight.row][found]
     if conditions.detector.hidden_bottoms == 0.0:  # it notices
         true = replace(true, end_known=true.end_known & ~hidden)
-    true = _disturbed(true, rng)
-    false = _invented(camera, conditions, rng)
-    return Elements2D(
-        **{name: np.concatenate([value, vars(false)[name]]) for name, value in vars(true).items()}
-    )
+    return joined(_disturbed(true, rng), _invented(camera, conditions, rng))
 
 
 def _project(camera: Camera, points_c: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements2D
+from semviz_core.elements import Elements2D, joined
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.layout import CLASS_SHARE, SIGN_CLASSES
 from semviz_core.sources.street.street import Street
@@ -86,7 +86,7 @@ class SimulatedDetector:
         true = self._disturb(_hide_bottoms(labels[found], rng), rng)
         false = self._false(rng)
         return Detection(
-            observed=_joined(true, false),
+            observed=joined(true, false),
             element_id=np.concatenate([ids[found], np.full(len(false), -1)]),
         )
 
@@ -167,10 +167,4 @@ def _hide_bottoms(labels: Elements2D, rng: np.random.Generator) -> Elements2D:
         sigma_px=labels.sigma_px,
         anchor_known=labels.anchor_known,
         end_known=labels.end_known & ~hidden,
-    )
-
-
-def _joined(one: Elements2D, other: Elements2D) -> Elements2D:
-    return Elements2D(
-        **{name: np.concatenate([value, vars(other)[name]]) for name, value in vars(one).items()}
     )

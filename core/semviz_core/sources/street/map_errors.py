@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.elements import Elements3D
+from semviz_core.elements import Elements3D, joined
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 
@@ -38,7 +38,7 @@ def with_errors(truth: SemanticMap, seed: int) -> SemanticMap:
     kept = rng.random(len(true)) >= MISSING_SHARE
     copied = np.flatnonzero(kept & (rng.random(len(true)) < DUPLICATED_SHARE))
     new_ids = true.id.max(initial=0) + 1 + np.arange(len(copied))
-    elements = _joined(noisy[kept], _with(copies[copied], id=new_ids))
+    elements = joined(noisy[kept], _with(copies[copied], id=new_ids))
     return replace(truth, elements=elements, provenance=(), made_by=f"{truth.made_by}, seed {seed}")
 
 
@@ -61,7 +61,7 @@ def duplicated(semantic_map: SemanticMap, element_id: int, by_m: ArrayLike) -> S
     provenance = semantic_map.provenance
     if provenance:
         provenance = (*provenance, provenance[int(np.flatnonzero(rows)[0])])
-    return replace(semantic_map, elements=_joined(old, copy), provenance=provenance)
+    return replace(semantic_map, elements=joined(old, copy), provenance=provenance)
 
 
 def without(semantic_map: SemanticMap, element_id: int) -> SemanticMap:
@@ -134,9 +134,3 @@ def _displaced(elements: Elements3D, rows: BoolArray, rng: np.random.Generator) 
 
 def _with(elements: Elements3D, **values: FloatArray | IntArray) -> Elements3D:
     return Elements3D(**{**vars(elements), **values})
-
-
-def _joined(one: Elements3D, other: Elements3D) -> Elements3D:
-    return Elements3D(
-        **{name: np.concatenate([value, vars(other)[name]]) for name, value in vars(one).items()}
-    )
