@@ -108,8 +108,8 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         trajectory_m=_decode_points(metadata["trajectory_m"]),
         provenance=provenance if any(one.label_ids for one in provenance) else (),
         decisions=tuple(_decision(one) for one in _unpacked(metadata.get("decisions"))),
-        made_by=metadata["made_by"],
-        operation=metadata["operation"],
+        made_by=str(metadata["made_by"]),
+        operation=int(metadata["operation"]),
     )
 
 

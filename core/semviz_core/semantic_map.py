@@ -88,8 +88,19 @@ class SemanticMap:
         unknown = [one for one in present if one not in self.classes]
         if unknown:
             raise SemvizError(f"the map has elements of unknown classes {unknown}")
+        self._check_shapes()
         if self.provenance and len(self.provenance) != len(self.elements):
             raise SemvizError("provenance must have one entry for each map element, or none")
+
+    def _check_shapes(self) -> None:
+        """SemvizError for poles without an end, and signs with one."""
+        elements = self.elements
+        lines = [one.id for one in self.classes if one.kind == "line"]
+        wrong = np.flatnonzero(np.isin(elements.class_id, lines) != elements.is_line)
+        if len(wrong):
+            name = self.classes.element_name(elements.class_id[wrong[0]], elements.id[wrong[0]])
+            has = "has an end, but is a point" if elements.is_line[wrong[0]] else "has no end"
+            raise SemvizError(f"{name} {has}; a pole has two ends, a sign its middle alone")
 
     def __len__(self) -> int:
         return len(self.elements)

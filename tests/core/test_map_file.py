@@ -38,7 +38,9 @@ def maps(draw: st.DrawFn) -> SemanticMap:
         id=np.array(ids, dtype=np.int64),
         anchor_m=draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
         end_m=end,
-        class_id=draw(hnp.arrays(np.int64, n, elements=st.sampled_from([0, 1, 2, 3, 9]))),
+        class_id=np.where(
+            is_line, POLE, draw(hnp.arrays(np.int64, n, elements=st.sampled_from([1, 2, 3, 9])))
+        ),
         covariance_m2=covariance,
         anchor_known=draw(hnp.arrays(np.bool_, n)),
         end_known=draw(hnp.arrays(np.bool_, n)) & is_line,

@@ -89,11 +89,11 @@ def test_digest_is_of_the_content() -> None:
 def test_digest_notices_a_change_in_any_field(name: str) -> None:
     original = make_map()
     array = getattr(original.elements, name).copy()
-    row = 0  # a pole: its end is known
+    row = 1 if name == "class_id" else 0  # a pole's end is known; a sign may be of another class
     if array.dtype == np.bool_:
         array[row] = ~array[row]
     elif name == "class_id":
-        array[row] = POLE + 2
+        array[row] = TRIANGULAR + 1
     else:
         array[row] = array[row] + (100 if name == "id" else 1e-12)
     changed = replace(original, elements=replace(original.elements, **{name: array}))
@@ -118,3 +118,16 @@ def test_provenance_is_for_each_element_or_none() -> None:
 def test_trajectory_is_checked() -> None:
     with pytest.raises(SemvizError, match="trajectory_m"):
         replace(make_map(), trajectory_m=np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("end_m", "class_id", "words"),
+    [
+        ([np.nan] * 3, POLE, "P-07 has no end; a pole has two ends"),
+        ([0.0, 0.0, 0.0], TRIANGULAR, "T-07 has an end, but is a point"),
+    ],
+)
+def test_poles_have_two_ends_and_signs_one(end_m, class_id, words):
+    elements = Elements3D.from_ends([7], [[0.0, 0.0, 3.0]], [end_m], [class_id])
+    with pytest.raises(SemvizError, match=words):
+        SemanticMap(elements, FRAME)
