@@ -62,9 +62,9 @@ def test_poses_and_things_come_nearer_to_the_truth():
 
 
 def test_an_offset_of_the_right_images_is_found():
-    world = drive(20, things=40, seed=2, sigma_px=0.3, offset_px=0.45)
+    world = drive(20, things=40, seed=2, sigma_px=0.3, offset_px=1.5)
     placed, result = refined(world, RefineOptions(PlaceOptions(0.3), 0.002, 0.003))
-    assert result.offset_px == pytest.approx(0.45, abs=0.03)
+    assert result.offset_px == pytest.approx(1.5, abs=0.05)
     assert far_off(result.placed, world, placed.ok) < 0.7 * far_off(placed, world, placed.ok)
     right = result.views.K[result.views.is_right, 0, 2] - world.views.K[0, 0, 2]
     assert np.allclose(right, result.offset_px)
