@@ -63,6 +63,8 @@ class OpenedPage:
         self._session = shared.session
         self._frame = next(iter(self._session.frames))
         self._selected: str | None = None
+        self._reviewed: frozenset[str] = frozenset()
+        """Elements that the decision or finding on screen is about."""
         self._scene: SceneView | None = None
         self._theme: Theme = "dark"
         self._stale = threading.Event()
@@ -96,6 +98,8 @@ class OpenedPage:
             "edit": self._edit,
             "at": self._at,
             "history": self._history,
+            "review": self._review,
+            "build": self._build,
             "theme": self._set_theme,
         }
         if message.get("type") not in verbs:
@@ -171,6 +175,24 @@ class OpenedPage:
             operations = self._session.past.operations(message.get("before"))
         self._send({"type": "history"} | operations)
 
+    def _review(self, message: Message) -> None:
+        """Shows a decision of the last map, or a finding in it; without a ``list``, no more."""
+        card: Json | None = None
+        if message.get("list") is not None:
+            with self._shared.lock:
+                card = self._session.review(message)
+        self._reviewed = frozenset(one["id"] for one in (card or {}).get("elements", ()))
+        self._send({"type": "review", "card": card})
+        self._redraw()
+
+    def _build(self, _: Message) -> None:
+        """Builds the map; all pages are told that it has begun, and of how it ends."""
+        with self._shared.lock:
+            self._session.map_work.build()
+            state = self._session.news()
+            for page in self._shared.pages:
+                page.tell("news", state)
+
     def _set_theme(self, message: Message) -> None:
         self._theme = "light" if message.get("theme") == "light" else "dark"
         self._redraw()
@@ -218,12 +240,14 @@ class OpenedPage:
         self._scene.set_theme(self._theme)
 
     def _shown(self) -> Shown:
-        element = self._session.labels.elements.get(self._selected or "")
+        labels = self._session.labels
+        ids = [self._selected or "", *sorted(self._reviewed)]
+        marked = [labels.elements[one] for one in ids if one in labels.elements]
         return Shown(
             elements=self._session.elements_3d(),
             T_map_camera=self._session.frames[self._frame].T_map_camera,
-            selected=None if element is None else element.number,
-            name="" if element is None else element_name(element, self._session.classes),
+            marked=frozenset(one.number for one in marked),
+            name=element_name(marked[0], self._session.classes) if marked else "",
         )
 
     def _new_scene(self) -> SceneView:

@@ -29,10 +29,10 @@ class Shown:
     elements: Elements3D
     T_map_camera: Pose | None
     """Of the frame on screen."""
-    selected: int | None = None
-    """Number of the selected element."""
+    marked: frozenset[int] = frozenset()
+    """Numbers of the selected element and of those that a decision is about."""
     name: str = ""
-    """What the selected element is called."""
+    """Written on top of them."""
 
 
 class SceneView:
@@ -62,7 +62,7 @@ class SceneView:
             self._follow(before, shown)
         if before is None or not _same(before.elements, shown.elements):
             self._draw_elements(shown)
-        rows = np.flatnonzero(shown.elements.id == shown.selected)
+        rows = np.flatnonzero(np.isin(shown.elements.id, list(shown.marked)))
         self._scene.highlight(shown.elements[rows], shown.name)
 
     def set_theme(self, theme: Theme) -> None:

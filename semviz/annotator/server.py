@@ -43,6 +43,7 @@ class Annotator:
         self.observer = ThreadPoolExecutor(1, "semviz-observer")
         self._pages: list[OpenedPage] = []
         self._closing = threading.Event()
+        self.session.map_work.look()
         self._listener = threading.Thread(target=self._listen, name="semviz-news", daemon=True)
         self._listener.start()
         self._learner = threading.Thread(target=self._learn, name="semviz-facts", daemon=True)
@@ -87,6 +88,7 @@ class Annotator:
         """Tells open pages what other processes have done to the labels."""
         while not self._closing.wait(NEWS_EVERY_S):
             # where the file cannot be read, whoever asks for something next is told
+            self.session.map_work.look()
             with contextlib.suppress(sqlite3.Error):
                 self._tell_news()
 

@@ -10,6 +10,7 @@ from semviz.annotator.facts import Facts
 from semviz.annotator.hand import Drawing, Hand, Look, seen_from_json
 from semviz.annotator.images import Images
 from semviz.annotator.looker import Looker
+from semviz.annotator.map_work import MapWork
 from semviz.annotator.news import News
 from semviz.annotator.offer_views import offers_json, snapped_json
 from semviz.annotator.offers import Question, inside
@@ -18,6 +19,7 @@ from semviz.annotator.panes import Panes
 from semviz.annotator.past import Past, operation_number
 from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
+from semviz.annotator.reviews import Reviews
 from semviz.annotator.views import Json
 from semviz.workspace import Workspace
 from semviz_annotation.edits import AddMany, AddObservation, edit_from_json
@@ -49,7 +51,7 @@ class Done:
 class LabelSession:
     """The labels of one workspace under the hands of one author. One thread at a time.
 
-    ``images`` and ``looker`` may be used by any thread.
+    ``images``, ``looker`` and ``map_work`` may be used by any thread.
     """
 
     def __init__(self, workspace: Workspace, author: str) -> None:
@@ -75,8 +77,12 @@ class LabelSession:
         self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
         """As of this operation and version of the places."""
         self._news = News(self._store, self.classes, self._facts)
+        self.map_work = MapWork(workspace, lambda: self._store.labels)
+        self._reviews = Reviews(self.map_work)
+        self._told_version = self.map_work.version
 
     def close(self) -> None:
+        self.map_work.close()
         self.images.close()
         self._store.close()
 
@@ -111,11 +117,12 @@ class LabelSession:
 
     def has_news(self) -> bool:
         """Whether anybody, here or in another process, has done something since ``news``."""
-        return self._news.waits
+        return self._news.waits or self.map_work.version != self._told_version
 
     def news(self) -> Json:
         """What is new in the summary since the last call. Meant for all pages at once."""
         labels = self.labels
+        self._told_version = self.map_work.version
         state = self._state(labels)
         touched = sorted(self._news.told() & self.frames.keys())
         return state | {"frames": self._frames_json(labels, touched)}
@@ -149,6 +156,10 @@ class LabelSession:
             "nearby": views.nearby_json(nearby, labels, self.classes),
             "looking": bool(self._proposing.unanswered(index, labels)),
         }
+
+    def review(self, asked: Json) -> Json:
+        """A decision of the last map, or a finding in it; see ``Reviews.card``."""
+        return self._reviews.card(asked, self.labels)
 
     def unanswered(self, index: int) -> list[Question]:
         """What ``looker`` should be asked, for ``frame`` to know all about its proposals."""
@@ -327,6 +338,7 @@ class LabelSession:
             "can_undo": self._store.undoable(self.author) is not None,
             "can_redo": self._store.redoable(self.author) is not None,
             "history": history,
+            "map": self._reviews.summary(labels),
         }
 
     def _frames_json(self, labels: Labels, indices: Iterable[int]) -> list[Json]:

@@ -9,12 +9,14 @@ from semviz.annotator.nearby import Nearby
 from semviz.annotator.panes import Pane
 from semviz_annotation.labels import (
     Dismissal,
+    Judgement,
     LabelElement,
     Labels,
     Observation,
     Review,
     Row,
 )
+from semviz_annotation.rows import elements_of
 from semviz_annotation.storing.store import Operation
 from semviz_core.classes import ClassSet
 from semviz_core.sources.source import Side
@@ -28,10 +30,12 @@ VERBS = {
     "swap ends": "Swap ends of",
     "delete": "Delete",
     "delete element": "Delete",
+    "delete many": "Delete",
     "link": "Link",
     "unlink": "Unlink",
     "set class": "Class of",
     "dismiss": "Turn down",
+    "take back": "Leave to the map",
 }
 
 
@@ -64,8 +68,20 @@ def elements_json(labels: Labels, panes: Mapping[Side, Pane], classes: ClassSet)
     return [
         element_json(one, classes)
         | {"observations": observations[one.id], "views": len(labels.of_element(one.id))}
+        | {"judged": judged_json(one, labels, classes)}
         for one in elements
     ]
+
+
+def judged_json(element: LabelElement, labels: Labels, classes: ClassSet) -> list[Json]:
+    """What people decided about an element for every map."""
+    texts = {"apart": "apart from ", "keep": "kept as one thing", "leave out": "left out of maps"}
+    found = []
+    for row in labels.judgements_of(element.id):
+        others = [labels.elements[one] for one in elements_of(row) if one != element.id]
+        names = [element_name(one, classes) for one in others]
+        found.append({"id": row.id, "text": "".join([texts[row.verdict], *names])})
+    return found
 
 
 def nearby_json(nearby: Iterable[Nearby], labels: Labels, classes: ClassSet) -> list[Json]:
@@ -111,8 +127,8 @@ def frame_of(operation: Operation, labels: Labels) -> int | None:
     frames = frames_touched(operation)
     if frames:
         return frames[0]
-    elements = [row for row in _rows(operation) if isinstance(row, LabelElement)]
-    seen = labels.of_element(elements[0].id) if elements else ()
+    about = (one for row in _rows(operation) for one in elements_of(row))
+    seen = next((rows for one in about if (rows := labels.of_element(one))), ())
     return seen[0].frame_index if seen else None
 
 
@@ -170,6 +186,8 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         return f"Restore {operation.text}"
     if operation.kind == "add many":
         return _accepted(operation, labels, classes)
+    if operation.kind == "judge":
+        return _judged(operation, labels, classes)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
     return f"{verb} {_subject(operation, labels, classes)}".strip()
 
@@ -182,6 +200,16 @@ def _accepted(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     return f"Accept {len(seen)} elements"
 
 
+def _judged(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+    """``P-03 and P-09 are two things``."""
+    rows = [row for row in _rows(operation) if isinstance(row, Judgement)]
+    ids = dict.fromkeys(one for row in rows for one in elements_of(row))
+    known = sorted((labels.elements[one] for one in ids if one in labels.elements), key=_number)
+    names = " and ".join(element_name(one, classes) for one in known) or "Elements"
+    verdicts = {"apart": "are apart", "keep": "kept as it is", "leave out": "left out of maps"}
+    return f"{names} {verdicts[rows[0].verdict]}"
+
+
 def _said(operation: Operation) -> str:
     after = operation.changes[0].after if operation.changes else None
     return after.state if isinstance(after, Review) else ""
@@ -192,7 +220,7 @@ def _subject(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     rows = _rows(operation)
     known = {row.id: row for row in rows if isinstance(row, LabelElement)}
     seen = [row for row in rows if isinstance(row, Observation | Dismissal)]
-    ids = list(known) or [row.element_id for row in seen if row.element_id is not None]
+    ids = list(known) or [one for row in rows for one in elements_of(row)]
     element = known.get(ids[0]) or labels.elements.get(ids[0]) if ids else None
     name = element_name(element, classes) if element is not None else "an element"
     sides = {row.side for row in seen}
@@ -210,6 +238,10 @@ def observation_json(row: Observation) -> Json:
         "frame": row.frame_index,
         "side": row.side,
     }
+
+
+def _number(element: LabelElement) -> int:
+    return element.number
 
 
 def _count(number: int, what: str) -> str:

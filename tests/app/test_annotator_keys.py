@@ -57,18 +57,18 @@ def test_a_changed_key_works_is_shown_everywhere_and_stays(
     driver: LabelDriver, served: Served
 ) -> None:
     page = driver.page
-    assert change_key(page, "Loupe", "Shift+Y") == "“Loupe” is now Shift Y."
+    assert change_key(page, "Loupe", "Shift+G") == "“Loupe” is now Shift G."
     aid = page.locator('#aids .row:has-text("Loupe")')
-    for press, state in (("l", "true"), ("Shift+Y", "false")):
+    for press, state in (("l", "true"), ("Shift+G", "false")):
         page.keyboard.press(press)
         driver.settle()
         assert aid.get_attribute("aria-checked") == state
     page.reload()
     page.wait_for_selector("#saved.saved")
     driver.settle()
-    assert aid.locator("kbd").inner_text() == "Shift Y"
+    assert aid.locator("kbd").inner_text() == "Shift G"
     page.keyboard.press("?")
-    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "Y"]
+    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "G"]
     page.click("text=Change keys…")
     page.click("text=Reset to defaults")
     page.keyboard.press("Escape")
@@ -105,7 +105,7 @@ def test_every_command_is_in_the_help_and_in_the_palette(driver: LabelDriver) ->
     page.click("text=Change keys…")
     in_help = page.locator("dialog.help button.kbd").count()
     groups = page.locator("dialog.help h3").all_inner_texts()
-    assert groups == ["Draw", "Proposals", "See", "Frames", "Safety", "Anywhere"]
+    assert groups == ["Draw", "Proposals", "See", "Frames", "Map", "Safety", "Anywhere"]
     page.keyboard.press("Escape")
     page.keyboard.press("Control+k")
     in_palette = page.locator("dialog.palette [role=option]").count()

@@ -4,6 +4,7 @@ import { backToImages, nextPanel } from "./focus.js";
 import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
 import { proposalCommands, proposing } from "./proposals.js";
+import { reviewCommands } from "./review.js";
 import { SIDES, other, uuid7 } from "./state.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help. */
@@ -11,7 +12,7 @@ export function commands(state, images, tools, actions) {
   const edit = editing(state, actions);
   const step = (by) => actions.go(neighbour(state, by));
   const toggle = (aid) => () => state.set({ aids: { ...state.aids, [aid]: !state.aids[aid] } });
-  const { cursor, past, tour } = actions;
+  const { cursor, past, review, tour } = actions;
   const nudge = (key, du, dv) => {
     const by = (px, cursorPx) => () => {
       if (cursor.takesArrows) cursor.move(cursorPx * du, cursorPx * dv);
@@ -34,7 +35,7 @@ export function commands(state, images, tools, actions) {
     { key: "Escape", group: "Draw", title: "Cancel the drawing; clear the selection", run: () => {
       if (backToImages() || tools.cancel()) return;
       tour.end();
-      if (!past.back() && !cursor.hide()) actions.select(null);
+      if (!past.back() && !cursor.hide() && !review.close()) actions.select(null);
     } },
 
     { key: "Click element", group: "Draw", title: "Select; drag moves an end, or all of it" },
@@ -63,7 +64,7 @@ export function commands(state, images, tools, actions) {
 
     { key: "Wheel", group: "See", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "See", title: "Pan; also middle button, or Alt" },
-    { key: "z", group: "See", title: "Zoom to the selection", run: () => lookAt(state, images) },
+    { key: "z", group: "See", title: "Zoom to what is selected or asked", run: () => lookAt(state, images) },
     { key: "PageUp", group: "See", title: "Zoom in, at the cursor or the middle", run: () => images.zoomBy(1.5, state.cursor?.pixel) },
     { key: "PageDown", group: "See", title: "Zoom out", run: () => images.zoomBy(1 / 1.5, state.cursor?.pixel) },
     { key: "0", group: "See", title: "Whole image", run: () => images.fit() },
@@ -77,6 +78,7 @@ export function commands(state, images, tools, actions) {
     { key: ",", group: "Frames", title: "Frame before", run: () => step(-1) },
     { key: ".", group: "Frames", title: "Frame after", run: () => step(1) },
     ...jumpCommands(state, actions),
+    ...reviewCommands(review),
     { key: "Enter", group: "Frames", title: "Reviewed", run: () => edit.review("reviewed") },
     { key: "Enter", shift: true, group: "Frames", title: "Reviewed, empty", run: () => edit.review("reviewed, empty") },
 
@@ -162,8 +164,12 @@ export function neighbour(state, by) {
   return state.order[state.order.indexOf(state.frame) + by] ?? null;
 }
 
+/** At the selection or, without one, at what an open question of the map is about. */
 function lookAt(state, images) {
-  const here = state.selectedElement?.observations ?? state.selectedGhost ?? {};
-  const side = here[state.selected?.side] ? state.selected.side : SIDES.find((one) => here[one]);
-  if (side) images.lookAt([here[side].anchor, here[side].end].filter(Boolean));
+  const asked = [...state.elements.map((one) => ({ ...one, ...one.observations })), ...state.offers].filter(({ id }) => state.isReviewed(id));
+  const selected = state.selectedElement?.observations ?? state.selectedGhost;
+  const all = selected ? [selected] : asked;
+  const side = [state.selected?.side, ...SIDES].find((one) => all.some((here) => here[one]));
+  const marks = all.map((here) => here[side]).filter(Boolean);
+  if (marks.length) images.lookAt(marks.flatMap(({ anchor, end }) => [anchor, end]).filter(Boolean));
 }

@@ -6,6 +6,7 @@ export function hints(state) {
   if (drawing) return whileDrawing(state.classOf(drawing.class).kind);
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
+  if (state.review && !selected) return whileAsked(state.review);
   if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
   const offer = state.currentOffer;
   if (offer && (!element || element.id === offer.id)) return withOffer(state, offer);
@@ -15,6 +16,11 @@ export function hints(state) {
     draw, hint("class", ...state.hello.classes.slice(0, 9).map((_, place) => `${place + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
+}
+
+function whileAsked({ answers }) {
+  const said = answers.slice(0, 2).map(({ title }, place) => hint(title.toLowerCase(), ["Y", "Shift Y"][place]));
+  return [...said, hint("zoom to it", "Z"), hint("the next", "Shift ."), hint("the one before", "Shift ,"), hint("close", "Esc")];
 }
 
 function withOffer(state, offer) {

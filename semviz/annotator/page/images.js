@@ -180,8 +180,8 @@ export class Images {
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
     const isSelected = (one) => one.id === state.selected?.element || one.id === state.selected?.also;
     if (state.aids.guides) painter.guides(state.look?.guides[side] ?? []);
-    for (const offer of state.aids.ghosts ? state.offers : []) {
-      const marked = { selected: isSelected(offer), current: offer.id === state.currentOffer?.id };
+    for (const offer of state.offers.filter(({ id }) => state.aids.ghosts || state.isReviewed(id))) {
+      const marked = { selected: isSelected(offer), current: offer.id === state.currentOffer?.id, reviewed: state.isReviewed(offer.id) };
       if (offer[side]) painter.offer(offer, offer[side], marked);
     }
     for (const element of state.elements) {
@@ -190,7 +190,7 @@ export class Images {
       const selected = isSelected(element);
       const inHand = element.id === state.selected?.element && side === state.selected.side;
       const hovered = this.hovered?.observation === observation.id;
-      painter.element(element, observation, { selected, hovered, vertex: inHand ? state.vertex : null });
+      painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: inHand ? state.vertex : null });
     }
     if (state.drawing?.side === side) {
       painter.drawing(state.drawing);

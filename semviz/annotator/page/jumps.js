@@ -1,10 +1,11 @@
-// The lists of frames that want a visit, and the way through them.
+// The lists of what wants a visit, frames and questions of the last map, and the way through them.
 import { byId, el } from "/static/dom.js";
+import { REVIEWS } from "./review.js";
 import { Kept, badge, row } from "./widgets.js";
 
 const FEW = 4; // elements that a frame needs for a pose without doubt
 
-/** Every list: what belongs in it, which comes first, and what its row shows. */
+/** Every list of frames: what belongs in it, which comes first, and what its row shows. */
 export const JUMPS = {
   unreviewed: {
     title: "Unreviewed", has: ({ state }) => !state.startsWith("reviewed"), about: (frames) => frames.length,
@@ -31,7 +32,7 @@ export function jumpFrames(state, name = state.jump) {
 /** Commands for `Keys`. */
 export function jumpCommands(state, actions) {
   const group = "Frames";
-  const names = Object.keys(JUMPS);
+  const names = [...Object.keys(JUMPS), ...Object.keys(REVIEWS)];
   return [
     { key: ",", shift: true, group, title: "Before, in the jump list", run: () => jump(state, actions, -1) },
     { key: ".", shift: true, group, title: "After, in the jump list", run: () => jump(state, actions, 1) },
@@ -43,6 +44,10 @@ export function jumpCommands(state, actions) {
 
 /** Goes on in the list: from the frame on screen or, where that is not in it, to the next in time. */
 function jump(state, actions, by) {
+  if (state.jump in REVIEWS) {
+    actions.stepReview(state.jump, by);
+    return;
+  }
   const frames = jumpFrames(state).map(({ index }) => index);
   if (!frames.length) return;
   const here = frames.indexOf(state.frame);
@@ -71,11 +76,14 @@ export class Jumps {
 
   show() {
     const { labels, jump } = this.state;
+    const { built, ...counts } = labels.map;
     if (this.frames !== labels.frames) {
       this.frames = labels.frames;
       this.lists = Object.entries(JUMPS).map(([name, { title, about }]) => [name, title, about(jumpFrames(this.state, name))]);
     }
-    this.kept.show("jumps", [this.lists, jump], () => this.lists.map((one) => this.#row(one)));
+    const reviews = Object.entries(REVIEWS).map(([name, { title }]) => [name, title, built === null ? "no map yet" : counts[name]]);
+    const lists = [...this.lists, ...reviews];
+    this.kept.show("jumps", [lists, jump], () => lists.map((one) => this.#row(one)));
   }
 
   #row([name, title, about]) {

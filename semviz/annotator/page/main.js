@@ -14,6 +14,7 @@ import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { Pictures } from "./pictures.js";
+import { Review } from "./review.js";
 import { Sketch } from "./sketch.js";
 import { SIDES, State, drawnAgain, isIdle, seen, startOf, spaced } from "./state.js";
 import { Tour } from "./tour.js";
@@ -199,6 +200,9 @@ const received = {
   past(message) {
     past.received(message);
   },
+  review(message) {
+    review.received(message);
+  },
   history(message) {
     operations.received(message);
   },
@@ -251,18 +255,20 @@ function select(element, side = null) {
 
 const actions = {
   submit, mayEdit, look, go, select, resolve,
+  stepReview: (list, by) => review.step(list, by),
   review: () => editing(state, actions).review("reviewed"),
 };
 const tools = new Tools(state, images, actions);
 const send = (message) => socket.send(message);
 const past = new Past(state, keys, { send, submit, look });
 const operations = new History(state, keys, past, { go, send, submit });
+const review = new Review(state, keys, { go, select, send, submit, fit: () => images.fit(), tell: (...said) => panels.tell(...said) });
 const light = new Light(state);
 const tour = new Tour(state, keys);
 const help = () => showHelp(keys, "Keys", [{ text: "Tour in 3 steps", run: () => tour.open() }]);
 const palette = () => showPalette(keys);
-const panels = new Panels(state, images, keys, { ...actions, help }, [past, operations, light, tour]);
-const commanded = { ...actions, cursor: new Cursor(state, images, tools), help, nameState: () => operations.startNaming(), palette, past, sendTheme, tour };
+const panels = new Panels(state, images, keys, { ...actions, help }, [past, operations, light, review, tour]);
+const commanded = { ...actions, cursor: new Cursor(state, images, tools), help, nameState: () => operations.startNaming(), palette, past, review, sendTheme, tour };
 keys.onchange = () => state.set({ changedKeys: keys.changed });
 keys.listen(window);
 watchLists();

@@ -19,34 +19,35 @@ export class Painter {
     this.texts = [];
   }
 
-  /** A labelled element. `vertex`: the end that the arrow keys move, null where it isn't in hand. */
-  element(element, observation, { selected, hovered, vertex }) {
+  /** A labelled element. `reviewed`: a question of the last map is about it. `vertex`: the end that the
+   * arrow keys move, null where it isn't in hand. */
+  element(element, observation, { selected, hovered, reviewed, vertex }) {
     const { color, shape, kind } = this.classOf(element.class);
     const anchor = this.view.toScreen(observation.anchor);
     const width = hovered ? 3 : 2;
     const dash = element.kept ? [2, 2] : [];
     if (kind === "line") {
       const end = this.view.toScreen(observation.end);
-      if (selected) this.#halo(anchor, end);
+      if (selected || reviewed) this.#halo(anchor, end);
       drawLine(this.context, anchor, end, color, width, dash);
       this.#poleEnd("peak", anchor, end, color, observation.anchor_known, vertex === "anchor");
       this.#poleEnd("bottom", end, anchor, color, observation.end_known, vertex === "end");
     } else {
-      if (selected) this.#ring(anchor, GLYPH + 6);
+      if (selected || reviewed) this.#ring(anchor, GLYPH + 6);
       drawGlyph(this.context, shape, ...anchor, selected ? SELECTED_GLYPH : GLYPH, color, width, dash);
       this.#dot(anchor, color);
     }
     const text = selected ? [element.name, ...missing(kind, observation)].join(" · ") : element.name;
-    this.#label(text, anchor, selected ? 3 : 2, observation.end);
+    this.#label(text, anchor, selected ? 3 : reviewed ? 2.5 : 2, observation.end);
   }
 
   /** A proposal: dashed, never filled; what isn't sure is dotted. The current one says so. */
-  offer(offer, mark, { selected, current }) {
+  offer(offer, mark, { selected, current, reviewed }) {
     const { score, runner_up } = mark;
-    this.#proposed(offer, mark, { selected, dash: offer.sure ? [5, 4] : [1.5, 4] });
+    this.#proposed(offer, mark, { selected: selected || reviewed, dash: offer.sure ? [5, 4] : [1.5, 4] });
     const said = [offer.name, score === null ? "" : shownScore(score), current ? this.shownKey("Space") : ""];
     const text = current ? said.filter(Boolean).join(" · ") : offer.name;
-    this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : offer.sure ? 1 : 0, mark.end);
+    this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : reviewed ? 2.5 : offer.sure ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
     this.#proposed(offer, runner_up, { dash: [1, 5] });
     this.#label(`runner-up ${shownScore(runner_up.score)} · ${this.shownKey("K")}`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);

@@ -121,7 +121,16 @@ export class Panels {
     const about = drawing ? "not saved yet" : element?.kept ? "kept here" : element ? state.classOf(id).name : whence(state.selectedGhost);
     const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side)), warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side)), this.#judged(element) ?? warning(card), this.#buttons(element)];
+  }
+
+  /** What people decided about the element; null where nothing. */
+  #judged(element) {
+    if (!element?.judged?.length) return null;
+    const takeBack = ({ id, text }) => el("button", {
+      class: "small", title: "Leave it to the map again", onclick: () => this.actions.submit({ kind: "take back", judgement_id: id }),
+    }, capital(text), " ✕");
+    return el("p", { class: "about-card judged" }, ...element.judged.map(takeBack));
   }
 
   #buttons(element) {

@@ -25,6 +25,7 @@ export class State {
     this.pointed = null; // the element whose offer is under the pointer
     this.swapped = new Set(); // ids of offers whose runner-up is taken for the best
     this.jump = "unreviewed"; // the list that the jump keys go through; see jumps.js
+    this.review = null; // the decision of the last map, or the finding in it, that is open; see review.js
     this.conflict = null; // {edit, theirs, text}: somebody changed what an edit starts from
     this.pending = []; // [{request, edit}] on their way, oldest first
     this.connected = false;
@@ -90,6 +91,11 @@ export class State {
       }
       return shown;
     }).filter((offer) => SIDES.some((side) => offer[side]));
+  }
+
+  /** Whether an element is one that an open decision or finding is about. */
+  isReviewed(id) {
+    return Boolean(this.review?.elements.some((one) => one.id === id));
   }
 
   /** Elements to continue of which nobody knows where they are: `{id, name, class, labelled_in}`. */

@@ -1,0 +1,68 @@
+"""The lists of what waits for a person in the last map: decisions to judge, findings to look at."""
+
+from collections.abc import Sequence
+from typing import Literal, TypeAlias, get_args
+
+from semviz.annotator.map_work import Built, MapWork
+from semviz.reviewing import Json, entry_json, entry_key
+from semviz_annotation.labels import Labels
+from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.review import open_decisions
+from semviz_core.errors import SemvizError
+from semviz_core.semantic_map import Decision
+
+List: TypeAlias = Literal["decisions", "findings"]
+KINDS = ("merge", "split", "apart", "leave out")
+"""One kind after the other: the same question again is answered quicker."""
+
+
+class Reviews:
+    """What the page can ask about the last map. One thread at a time."""
+
+    def __init__(self, work: MapWork) -> None:
+        self._work = work
+        self._known: tuple[Built | None, Labels] = None, Labels()
+        self._open: tuple[Decision, ...] = ()
+        """Of these."""
+
+    def summary(self, labels: Labels) -> Json:
+        """How much there is, of which map, and whether a new one is being built."""
+        built = self._work.built
+        return {
+            "built": None if built is None else built.semantic_map.operation,
+            "elements": 0 if built is None else len(built.semantic_map),
+            "decisions": len(self._decisions(labels)),
+            "findings": 0 if built is None else len(built.findings),
+            "building": self._work.building_since is not None,
+            "failure": self._work.failure,
+        }
+
+    def card(self, asked: Json, labels: Labels) -> Json:
+        """The entry of a list that lies ``by`` places after the one with ``key``.
+
+        Where that one is answered, what followed it is at ``place`` now. ``{"list", "count"}``
+        alone where the list is empty. Raises SemvizError where there is no such list.
+        """
+        name, key, place, by = (asked.get(one) for one in ("list", "key", "place", "by"))
+        if name not in get_args(List) or not isinstance(place, int) or by not in (-1, 0, 1):
+            raise SemvizError("not a list of this page; reload it")
+        entries: Sequence[Decision | Finding] = self._decisions(labels)
+        built = self._work.built
+        if name == "findings" and built is not None:
+            entries = built.findings
+        if not entries or built is None:
+            return {"list": name, "count": 0}
+        keys = [entry_key(one) for one in entries]
+        at = keys.index(key) + by if key in keys else place + min(by, 0)
+        at = min(max(at, 0), len(entries) - 1)
+        card = entry_json(entries[at], built.semantic_map, labels)
+        return card | {"list": name, "place": at, "count": len(entries)}
+
+    def _decisions(self, labels: Labels) -> tuple[Decision, ...]:
+        built = self._work.built
+        if self._known[0] is not built or self._known[1] is not labels:
+            decisions = () if built is None else built.semantic_map.decisions
+            found = open_decisions(decisions, labels)
+            self._open = tuple(sorted(found, key=lambda one: KINDS.index(one.kind)))
+            self._known = built, labels
+        return self._open
