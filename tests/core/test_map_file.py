@@ -145,7 +145,14 @@ def test_a_newer_version_asks_for_an_update(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"frame": {}}, {"frame": None}, {"classes": [{"id": 0}]}, {"trajectory_m": "AAAA"}]
+    "changes",
+    [
+        {"frame": {}},
+        {"frame": None},
+        {"classes": [{"id": 0}]},
+        {"trajectory_m": "AAAA"},
+        {"operation": "last"},
+    ],
 )
 def test_broken_metadata_is_refused(tmp_path: Path, changes: dict[str, object]) -> None:
     path = tmp_path / "town.parquet"
