@@ -241,7 +241,11 @@ def _covariance(
     if not is_line and matrix[3:].any():
         raise SemvizError("covariance_enu_m2 of a sign has 6 rows; it has 3 coordinates only")
     J = np.kron(np.eye(2), place.rotation.T)
-    return np.asarray(J @ matrix @ J.T)
+    turned = np.asarray(J @ matrix @ J.T)
+    variances = np.diagonal(turned)
+    rounded = np.abs(variances) < 1e-12 * np.abs(matrix).max()  # below zero, perhaps
+    np.fill_diagonal(turned, np.where(rounded, 0.0, variances))
+    return turned
 
 
 def _texts(properties: Mapping[str, Any], name: str) -> tuple[str, ...]:
