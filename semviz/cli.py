@@ -19,6 +19,7 @@ from semviz.commands.map_check import MapCheck
 from semviz.commands.map_diff import MapDiff
 from semviz.commands.map_export import MapExport
 from semviz.commands.map_import import MapImport
+from semviz.commands.map_localizability import MapLocalizability
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
 from semviz.commands.serve import Serve
@@ -29,6 +30,7 @@ MapCommands = Annotated[
     Annotated[MapBuild, subcommand("build")]
     | Annotated[MapCheck, subcommand("check")]
     | Annotated[MapDiff, subcommand("diff")]
+    | Annotated[MapLocalizability, subcommand("localizability")]
     | Annotated[MapExport, subcommand("export")]
     | Annotated[MapImport, subcommand("import")],
     subcommand("map", description="Maps: built from labels, checked, compared, in and out."),

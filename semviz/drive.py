@@ -74,14 +74,7 @@ class Drive:
     options: DriveOptions
 
     def __post_init__(self) -> None:
-        have, want = self.semantic_map.frame.name, self.source.map_frame.name
-        if have != want:
-            raise SemvizError(
-                f"the map is in frame '{have}', the sequence in '{want}': "
-                "build a map from this sequence, or choose another with --map"
-            )
-        if not self.frames:
-            raise SemvizError("no frames to localize: --frames leaves none")
+        check_same_frame(self.semantic_map, self.source)
         if not len(self.semantic_map):
             raise SemvizError("the map is empty: label some poles and signs, then 'map build'")
 
@@ -120,6 +113,24 @@ class Drive:
         return encoded.tobytes()
 
 
+def check_same_frame(semantic_map: SemanticMap, source: Source) -> None:
+    """SemvizError where a map and the poses of a sequence have different coordinates."""
+    have, want = semantic_map.frame.name, source.map_frame.name
+    if have != want:
+        raise SemvizError(
+            f"the map is in frame '{have}', the sequence in '{want}': "
+            "build a map from this sequence, or choose another with --map"
+        )
+
+
+def chosen_frames(source: Source, numbers: range | None) -> tuple[Frame, ...]:
+    """The frames of a sequence in ``numbers``, all for None; SemvizError where that leaves none."""
+    chosen = tuple(one for one in source.frames if numbers is None or one.index in numbers)
+    if not chosen:
+        raise SemvizError("no frames are left: --frames names none that the sequence has")
+    return chosen
+
+
 def drive_workspace(
     workspace: Workspace, map_name: str, options: DriveOptions, frames: range | None = None
 ) -> Drive:
@@ -128,7 +139,7 @@ def drive_workspace(
     semantic_map = workspace.read_map(map_name)
     detector = detector_model(options.observations)
     localizer = Localizer(options.method, options.seed, semantic_map.classes, detector)
-    chosen = tuple(one for one in source.frames if frames is None or one.index in frames)
+    chosen = chosen_frames(source, frames)
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)
     else:

@@ -68,6 +68,7 @@ class Localizability:
             last_m=float(self.along_m[rows[-1]]),
             found=float(self.found[rows].mean()),
             sigma_m=float(np.median(self.sigma_m[rows])),
+            sigma_deg=float(np.median(self.sigma_deg[rows])),
             expected_m=float(self.expected_m[rows].mean()),
             lost=float(self.lost[rows].mean()),
             ambiguous=float(self.ambiguous[rows].mean()),
@@ -76,7 +77,7 @@ class Localizability:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A piece of the route: means over its positions, and the median of ``sigma_m``."""
+    """A piece of the route: means over its positions, of sigmas the median."""
 
     first: int
     """Position where it begins."""
@@ -86,6 +87,7 @@ class Stretch:
     last_m: float
     found: float
     sigma_m: float
+    sigma_deg: float
     expected_m: float
     lost: float
     ambiguous: float

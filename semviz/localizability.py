@@ -1,0 +1,62 @@
+"""Localizability under the settings of a drive: what is taken for granted, and the route."""
+
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from semviz.drive import DriveOptions, detector_model
+from semviz_core.errors import SemvizError
+from semviz_core.frame import Frame
+from semviz_core.localizability.conditions import LABEL_NOISE, Conditions
+from semviz_core.localizability.route import poses_along, thinned
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+from semviz_core.sources.priors import PriorOptions
+from semviz_core.sources.street.detector import NOISE
+
+STEP_M = 1.0
+"""Between positions, at least."""
+
+
+def conditions_of(options: DriveOptions) -> Conditions:
+    """What a drive with these options takes for granted."""
+    heading_deg = options.heading_sigma_deg
+    prior = PriorOptions(
+        distance_m=options.prior_distance_m,
+        heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
+    )
+    return Conditions(
+        detector=detector_model(options.observations),
+        noise=LABEL_NOISE if options.observations == "labels" else NOISE[options.noise],
+        prior=prior,
+        crop_radius_m=options.crop_radius_m,
+        seed=options.seed,
+    )
+
+
+def options_of(recorded: dict[str, Any]) -> DriveOptions:
+    """The options that a run was recorded with; the usual ones for what it does not say."""
+    names = {one.name for one in fields(DriveOptions)}
+    known = {name: value for name, value in recorded.items() if name in names}
+    if "prior_distance_m" in known:
+        known["prior_distance_m"] = tuple(known["prior_distance_m"])
+    return DriveOptions(**known)
+
+
+def positions(frames: Iterable[Frame], semantic_map: SemanticMap) -> tuple[Pose, ...]:
+    """T_map_camera along the way of the frames, where their poses are known, else of the map.
+
+    Raises SemvizError where neither tells a way.
+    """
+    poses = tuple(one.T_map_camera for one in frames if one.T_map_camera is not None)
+    if not poses:
+        track_m = semantic_map.trajectory_m
+        poses = poses_along(track_m[thinned(track_m, STEP_M)])
+    if not poses:
+        raise SemvizError(
+            "neither the frames have poses nor the map a trajectory: there is no route to look from"
+        )
+    rows = thinned(np.array([pose.translation for pose in poses]), STEP_M)
+    return tuple(poses[row] for row in rows)
