@@ -165,10 +165,10 @@ def flat(values: Unknowns) -> np.ndarray:
 
 
 @pytest.fixture
-def problem() -> "tuple[module._Problem, Unknowns]":
+def problem() -> "tuple[module.Problem, Unknowns]":
     world = drive(5, things=7, seed=8, sigma_px=1.0, hidden=0.4, pose_sigma=POSES)
     placed = place(world.views, world.sightings)
-    made = module._Problem(world.views, world.sightings, OPTIONS)
+    made = module.Problem(world.views, world.sightings, OPTIONS)
     at = made.start(placed)
     rng = np.random.default_rng(0)
     return made, Unknowns(at.things, rng.normal(0.0, 0.01, at.frames.shape), 0.2)

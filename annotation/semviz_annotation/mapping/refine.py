@@ -74,7 +74,7 @@ def refine(
     ``on_progress`` counts steps; there may be fewer.
     """
     chosen = sightings.only(placed.ok)
-    problem = _Problem(views, chosen, options)
+    problem = Problem(views, chosen, options)
     here = problem.at(problem.start(placed))
     costs, damping, settled = [here.cost], 1e-4, False
     for number in range(_STEPS):
@@ -109,7 +109,7 @@ class _State:
     normal: Normal
 
 
-class _Problem:
+class Problem:
     """The sightings, and how far poses may be from the given ones."""
 
     def __init__(self, views: Views, sightings: Sightings, options: RefineOptions) -> None:
@@ -149,7 +149,7 @@ class _Problem:
     def _normal(self, at: Unknowns, fit: Residuals, weights: FloatArray) -> Normal:
         sightings, bonds = self._sightings, self._bonds
         sigma_px = self._place.sigma_px
-        by_frame = self._by_frame(at, fit)
+        by_frame = self.by_frame(at, fit)
         by_offset = np.where(self._given.is_right[sightings.view, None], fit.by_u, 0.0)
         weight = weights / sigma_px**2
         thing_rows = (weight[:, :, None] * fit.J).transpose(0, 2, 1)
@@ -170,7 +170,7 @@ class _Problem:
             gradient=gradient,
         )
 
-    def _by_frame(self, at: Unknowns, fit: Residuals) -> FloatArray:
+    def by_frame(self, at: Unknowns, fit: Residuals) -> FloatArray:
         """(k, 4, 6) derivatives of the measured rows by the frames' moves.
 
         A camera that moves by d and turns by w sees a point p at c from it as if that had moved by
