@@ -1,6 +1,7 @@
 """What was decided when a map was built, and what looks odd in it, as both web pages show it."""
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -106,10 +107,13 @@ def _mapped_json(row: int, semantic_map: SemanticMap, labels: Labels) -> Json:
 
 def _row_of(label_id: str, semantic_map: SemanticMap) -> int | None:
     """The map element that a label element became, or became part of."""
-    for row, one in enumerate(semantic_map.provenance):
-        if label_id in one.label_ids:
-            return row
-    return None
+    return _rows_by_label(semantic_map).get(label_id)
+
+
+@lru_cache(maxsize=2)
+def _rows_by_label(semantic_map: SemanticMap) -> dict[str, int]:
+    rows = list(enumerate(semantic_map.provenance))
+    return {label_id: row for row, one in reversed(rows) for label_id in one.label_ids}
 
 
 def _frames(observation_ids: Iterable[str], labels: Labels) -> list[int]:

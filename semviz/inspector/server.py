@@ -79,6 +79,10 @@ class InspectorSession:
             "look": self._look,
             "theme": self._theme,
             "alternatives": self._alternatives,
+            "decisions": self._decisions,
+            "see": self._see,
+            "answer": self._answer,
+            "undo": self._undo,
         }
 
     def connected(self) -> None:
@@ -144,6 +148,32 @@ class InspectorSession:
         self._state = self._state.showing_alternatives(bool(message.get("shown")))
         self._tell_state()
         self._shown().show_frame(run, self._state)
+
+    def _decisions(self, _: Message) -> None:
+        self._opened()
+        shown = self._shelf.decisions(self._state.run).view()
+        self._send({"type": "decisions", "decisions": shown})
+
+    def _see(self, message: Message) -> None:
+        """Selects the map element of a decision, in a frame that shows it."""
+        run, key = self._opened(), str(message.get("key"))
+        position, element = self._shelf.decisions(self._state.run).place(key)
+        if position is not None:
+            self._state = self._state.at(position, run)
+        self._state = self._state.selecting(None, element, run)
+        self._tell_frame(run)
+        self._shown().show_frame(run, self._state)
+
+    def _answer(self, message: Message) -> None:
+        self._opened()
+        decisions = self._shelf.decisions(self._state.run)
+        decisions.answer(str(message.get("key")), str(message.get("name")))
+        self._decisions(message)
+
+    def _undo(self, message: Message) -> None:
+        self._opened()
+        self._shelf.decisions(self._state.run).undo(str(message.get("key")))
+        self._decisions(message)
 
     def _clicked(self, element: int) -> None:
         with self._lock:

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
+from semviz.inspector.decisions import Decisions
 from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
 
@@ -16,6 +17,7 @@ class Shelf:
             raise SemvizError("no run to show; 'semviz localize' records one")
         self._paths = dict(zip(_names(paths), paths, strict=True))
         self._runs: dict[str, Run] = {}
+        self._decisions: dict[str, Decisions] = {}
         self._lock = threading.Lock()
 
     @property
@@ -32,6 +34,14 @@ class Shelf:
             if name not in self._runs:
                 self._runs[name] = load_run(self._paths[name])
             return self._runs[name]
+
+    def decisions(self, name: str) -> Decisions:
+        """What was decided for the map of the run called ``name``."""
+        run = self.run(name)
+        with self._lock:
+            if name not in self._decisions:
+                self._decisions[name] = Decisions(run, self._paths[name])
+            return self._decisions[name]
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -8,6 +8,7 @@ import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
 import { Bar } from "./bar.js";
+import { DecisionList } from "./decisions.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
@@ -26,8 +27,9 @@ class Page {
     this.playing = false;
     this.image = new ImagePanel(this, () => this.painted());
     this.list = new FrameList(this);
+    this.decisions = new DecisionList(this);
     this.matrix = new MatrixPanel(this);
-    this.panels = [new Bar(this), this.list, new SpacePanel(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
+    this.panels = [new Bar(this), this.list, this.decisions, new SpacePanel(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
     this.socket = new Socket({
@@ -57,6 +59,7 @@ class Page {
     else if (message.type === "run") this.showRun(message.run);
     else if (message.type === "frame") this.showFrame(message.frame, message.state);
     else if (message.type === "state") this.showState(message.state);
+    else if (message.type === "decisions") this.decisions.showDecisions(message.decisions);
     else if (message.type === "scene") this.showScene();
   }
 
@@ -153,6 +156,7 @@ class Page {
       step(".", "Frame after", () => this.step(1)),
       step(",", "Up in the worst-first list", () => this.list.step(-1), true),
       step(".", "Down in the worst-first list", () => this.list.step(1), true),
+      step("v", "Frames, or decisions of the map", () => this.decisions.toggle()),
       step("j", "Go to a frame by number", () => this.askForFrame()),
       step(" ", "Play, stop", () => this.play()),
       show("1", "Map with the estimate", () => this.image.setMode("estimate")),
