@@ -3,9 +3,9 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
     from semviz.workspace import Workspace
@@ -18,9 +18,9 @@ class MapDiff:
 
     workspace: Positional[Path]
     """The workspace."""
-    base: Positional[str]
+    base: Annotated[Positional[str], arg(metavar="BASE")]
     """Name of a map in the workspace, or a file (.parquet)."""
-    other: Positional[str]
+    other: Annotated[Positional[str], arg(metavar="OTHER")]
     """The map that is compared with it: a name or a file."""
     json: bool = False
     """Print one JSON object instead of text."""
