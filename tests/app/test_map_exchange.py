@@ -1,0 +1,177 @@
+"""Maps and trajectories out and in by commands; what is wrong costs one line, nothing else."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from semviz.cli import main
+from semviz.workspace import TRUTH, Workspace
+
+Run = Callable[..., tuple[int, str, str]]
+ANCHOR = "--anchor=-33.8,151.2,12"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Exit status, output and error output of one command."""
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in arguments])
+        output, errors = capsys.readouterr()
+        return int(ended.value.code or 0), output, errors
+
+    return run_command
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A localized street of 3 frames."""
+    folder = tmp_path_factory.mktemp("streets") / "street"
+    for command in (
+        ["new", folder, "--simulate", 3, "--frames", "0:3"],
+        ["localize", folder, "--map", TRUTH],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in command])
+        assert ended.value.code == 0
+    return folder
+
+
+def refused(result: tuple[int, str, str], *words: str) -> None:
+    status, output, errors = result
+    assert (status, output) == (2, "")
+    assert errors.startswith("semviz: ")
+    assert errors.count("\n") == 1, errors
+    for word in words:
+        assert word in errors
+
+
+def test_a_map_goes_out_and_comes_back(run: Run, made: Path, tmp_path: Path) -> None:
+    workspace, file = Workspace.open(made), tmp_path / "back.geojson"
+    status, output, _ = run(
+        "map", "export", made, file, "--map", TRUTH, ANCHOR, "--anchor-heading", 33, "--json"
+    )
+    report = json.loads(output)
+    assert status == 0
+    assert set(report) == {"path", "format", "counts", "dropped", "assumed"}
+    assert report["counts"]["poles"] > 5
+    status, output, _ = run("map", "import", made, file)
+    assert status == 0
+    assert "back.parquet" in output
+    truth, back = workspace.read_map(TRUTH), workspace.read_map("back")
+    assert back.frame.name == truth.frame.name
+    assert (back.frame.origin, back.frame.x_heading_deg) == ((-33.8, 151.2, 12.0), 33.0)
+    np.testing.assert_allclose(back.elements.anchor_m, truth.elements.anchor_m, atol=1e-3)
+    assert run("localize", made, "--map", "back", "--out", tmp_path / "back.rrd")[0] == 0
+
+    before = workspace.map_path("back").read_bytes()
+    refused(run("map", "import", made, file), "is there already", "--replace")
+    assert workspace.map_path("back").read_bytes() == before
+    assert run("map", "import", made, file, "--replace", "--json")[0] == 0
+
+
+@pytest.mark.parametrize("ending", ["osm", "ply", "glb", "csv"])
+def test_every_ending_has_its_format(run: Run, made: Path, tmp_path: Path, ending: str) -> None:
+    place = [ANCHOR] if ending == "osm" else []
+    file = tmp_path / f"town.{ending}"
+    status, output, _ = run("map", "export", made, file, "--map", TRUTH, *place)
+    assert status == 0
+    assert "poles" in output.splitlines()[0]
+    assert "  dropped: " in output
+    assert file.stat().st_size > 1000
+
+
+def test_colmap_takes_frames_and_labels(run: Run, made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    assert run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap")[0] == 0
+    assert len((folder / "images.txt").read_text().splitlines()) == 2 * 2 * 3
+    again = run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap")
+    refused(again, "is there already")
+    placed = run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap", ANCHOR)
+    refused(placed, "--anchor")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<osm>", ["town.osm: not XML", "Nothing was imported."]),
+        ('<!DOCTYPE osm [<!ENTITY a "a">]><osm>&a;</osm>', ["document type"]),
+        ("<osm/>", ["holds no pole and no sign"]),
+        ('<osm semviz_frame="kitti-02"/>', ["'kitti-02'", "'street-3'"]),
+    ],
+)
+def test_bad_files(run: Run, made: Path, tmp_path: Path, text: str, words: list[str]) -> None:
+    file, maps = tmp_path / "town.osm", set(Workspace.open(made).maps())
+    file.write_text(text)
+    refused(run("map", "import", made, file, "--anchor", "49,8"), *words)
+    assert set(Workspace.open(made).maps()) == maps
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["out.geojson"], ["say --anchor LATITUDE,LONGITUDE"]),
+        (["out.osm", "--anchor", "north"], ["--anchor north: write LATITUDE,LONGITUDE[,HEIGHT]"]),
+        (["out.osm", "--anchor", "151.2,33.8"], ["latitude 151.2 is not within -90 and 90"]),
+        (["out.osm", "--anchor", "nan,33.8"], ["latitude nan"]),
+        (["out.osm", "--anchor-heading", "20"], ["--anchor-heading: say --anchor"]),
+        (["out.csv", ANCHOR], ["--anchor: csv is in the map's own metres"]),
+        (["out.dxf"], ["no format has this ending"]),
+    ],
+)
+def test_bad_exports(
+    run: Run, made: Path, tmp_path: Path, options: list[str], words: list[str]
+) -> None:
+    file, *rest = options
+    (tmp_path / file).write_text("precious")
+    refused(run("map", "export", made, tmp_path / file, "--map", TRUTH, *rest), *words)
+    assert (tmp_path / file).read_text() == "precious"
+
+
+def test_estimates_and_true_poses_for_evo(run: Run, made: Path, tmp_path: Path) -> None:
+    recording = made / "runs" / "search.rrd"
+    status, output, _ = run("trajectory", recording, tmp_path / "estimate.tum", "--json")
+    assert status == 0
+    assert json.loads(output)["counts"] == {"poses": 3}
+    assert json.loads(output)["dropped"]["covariances"] == 3
+    assert run("trajectory", recording, tmp_path / "truth.tum", "--truth")[0] == 0
+    assert run("trajectory", made, tmp_path / "given.tum")[0] == 0
+    estimate, truth, given = (
+        np.loadtxt(tmp_path / f"{name}.tum") for name in ("estimate", "truth", "given")
+    )
+    np.testing.assert_array_equal(truth, given)
+    np.testing.assert_array_equal(estimate[:, 0], truth[:, 0])
+    assert 1e-6 < np.abs(estimate[:, 1:4] - truth[:, 1:4]).max() < 1.0
+    status, output, _ = run("trajectory", made, tmp_path / "given.txt", "--format", "kitti")
+    assert "dropped: 3 x times" in output
+    refused(run("trajectory", made, tmp_path / "x.tum", "--truth"), "--truth is for runs")
+    refused(run("trajectory", tmp_path / "none.rrd", tmp_path / "x.tum"), "no such run")
+    poses = run("new", tmp_path / "other", "--simulate", 1, "--poses", tmp_path / "given.tum")
+    refused(poses, "--poses", "say --kitti ROOT")
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("format_", ["tum", "kitti"])
+def test_poses_of_another_make_a_workspace(
+    run: Run, tmp_path: Path, kitti_root: Path, format_: str
+) -> None:
+    """Poses that went out come in again, in a frame of their own; without them it says so."""
+    poses = tmp_path / "slam.txt"
+    sequence = ["--kitti", kitti_root, "--frames", "0:6"]
+    assert run("new", tmp_path / "town", *sequence)[0] == 0
+    assert run("trajectory", tmp_path / "town", poses, "--format", format_)[0] == 0
+    assert run("new", tmp_path / "slam", *sequence, "--poses", poses)[0] == 0
+    town, slam = (Workspace.open(tmp_path / name).source for name in ("town", "slam"))
+    assert slam.map_frame.name == "kitti-02-slam"
+    for one, other in zip(town.frames, slam.frames, strict=True):
+        assert one.T_map_camera is not None
+        assert other.T_map_camera is not None
+        np.testing.assert_allclose(
+            one.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
+        )
+    poses.unlink()
+    refused(run("trajectory", tmp_path / "slam", tmp_path / "x.tum"), "no such file of poses")
