@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.leave_out import delete_each, leave_one_out
 from semviz_annotation.mapping.place import PlaceOptions, place
 from semviz_annotation.mapping.residuals import residuals
 from semviz_annotation.mapping.sightings import Sightings, Views, gather
 from semviz_annotation.street_labels import careful, label_street
+from semviz_core.semantic_map import Provenance
 from semviz_core.sources.street.street import Street
 
 CLICK_PX = 5.0
@@ -157,6 +159,34 @@ def test_too_few_labels_say_nothing(world):
     semantic_map, _ = build_map(labels, world)
     assert leave_one_out(semantic_map, labels, world, [0]) == ()
     assert leave_one_out(replace(semantic_map, provenance=()), labels, world) == ()
+
+
+def test_parts_of_one_label_element_are_told_apart(world):
+    """Two things were given one name, in other frames; the map was built with them split."""
+    labels = world.labels(sigma_px=0.2)
+    numbers = {one.id: one.number for one in labels.elements.values()}
+    joined = next(name for name, number in numbers.items() if number == 3)
+    other = next(name for name, number in numbers.items() if number == 4)
+    parts = [row for row in labels.of_element(joined) if row.frame_index < 2]
+    rest = [row for row in labels.of_element(other) if row.frame_index >= 2]
+    mixed = Labels.from_rows(
+        [
+            *(one for one in labels.elements.values() if one.id != other),
+            *(row for row in labels.observations.values() if row.element_id not in (joined, other)),
+            *parts,
+            *(replace(row, element_id=joined) for row in rest),
+        ]
+    )
+    built, _ = build_map(labels, world)
+    provenance = [Provenance((joined,), tuple(row.id for row in rows)) for rows in (parts, rest)]
+    split = replace(built, provenance=(*provenance, *built.provenance[2:]))
+    found = leave_one_out(split, mixed, world)
+    assert found[0].residual_px < 2.0
+    assert {one.element_id for one in found} == {3, 4, 7, 9}
+    assert mapping_accuracy(split, mixed, world).classes["pole"].lateral_rmse_px < 1.0
+    unknown = replace(split, provenance=(Provenance((joined,)), Provenance((joined,)),
+                                         *built.provenance[2:]))  # fmt: skip
+    assert 4 not in {one.element_id for one in leave_one_out(unknown, mixed, world)}
 
 
 def labels_with(labels: Labels, row: Observation) -> Labels:

@@ -218,10 +218,9 @@ def test_what_was_decided_about_a_pair_counts():
     number = given.often_seen(POLE)
     twins = with_copy(given.true, number, (0.2, 0.0, 0.0))
     (label_id,) = given.true.provenance[given.row(number)].label_ids
-    other = next(one for one in given.labels.elements if one != label_id)
-    named = replace(twins, provenance=(*given.true.provenance, Provenance((other,))))
+    named = replace(twins, provenance=(*given.true.provenance, Provenance((SECOND,))))
     for by, expected in (("machine", ["hint"]), ("human", [])):
-        decision = Decision("apart", (label_id, other), (number, 1), by, "they differ")
+        decision = Decision("apart", (label_id, SECOND), (number, number + 1000), by, "they differ")
         found = lint(replace(named, decisions=(decision,)), Labels(), given.street)
         pairs = [one for one in found if one.rule == "duplicate nearby"]
         assert [one.severity for one in pairs] == expected
@@ -256,6 +255,18 @@ def test_maps_from_elsewhere_have_no_labels():
     frame = found[0].frame_index
     seen = np.concatenate([given.street.labels(frame, side)[1] for side in ("left", "right")])
     assert number in seen
+
+
+def test_the_cameras_height_is_told_by_the_poles():
+    """A lorry's camera is 2.95 m up; with fewer than five poles, 1.65 m is taken."""
+    given = town()
+    lorry = replace(given.true, trajectory_m=given.true.trajectory_m + np.array([0.0, 0.0, 1.3]))
+    assert [one for one in given.find(lorry) if one.severity == "error"] == []
+    away = np.linalg.norm(lorry.trajectory_m[:, None, :2] - lorry.elements.end_m[:, :2], axis=2)
+    nearest = np.argsort(away.min(axis=0))[:4]  # signs have no end, so they come last
+    few = replace(lorry, elements=lorry.elements[nearest], provenance=())
+    found = given.find(few, Labels())
+    assert [one.rule for one in found] == ["below ground"] * 4
 
 
 def test_the_worst_come_first():

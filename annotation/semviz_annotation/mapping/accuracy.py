@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.labelled import check_frame
-from semviz_annotation.observe import map_ids
+from semviz_annotation.mapping.labelled import MapRows, check_frame
 from semviz_annotation.triangulate import across_px
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
@@ -127,15 +126,12 @@ def mapping_accuracy(
     if not semantic_map.provenance:
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
     elements = semantic_map.elements
-    row_of = {int(element_id): row for row, element_id in enumerate(elements.id)}
-    places = {
-        label_id: row_of[element_id] for label_id, element_id in map_ids(semantic_map).items()
-    }
+    rows = MapRows.of(semantic_map)
     errors: dict[int, list[_Errors]] = {one.id: [] for one in semantic_map.classes}
     unmapped = 0
     for view, observation in _observations(labels, source, frames):
-        row = places.get(observation.element_id)
-        if row is None:
+        row = rows.row(observation)
+        if row < 0:
             unmapped += 1
             continue
         projected_px = view.project(np.stack([elements.anchor_m[row], elements.end_m[row]]))

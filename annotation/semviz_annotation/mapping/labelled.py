@@ -2,13 +2,13 @@
 
 from collections import Counter
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.mapping.sightings import Sightings, Views, gather
-from semviz_annotation.observe import map_ids
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
@@ -22,6 +22,33 @@ class Labelled(NamedTuple):
     """Thing i is the map's element in row i."""
     observations: tuple[Observation, ...]
     """What ``Sightings.observation`` counts."""
+
+
+@dataclass(frozen=True)
+class MapRows:
+    """Which row of a map labels belong to."""
+
+    of_label: dict[str, int]
+    """By id of label elements; of two that were split, the main one."""
+    of_observation: dict[str, int]
+    """By id of the observations that the map was made from."""
+
+    @classmethod
+    def of(cls, semantic_map: SemanticMap) -> "MapRows":
+        """Of a map without provenance, nothing."""
+        of_label: dict[str, int] = {}
+        of_observation: dict[str, int] = {}
+        rows = np.argsort(semantic_map.elements.id)[: len(semantic_map.provenance)]
+        for row in rows.tolist():
+            for label_id in semantic_map.provenance[row].label_ids:
+                of_label.setdefault(label_id, row)
+            for observation_id in semantic_map.provenance[row].observation_ids:
+                of_observation.setdefault(observation_id, row)
+        return cls(of_label, of_observation)
+
+    def row(self, one: Observation) -> int:
+        """That of what was made from ``one``, or else from its label element; -1 if none is."""
+        return self.of_observation.get(one.id, self.of_label.get(one.element_id, -1))
 
 
 def check_frame(semantic_map: SemanticMap, source: Source) -> None:
@@ -41,44 +68,25 @@ def labelled(
 ) -> Labelled | None:
     """The labels of the map's elements in ``frames`` (None: all).
 
-    An observation belongs to the element that was made from it, or else from its label element.
     None where no element of the map is labelled twice there. Raises SemvizError as ``gather``, and
     where the map is of another frame.
     """
     check_frame(semantic_map, source)
-    row_of_label, row_of_observation = _rows(semantic_map)
+    rows = MapRows.of(semantic_map)
     views = Counter(
         row.element_id
         for index in labels.frames
         if frames is None or index in frames
         for row in labels.in_frame(index)
-        if row.element_id in row_of_label
+        if row.element_id in rows.of_label
     )
     if max(views.values(), default=0) < 2:
         return None
     gathered = gather(labels, source, frames)
-    thing = np.array(
-        [
-            row_of_observation.get(one.id, row_of_label.get(one.element_id, -1))
-            for one in gathered.observations
-        ],
-        dtype=np.int64,
-    )
     sightings = gathered.sightings
+    thing = np.array([rows.row(one) for one in gathered.observations], dtype=np.int64)
     return Labelled(
         gathered.views,
         sightings.regrouped(thing[sightings.observation], len(semantic_map)),
         gathered.observations,
     )
-
-
-def _rows(semantic_map: SemanticMap) -> tuple[dict[str, int], dict[str, int]]:
-    """The map's row of each label element, and of each observation, by id."""
-    row_of_id = {int(one): row for row, one in enumerate(semantic_map.elements.id)}
-    of_label = {label: row_of_id[number] for label, number in map_ids(semantic_map).items()}
-    of_observation = {
-        observation_id: row
-        for row, one in enumerate(semantic_map.provenance)
-        for observation_id in one.observation_ids
-    }
-    return of_label, of_observation

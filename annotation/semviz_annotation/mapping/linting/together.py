@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semviz_annotation.mapping.labelled import MapRows
 from semviz_annotation.mapping.linting.case import Case
 from semviz_annotation.mapping.linting.finding import Finding, Severity
 from semviz_annotation.mapping.stand import stand_covariance_m2, stand_m
-from semviz_annotation.observe import map_ids
 from semviz_core.arrays import IntArray
 from semviz_core.semantic_map import Decision
 
@@ -80,6 +80,8 @@ def duplicate_nearby(case: Case) -> Iterator[Finding]:
         if decision is not None and decision.by == "human":
             continue
         together = _seen_together(case, pair)
+        if together and pair.distance_m > SAME_PLACE_M:
+            continue
         one, two = (case.name(row) for row in pair.rows)
         severity: Severity = "hint" if together or decision is not None else "warning"
         why = "never seen in one image: are they one thing?"
@@ -132,11 +134,10 @@ def _seen_together(case: Case, pair: _Pair) -> bool:
 def _kept_apart(case: Case) -> dict[tuple[int, int], Decision]:
     """What was decided about pairs of rows (ascending) when the map was built."""
     semantic_map = case.semantic_map
-    row_of_id = {int(one): row for row, one in enumerate(semantic_map.elements.id)}
-    ids = map_ids(semantic_map)
+    row_of = MapRows.of(semantic_map).of_label
     apart: dict[tuple[int, int], Decision] = {}
     for one in semantic_map.decisions:
         if one.kind == "apart":
-            rows = sorted({row_of_id[ids[label]] for label in one.label_ids if label in ids})
+            rows = sorted({row_of[label] for label in one.label_ids if label in row_of})
             apart.update(dict.fromkeys(combinations(rows, 2), one))
     return apart
