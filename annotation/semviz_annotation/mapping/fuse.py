@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_annotation.labels import LabelElement, Observation
-from semviz_annotation.triangulate import Triangulated, covariance_m2, outermost
+from semviz_annotation.mapping.motion import covariance_m2, outermost
+from semviz_annotation.triangulate import Triangulated
 from semviz_annotation.view import View
 from semviz_core.arrays import BoolArray, FloatArray
 

@@ -27,9 +27,11 @@ class PlaceOptions:
     """From about here on an error counts less than its square; infinite: never."""
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise SemvizError(f"{name} must be positive, not {value}")
+        for name in ("sigma_px", "outlier_sigmas"):
+            if not getattr(self, name) > 0.0:
+                raise SemvizError(f"{name} must be positive, not {getattr(self, name)}")
+        if not self.min_angle_rad >= 0.0:
+            raise SemvizError(f"min_angle_rad must not be negative, but is {self.min_angle_rad}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,8 +83,9 @@ def linear_start(views: Views, sightings: Sightings, min_angle_rad: float) -> St
     if (is_line & is_point).any():
         raise SemvizError("one element is a pole in some views and a sign in others")
     points, lines = is_point & several, is_line & several
-    start.put(points, _points(views, sightings.only(points), min_angle_rad))
-    start.put(lines, _lines(views, sightings.only(lines), min_angle_rad))
+    for things, started in ((points, _points), (lines, _lines)):
+        if things.any():
+            start.put(things, started(views, sightings.only(things), min_angle_rad))
     return start
 
 
@@ -222,15 +223,16 @@ def outermost(sightings: Sightings, along: FloatArray) -> tuple[FloatArray, Floa
     Where none does, the outermost place to which the pole was seen. ``along`` is (k, 2).
     """
     ends = []
-    for which, known, furthest in (
+    for which, known, outer in (
         (0, sightings.anchor_known, np.minimum),
         (1, sightings.end_known, np.maximum),
     ):
         here = along[:, which]
         shown = sightings.per_thing(np.add, known.astype(float))
-        total = sightings.per_thing(np.add, np.where(known, here, 0.0))
-        mean = total / np.maximum(shown, 1.0)
-        ends.append(np.where(shown > 0, mean, sightings.per_thing(furthest, here)))
+        with np.errstate(invalid="ignore"):  # of infinite places there is no mean
+            total = sightings.per_thing(np.add, np.where(known, here, 0.0))
+            furthest = sightings.per_thing(outer, here)
+        ends.append(np.where(shown > 0, total / np.maximum(shown, 1.0), furthest))
     return ends[0], ends[1]
 
 
@@ -239,7 +241,7 @@ def outermost(sightings: Sightings, along: FloatArray) -> tuple[FloatArray, Floa
 
 def _widest_angle(sightings: Sightings, directions: FloatArray, unsigned: bool) -> FloatArray:
     """(n,) between two of a thing's unit directions (k, 3), as ``Start.angle_rad`` says."""
-    first = np.cumsum(sightings.seen) - sightings.seen
+    first = sightings.first
     least = np.ones(sightings.count)
     for _ in range(2):
         cosine = (directions[first[sightings.thing]] * directions).sum(axis=1)

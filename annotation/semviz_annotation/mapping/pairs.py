@@ -38,8 +38,7 @@ def best_of_pairs(
 
 def _pairs(sightings: Sightings, number: int) -> IntArray:
     """(n, 2) rows of two sightings of each thing; with ``number`` they go round, far and near."""
-    seen = sightings.seen
+    seen, first = sightings.seen, sightings.first
     one = number * seen // _PAIRS
     apart = 1 + (number * _GOLDEN % 1.0 * (seen - 1)).astype(np.int64)
-    first = np.cumsum(seen) - seen
     return np.stack([first + one, first + (one + apart) % seen], axis=1)

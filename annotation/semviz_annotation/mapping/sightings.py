@@ -90,6 +90,11 @@ class Sightings:
         return np.bincount(self.thing, minlength=self.count)
 
     @cached_property
+    def first(self) -> IntArray:
+        """(n,) row of each thing's first sighting, if it has one."""
+        return np.cumsum(self.seen) - self.seen
+
+    @cached_property
     def is_line(self) -> BoolArray:
         """(k,) True for sightings of poles."""
         return np.isfinite(self.end_px[:, 0])
@@ -98,8 +103,8 @@ class Sightings:
         """(n, ...) of values (k, ...), such as sums for ``np.add``; zero for unseen things."""
         result = np.zeros((self.count, *values.shape[1:]), dtype=values.dtype)
         if len(values):
-            starts = np.cumsum(self.seen) - self.seen
-            result[self.seen > 0] = combine.reduceat(values, starts[self.seen > 0], axis=0)
+            some = self.seen > 0
+            result[some] = combine.reduceat(values, self.first[some], axis=0)
         return result
 
     def of(self, values: BoolArray) -> BoolArray:
