@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from functools import lru_cache
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ def _decision_json(decision: Decision, semantic_map: SemanticMap, labels: Labels
     return {
         "kind": decision.kind,
         "by": decision.by,
-        "reason": decision.reason,
+        "reason": _sentence(decision.reason),
         "evidence": [_figure(name, value) for name, value in decision.evidence.items()],
         "elements": [_element_json(*one, semantic_map, labels) for one in elements],
         "about": _frames(decision.observation_ids, labels),
@@ -60,7 +61,7 @@ def _finding_json(finding: Finding, semantic_map: SemanticMap, labels: Labels) -
     return {
         "kind": finding.rule,
         "severity": finding.severity,
-        "reason": finding.message,
+        "reason": _sentence(finding.message),
         "evidence": [],
         "elements": [_mapped_json(row, semantic_map, labels) for row in rows],
         "about": [],
@@ -130,8 +131,9 @@ def _figure(name: str, value: float) -> Json:
     if unit not in _UNITS:
         words, unit = name, ""
     number = f"{value:.0f}" if float(value).is_integer() else f"{value:.2f}"
-    text = words.replace("_", " ")
-    return {
-        "name": text[:1].upper() + text[1:],
-        "value": f"{number} {_UNITS.get(unit, '')}".strip(),
-    }
+    shown = f"{number} {_UNITS.get(unit, '')}".strip() if isfinite(value) else "unknown"
+    return {"name": _sentence(words.replace("_", " ")), "value": shown}
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

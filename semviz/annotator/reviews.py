@@ -12,8 +12,6 @@ from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision
 
 List: TypeAlias = Literal["decisions", "findings"]
-KINDS = ("merge", "split", "apart", "leave out")
-"""One kind after the other: the same question again is answered quicker."""
 
 
 class Reviews:
@@ -62,7 +60,6 @@ class Reviews:
         built = self._work.built
         if self._known[0] is not built or self._known[1] is not labels:
             decisions = () if built is None else built.semantic_map.decisions
-            found = open_decisions(decisions, labels)
-            self._open = tuple(sorted(found, key=lambda one: KINDS.index(one.kind)))
+            self._open = open_decisions(decisions, labels)
             self._known = built, labels
         return self._open
