@@ -17,8 +17,14 @@ from semviz.workspace import Workspace
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.place import place, place_linearly
+from semviz_annotation.mapping.refine import Problem, Refined, RefineOptions, refine
+from semviz_annotation.mapping.residuals import residuals
+from semviz_annotation.mapping.schur import Unknowns
+from semviz_annotation.mapping.sightings import Gathered, Views, gather
 from semviz_annotation.observe import observe
 from semviz_annotation.storing.exchange import import_operations
+from semviz_core.arrays import FloatArray
 from semviz_core.evaluation.metrics import summarize
 from semviz_core.localization import Localization
 from semviz_core.map_file import save_map
@@ -29,6 +35,8 @@ from semviz_core.sources.source import Side, Source
 
 LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
+POSE_SIGMAS = ((0.01, 0.02), (0.02, 0.05), (0.05, 0.1))
+"""How far the given poses may be off, m and deg: the default, and more."""
 SEEDS = range(20)
 """Of the simulated GPS fixes: 20 times 10 frames."""
 
@@ -46,13 +54,74 @@ def main() -> None:
         print(f"map from the even frames: {len(semantic_map)} elements, {report.pairs} pairs")
         print("\nmap projected into the odd frames, minus labels")
         print(mapping_accuracy(semantic_map, labels, workspace.source, ODD).as_text())
+        print_methods(labels, workspace.source)
         print_residuals(semantic_map, labels, workspace.source)
         print_localization(workspace)
 
 
+def print_methods(labels: Labels, source: Source) -> None:
+    """How well places found from the even frames, one way or another, fit the odd ones."""
+    even, odd = gather(labels, source, EVEN), gather(labels, source, ODD)
+    placed = place(even.views, even.sightings)
+    print(
+        "\nplaces from the even frames, seen in the odd ones: RMSE (px) of poles (across) and signs"
+    )
+    ways = {
+        "stereo pairs, linear, mean (the paper's)": mean_of_pairs(even),
+        "all views, linear": place_linearly(even.views, even.sightings).anchor_and_end_m,
+        "all views, least squares": placed.anchor_and_end_m,
+    }
+    for name, places in ways.items():
+        print_fit(name, even, odd, odd.views, places)
+    for sigma_m, sigma_deg in POSE_SIGMAS:
+        options = RefineOptions(pose_sigma_m=sigma_m, pose_sigma_deg=sigma_deg)
+        found = refine(even.views, even.sightings, placed, options)
+        places = found.placed.anchor_and_end_m
+        problem = Problem(odd.views, odd.sightings, options)
+        print(
+            f"refined with poses free by {sigma_m} m, {sigma_deg} deg: right {found.offset_px:+.2f} px"
+        )
+        print_fit("  poses and calibration as given", even, odd, odd.views, places)
+        still, between = np.zeros((len(ODD), 6)), between_frames(found)
+        for words, moved in (("  with the offset", still), ("  and poses as neighbours'", between)):
+            at = Unknowns(np.zeros((0, 6)), moved, found.offset_px)
+            print_fit(words, even, odd, problem.views(at), places)
+
+
+def mean_of_pairs(seen: Gathered) -> FloatArray:
+    """(n, 6) of each element: the mean over its stereo pairs."""
+    sightings = seen.sightings
+    frame = seen.views.frame_index[seen.sightings.view]
+    pairs, pair = np.unique(sightings.thing * 1000 + frame, return_inverse=True)
+    each = place_linearly(seen.views, sightings.regrouped(pair, len(pairs)))
+    whose = np.where(each.ok, pairs // 1000, -1)
+    return np.array(
+        [each.anchor_and_end_m[whose == thing].mean(axis=0) for thing in range(sightings.count)]
+    )
+
+
+def between_frames(found: Refined) -> FloatArray:
+    """(10, 6) moves of the odd frames: the mean of the even ones before and after."""
+    after = np.vstack([found.moved[1:], found.moved[-1:]])
+    return np.asarray((found.moved + after) / 2.0)
+
+
+def print_fit(name: str, even: Gathered, odd: Gathered, views: Views, places_m: FloatArray) -> None:
+    number = {element.id: row for row, element in enumerate(even.elements)}
+    thing = np.array([number[element.id] for element in odd.elements])[odd.sightings.thing]
+    seen = odd.sightings.regrouped(thing, len(places_m))
+    at = residuals(views, seen, places_m[:, :3], places_m[:, 3:])
+    squares = np.square(at.error_px[:, :2])
+    poles = np.sqrt(squares[seen.is_line].mean())
+    signs = np.sqrt(squares[~seen.is_line].sum(axis=1).mean())
+    print(f"{name:<42} {poles:5.2f} {signs:5.2f}")
+
+
 def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Source) -> None:
     """Label minus map under the true poses: by element, by frame, and between the cameras."""
-    rows = [one for index in range(20) for one in residuals(semantic_map, labels, source, index)]
+    rows = [
+        one for index in range(20) for one in label_residuals(semantic_map, labels, source, index)
+    ]
     across = np.array([one[3] for one in rows])
     names = np.array([one[0] for one in rows])
     frames = np.array([one[1] for one in rows])
@@ -70,7 +139,7 @@ def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Source) -
     print(f"\nright image against left: {offset:+.2f} px in u")
 
 
-def residuals(
+def label_residuals(
     semantic_map: SemanticMap, labels: Labels, source: Source, index: int
 ) -> list[tuple[str, int, str, float, float]]:
     """(name, frame, side, across px, along px) of every label in one frame."""

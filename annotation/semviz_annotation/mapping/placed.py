@@ -50,6 +50,12 @@ class Placed:
         """(n,) True where there is a place."""
         return np.asarray(self.failure == "")
 
+    @property
+    def anchor_and_end_m(self) -> FloatArray:
+        """(n, 6); zero for the ends of points, and where there is no place."""
+        places = np.concatenate([self.anchor_m, self.end_m], axis=1)
+        return np.asarray(np.nan_to_num(places))
+
 
 def measured(
     views: Views,

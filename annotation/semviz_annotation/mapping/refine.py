@@ -126,8 +126,8 @@ class Problem:
 
     def start(self, placed: Placed) -> Unknowns:
         """Things where they were placed, frames where they were given."""
-        ends = np.concatenate([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)
-        return Unknowns(ends[placed.ok], np.zeros((len(self.frame_index), 6)), 0.0)
+        things = placed.anchor_and_end_m[placed.ok]
+        return Unknowns(things, np.zeros((len(self.frame_index), 6)), 0.0)
 
     def views(self, at: Unknowns) -> Views:
         """The cameras of each frame moved as one, and the images of right ones shifted."""
