@@ -78,9 +78,8 @@ def print_methods(labels: Labels, source: Source) -> None:
         found = refine(even.views, even.sightings, placed, options)
         places = found.placed.anchor_and_end_m
         problem = Problem(odd.views, odd.sightings, options)
-        print(
-            f"refined with poses free by {sigma_m} m, {sigma_deg} deg: right {found.offset_px:+.2f} px"
-        )
+        free = f"refined, poses free by {sigma_m} m and {sigma_deg} deg"
+        print(f"{free}; right images are {found.offset_px:+.2f} px off")
         print_fit("  poses and calibration as given", even, odd, odd.views, places)
         still, between = np.zeros((len(ODD), 6)), between_frames(found)
         for words, moved in (("  with the offset", still), ("  and poses as neighbours'", between)):
