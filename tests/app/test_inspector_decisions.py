@@ -1,0 +1,158 @@
+"""The decisions of a run's map in the inspector: seen, answered in the workspace, undone."""
+
+import json
+import runpy
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from planted import element_id, left_out, merge, planted_map, street
+
+from semviz.inspector.decisions import Decisions
+from semviz.inspector.server import Inspector
+from semviz.recording.reader import load_run
+from semviz.recording.run import FrameRecord
+from semviz.recording.writer import RunWriter
+from semviz.web.door import Door
+from semviz.workspace import Workspace
+from semviz_annotation.mapping.review import open_decisions
+from semviz_annotation.rows import apart
+from semviz_core.errors import SemvizError
+from semviz_core.semantic_map import SemanticMap
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+BENCH = Path(__file__).parents[2] / "bench" / "recording.py"
+made_up: dict[str, Any] = runpy.run_path(str(BENCH))
+JPEG: bytes = made_up["make_jpeg"]()
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """With a run whose map takes two label elements for one pole."""
+    workspace = street(tmp_path_factory.mktemp("decided") / "street")
+    labels = workspace.read_labels()
+    decided = planted_map(workspace, labels, [merge(), left_out(labels)])
+    info = replace(made_up["make_info"]("a run"), rig=workspace.source.rig)
+    with RunWriter(workspace.run_path("search"), info, decided) as writer:
+        for record in records(decided):
+            writer.write(record)
+    return workspace
+
+
+def records(semantic_map: SemanticMap) -> list[FrameRecord]:
+    """Of three frames, the map's only element is seen in the last."""
+    found = []
+    for record in made_up["make_records"](made_up["make_map"](length_m=60.0), 3, JPEG):
+        one = replace(record.localization, submap=semantic_map.elements[[]], match=None)
+        one = replace(one, refinement=None, alternatives=())
+        unknown = np.full(len(one.observed), -1)
+        found.append(replace(record, localization=one, element_id=unknown))
+    seen = replace(found[2].localization, submap=semantic_map.elements)
+    ids = found[2].element_id.copy()
+    ids[0] = 1
+    return [*found[:2], replace(found[2], localization=seen, element_id=ids)]
+
+
+@pytest.fixture
+def workspace(original: Workspace, tmp_path: Path) -> Workspace:
+    shutil.copytree(original.path, tmp_path / "street")
+    return Workspace.open(tmp_path / "street")
+
+
+def decisions_of(path: Path) -> Decisions:
+    return Decisions(load_run(path), path)
+
+
+def entries(decisions: Decisions) -> list[dict[str, Any]]:
+    shown = decisions.view()
+    json.dumps(shown, allow_nan=False)
+    return list(shown["entries"])
+
+
+def test_answers_are_saved_in_the_runs_workspace_and_undone(workspace: Workspace) -> None:
+    decisions = decisions_of(workspace.run_path("search"))
+    first, second = entries(decisions)
+    assert [one["name"] for one in first["answers"]] == ["same", "two"]
+    assert [one["map_id"] for one in first["elements"]] == [1, 1]
+    assert [one["map_id"] for one in second["elements"]] == [None]
+    decisions.answer(first["key"], "two")
+    assert set(workspace.read_labels().judgements.values()) == {apart(element_id(1), element_id(2))}
+    answered, _ = entries(decisions)
+    assert (answered["answers"], answered["undo"]) == ([], True)
+    with pytest.raises(SemvizError, match="may be answered already"):
+        decisions.answer(first["key"], "same")
+    decisions.undo(first["key"])
+    assert entries(decisions) == [first, second]
+    assert not workspace.read_labels().judgements
+    with pytest.raises(SemvizError, match="not answered here"):
+        decisions.undo(first["key"])
+
+
+def test_a_decision_leads_to_the_frame_that_sees_its_element(workspace: Workspace) -> None:
+    decisions = decisions_of(workspace.run_path("search"))
+    first, second = entries(decisions)
+    assert decisions.place(first["key"]) == (2, 1)
+    assert decisions.place(second["key"]) == (None, None)
+    with pytest.raises(SemvizError, match="no such decision"):
+        decisions.place("something else")
+
+
+def test_without_its_labels_a_run_only_shows_and_says_where_to_answer(
+    workspace: Workspace, tmp_path: Path
+) -> None:
+    alone = tmp_path / "elsewhere" / "run.rrd"
+    alone.parent.mkdir()
+    shutil.move(workspace.run_path("search"), alone)
+    decisions = decisions_of(alone)
+    first, _ = entries(decisions)
+    assert (first["answers"], first["reason"]) == ([], "They fit one place")
+    assert "answer in 'semviz annotate WORKSPACE'" in decisions.view()["note"]
+    with pytest.raises(SemvizError, match="labels are not at hand"):
+        decisions.answer(first["key"], "two")
+    run = load_run(alone)
+    named = replace(run, info=replace(run.info, workspace=str(workspace.path)))
+    assert entries(Decisions(named, alone))[0]["answers"]
+
+
+def test_a_workspace_with_other_labels_is_not_the_runs(
+    workspace: Workspace, tmp_path: Path
+) -> None:
+    other = Workspace.create_street(tmp_path / "other", 7, range(2))
+    path = other.run_path("search")
+    shutil.copy(workspace.run_path("search"), path)
+    assert entries(decisions_of(path))[0]["answers"] == []
+
+
+@pytest.fixture
+def url(workspace: Workspace) -> Iterator[str]:
+    with Door(Inspector([workspace.run_path("search")])).running() as url:
+        yield url
+
+
+@pytest.mark.browser
+def test_the_page_lists_selects_answers_and_undoes(
+    url: str, workspace: Workspace, page: "Page"
+) -> None:
+    page.goto(url)
+    page.wait_for_selector("#frame-list li")
+    page.wait_for_selector("#decisions-open:text-is('2')")
+    page.keyboard.press("v")
+    page.click("#decision-list li >> nth=0")
+    page.wait_for_selector(".decision[aria-current=true] >> text=They fit one place")
+    page.wait_for_selector("#frame-number:has-text('2')")
+    assert "P-01" in page.inner_text(".decision[aria-current=true]")
+    page.click("text=Two things")
+    page.wait_for_selector("text=Undo the answer")
+    (decision, _) = load_run(workspace.run_path("search")).semantic_map.decisions
+    assert not open_decisions([decision], workspace.read_labels())
+    page.click("text=Undo the answer")
+    page.wait_for_selector("#decisions-open:text-is('2')")
+    assert open_decisions([decision], workspace.read_labels())
+    page.keyboard.press("v")
+    page.wait_for_selector("#frame-list li")
