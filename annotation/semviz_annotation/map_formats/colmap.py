@@ -84,6 +84,8 @@ def _points(semantic_map: SemanticMap, tally: Tally) -> Iterator[_Point]:
     elements = semantic_map.elements
     if (elements.id < 0).any():
         raise SemvizError("COLMAP's points have no negative numbers; some elements have")
+    unseen = int((~elements.anchor_known).sum() + (elements.is_line & ~elements.end_known).sum())
+    tally.drop("ends of poles that nobody saw", unseen)
     for row, id_ in enumerate(elements.id.tolist()):
         one = semantic_map.classes[int(elements.class_id[row])]
         color = tuple(bytes.fromhex(one.color.removeprefix("#")))
@@ -92,9 +94,6 @@ def _points(semantic_map: SemanticMap, tally: Tally) -> Iterator[_Point]:
             yield _Point(2 * id_ + 1, elements.anchor_m[row], color)
         if elements.end_known[row]:
             yield _Point(2 * id_ + 2, elements.end_m[row], color)
-        unseen = 1 + int(elements.is_line[row])
-        unseen -= int(elements.anchor_known[row]) + int(elements.end_known[row])
-        tally.drop("ends of poles that nobody saw", unseen)
 
 
 def _images(source: Source, tally: Tally) -> dict[tuple[int, Side], _Image]:

@@ -31,7 +31,7 @@ from semviz_annotation.map_formats.reading import (
     whole,
 )
 from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import as_json
+from semviz_annotation.map_formats.writing import as_json, drop_making
 from semviz_core.arrays import FloatArray
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
@@ -69,7 +69,7 @@ def write_geojson(
             f'{as_json(collection)[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8"
         )
     tally = Tally()
-    tally.drop("decisions that the map was built by", len(semantic_map.decisions))
+    drop_making(semantic_map, tally)
     return tally
 
 

@@ -55,8 +55,9 @@ def write_lanelet2(
     root = ElementTree.Element("osm", head | own)
     for node_id, node in enumerate(np.stack([first, second], axis=1).reshape(-1, 3), 1):
         _add_node(root, node_id, node)
-    for row in range(len(elements)):
-        _add_way(root, semantic_map, row)
+    for row, is_line in enumerate(elements.is_line.tolist()):
+        way_id = 2 * len(elements) + 1 + row  # ids of ways and nodes do not meet
+        _add_way(root, way_id, (2 * row + 1, 2 * row + 2), _tags(semantic_map, row, is_line))
     ElementTree.indent(root)
     with replacing(path) as temporary:
         ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
@@ -77,22 +78,24 @@ def _add_node(root: ElementTree.Element, node_id: int, place: FloatArray) -> Non
     ElementTree.SubElement(node, "tag", k="ele", v=f"{height:.5f}")
 
 
-def _add_way(root: ElementTree.Element, semantic_map: SemanticMap, row: int) -> None:
-    elements = semantic_map.elements
-    is_line, count = bool(elements.is_line[row]), len(elements)
-    way_id = str(2 * count + 1 + row)  # ids of ways and nodes do not meet
-    way = ElementTree.SubElement(root, "way", id=way_id, visible="true", version="1")
-    for node_id in (2 * row + 1, 2 * row + 2):
+def _add_way(
+    root: ElementTree.Element, way_id: int, nodes: tuple[int, int], tags: Mapping[str, str]
+) -> None:
+    way = ElementTree.SubElement(root, "way", id=str(way_id), visible="true", version="1")
+    for node_id in nodes:
         ElementTree.SubElement(way, "nd", ref=str(node_id))
+    for key, value in tags.items():
+        ElementTree.SubElement(way, "tag", k=key, v=value)
+
+
+def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
+    elements = semantic_map.elements
     tags = {
         "type": POLE_TYPE if is_line else SIGN_TYPE,
         CLASS: semantic_map.classes[int(elements.class_id[row])].name,
         ELEMENT: str(int(elements.id[row])),
     }
-    if not is_line:
-        tags["height"] = f"{PLATE_M:g}"
-    for key, value in tags.items():
-        ElementTree.SubElement(way, "tag", k=key, v=value)
+    return tags if is_line else tags | {"height": f"{PLATE_M:g}"}
 
 
 def read_lanelet2(path: Path, reading: Reading) -> Found:

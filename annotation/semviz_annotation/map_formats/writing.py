@@ -46,9 +46,15 @@ def drop_all_but_places(semantic_map: SemanticMap, tally: Tally) -> None:
 
 
 def drop_history(semantic_map: SemanticMap, tally: Tally) -> None:
-    """Note the loss of what no other format holds, and of the road where it has no place."""
-    tally.drop("decisions that the map was built by", len(semantic_map.decisions))
+    """Note the loss of how the map was made, and of the road."""
+    drop_making(semantic_map, tally)
     tally.drop("points of the road that was driven", len(semantic_map.trajectory_m))
+
+
+def drop_making(semantic_map: SemanticMap, tally: Tally) -> None:
+    """Note the loss of what no other format holds."""
+    tally.drop("decisions that the map was built by", len(semantic_map.decisions))
+    tally.drop("method, settings and label operation of the map", bool(semantic_map.made_by))
 
 
 def as_json(value: object) -> str:
