@@ -148,10 +148,12 @@ class Labeller:
         marks = truth.marks[element][side]
         self.click(side, marks[0])
         if np.isfinite(marks[1]).all():
-            for key, known, end in zip("co", truth.known[element][side], marks, strict=True):
-                if not known and not self.is_at_border(end):  # there the page knows it is cut
-                    self.key(key)
+            peak_known, bottom_known = truth.known[element][side]
+            if not peak_known and not self.is_at_border(marks[0]):  # there the page knows
+                self.key("c")
             self.hover(side, marks[1])
+            if self.is_bottom_shown() != bottom_known and not self.is_at_border(marks[1]):
+                self.key("o")
             self.click(side, marks[1], snapped=self.is_preview_right(truth, element, side))
         self.saved()
         self.correct(frame, truth, element, side)
@@ -165,6 +167,11 @@ class Labeller:
     def is_preview_right(self, truth: Truth, element: int, side: Side) -> bool:
         snapped = self.page.evaluate("semviz.state.look?.snapped ?? null")
         return snapped is None or truth.is_right(element, side, snapped["anchor"], snapped["end"])
+
+    def is_bottom_shown(self) -> bool:
+        """Whether the page takes the bottom under the pen for one that is seen."""
+        said = "semviz.state.look?.snapped?.end_known ?? semviz.state.drawing.end_known"
+        return bool(self.page.evaluate(said))
 
     def correct(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Zooms in and drags the ends of what was just drawn to where they belong."""

@@ -7,6 +7,7 @@ the bottoms of poles that are mapped nearby, or will be once their partners are 
 import numpy as np
 
 from semviz.annotator.cameras import Cameras
+from semviz.annotator.hand import Drawing
 from semviz.annotator.looker import Looker
 from semviz.annotator.offers import FindPartner
 from semviz.annotator.panes import Pane, Panes
@@ -17,7 +18,6 @@ from semviz_annotation.assist.shot import Mark
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import other
-from semviz_core.sources.source import Side
 
 NEAR_M = 60.0
 """What is further away says nothing about the ground here."""
@@ -38,21 +38,31 @@ class Bottoms:
         self._proposing = proposing
 
     def is_hidden(
-        self, mark: Mark, class_id: int, frame_index: int, side: Side, labels: Labels
+        self, drawing: Drawing, frame_index: int, selected_id: str | None, labels: Labels
     ) -> bool:
-        """Of a pole drawn on ``side`` of the page. Unless that is clear, it is not."""
+        """Of a pole. Unless that is clear, it is not."""
         panes = self._panes.of(frame_index)
-        if other(side) not in panes or self._cameras.T_map_camera[frame_index] is None:
+        if other(drawing.side) not in panes or self._cameras.T_map_camera[frame_index] is None:
             return False
-        here, there = panes[side], panes[other(side)]
-        found = self._looker.found(FindPartner(class_id, here, mark, there), there)
-        if found is None or not found.sure:
-            return False
-        place = self._place({here: mark, there: found.mark})
+        here, there = panes[drawing.side], panes[other(drawing.side)]
+        beside = self._beside(drawing, here, there, selected_id, labels)
+        place = None if beside is None else self._place({here: drawing.mark, there: beside})
         if place is None:
             return False
         sigma = float(np.sqrt(place.covariance_m2[5, 5]))
         return self._ground(frame_index, labels, place).is_below(place.end_m, sigma)
+
+    def _beside(
+        self, drawing: Drawing, here: Pane, there: Pane, selected_id: str | None, labels: Labels
+    ) -> Mark | None:
+        """The pole in the other image: what is selected there and goes on here, or its partner."""
+        if selected_id is not None and selected_id in labels.elements:
+            row = labels.find(selected_id, there.frame_index, there.side)
+            if row is not None and not labels.find(selected_id, here.frame_index, here.side):
+                return Mark.of(row)
+        question = FindPartner(drawing.class_id, here, drawing.mark, there)
+        found = self._looker.found(question, there)
+        return found.mark if found is not None and found.sure else None
 
     def _ground(self, frame_index: int, labels: Labels, around: Triangulated) -> Ground:
         """As other poles show it."""

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from semviz.annotator import views
+from semviz.annotator.bottoms import Bottoms
 from semviz.annotator.cameras import Cameras
 from semviz.annotator.facts import Facts
 from semviz.annotator.hand import Drawing, Hand, Look, seen_from_json
@@ -72,6 +73,7 @@ class LabelSession:
         self.looker = Looker(self.images, cameras, self.classes)
         self._hand = Hand(cameras, self._panes, self._places)
         self._proposing = Proposing(cameras, self._panes, self._places, self.looker, detected)
+        self._bottoms = Bottoms(cameras, self._panes, self._places, self.looker, self._proposing)
         self._facts = Facts(tuple(self.frames), self._places, self._proposing)
         self.past = Past(self._store, self._panes, self.frames, self.classes)
         self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
@@ -241,7 +243,8 @@ class LabelSession:
         one it is of ``selected_id``, or of what is expected there, or of a new ``element_id``.
         """
         drawn = dict(drawn)
-        selected_id, snap = drawn.pop("selected_id", None), drawn.pop("snap", False)
+        selected_id, snap = drawn.pop("selected_id", None), drawn.pop("snap", False) is True
+        asks_bottom = drawn.pop("asks_bottom", False) is True
         added = edit_from_json(drawn | {"kind": "add"})
         if not isinstance(added, AddObservation):
             raise SemvizError("not a drawing; reload the page")
@@ -250,7 +253,8 @@ class LabelSession:
         on_pane = replace(added, frame_index=pane.frame_index, side=pane.side)
         if added.class_id is None:
             return on_pane, ""
-        drawing = self._snapped(_drawing(added, added.class_id, snap is True), added.frame_index)
+        begun = _drawing(added, added.class_id, snap, asks_bottom)
+        drawing = self._snapped(begun, added.frame_index, selected_id)
         partner = self._partner(added.frame_index, drawing, selected_id)
         placed = replace(
             on_pane,
@@ -286,7 +290,7 @@ class LabelSession:
         labels = self.labels
         partner, snapped = Partner(look.selected_id), None
         if look.drawing is not None:
-            drawing = self._snapped(look.drawing, look.frame_index)
+            drawing = self._snapped(look.drawing, look.frame_index, look.selected_id)
             snapped = None if drawing is look.drawing else snapped_json(look.drawing, drawing)
             look = replace(look, drawing=drawing)
             if drawing.has_shape:
@@ -298,10 +302,16 @@ class LabelSession:
             "joins": name if look.drawing is not None else None,
         }
 
-    def _snapped(self, drawing: Drawing, frame_index: int) -> Drawing:
-        """On the edges it is meant to be on, where it snaps and they are clear."""
-        if not drawing.snap:
-            return drawing
+    def _snapped(self, drawing: Drawing, frame_index: int, selected_id: str | None) -> Drawing:
+        """On the edges it is meant to be on, where it snaps and they are clear; without its bottom,
+        where it asks for that and the ground is clearly below."""
+        moved = self._on_edges(drawing, frame_index) if drawing.snap else drawing
+        if not (moved.asks_bottom and moved.end_known and moved.end_px and moved.has_shape):
+            return moved
+        hidden = self._bottoms.is_hidden(moved, frame_index, selected_id, self.labels)
+        return replace(moved, end_known=False) if hidden else moved
+
+    def _on_edges(self, drawing: Drawing, frame_index: int) -> Drawing:
         pane = self._panes.pane(frame_index, drawing.side)
         found = self.looker.snap(pane, drawing.mark, drawing.class_id)
         mark = None if found is None else inside(found.mark, camera_of(self.rig, pane.side)[0])
@@ -349,7 +359,7 @@ class LabelSession:
             raise SemvizError(f"frame {index} is not in this sequence")
 
 
-def _drawing(added: AddObservation, class_id: int, snap: bool) -> Drawing:
+def _drawing(added: AddObservation, class_id: int, snap: bool, asks_bottom: bool) -> Drawing:
     return Drawing(
         side=added.side,
         class_id=class_id,
@@ -358,4 +368,5 @@ def _drawing(added: AddObservation, class_id: int, snap: bool) -> Drawing:
         anchor_known=added.anchor_known,
         end_known=added.end_known,
         snap=snap,
+        asks_bottom=asks_bottom,
     )

@@ -167,6 +167,57 @@ def test_a_pole_behind_a_lorry_is_not_sure() -> None:
     assert not found.sure
 
 
+def test_of_two_poles_side_by_side_the_one_at_the_right_depth_is_taken() -> None:
+    """A pose that is off by 4 px puts the far pole where a near one of the same look is; the other
+    image tells that the near one is too near."""
+    near, far = 7.0, 14.0
+    x = 1.5
+    beside = (x - 0.4) * (near - 2.0) / (far - 2.0) + 0.4 + 4.0 / 500.0 * (near - 2.0)
+    boxes = [
+        *scenery(3),
+        (upright(x, far, 0.072, -2.0, 1.2), (60, 64, 70)),
+        (upright(beside, near, 0.03, -2.0, 1.2), (60, 64, 70)),
+    ]
+    poses = [moved_by(*at) for at in ((0.0, 0.0), (0.5, 0.0), (0.4, 2.0), (0.9, 2.0))]
+    shots = [shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in boxes]) for pose in poses]
+    ends = in_map(np.array([[x, -2.0, far], [x, 1.2, far]]))
+    marks = [Mark(*map(tuple, one.view.project(ends).tolist())) for one in shots]
+    off = Pose.from_rotvec([0.0, 0.008, 0.0], [0.0, 0.0, 0.0])
+    sights = [
+        Sight(Shot(View(RECTIFIED, off @ there.view.T_camera_map), there.image), here, mark)
+        for there, here, mark in zip(shots[2:], shots[:2], marks[:2], strict=True)
+    ]
+    pole = mapped(shots[:2], marks[:2])
+    (alone,) = follow(sights[:1], pole, DEFAULT_CLASSES[POLE])
+    together = follow(sights, pole, DEFAULT_CLASSES[POLE])
+    assert alone is not None
+    assert error_px(alone.mark, marks[2]) > 2.0, "the near one lies in wait"
+    for found, truth in zip(together, marks[2:], strict=True):
+        assert found is not None
+        assert error_px(found.mark, truth) < 1.5
+
+
+def test_a_bottom_that_a_car_hides_now_is_said_to_be_hidden() -> None:
+    x, z = 1.5, 14.0
+    boxes = [*scenery(3), (upright(x, z, 0.16, -2.0, 1.2), (60, 64, 70))]
+    car = (upright(x, 9.0, 2.2, 0.2, 1.6), (200, 30, 30))
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0), moved_by(0.1, 1.0)]
+    shots = [
+        shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in (*boxes, *extra)])
+        for pose, extra in zip(poses, ([], [], [car]), strict=True)
+    ]
+    ends = in_map(np.array([[x, -2.0, z], [x, 1.2, z]]))
+    marks = [Mark(*map(tuple, one.view.project(ends).tolist())) for one in shots]
+    roof = shots[2].view.project(in_map(np.array([[x, 0.2, 9.0]])))[0, 1]
+    pole = mapped(shots[:2], marks[:2])
+    (found,) = follow([Sight(shots[2], shots[0], marks[0])], pole, DEFAULT_CLASSES[POLE])
+    assert found is not None
+    assert found.mark.anchor_known
+    assert not found.mark.end_known
+    assert found.mark.end_px is not None
+    assert abs(found.mark.end_px[1] - roof) < 8.0
+
+
 def test_what_is_out_of_the_image_is_not_proposed() -> None:
     shots, marks, there, _ = pole_scene(hidden=False)
     behind = Shot(View(RECTIFIED, moved_by(0.0, 40.0)), there.image)

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from semviz_annotation.assist.align import aligned_pole, aligned_sign
-from semviz_annotation.assist.ends import with_visible_peak
+from semviz_annotation.assist.ends import same_ends
 from semviz_annotation.assist.expect import SIGMA_PX, expected_px, spread_px2, upright
 from semviz_annotation.assist.look import (
     LIKENESS,
@@ -41,8 +41,6 @@ _TRIED = 6
 """Places in each image that are tried with those in the other."""
 _WHOLE = 0.07
 """An end that is not compared, but for this share of the pole, is one of which nothing is known."""
-_PEAK_SIGMAS = 1.3
-"""A peak that is found further from where it is expected is something else's end."""
 _OTHER_PX = 2.5
 """A place so far away is another one."""
 
@@ -283,19 +281,19 @@ def _settled_pole(search: _Search, choice: _Choice) -> _Settled:
     alike = likeness(search.look, now[None])[0]
     ends = _axis(there, ends, width).ends_px
     moved = (ends - start) @ normal
+    mark, whole = _seen_part(expected.mark, ends, search.shares, seen_rows(search.look, now))
+    found = clipped(mark, whole, there.view.camera)
+    found, stayed = same_ends(
+        expected.sight.here, there, expected.sight.marked, found, width, lengthwise
+    )
     evidence = np.array(
         [
             *alike, *support(there, ends, width), choice.total, choice.margin,
             np.abs(moved).max() / sigma, np.log(lengthwise), abs(np.log(search.scale)),
-            np.log(width),
+            np.log(width), stayed,
         ]
     )  # fmt: skip
-    mark, whole = _seen_part(expected.mark, ends, search.shares, seen_rows(search.look, now))
-    found = clipped(mark, whole, there.view.camera)
-    reach = float(np.clip(_PEAK_SIGMAS * lengthwise, 1.5, 15.0))
-    return _Settled(
-        with_visible_peak(there, found, width, reach), np.array([moved.mean()]), evidence
-    )
+    return _Settled(found, np.array([moved.mean()]), evidence)
 
 
 def _seen_part(

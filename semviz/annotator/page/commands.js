@@ -122,7 +122,9 @@ export function editing(state, { submit, select }) {
     flag(end) {
       const { drawing } = state;
       if (drawing?.end) {
-        state.set({ drawing: { ...drawing, [end]: !drawing[end] } });
+        const shown = end === "end_known" ? state.look?.snapped?.end_known : null; // what the tool says of the bottom
+        const asks_bottom = drawing.asks_bottom && end !== "end_known";
+        state.set({ drawing: { ...drawing, [end]: !(shown ?? drawing[end]), asks_bottom } });
       } else if (observation() && kind() === "line") {
         submit({ kind: "set known", observation_id: observation().id, [end]: !observation()[end] });
       }

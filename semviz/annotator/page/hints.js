@@ -3,7 +3,7 @@
 /** [{keys, text}] for the state of the page, most useful first; the first six must suffice. */
 export function hints(state) {
   const { drawing, selectedElement: element, selectedGhost: ghost, selected } = state;
-  if (drawing) return whileDrawing(state.classOf(drawing.class).kind);
+  if (drawing) return whileDrawing(state.classOf(drawing.class).kind, state.look?.snapped);
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
   if (state.review && !selected) return whileAsked(state.review);
@@ -34,10 +34,10 @@ function withOffer(state, offer) {
   ];
 }
 
-function whileDrawing(kind) {
+function whileDrawing(kind, snapped) {
   if (kind === "point") return [hint("sets the middle", "Release"), hint("cancel", "Esc")];
   return [
-    hint("bottom", "Click"), hint("cancel", "Esc"), hint("bottom hidden", "O"), hint("peak cut", "C"),
+    hint("bottom", "Click"), hint("cancel", "Esc"), hint(snapped?.end_known === false ? "bottom not hidden" : "bottom hidden", "O"), hint("peak cut", "C"),
     hint("zoom", "Wheel"), hint("pan", "Right drag"),
   ];
 }

@@ -103,6 +103,7 @@ function inHand() {
       anchor_known: drawing.anchor_known,
       end_known: drawing.end_known,
       snap: state.aids.snap && !drawing.box,
+      asks_bottom: state.aids.snap && drawing.asks_bottom,
     },
     moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
   };

@@ -77,9 +77,10 @@ export class Painter {
   }
 
   /** Where the element under the pen will be, once it has snapped to the edges. */
-  snapped({ class: id }, { anchor, end, by_px }) {
-    this.#proposed({ class: id }, { anchor, end, anchor_known: true, end_known: true }, { dash: [3, 2] });
-    this.#label(`snapped, ${by_px.toFixed(1)} px`, this.view.toScreen(end ?? anchor), 3, null);
+  snapped({ class: id, end_known: drawn }, { anchor, end, end_known, by_px }) {
+    this.#proposed({ class: id }, { anchor, end, anchor_known: true, end_known: end_known || !drawn }, { dash: [3, 2] });
+    const hidden = end && drawn && !end_known ? `, bottom hidden (${this.shownKey("O")}: it is not)` : "";
+    this.#label(`snapped, ${by_px.toFixed(1)} px${hidden}`, this.view.toScreen(end ?? anchor), 3, null);
   }
 
   /** The element under the pen. */

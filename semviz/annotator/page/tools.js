@@ -97,7 +97,7 @@ export class Tools {
     const kind = this.state.classOf(id).kind;
     this.state.set({ drawing: {
       side, class: id, anchor, end: kind === "line" ? anchor : null,
-      anchor_known: true, end_known: kind === "line",
+      anchor_known: true, end_known: kind === "line", asks_bottom: kind === "line",
     } });
     this.look();
     return true;
@@ -194,7 +194,7 @@ export class Tools {
   }
 
   #save(anchor, end) {
-    const { side, class: id, anchor_known, end_known, box } = this.state.drawing;
+    const { side, class: id, anchor_known, end_known, asks_bottom, box } = this.state.drawing;
     const [element, observation] = [uuid7(), uuid7()];
     this.state.set({ drawing: null });
     this.submit({
@@ -210,6 +210,7 @@ export class Tools {
       end_known: end_known && !(end && this.#isCut(side, end)),
       selected_id: this.state.selected?.element ?? null,
       snap: this.state.aids.snap && !box,
+      asks_bottom: this.state.aids.snap && asks_bottom,
     });
   }
 
