@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation, proposal_id
 from semviz_annotation.mapping.lint import Finding, lint
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
@@ -210,6 +210,15 @@ def test_never_seen_again():
     again = [one for one in found if one.rule == "never seen again"]
     assert [(one.severity, one.frame_index) for one in again] == [("warning", alone)]
     assert f"frame {alone - 2} and {alone + 2} should show it" in again[0].message
+    hidden = [
+        Dismissal(proposal_id(pair[0].element_id, index, "left"), index, "left", "occluded",
+                  pair[0].element_id)
+        for index in (alone - 2, alone + 2)
+    ]  # fmt: skip
+    said = Labels.from_rows([*labels.rows(), *hidden])
+    assert "never seen again" not in {
+        one.rule for one in given.find(given.true, said) if number in one.element_ids
+    }
 
 
 def test_what_was_decided_about_a_pair_counts():
@@ -227,22 +236,79 @@ def test_what_was_decided_about_a_pair_counts():
         assert all("kept apart: they differ" in one.message for one in pairs)
 
 
-def test_what_one_image_shows_twice_is_a_hint():
-    given = town()
-    number = given.often_seen(POLE)
-    doubled = [
+def doubled(given: Town, number: int, class_id: int) -> Labels:
+    """With every label of an element given a second time, as of a label element of its own."""
+    again = [
         replace(row, id=f"{place:08x}-0000-8000-8000-000000000000", element_id=SECOND)
         for place, row in enumerate(given.labels_of(number))
     ]
-    element = replace(given.labels.element(given.labels_of(number)[0].element_id),
-                      id=SECOND, number=number + 1000)  # fmt: skip
-    rows = [*given.labels.elements.values(), *given.labels.observations.values()]
-    labels = Labels.from_rows([*rows, element, *doubled])
-    twins = with_copy(given.true, number, (0.05, 0.0, 0.0))
-    twins = replace(twins, provenance=(*given.true.provenance, Provenance((SECOND,))))
-    pairs = [one for one in given.find(twins, labels) if one.rule == "duplicate nearby"]
+    element = LabelElement(SECOND, number + 1000, class_id)
+    return Labels.from_rows([*given.labels.rows(), element, *again])
+
+
+def labelled_copy(given: Town, number: int, by_m: object, **values: object) -> SemanticMap:
+    """As ``with_copy``, but of the second label element."""
+    twins = with_copy(given.true, number, by_m, **values)
+    return replace(twins, provenance=(*given.true.provenance, Provenance((SECOND,))))
+
+
+def test_what_one_image_shows_twice_is_a_hint():
+    given = town()
+    number = given.often_seen(POLE)
+    twins = labelled_copy(given, number, (0.05, 0.0, 0.0))
+    found = given.find(twins, doubled(given, number, POLE))
+    pairs = [one for one in found if one.rule == "duplicate nearby"]
     assert [one.severity for one in pairs] == ["hint"]
     assert "labelled twice?" in pairs[0].message
+
+
+VAGUE = np.diag([0.25] * 6)
+"""m2: half a metre in each direction."""
+
+
+def test_what_one_image_shows_is_two_things():
+    """Half a metre apart and vague, or of two classes on one post: no duplicate, no conflict."""
+    given = town()
+    number = given.often_seen(POLE)
+    twins = labelled_copy(given, number, (0.5, 0.0, 0.0), covariance_m2=VAGUE)
+    assert [one.rule for one in given.find(twins, Labels()) if number in one.element_ids] == [
+        "duplicate nearby"
+    ]
+    found = given.find(twins, doubled(given, number, POLE))
+    assert [one for one in found if number in one.element_ids] == []
+    number = given.often_seen(RECTANGULAR)
+    twins = labelled_copy(given, number, (0.1, 0.0, 0.0), class_id=ROUNDED)
+    found = given.find(twins, doubled(given, number, ROUNDED))
+    assert [one for one in found if number in one.element_ids] == []
+
+
+def hidden(base: SemanticMap, number: int) -> SemanticMap:
+    return changed(base, number, end_known=False)
+
+
+EXCUSES: list[tuple[str, tuple[int, ...], Plant]] = [
+    ("short, but its bottom is hidden", (POLE,), lambda t, n: hidden(
+        anchored(t.true, n, (0.0, 0.0, 0.7)), n)),
+    ("high up, but its bottom is hidden", (POLE,), lambda t, n: hidden(
+        moved(t.true, n, (0.0, 0.0, 2.5)), n)),
+    ("over the lane", SIGNS, lambda t, n: carried(
+        moved(t.true, n, (0.0, 0.0, 3.0)), n, t.true.trajectory_m[20])),
+    ("leans by 8 deg, good to 9", (POLE,), lambda t, n: changed(
+        anchored(t.true, n, (0.42, 0.0, 3.0)), n, covariance_m2=VAGUE / 2.0)),
+    ("without a post, good to a metre", SIGNS, lambda t, n: changed(
+        moved(t.true, n, (1.0, 0.0, 0.0)), n, covariance_m2=np.diag([0.5] * 3 + [0.0] * 3))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("why", "classes", "plant"), EXCUSES)
+def test_what_has_an_excuse_is_not_found(why, classes, plant):
+    given = town()
+    number = given.often_seen(*classes)
+    told = {"in the lane", "hovering", "leaning pole", "too short pole", "sign without post"}
+    over_the_lane = {"sign without post"} if why == "over the lane" else set()
+    found = given.find(plant(given, number), Labels())
+    rules = {one.rule for one in found if number in one.element_ids}
+    assert rules & told == over_the_lane
 
 
 def test_maps_from_elsewhere_have_no_labels():
