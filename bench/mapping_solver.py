@@ -59,7 +59,7 @@ def main() -> None:
 
 def report(solver: str, frames: int, signs: bool) -> None:
     """One line; the peak is that of the process, the problem itself included."""
-    views, sightings = drive(frames, signs)
+    views, sightings, _ = drive(frames, signs)
     seconds, cost = SOLVERS[solver](views, sightings)
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000.0
     print(
@@ -70,23 +70,27 @@ def report(solver: str, frames: int, signs: bool) -> None:
 # -- the problem
 
 
-def drive(frames: int, signs: bool) -> tuple[Views, Sightings]:
-    """A winding road with poles and signs (or signs alone) on both sides; poses a little off."""
+def drive(
+    frames: int, signs: bool, pose_sigmas: float = 1.0, step_m: float = 1.0
+) -> tuple[Views, Sightings, FloatArray]:
+    """A winding road with poles and signs (or signs alone) on both sides; poses a little off. With
+    the true anchors and ends (n, 6)."""
     rng = np.random.default_rng(SEED)
-    x = np.arange(frames, dtype=np.float64)
+    x = step_m * np.arange(frames)
     heading = np.arctan(0.25 * np.cos(x / 80.0))
     rotations = Rotation.from_euler("z", heading[:, None]).as_matrix() @ BASE
     centers = np.stack([x, road(x), np.full(frames, 1.65)], axis=1)
     true_views = stereo(rotations, centers)
-    turn = Rotation.from_rotvec(rng.normal(0.0, SIGMAS[3], (frames, 3))).as_matrix()
-    given = stereo(turn @ rotations, centers + rng.normal(0.0, SIGMA_M, (frames, 3)))
-    n = int(frames * SIGHTS_A_FRAME / (0.62 * REACH_M))
-    along = rng.uniform(0.0, frames, n)
+    turn = Rotation.from_rotvec(pose_sigmas * rng.normal(0.0, SIGMAS[3], (frames, 3))).as_matrix()
+    given = stereo(turn @ rotations, centers + pose_sigmas * rng.normal(0.0, SIGMA_M, (frames, 3)))
+    n = int(x[-1] * SIGHTS_A_FRAME / (0.62 * REACH_M))
+    along = rng.uniform(0.0, x[-1], n)
     beside = road(along) + rng.choice([-1.0, 1.0], n) * rng.uniform(4.0, 12.0, n)
     anchor = np.stack([along, beside, rng.uniform(2.0, 6.0, n)], axis=1)
     end = anchor * [1.0, 1.0, 0.0] + rng.normal(0.0, 0.03, (n, 3))
     end[np.full(n, True) if signs else np.arange(n) % 2 == 1] = np.nan
-    return given, seen(rng, true_views, centers, anchor, end)
+    sightings = seen(rng, true_views, centers, anchor, end)
+    return given, sightings, np.concatenate([anchor, end], axis=1)
 
 
 def road(x: FloatArray) -> FloatArray:
