@@ -7,9 +7,11 @@ the bottoms of poles that are mapped nearby, or will be once their partners are 
 import numpy as np
 
 from semviz.annotator.cameras import Cameras
+from semviz.annotator.fit import misfit_px
 from semviz.annotator.hand import Drawing
 from semviz.annotator.looker import Looker
 from semviz.annotator.offers import FindPartner
+from semviz.annotator.pairing import CONSISTENT_PX
 from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
@@ -45,24 +47,17 @@ class Bottoms:
         if other(drawing.side) not in panes or self._cameras.T_map_camera[frame_index] is None:
             return False
         here, there = panes[drawing.side], panes[other(drawing.side)]
-        beside = self._beside(drawing, here, there, selected_id, labels)
-        place = None if beside is None else self._place({here: drawing.mark, there: beside})
+        selected = _going_on(drawing, here, there, selected_id, labels)
+        place = None if selected is None else self._place({here: drawing.mark, there: selected})
+        if place is None:
+            question = FindPartner(drawing.class_id, here, drawing.mark, there)
+            found = self._looker.found(question, there)
+            if found is not None and found.sure:
+                place = self._place({here: drawing.mark, there: found.mark})
         if place is None:
             return False
         sigma = float(np.sqrt(place.covariance_m2[5, 5]))
         return self._ground(frame_index, labels, place).is_below(place.end_m, sigma)
-
-    def _beside(
-        self, drawing: Drawing, here: Pane, there: Pane, selected_id: str | None, labels: Labels
-    ) -> Mark | None:
-        """The pole in the other image: what is selected there and goes on here, or its partner."""
-        if selected_id is not None and selected_id in labels.elements:
-            row = labels.find(selected_id, there.frame_index, there.side)
-            if row is not None and not labels.find(selected_id, here.frame_index, here.side):
-                return Mark.of(row)
-        question = FindPartner(drawing.class_id, here, drawing.mark, there)
-        found = self._looker.found(question, there)
-        return found.mark if found is not None and found.sure else None
 
     def _ground(self, frame_index: int, labels: Labels, around: Triangulated) -> Ground:
         """As other poles show it."""
@@ -94,5 +89,20 @@ class Bottoms:
             )
             for pane, one in marks.items()
         ]  # fmt: skip
+        if misfit_px(views, rows) > CONSISTENT_PX:
+            return None
         place = triangulate(views, rows)
         return None if isinstance(place, Failed) else place
+
+
+def _going_on(
+    drawing: Drawing, here: Pane, there: Pane, selected_id: str | None, labels: Labels
+) -> Mark | None:
+    """A selected pole in the other image that is not labelled in this one: it may go on here."""
+    element = labels.elements.get(selected_id or "")
+    if element is None or element.class_id != drawing.class_id:
+        return None
+    if labels.find(element.id, here.frame_index, here.side) is not None:
+        return None
+    row = labels.find(element.id, there.frame_index, there.side)
+    return None if row is None else Mark.of(row)
