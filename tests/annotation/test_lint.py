@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation, proposal_id
+from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.lint import Finding, lint
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.elements import Elements3D
-from semviz_core.semantic_map import Decision, Provenance, SemanticMap
+from semviz_core.errors import SemvizError
+from semviz_core.semantic_map import Decision, MapFrame, Provenance, SemanticMap
 from semviz_core.sources.street.map_errors import moved
 from semviz_core.sources.street.street import Street
 
@@ -344,6 +346,16 @@ def test_the_worst_come_first():
     assert severities[-1] == "hint"
     assert severities == sorted(severities, key=["error", "warning", "hint"].index)
     assert given.find(both) == given.find(both)
+
+
+def test_frames_without_a_pose_are_left_alone(world):
+    labels = world.labels()
+    built, _ = build_map(labels, world)
+    found = lint(built, labels, replace(world, count=3))
+    assert [one.message for one in found] == [one.message for one in lint(built, labels, world)]
+    assert {one.frame_index for one in found} == {2}
+    with pytest.raises(SemvizError, match="the map is of 'moon'"):
+        lint(replace(built, frame=MapFrame("moon")), labels, world)
 
 
 def test_nothing_to_look_at(world):

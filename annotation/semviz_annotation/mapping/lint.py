@@ -5,6 +5,7 @@ Most need no labels, so maps from elsewhere can be looked over too.
 """
 
 from semviz_annotation.labels import Labels
+from semviz_annotation.mapping.labelled import check_frame
 from semviz_annotation.mapping.linting import looking, standing, together
 from semviz_annotation.mapping.linting.case import Case, Rule
 from semviz_annotation.mapping.linting.finding import SEVERITIES, Finding, Severity
@@ -31,8 +32,9 @@ RULES: tuple[Rule, ...] = (
 def lint(semantic_map: SemanticMap, labels: Labels, source: Source) -> tuple[Finding, ...]:
     """Everything the rules find, the worst first, then rule by rule.
 
-    Raises SemvizError where labels do not belong to ``source``, as ``gather``.
+    Raises SemvizError where the map is of another frame than the images.
     """
+    check_frame(semantic_map, source)
     case = Case(semantic_map, labels, source)
     found = [finding for rule in RULES for finding in rule(case)]
     return tuple(sorted(found, key=lambda one: SEVERITIES.index(one.severity)))

@@ -33,7 +33,9 @@ class Case:
 
     @cached_property
     def labelled(self) -> Labelled | None:
-        return labelled(self.semantic_map, self.labels, self.source)
+        """In the frames that have a pose."""
+        posed = {one.index for one in self.source.frames if one.T_map_camera is not None}
+        return labelled(self.semantic_map, self.labels, self.source, posed)
 
     @cached_property
     def road(self) -> Road | None:
