@@ -177,11 +177,15 @@ class Labels:
                 yield StereoPair(self.element(row.element_id), row, right[row.element_id])
 
     def differing(self, before: "Labels") -> set[str]:
-        """Ids of all elements, here or there, whose observations differ; perhaps of a few more.
+        """Ids of all elements, here or there, whose observations or judgements differ; perhaps of a
+        few more.
 
         Quick where one state comes from the other by ``changed``: nothing is compared by value.
         """
-        return SharingDict.of(self._of_element).differing(SharingDict.of(before._of_element))
+        return set().union(
+            SharingDict.of(self._of_element).differing(SharingDict.of(before._of_element)),
+            SharingDict.of(self._judged_of).differing(SharingDict.of(before._judged_of)),
+        )
 
     def review(self, frame_index: int) -> ReviewState:
         """How far a frame is. A verdict that its labels have overtaken counts as in work."""

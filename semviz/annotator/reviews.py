@@ -7,7 +7,7 @@ from semviz.annotator.map_work import Built, MapWork
 from semviz.reviewing import Json, entry_json, entry_key
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.linting.finding import Finding
-from semviz_annotation.mapping.review import open_decisions
+from semviz_annotation.mapping.review import is_open
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision
 
@@ -19,9 +19,9 @@ class Reviews:
 
     def __init__(self, work: MapWork) -> None:
         self._work = work
-        self._known: tuple[Built | None, Labels] = None, Labels()
-        self._open: tuple[Decision, ...] = ()
-        """Of these."""
+        self._built: Built | None = None
+        self._open = Open(())
+        """Of this map."""
 
     def summary(self, labels: Labels) -> Json:
         """How much there is, of which map, and whether a new one is being built."""
@@ -29,7 +29,7 @@ class Reviews:
         return {
             "built": None if built is None else built.semantic_map.operation,
             "elements": 0 if built is None else len(built.semantic_map),
-            "decisions": len(self._decisions(labels)),
+            "decisions": len(self._decisions(built, labels)),
             "findings": 0 if built is None else len(built.findings),
             "building": self._work.building_since is not None,
             "failure": self._work.failure,
@@ -44,8 +44,8 @@ class Reviews:
         name, key, place, by = (asked.get(one) for one in ("list", "key", "place", "by"))
         if name not in get_args(List) or not isinstance(place, int) or by not in (-1, 0, 1):
             raise SemvizError("not a list of this page; reload it")
-        entries: Sequence[Decision | Finding] = self._decisions(labels)
         built = self._work.built
+        entries: Sequence[Decision | Finding] = self._decisions(built, labels)
         if name == "findings" and built is not None:
             entries = built.findings
         if not entries or built is None:
@@ -56,10 +56,33 @@ class Reviews:
         card = entry_json(entries[at], built.semantic_map, labels)
         return card | {"list": name, "place": at, "count": len(entries)}
 
-    def _decisions(self, labels: Labels) -> tuple[Decision, ...]:
-        built = self._work.built
-        if self._known[0] is not built or self._known[1] is not labels:
-            decisions = () if built is None else built.semantic_map.decisions
-            self._open = open_decisions(decisions, labels)
-            self._known = built, labels
-        return self._open
+    def _decisions(self, built: Built | None, labels: Labels) -> tuple[Decision, ...]:
+        if built is not self._built:
+            self._built = built
+            self._open = Open(() if built is None else built.semantic_map.decisions)
+        return self._open.of(labels)
+
+
+class Open:
+    """Which of some decisions are open, as labels change: an edit bears on a few of thousands."""
+
+    def __init__(self, decisions: Sequence[Decision]) -> None:
+        self._decisions = decisions
+        self._about: dict[str, list[int]] = {}
+        """Places of the decisions about each label element."""
+        for place, one in enumerate(decisions):
+            for element_id in one.label_ids:
+                self._about.setdefault(element_id, []).append(place)
+        self._labels = Labels()
+        self._open: set[int] = set()
+
+    def of(self, labels: Labels) -> tuple[Decision, ...]:
+        """As ``open_decisions``."""
+        for element_id in labels.differing(self._labels):
+            for place in self._about.get(element_id, ()):
+                if is_open(self._decisions[place], labels):
+                    self._open.add(place)
+                else:
+                    self._open.discard(place)
+        self._labels = labels
+        return tuple(self._decisions[place] for place in sorted(self._open))

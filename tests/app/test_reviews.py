@@ -1,16 +1,22 @@
 """What of the last map waits for a person: the lists of the labelling page, without a browser."""
 
+import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from planted import element_id, left_out, merge, planted_map, street
+from random_edits import pole, random_edit
 
+from semviz.annotator.reviews import Open
 from semviz.annotator.session import LabelSession
 from semviz.workspace import MAIN, Workspace
-from semviz_annotation.labels import new_id
+from semviz_annotation.labels import Labels, new_id
+from semviz_annotation.mapping.review import open_decisions
+from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 from semviz_core.map_file import save_map
 from semviz_core.semantic_map import Decision
@@ -162,3 +168,38 @@ def test_a_build_that_fails_says_why_and_leaves_the_map(tmp_path: Path) -> None:
 def test_what_is_no_list_is_refused(session: LabelSession, asked: dict[str, Any]) -> None:
     with pytest.raises(SemvizError, match="not a list of this page"):
         session.review(asked)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_open_is_followed_through_any_edits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    labels = Labels()
+    for frame in range(12):
+        labels = labels.changed(pole(frame % 3).changes(labels, Rules()))
+    labels = edited(labels, rng, 20)
+    decisions = random_decisions(labels, rng)
+    followed = Open(decisions)
+    for _ in range(60):
+        assert followed.of(labels) == open_decisions(decisions, labels)
+        labels = edited(labels, rng, 1)
+
+
+def edited(labels: Labels, rng: np.random.Generator, times: int) -> Labels:
+    for _ in range(times):
+        with contextlib.suppress(SemvizError):
+            labels = labels.changed(random_edit(labels, rng).changes(labels, Rules()))
+    return labels
+
+
+def random_decisions(labels: Labels, rng: np.random.Generator) -> list[Decision]:
+    found = []
+    elements = sorted(labels.elements.values(), key=lambda one: one.number)
+    for _ in range(30):
+        kind = ("merge", "apart", "split", "leave out")[rng.integers(4)]
+        count = int(rng.integers(2, 4)) if kind in ("merge", "apart") else 1
+        chosen = [elements[place] for place in rng.choice(len(elements), count)]
+        rows = [row.id for row in labels.of_element(chosen[0].id)][: int(rng.integers(3))]
+        about = tuple(rows) if count == 1 else ()
+        ids, numbers = tuple(one.id for one in chosen), tuple(one.number for one in chosen)
+        found.append(Decision(kind, ids, numbers, "machine", "So.", {}, about))
+    return found

@@ -10,7 +10,7 @@ from typing import Literal
 
 from semviz_annotation.edits import DeleteMany, Edit, Judge, Link, Unlink
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.rows import Judgement, apart, derived_id, judged, judgement_id
+from semviz_annotation.rows import Judgement, apart, derived_id, elements_of, judged
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision
@@ -38,14 +38,30 @@ def open_decisions(decisions: Iterable[Decision], labels: Labels) -> tuple[Decis
 
     Those that a person could only agree with, as the labels leave no choice, are not open.
     """
-    return tuple(one for one in decisions if _is_open(one, labels))
+    return tuple(one for one in decisions if is_open(one, labels))
+
+
+def is_open(decision: Decision, labels: Labels) -> bool:
+    """Whether a decision is one of ``open_decisions``."""
+    there = _there(decision, labels)
+    if decision.by == "human" or not there or settling(decision, labels):
+        return False
+    match decision.kind:
+        case "merge":
+            return len(there) > 1
+        case "apart":
+            return len(there) > 1 and not _seen_together(there, labels)
+        case "split":
+            return 0 < len(_about(decision, labels)) < len(labels.of_element(there[0]))
+        case "leave out":
+            return bool(_about(decision, labels) if decision.observation_ids else there)
 
 
 def answers(
     decision: Decision, labels: Labels, classes: ClassSet = DEFAULT_CLASSES
 ) -> tuple[Answer, ...]:
     """What can be said to an open decision, the machine's own opinion first; none to others."""
-    if not _is_open(decision, labels):
+    if not is_open(decision, labels):
         return ()
     match decision.kind:
         case "merge":
@@ -70,10 +86,12 @@ def settling(decision: Decision, labels: Labels) -> tuple[Judgement, ...]:
     """The judgements that settle a decision, to be taken back where people change their mind."""
     there = _there(decision, labels)
     rows = {row.id: row for one in there for row in labels.judgements_of(one)}
-    if decision.kind in ("merge", "apart"):
-        pairs = {judgement_id(*pair) for pair in combinations(there, 2)}
-        return tuple(row for name, row in sorted(rows.items()) if name in pairs)
-    return tuple(row for _, row in sorted(rows.items()) if row.verdict != "apart")
+    between = decision.kind in ("merge", "apart")
+    return tuple(
+        row
+        for _, row in sorted(rows.items())
+        if (row.verdict == "apart") == between and set(elements_of(row)) <= set(there)
+    )
 
 
 def frame_to_see(decision: Decision, labels: Labels) -> int | None:
@@ -86,22 +104,6 @@ def frame_to_see(decision: Decision, labels: Labels) -> int | None:
     if not candidates:
         return None
     return min(candidates, key=lambda here: sum(_gap(here, frames) for frames in parts))
-
-
-def _is_open(decision: Decision, labels: Labels) -> bool:
-    there = _there(decision, labels)
-    if decision.by == "human" or not there or settling(decision, labels):
-        return False
-    match decision.kind:
-        case "merge":
-            return len(there) > 1
-        case "apart":
-            return len(there) > 1 and not _seen_together(there, labels)
-        case "split":
-            about = _about(decision, labels)
-            return 0 < len(about) < len(labels.of_element(there[0]))
-        case "leave out":
-            return bool(_about(decision, labels) if decision.observation_ids else there)
 
 
 def _there(decision: Decision, labels: Labels) -> tuple[str, ...]:

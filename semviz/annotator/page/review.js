@@ -28,6 +28,7 @@ export class Review {
     Object.assign(this, { state, keys, send, submit, go, select, tell, fit });
     this.kept = new Kept(state);
     this.asked = null; // the labels and map of the last question
+    this.answered = null; // key of the last one that was answered here
     this.failure = "";
     byId("build").addEventListener("click", () => this.build());
   }
@@ -44,8 +45,11 @@ export class Review {
   }
 
   answer(place) {
-    const answer = this.state.review?.answers[place];
-    if (answer) this.submit(answer.edit); // once it is saved, the next one is asked for
+    const { review, pending } = this.state;
+    const answer = review?.answers[place];
+    if (!answer || (this.answered === review.key && pending.length)) return; // pressed twice
+    this.answered = review.key;
+    this.submit(answer.edit); // once it is saved, the next one is asked for
   }
 
   build() {
