@@ -31,11 +31,15 @@ class Model:
 
 
 def export(world: Source, folder: Path) -> Model:
-    """The world's things, exactly where they are; one pole's bottom unseen in the right images."""
+    """The world's things, exactly where they are; no bottoms seen right, no peaks in frame 1."""
     labels = world.labels(sigma_px=0.7)  # type: ignore[attr-defined]
     things = world.things  # type: ignore[attr-defined]
     rows = [
-        replace(row, end_known=False) if row.side == "right" and row.end_known else row
+        replace(
+            row,
+            anchor_known=row.end_px is None or row.frame_index != 1,
+            end_known=row.end_known and row.side == "left",
+        )
         for row in labels.observations.values()
     ]
     labels = Labels.from_rows([*labels.elements.values(), *rows])
@@ -93,7 +97,8 @@ def test_observations_are_tracks(model: Model) -> None:
     wanted = {}
     for row in model.labels.observations.values():
         name = f"{row.side}/{row.frame_index:06d}.png"
-        wanted[name, 2 * numbers[row.element_id] + 1] = row.anchor_px
+        if row.anchor_known:
+            wanted[name, 2 * numbers[row.element_id] + 1] = row.anchor_px
         if row.end_px is not None and row.end_known:
             wanted[name, 2 * numbers[row.element_id] + 2] = row.end_px
     assert marks.keys() == wanted.keys()
@@ -123,7 +128,7 @@ def test_ends_that_nobody_saw_are_no_points(model: Model, tmp_path: Path) -> Non
     report = export_colmap(hidden, model.labels, model.world, tmp_path / "hidden")
     read = pycolmap.Reconstruction(tmp_path / "hidden")
     assert sorted(read.points3D) == [7, 9, 15, 19]
-    assert report.dropped["ends of poles that nobody saw"] == 2
+    assert report.dropped["ends that nobody saw"] == 2
     gone = Labels()
     report = export_colmap(hidden, gone, model.world, tmp_path / "gone")
     lost = "observations that were deleted since, or are of no posed frame"
@@ -153,6 +158,9 @@ def test_nothing_is_overwritten_or_left_half(model: Model, tmp_path: Path) -> No
         export_colmap(model.semantic_map, model.labels, model.world, model.folder)
     assert (model.folder / "images.txt").read_bytes() == before
     elements = replace(model.semantic_map.elements, id=np.array([-1, 2, 3, 4]))
+    elsewhere = replace(model.semantic_map, frame=MapFrame("moon"))
+    with pytest.raises(SemvizError, match="the map is in the frame 'moon', the poses are in 'wor"):
+        export_colmap(elsewhere, model.labels, model.world, tmp_path / "other")
     negative = SemanticMap(elements, MapFrame("world"))
     with pytest.raises(SemvizError, match="no negative numbers"):
         export_colmap(negative, model.labels, model.world, tmp_path / "other")

@@ -108,6 +108,8 @@ def test_lanelet2_of_others(tmp_path: Path) -> None:
         ([feature("Point", [49.0, 8.0], "round")], "km from the map's origin .*swapped"),
         ([feature("Point", ["8", "49"], "round")], "'8' is not a number"),
         ([feature("Point", [8.0, 49.0], "round", covariance_enu_m2=[[1, 2]])], "3 by 3 or 6 by 6"),
+        ([feature("Point", [8.0, 49.0], "round", covariance_enu_m2=[[10**400] * 3] * 3)],
+         "covariance_enu_m2 is not an array of numbers"),
         ([feature("Point", [8.0, 49.0], "round", anchor_known="no")], "neither true nor false"),
         ([feature("Point", [8.0, 49.0], None)], "property 'class' says what it is; here it is N"),
         ([feature("Point", None, "round")], "no|is not longitude"),

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from semviz_annotation.formats.numbers import quoted
 from semviz_annotation.labels import Labels
 from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import drop_history
+from semviz_annotation.map_formats.writing import drop_history, unseen_ends
 from semviz_annotation.rows import Observation, Pixel
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
@@ -64,6 +65,11 @@ def write_colmap(semantic_map: SemanticMap, labels: Labels, source: Source, path
     A point is a sign's middle, a pole's peak (id 2 * element + 1) or its bottom (2 * element + 2)
     where somebody saw it. Images are called ``left/000012.png``.
     """
+    if semantic_map.frame.name != source.map_frame.name:
+        raise SemvizError(
+            f"the map is in the frame {quoted(semantic_map.frame.name)}, the poses are in "
+            f"{quoted(source.map_frame.name)}; build the map of this workspace"
+        )
     tally = Tally()
     points = {one.id: one for one in _points(semantic_map, tally)}
     images = _images(source, tally)
@@ -84,8 +90,7 @@ def _points(semantic_map: SemanticMap, tally: Tally) -> Iterator[_Point]:
     elements = semantic_map.elements
     if (elements.id < 0).any():
         raise SemvizError("COLMAP's points have no negative numbers; some elements have")
-    unseen = int((~elements.anchor_known).sum() + (elements.is_line & ~elements.end_known).sum())
-    tally.drop("ends of poles that nobody saw", unseen)
+    tally.drop("ends that nobody saw", unseen_ends(semantic_map))
     for row, id_ in enumerate(elements.id.tolist()):
         one = semantic_map.classes[int(elements.class_id[row])]
         color = tuple(bytes.fromhex(one.color.removeprefix("#")))

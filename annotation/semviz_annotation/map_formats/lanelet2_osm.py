@@ -34,6 +34,7 @@ from semviz_core.files import replacing
 from semviz_core.semantic_map import SemanticMap
 
 CLASS, ELEMENT = "semviz:class", "semviz:id"
+ANCHOR_KNOWN, END_KNOWN, NO = "semviz:anchor_known", "semviz:end_known", "no"
 POLE_TYPE, SIGN_TYPE = "pole", "traffic_sign"
 _PLACE = ("anchor_latitude", "anchor_longitude", "anchor_height", "x_heading_deg")
 
@@ -95,7 +96,13 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
         CLASS: semantic_map.classes[int(elements.class_id[row])].name,
         ELEMENT: str(int(elements.id[row])),
     }
-    return tags if is_line else tags | {"height": f"{PLATE_M:g}"}
+    if not is_line:
+        tags["height"] = f"{PLATE_M:g}"
+    if not elements.anchor_known[row]:
+        tags[ANCHOR_KNOWN] = NO
+    if is_line and not elements.end_known[row]:
+        tags[END_KNOWN] = NO
+    return tags
 
 
 def read_lanelet2(path: Path, reading: Reading) -> Found:
@@ -173,15 +180,16 @@ def _add(
     found: Found, reading: Reading,
 ) -> None:  # fmt: skip
     id_ = whole(tags.get(ELEMENT, way.get("id")))
+    anchor_known, end_known = (tags.get(name) != NO for name in (ANCHOR_KNOWN, END_KNOWN))
     if reading.classes[class_id].kind == "line":
         peak, bottom = points[0], points[-1]
         if CLASS not in tags:  # of others: in any order
             peak, bottom = upper_first(peak, bottom)
-        found.add(Thing(class_id, peak, bottom, id_))
+        found.add(Thing(class_id, peak, bottom, id_, None, anchor_known, end_known))
         return
     middle = 0.5 * (points[0] + points[-1])
     if "height" in tags:
         middle = middle + np.array([0.0, 0.0, 0.5 * number(tags["height"])])
     else:
         found.tally.assume("middles of signs: their lower edge where they have no height")
-    found.add(Thing(class_id, middle, id=id_))
+    found.add(Thing(class_id, middle, None, id_, None, anchor_known))

@@ -11,7 +11,12 @@ from typing import Literal
 import numpy as np
 
 from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import PLATE_M, across_road, drop_all_but_places
+from semviz_annotation.map_formats.writing import (
+    PLATE_M,
+    across_road,
+    drop_all_but_places,
+    unseen_ends,
+)
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.files import replacing
 from semviz_core.semantic_map import SemanticMap
@@ -37,6 +42,7 @@ def write_mesh(semantic_map: SemanticMap, path: Path, form: Literal["ply", "glb"
         mesh.export(temporary, file_type=form)
     tally = Tally()
     drop_all_but_places(semantic_map, tally)
+    tally.drop("ends that nobody saw: drawn like the others", unseen_ends(semantic_map))
     tally.drop("numbers and classes: colours only", len(semantic_map))
     tally.drop("digits: coordinates are of single precision", len(semantic_map))
     lines = int(semantic_map.elements.is_line.sum())

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from semviz_annotation.formats.reading import (
 )
 from semviz_annotation.map_formats.georeference import Georeference
 from semviz_annotation.map_formats.tally import Tally
-from semviz_core.arrays import LARGEST, FloatArray
+from semviz_core.arrays import FloatArray, float_array
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
@@ -26,6 +26,8 @@ from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+    from numpy.typing import ArrayLike
 
 ASSUMED_SIGMA_M = 0.1
 """Of every coordinate of what comes from a file that does not say how exact it is."""
@@ -240,14 +242,11 @@ def upper_first(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatAr
     return (one, other) if one[2] >= other[2] else (other, one)
 
 
-def checked_covariance(value: object, where: str) -> FloatArray:
+def checked_covariance(value: object, name: str) -> FloatArray:
     """(6, 6) of a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.shape not in ((3, 3), (6, 6)) or not (np.abs(array) <= LARGEST).all():
-        raise SemvizError(f"{where} is not a matrix of 3 by 3 or 6 by 6 numbers")
+    array = float_array(cast("ArrayLike", value), (None, None), name)
+    if array.shape not in ((3, 3), (6, 6)):
+        raise SemvizError(f"{name} is not a matrix of 3 by 3 or 6 by 6 numbers")
     full = np.zeros((6, 6))
     full[: len(array), : len(array)] = array
     return full

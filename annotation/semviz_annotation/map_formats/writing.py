@@ -38,9 +38,7 @@ def counts(semantic_map: SemanticMap) -> dict[str, int]:
 
 def drop_all_but_places(semantic_map: SemanticMap, tally: Tally) -> None:
     """Note what a format loses that knows only where elements are, and of what class."""
-    elements = semantic_map.elements
-    tally.drop("standard deviations and correlations", len(elements))
-    tally.drop("ends that nobody saw: written like the others", _unknown_ends(semantic_map))
+    tally.drop("standard deviations and correlations", len(semantic_map))
     drop_history(semantic_map, tally)
     tally.drop("labels and observations that elements come from", len(semantic_map.provenance))
 
@@ -62,7 +60,7 @@ def as_json(value: object) -> str:
     return json.dumps(value, allow_nan=False)
 
 
-def _unknown_ends(semantic_map: SemanticMap) -> int:
+def unseen_ends(semantic_map: SemanticMap) -> int:
+    """How many ends of poles, and signs, nobody saw."""
     elements = semantic_map.elements
-    unknown = ~elements.anchor_known | (elements.is_line & ~elements.end_known)
-    return int(unknown.sum())
+    return int((~elements.anchor_known).sum() + (elements.is_line & ~elements.end_known).sum())
