@@ -178,18 +178,23 @@ def detector_model(observations: Observations) -> DetectorModel:
     return DETECTOR_MODEL
 
 
-def simulated_prior(options: DriveOptions) -> Know:
-    """A GPS fix that is off by a known distance, gravity, and perhaps a compass."""
+def prior_options(options: DriveOptions) -> PriorOptions:
+    """How good the simulated GPS and compass are."""
     heading_deg = options.heading_sigma_deg
-    prior_options = PriorOptions(
+    return PriorOptions(
         distance_m=options.prior_distance_m,
         heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
     )
 
+
+def simulated_prior(options: DriveOptions) -> Know:
+    """A GPS fix that is off by a known distance, gravity, and perhaps a compass."""
+    known = prior_options(options)
+
     def know(frame: Frame) -> Prior:
         if frame.T_map_camera is None:
             raise SemvizError(f"frame {frame.index} has no pose to simulate a GPS fix from")
-        return simulate_prior(frame.T_map_camera, prior_options, (options.seed, frame.index))
+        return simulate_prior(frame.T_map_camera, known, (options.seed, frame.index))
 
     return know
 

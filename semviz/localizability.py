@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from semviz.drive import DriveOptions, detector_model
+from semviz.drive import DriveOptions, detector_model, prior_options
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
 from semviz_core.localizability.conditions import LABEL_NOISE, Conditions
 from semviz_core.localizability.route import poses_along, thinned
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.priors import PriorOptions
 from semviz_core.sources.street.detector import NOISE
 
 STEP_M = 1.0
@@ -22,15 +21,10 @@ STEP_M = 1.0
 
 def conditions_of(options: DriveOptions) -> Conditions:
     """What a drive with these options takes for granted."""
-    heading_deg = options.heading_sigma_deg
-    prior = PriorOptions(
-        distance_m=options.prior_distance_m,
-        heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
-    )
     return Conditions(
         detector=detector_model(options.observations),
         noise=LABEL_NOISE if options.observations == "labels" else NOISE[options.noise],
-        prior=prior,
+        prior=prior_options(options),
         crop_radius_m=options.crop_radius_m,
         seed=options.seed,
     )

@@ -34,8 +34,13 @@ def as_text(predicted: Localizability, classes: ClassSet) -> str:
         lines.append(f"and {len(stretches) - LISTED} better ones")
     for first_m, last_m in ambiguous_places(predicted):
         lines.append(f"ambiguous from {first_m:.0f} to {last_m:.0f} m")
-    lines += [f"add {new_element(one, predicted, classes)}" for one in predicted.suggested]
-    lines += [f"keep {kept_element(one, classes)}" for one in predicted.critical]
+    for one in predicted.suggested:
+        x, y, _ = one.element.anchor_m[0]
+        place = f"{new_element(one, predicted, classes)}, at ({x:.1f}, {y:.1f})"
+        lines.append(f"add a {place}: {change(one)}")
+    for one in predicted.critical:
+        name = classes.element_name(int(one.element.class_id[0]), int(one.element.id[0]))
+        lines.append(f"keep {name}: without it {change(one)}")
     return "\n".join(lines)
 
 
@@ -83,24 +88,24 @@ def ambiguous_places(predicted: Localizability) -> Iterator[tuple[float, float]]
 
 
 def new_element(effect: Effect, predicted: Localizability, classes: ClassSet) -> str:
-    """``a pole at (12.3, 4.5), 52 m along, on the right: 0.62 to 0.31 m from 30 to 55 m``."""
+    """``pole on the left, 52 m along``."""
     kind = classes[int(effect.element.class_id[0])].kind
     place = effect.element.anchor_m[0]
     centers = np.array([pose.translation for pose in predicted.T_map_camera])
     row = int(np.linalg.norm(centers[:, :2] - place[:2], axis=1).argmin())
     aside = predicted.T_map_camera[row].inverse().apply(place)[0]
     return (
-        f"a {'pole' if kind == 'line' else 'sign'} at ({place[0]:.1f}, {place[1]:.1f}), "
-        f"{predicted.along_m[row]:.0f} m along, on the {'right' if aside > 0.0 else 'left'}: "
-        f"{_change(effect)}"
+        f"{'pole' if kind == 'line' else 'sign'} on the {'right' if aside > 0.0 else 'left'}, "
+        f"{predicted.along_m[row]:.0f} m along"
     )
 
 
-def kept_element(effect: Effect, classes: ClassSet) -> str:
-    """``P-04: without it 0.20 to 0.41 m from 30 to 55 m``."""
-    element = effect.element
-    name = classes.element_name(int(element.class_id[0]), int(element.id[0]))
-    return f"{name}: without it {_change(effect)}"
+def change(effect: Effect) -> str:
+    """``0.62 to 0.31 m, from 30 to 55 m``."""
+    return (
+        f"{effect.before_m:.2f} to {effect.after_m:.2f} m, from {effect.first_m:.0f} to "
+        f"{effect.last_m:.0f} m"
+    )
 
 
 def check_plot_path(path: Path) -> None:
@@ -151,13 +156,6 @@ def _row(one: Stretch) -> str:
     return (
         f"{stretch:<16}{one.expected_m:>8.2f} m{sigma:>10}{heading:>11}{one.found:>7.1f}"
         f"{one.lost:>12.0%}{one.ambiguous:>11.0%}"
-    )
-
-
-def _change(effect: Effect) -> str:
-    return (
-        f"{effect.before_m:.2f} to {effect.after_m:.2f} m from {effect.first_m:.0f} to "
-        f"{effect.last_m:.0f} m"
     )
 
 

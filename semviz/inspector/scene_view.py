@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from semviz.inspector.forecast_view import FORECAST, draw_forecast
 from semviz.inspector.session import State, View
 from semviz.palette import residual_level
 from semviz.recording.run import FrameRecord, Run
@@ -13,6 +14,7 @@ from semviz.web.colors import mix
 from semviz.web.scene import ALTERNATIVE, CAMERA_HEIGHT_M, CLICKABLE, ESTIMATE, TRUTH, Scene
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.errors import SemvizError
+from semviz_core.localizability.predict import Localizability
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 
@@ -36,6 +38,7 @@ class SceneView:
         self._on_click = on_click
         self._facing = np.zeros(0)
         self._path = np.zeros((0, 3))
+        self._forecast: Localizability | None = None
         self._shown: tuple[Pose, View] | None = None
 
     def show_run(self, run: Run, state: State) -> None:
@@ -45,7 +48,7 @@ class SceneView:
         with scene.server.atomic():
             scene.set_theme(state.theme)
             elements = semantic_map.elements
-            self._path = path
+            self._path, self._forecast = path, None
             self._facing = shapes.facing(elements.anchor_m, path)
             scene.draw_elements(
                 "/map", elements, semantic_map.classes, self._facing, strength=0.45, width_px=1.2
@@ -77,6 +80,16 @@ class SceneView:
         """Turns to the state's viewpoint, again where it is the same."""
         self._shown = None
         self.show_frame(run, state)
+        self.show_forecast(self._forecast, run, state)
+
+    def show_forecast(self, predicted: Localizability | None, run: Run, state: State) -> None:
+        """What the map lets a camera know along the route; None takes it away."""
+        self._forecast = predicted
+        with self._scene.server.atomic():
+            if predicted is None or state.view == "camera":  # it would hide the image
+                self._scene.clear_under(FORECAST)
+            else:
+                draw_forecast(self._scene, predicted, run.semantic_map.classes)
 
     def _draw_ground(self, record: FrameRecord, state: State) -> None:
         """Grid and road; through the camera they would hide its image."""

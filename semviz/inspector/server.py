@@ -79,6 +79,7 @@ class InspectorSession:
             "look": self._look,
             "theme": self._theme,
             "alternatives": self._alternatives,
+            "forecast": self._forecast,
             "decisions": self._decisions,
             "see": self._see,
             "answer": self._answer,
@@ -112,6 +113,7 @@ class InspectorSession:
         self._run = run
         self._tell_run(run)
         self._shown().show_run(run, self._state)
+        self._show_forecast(run)
 
     def _go(self, message: Message) -> None:
         run = self._opened()
@@ -142,12 +144,36 @@ class InspectorSession:
         self._state = self._state.themed(str(message.get("theme")))
         if self._run is not None:
             self._shown().show_run(self._run, self._state)
+            self._show_forecast(self._run)
 
     def _alternatives(self, message: Message) -> None:
         run = self._opened()
         self._state = self._state.showing_alternatives(bool(message.get("shown")))
         self._tell_state()
         self._shown().show_frame(run, self._state)
+
+    def _forecast(self, message: Message) -> None:
+        run = self._opened()
+        self._state = self._state.showing_forecast(bool(message.get("shown")))
+        self._tell_state()
+        self._show_forecast(run)
+
+    def _show_forecast(self, run: Run) -> None:
+        """Shown, or taken away; asked for where it is not worked out yet."""
+        if self._state.forecast:
+            self._shelf.forecast(self._state.run).ask(lambda: self._forecast_got_on(run))
+        elif self._scene is not None:
+            self._scene.show_forecast(None, run, self._state)
+
+    def _forecast_got_on(self, run: Run) -> None:
+        """Called in the forecast's thread; the page may show another run by then."""
+        with self._lock:
+            if self._run is not run or not self._state.forecast:
+                return
+            forecast = self._shelf.forecast(self._state.run)
+            self._send({"type": "forecast", "forecast": forecast.view()})
+            if forecast.predicted is not None:
+                self._shown().show_forecast(forecast.predicted, run, self._state)
 
     def _decisions(self, _: Message) -> None:
         self._opened()

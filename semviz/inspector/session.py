@@ -28,6 +28,7 @@ class State:
     view: View = "behind"
     theme: Theme = "dark"
     alternatives: bool = True
+    forecast: bool = False
 
     def opened(self, name: str, run: Run, frame: int | None) -> "State":
         """At the frame numbered ``frame`` of another run; at its first frame where it has none."""
@@ -70,6 +71,10 @@ class State:
     def showing_alternatives(self, shown: bool) -> "State":
         """With or without the other poses that fit."""
         return replace(self, alternatives=shown)
+
+    def showing_forecast(self, shown: bool) -> "State":
+        """With or without what the map lets a camera know along the route."""
+        return replace(self, forecast=shown)
 
 
 def matched_elements(run: Run, position: int) -> dict[int, int]:

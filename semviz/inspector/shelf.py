@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from semviz.inspector.decisions import Decisions
+from semviz.inspector.forecast import Forecast
 from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
 
@@ -18,6 +19,7 @@ class Shelf:
         self._paths = dict(zip(_names(paths), paths, strict=True))
         self._runs: dict[str, Run] = {}
         self._decisions: dict[str, Decisions] = {}
+        self._forecasts: dict[str, Forecast] = {}
         self._lock = threading.Lock()
 
     @property
@@ -42,6 +44,12 @@ class Shelf:
             if name not in self._decisions:
                 self._decisions[name] = Decisions(run, self._paths[name])
             return self._decisions[name]
+
+    def forecast(self, name: str) -> Forecast:
+        """What the map of the run called ``name`` lets a camera know along its route."""
+        run = self.run(name)
+        with self._lock:
+            return self._forecasts.setdefault(name, Forecast(run))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -65,6 +65,7 @@ def state_view(state: State) -> Json:
         "element": state.selection.element,
         "view": state.view,
         "alternatives": state.alternatives,
+        "forecast": state.forecast,
     }
 
 

@@ -90,6 +90,12 @@ class Scene:
         for node in self._nodes.pop(name, {}).values():
             node.remove()
 
+    def clear_under(self, prefix: str) -> None:
+        """Removes all that was drawn under names that begin so."""
+        for name in tuple(self._nodes):
+            if name.startswith(prefix):
+                self.clear(name)
+
     def draw_grid(self, around_m: FloatArray) -> None:
         """A level grid of 10 m on the road around a camera centre (3,)."""
         floor = np.array([*around_m[:2], around_m[2] - CAMERA_HEIGHT_M])
@@ -101,6 +107,16 @@ class Scene:
             if len(trajectory_m) > 1:
                 below = trajectory_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.02]
                 self._mesh("/road", "/road", *shapes.ribbon(below, width_m=7.0), self.palette.road)
+
+    def draw_band(
+        self, name: str, points_m: FloatArray, pieces: IntArray, width_m: float, color: str
+    ) -> None:
+        """A level band along points (k, 3): its ``pieces``, each from one point to the next."""
+        with self._drawing(name):
+            if len(pieces):
+                corners, faces = shapes.ribbon(points_m, width_m)
+                both = np.concatenate([faces[pieces], faces[pieces + len(points_m) - 1]])
+                self._mesh(name, name, corners, both, color)
 
     def draw_elements(
         self,

@@ -136,6 +136,7 @@ def test_a_suggested_element_helps_where_it_is_said(
     first = predicted.suggested[0]
     assert BARE_M[0] - 5.0 < first.element.anchor_m[0, 0] < BARE_M[1] + 30.0
     new = predicted.suggested
+    assert len({int(one.element.id[0]) for one in new}) == len(new) == 3
     grown = reduce(joined, (one.element for one in new), street.elements)
     again = predict(mapped(grown), CAMERA, predicted.T_map_camera, replace(CONDITIONS, seed=9))
     said = sum(one.total_m2 for one in new)

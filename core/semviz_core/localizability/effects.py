@@ -66,7 +66,8 @@ def suggest(
         for k, some in enumerate(parts):
             for i in np.flatnonzero(some.id == effect[0].element.id[0]).tolist():
                 now[k] = now[k].with_part(some, i)
-                gains[k] = _gains(now[k], some)
+                parts[k] = some.without(i)
+                gains[k] = _gains(now[k], parts[k])
     return tuple(chosen)
 
 

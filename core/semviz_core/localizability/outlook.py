@@ -47,6 +47,11 @@ class Parts:
         share = np.stack([self.found[i], self.found[i] & self.bottom[i]], axis=1)
         return np.tensordot(share.astype(np.float64), self.information[i], axes=1)
 
+    def without(self, i: int) -> "Parts":
+        """All but element ``i``."""
+        kept = np.arange(len(self.id)) != i
+        return Parts(self.id[kept], self.information[kept], self.found[kept], self.bottom[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class Outlook:

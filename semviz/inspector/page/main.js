@@ -9,6 +9,7 @@ import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
 import { Bar } from "./bar.js";
 import { DecisionList } from "./decisions.js";
+import { Forecast } from "./forecast.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
@@ -29,7 +30,7 @@ class Page {
     this.list = new FrameList(this);
     this.decisions = new DecisionList(this);
     this.matrix = new MatrixPanel(this);
-    this.panels = [new Bar(this), this.list, this.decisions, new SpacePanel(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
+    this.panels = [new Bar(this), this.list, this.decisions, new SpacePanel(this), new Forecast(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
     this.socket = new Socket({
@@ -59,6 +60,7 @@ class Page {
     else if (message.type === "run") this.showRun(message.run);
     else if (message.type === "frame") this.showFrame(message.frame, message.state);
     else if (message.type === "state") this.showState(message.state);
+    else if (message.type === "forecast") this.each("showForecast", message.forecast);
     else if (message.type === "decisions") this.decisions.showDecisions(message.decisions);
     else if (message.type === "scene") this.showScene();
   }
@@ -145,6 +147,10 @@ class Page {
     this.socket.send({ verb: "look", view });
   }
 
+  toggleForecast() {
+    this.socket.send({ verb: "forecast", shown: !this.state.forecast });
+  }
+
   /* Alone */
 
   commands() {
@@ -170,6 +176,7 @@ class Page {
       from("l", "Through the camera", () => this.look("camera")),
       from("u", "From above", () => this.look("above")),
       from("g", "Other poses that fit", () => this.socket.send({ verb: "alternatives", shown: !this.state.alternatives })),
+      from("f", "Forecast: how well the map lets a camera know its place", () => this.toggleForecast()),
       { key: "Tab", group: "Selection", title: "Next element", run: () => this.selectNext(1) },
       { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
       { key: "Escape", group: "Selection", title: "Clear the selection", run: () => this.select() },

@@ -28,6 +28,7 @@ export class Timeline {
 
   showRun(run) {
     this.run = run;
+    this.forecast = null;
     const largest = Math.max(1, ...run.frames.map((row) => row.errorM ?? 0));
     this.most = 10 ** Math.ceil(Math.log10(largest) - 1e-9);
     byId("median").textContent = run.medianM === null ? "no truth" : `median ${fixed(run.medianM, 2)} m`;
@@ -41,6 +42,23 @@ export class Timeline {
 
   pointAt(position) {
     this.position = position;
+    this.surface.redraw();
+  }
+
+  showState(state) {
+    if (state.forecast === this.withForecast) return;
+    this.withForecast = state.forecast;
+    this.drawAgain();
+  }
+
+  showForecast(forecast) {
+    this.forecast = forecast.ready ? forecast : null;
+    this.drawAgain();
+  }
+
+  drawAgain() {
+    const shown = this.withForecast && this.forecast;
+    byId("forecast-mean").textContent = shown ? `— forecast ${fixed(this.forecast.meanM, 2)} m` : "";
     this.surface.redraw();
   }
 
@@ -85,6 +103,7 @@ export class Timeline {
       }
       context.globalAlpha = 1;
     });
+    if (this.withForecast && this.forecast) this.drawForecast(context, slot, y);
     this.drawStatus(context, width, height, slot, colors);
     this.drawFrameNumbers(context, height, slot);
     this.drawCursor(context, height, AXIS_PX + (this.position + 0.5) * slot);
@@ -101,6 +120,21 @@ export class Timeline {
       context.fillStyle = cssColor("--faint");
       context.fillText(`${Number(tick.toPrecision(1))}${tick >= 0.999 ? " m" : ""}`, AXIS_PX - 6, at);
     }
+  }
+
+  /** A line over the bars: the error that the map alone lets one expect. */
+  drawForecast(context, slot, y) {
+    context.beginPath();
+    let before = null;
+    this.forecast.expectedM.forEach((error, position) => {
+      const at = [AXIS_PX + (position + 0.5) * slot, error === null ? null : y(error)];
+      if (error !== null && before !== null) context.lineTo(...at);
+      else if (error !== null) context.moveTo(...at);
+      before = error;
+    });
+    context.strokeStyle = cssColor("--text");
+    context.lineWidth = 1.2;
+    context.stroke();
   }
 
   drawStatus(context, width, height, slot, colors) {

@@ -1,0 +1,116 @@
+"""What the map lets a camera know along a run's route, worked out when first asked for."""
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from semviz.localizability import conditions_of, options_of, positions
+from semviz.localizability_report import change, new_element
+from semviz.recording.run import Run
+from semviz_core.errors import SemvizError
+from semviz_core.localizability.effects import Effect
+from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
+from semviz_core.pose import Pose
+
+TOLD_EVERY = 20
+"""Progress is told so many times in each pass along the route."""
+NEAR_M = 3.0
+"""A frame takes the forecast of the nearest position, if it is no further."""
+Tell = Callable[[], None]
+Json = dict[str, Any]
+
+
+class Forecast:
+    """One run's localizability. Thread-safe; a thread of its own works while the page goes on."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._lock = threading.Lock()
+        self._told: list[Tell] = []
+        self._started = False
+        self._doing = "waiting to begin"
+        self._failure = ""
+        self.predicted: Localizability | None = None
+        """None until it is worked out."""
+
+    def ask(self, tell: Tell) -> None:
+        """Have ``tell`` called now, as the work gets on, and when it is done."""
+        with self._lock:
+            is_over = self.predicted is not None or bool(self._failure)
+            if not is_over:
+                self._told.append(tell)
+            start, self._started = not self._started, True
+        if start:
+            threading.Thread(target=self._work, name="forecast", daemon=True).start()
+        tell()
+
+    def view(self) -> Json:
+        """What the page shows: the values by frame, or how far the work has come."""
+        run, predicted = self._run, self.predicted
+        if predicted is None:
+            return {"ready": False, "doing": self._failure or self._doing}
+        rows = [_nearest(predicted, one.frame.T_map_camera) for one in run.frames]
+        classes = run.semantic_map.classes
+        expected, ambiguous = predicted.expected_m.tolist(), predicted.ambiguous.tolist()
+        return {
+            "ready": True,
+            "limits": LIMITS_M,
+            "expectedM": [None if row is None else expected[row] for row in rows],
+            "ambiguous": [None if row is None else ambiguous[row] for row in rows],
+            "meanM": float(predicted.expected_m.mean()),
+            "suggested": [
+                {
+                    "position": _first_frame(one, predicted, rows),
+                    "text": f"{new_element(one, predicted, classes)}: {change(one)}",
+                }
+                for one in predicted.suggested
+            ],
+        }
+
+    def _work(self) -> None:
+        run = self._run
+        try:
+            route = positions((one.frame for one in run.frames), run.semantic_map)
+            conditions = conditions_of(options_of(run.info.options))
+            self.predicted = predict(
+                run.semantic_map, run.info.rig.left, route, conditions, self._watch
+            )
+        except SemvizError as error:
+            self._failure = str(error)
+        self._tell()
+        with self._lock:
+            self._told.clear()
+
+    def _watch(self, poses: Iterable[Pose], what: str, total: int) -> Iterator[Pose]:
+        every = max(total // TOLD_EVERY, 1)
+        for number, pose in enumerate(poses):
+            if number % every == 0:
+                first = "" if number else "; on a new machine, up to a minute of compiling first"
+                self._doing = f"{what}: {number} of {total}{first}"
+                self._tell()
+            yield pose
+
+    def _tell(self) -> None:
+        with self._lock:
+            told = tuple(self._told)
+        for tell in told:
+            tell()
+
+
+def _first_frame(effect: Effect, predicted: Localizability, rows: list[int | None]) -> int | None:
+    """Position in the run of the first frame in which a new element is felt."""
+    along_m = [np.nan if row is None else float(predicted.along_m[row]) for row in rows]
+    felt = [at for at, along in enumerate(along_m) if effect.first_m <= along <= effect.last_m]
+    return felt[0] if felt else None
+
+
+def _nearest(predicted: Localizability, T_map_camera: Pose | None) -> int | None:
+    """Position of the route at which a frame was taken."""
+    if T_map_camera is None:
+        return None
+    centers = np.array([pose.translation for pose in predicted.T_map_camera])
+    away = np.linalg.norm(centers - T_map_camera.translation, axis=1)
+    row = int(away.argmin())
+    return row if away[row] <= NEAR_M else None
