@@ -1,8 +1,14 @@
-"""The labelling page of a workspace, served in this process."""
+"""The labelling page of a workspace, served in this process or in one that can be killed."""
 
+import os
+import re
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
@@ -55,3 +61,30 @@ def draw_signs(workspace: Workspace, places: list[tuple[int, float]], author: st
             },
         )
     session.close()
+
+
+class Killable:
+    """``semviz annotate`` in a process of its own, always on the same port."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = 0
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self) -> str:
+        command = [sys.executable, "-m", "semviz.cli", "annotate", str(self.folder), "--no-open"]
+        command += ["--port", str(self.port), "--author", "tester"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            found = re.search(r"http://\S+:(\d+)/", line)
+            if found:
+                self.port = int(found[1])
+                return found[0]
+        raise AssertionError("semviz annotate did not start")
+
+    def kill(self) -> None:
+        if self.process is not None:
+            os.kill(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            self.process = None

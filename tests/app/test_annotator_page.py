@@ -1,10 +1,5 @@
 """The labelling page in a real browser: what the mouse does, what is stored, what is never lost."""
 
-import os
-import re
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotating import Served, annotating
+from annotating import Killable, Served, annotating
 from journeys.driver import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, LabelDriver
 
 from semviz.annotator.session import LabelSession
@@ -331,33 +326,6 @@ def test_every_command_is_in_the_help_and_no_key_is_taken_twice(driver: LabelDri
         assert title in text
     badges = driver.page.locator("dialog.help li .keys").all_inner_texts()
     assert not {badge.strip().lower() for badge in badges} & set("wasdqe")
-
-
-class Killable:
-    """``semviz annotate`` in a process of its own, always on the same port."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.port = 0
-        self.process: subprocess.Popen[str] | None = None
-
-    def start(self) -> str:
-        command = [sys.executable, "-m", "semviz.cli", "annotate", str(self.folder), "--no-open"]
-        command += ["--port", str(self.port), "--author", "tester"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            found = re.search(r"http://\S+:(\d+)/", line)
-            if found:
-                self.port = int(found[1])
-                return found[0]
-        raise AssertionError("semviz annotate did not start")
-
-    def kill(self) -> None:
-        if self.process is not None:
-            os.kill(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-            self.process = None
 
 
 @pytest.fixture
