@@ -29,8 +29,7 @@ class MapExport:
     format: ExportFormat = None
     """Unless given, the file's ending tells: .geojson, .osm (lanelet2), .ply, .glb, .csv."""
     anchor: OptionalText = None
-    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin, WGS84, for geojson and lanelet2, where
-    the map does not know it."""
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84): for geojson and lanelet2."""
     anchor_heading: OptionalFloat = None
     """Compass direction of the map's x axis at the anchor; 90 (east) unless given."""
     json: bool = False

@@ -31,8 +31,7 @@ class MapImport:
     class_map: UseAppendAction[tuple[str, ...]] = ()
     """NAME=CLASS: what the file calls NAME is CLASS here, or 'ignore'; give it once a name."""
     anchor: OptionalText = None
-    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin, WGS84; what the file says of it is taken
-    unless given."""
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), where the file does not say it."""
     anchor_heading: OptionalFloat = None
     """Compass direction of the map's x axis at the anchor; 90 (east) unless given."""
     replace: bool = False

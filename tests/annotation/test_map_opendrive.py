@@ -67,6 +67,12 @@ def test_heights_of_the_road_and_its_tilt(tmp_path: Path) -> None:
     np.testing.assert_allclose(town.elements.end_m[0], foot, atol=1e-12)
 
 
+def test_roads_of_one_name_are_two(tmp_path: Path) -> None:
+    other = road(LINE.replace('x="10"', 'x="1010"'), objects=POLE_AT_30)
+    town, _ = read(tmp_path, road(objects=POLE_AT_30), other)
+    np.testing.assert_allclose(np.diff(town.elements.end_m[:, 0]), [1000.0])
+
+
 def test_a_tilted_pole(tmp_path: Path) -> None:
     """Pitch turns the top towards where the object looks, roll to its right."""
     for tilt, towards in (("pitch", 0.0), ("roll", -0.5 * np.pi)):

@@ -114,7 +114,7 @@ def read_lanelet2(path: Path, reading: Reading) -> Found:
     found = Found(georeference=place)
     nodes = {one.get("id", ""): one for one in root.iterfind("node")}
     for way in root.iterfind("way"):
-        with at(f"{path}, way {quoted(way.get('id'))[1:-1]}"):
+        with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):
             tags = {tag.get("k", ""): tag.get("v", "") for tag in way.iterfind("tag")}
             class_id = _class_id(tags, found.tally, reading)
             if class_id is not None:

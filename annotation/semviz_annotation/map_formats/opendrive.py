@@ -71,21 +71,23 @@ def read_opendrive(path: Path, reading: Reading) -> Found:
     """
     root = read_xml(path, "OpenDRIVE")
     found = Found()
-    lines: dict[str, RoadLine] = {}
+    roads: list[tuple[str, Element, RoadLine]] = []
     for road in root.iterfind("road"):
-        with at(f"{path}, road {quoted(road.get('id'))[1:-1]}"):
-            lines[road.get("id", "")] = RoadLine.of(road)
+        where = f"{path}, road {quoted(road.get('id', ''))[1:-1]}"
+        with at(where):
+            roads.append((where, road, RoadLine.of(road)))
+    lines = {road.get("id", ""): line for _, road, line in roads}
+    for where, road, line in roads:
+        with at(where):
+            _read_objects(road, line, found, reading)
+            _read_signals(road, line, lines, found, reading)
             shapes = len(road.findall("lateralProfile/shape"))
             found.tally.drop("lateralProfile shapes: roads are taken as flat across", shapes)
-    for road in root.iterfind("road"):
-        with at(f"{path}, road {quoted(road.get('id'))[1:-1]}"):
-            _read_road(road, lines, found, reading)
     _place_on_earth(root, found, reading)
     return found
 
 
-def _read_road(road: "Element", lines: dict[str, RoadLine], found: Found, reading: Reading) -> None:
-    line = lines[road.get("id", "")]
+def _read_objects(road: "Element", line: RoadLine, found: Found, reading: Reading) -> None:
     for one in road.iterfind("objects/object"):
         kind, name = one.get("type", ""), one.get("name", "")
         what = f"objects of type {quoted(kind)}: neither pole nor sign"
@@ -94,6 +96,11 @@ def _read_road(road: "Element", lines: dict[str, RoadLine], found: Found, readin
             for s, t, z_offset_m, height_m in _copies(one, found):
                 standing = _standing(line.place(s, t), z_offset_m, height_m)
                 _add(one, class_id, standing, found, reading)
+
+
+def _read_signals(
+    road: "Element", line: RoadLine, lines: Mapping[str, RoadLine], found: Found, reading: Reading
+) -> None:
     for one in road.iterfind("signals/signal"):
         country, kind = one.get("country", ""), one.get("type", "")
         codes = codes_of(country, kind, one.get("subtype", ""))
@@ -152,7 +159,7 @@ def _standing(place: Place | None, z_offset_m: float, height_m: float) -> _Stand
 
 
 def _standing_of_signal(
-    one: "Element", line: RoadLine, lines: dict[str, RoadLine]
+    one: "Element", line: RoadLine, lines: Mapping[str, RoadLine]
 ) -> _Standing | None:
     """Where a signal physically is: beside another road, or in the file's own axes, if it says."""
     inertial, beside = one.find("positionInertial"), one.find("positionRoad")
