@@ -38,7 +38,7 @@ class LeftOut:
     """How far off it is; of a pole, the end that is further off."""
     normalized: float
     """As rare as a standard normal number of this size, given how well both click and place are
-    known: above 3 or 4, it is worth a look."""
+    known: above 4, it is worth a look."""
 
 
 @dataclass(frozen=True, eq=False)
