@@ -136,6 +136,13 @@ def test_it_can_be_watched_and_interrupted():
         refine(world.views, world.sightings, placed, OPTIONS, stop)
 
 
+def test_there_must_be_something_to_refine():
+    world = drive(3, things=2)
+    nothing = world.sightings.where(np.zeros(len(world.sightings), dtype=bool))
+    with pytest.raises(SemvizError, match="nothing to refine"):
+        refine(world.views, nothing, place(world.views, nothing))
+
+
 @pytest.mark.parametrize("name", ["pose_sigma_m", "pose_sigma_deg", "offset_sigma_px"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
 def test_sigmas_are_positive_numbers(name, value):

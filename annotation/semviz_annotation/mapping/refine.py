@@ -71,8 +71,10 @@ def refine(
 ) -> Refined:
     """Things that ``placed`` has a place for, and the frames of ``views``, from where they are.
 
-    ``on_progress`` counts steps; there may be fewer.
+    ``on_progress`` counts steps; there may be fewer. Raises SemvizError where nothing has a place.
     """
+    if not placed.ok.any():
+        raise SemvizError("no element has a place, so there is nothing to refine; label more views")
     chosen = sightings.only(placed.ok)
     problem = Problem(views, chosen, options)
     here = problem.at(problem.start(placed))
