@@ -51,7 +51,7 @@ def main() -> None:
         print(f"{len(labels.elements)} elements, {len(labels.observations)} observations\n")
         semantic_map, report = build_map(labels, workspace.source, BuildOptions(), EVEN)
         save_map(semantic_map, workspace.map_path("even"))
-        print(f"map from the even frames: {len(semantic_map)} elements, {report.pairs} pairs")
+        print(f"map from the even frames: {len(semantic_map)} elements\n{report}")
         print("\nmap projected into the odd frames, minus labels")
         print(mapping_accuracy(semantic_map, labels, workspace.source, ODD).as_text())
         print_methods(labels, workspace.source)

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 
@@ -26,3 +26,26 @@ def tell_of_compiling() -> None:
     tell_when_compiling(
         lambda: print("compiling the solver, only this once: up to a minute", file=sys.stderr)
     )
+
+
+class Steps:
+    """A bar for each step of something long, on a terminal; within ``with``."""
+
+    def __enter__(self) -> "Steps":
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._bars = Progress(console=console, disable=not console.is_terminal)
+        self._tasks: dict[str, Any] = {}
+        self._bars.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bars.stop()
+
+    def show(self, what: str, done: int, of: int) -> None:
+        """That so much of a step is done."""
+        if what not in self._tasks:
+            self._tasks[what] = self._bars.add_task(what, total=of)
+        self._bars.update(self._tasks[what], completed=done, total=of)
