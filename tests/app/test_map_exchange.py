@@ -2,12 +2,15 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from semviz.cli import main
+from semviz.recording.reader import load_run
+from semviz.recording.writer import RunWriter
 from semviz.workspace import TRUTH, Workspace
 
 Run = Callable[..., tuple[int, str, str]]
@@ -152,6 +155,26 @@ def test_estimates_and_true_poses_for_evo(run: Run, made: Path, tmp_path: Path) 
     refused(run("trajectory", tmp_path / "none.rrd", tmp_path / "x.tum"), "no such run")
     poses = run("new", tmp_path / "other", "--simulate", 1, "--poses", tmp_path / "given.tum")
     refused(poses, "--poses", "say --kitti ROOT")
+
+
+def test_frames_that_were_not_localized(run: Run, made: Path, tmp_path: Path) -> None:
+    whole = load_run(made / "runs" / "search.rrd")
+    lost = replace(
+        whole.frames[1].localization, status="cannot", T_camera_map=None, covariance=None
+    )
+    path, file = tmp_path / "holed.rrd", tmp_path / "poses.txt"
+    with RunWriter(path, whole.info, whole.semantic_map) as writer:
+        for one in whole.frames:
+            writer.write(replace(one, localization=lost) if one.frame.index == 1 else one)
+    refused(
+        run("trajectory", path, file, "--format", "kitti"),
+        "frame 1 has no pose",
+        "say --format tum",
+    )
+    status, output, _ = run("trajectory", path, file)
+    assert status == 0
+    assert "dropped: 1 x frames without a pose: 1" in output
+    assert len(file.read_text().splitlines()) == 2
 
 
 @pytest.mark.realdata

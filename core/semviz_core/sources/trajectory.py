@@ -73,8 +73,8 @@ def save_trajectory(frames: Sequence[Frame], path: Path, format_: TrajectoryForm
         raise SemvizError("no frame has a pose; there is nothing to write")
     if without and format_ == "kitti":
         raise SemvizError(
-            f"{len(without)} frames have no pose, the first is frame {without[0]}, and KITTI's "
-            "format cannot leave any out; say --format tum"
+            f"frame {without[0]} has no pose ({len(without)} of {len(frames)} frames have none), "
+            "and KITTI's format cannot leave any out; say --format tum"
         )
     line = _tum_line if format_ == "tum" else _kitti_line
     with replacing(path) as temporary:
