@@ -34,7 +34,7 @@ def draw_forecast(scene: Scene, predicted: Localizability, classes: ClassSet) ->
         tone = STATUS["ambiguous"]
         color = tone.dark if scene.theme == "dark" else tone.light
         scene.draw_lines(f"{FORECAST}-hatch", _hatch(predicted, track_m), color, 2.0)
-    for number, effect in enumerate(predicted.suggested):
+    for number, effect in enumerate(predicted.suggested, start=1):
         _draw_new(scene, number, effect, classes)
 
 
@@ -57,7 +57,7 @@ def _hatch(predicted: Localizability, track_m: FloatArray) -> FloatArray:
 
 
 def _draw_new(scene: Scene, number: int, effect: Effect, classes: ClassSet) -> None:
-    """A dashed element: it is not there yet."""
+    """A dashed element, as it is not there yet, under its number in the legend."""
     one = classes[int(effect.element.class_id[0])]
     if one.kind == "line":
         segments, what = shapes.pole_segments(effect.element), "pole"
@@ -65,6 +65,5 @@ def _draw_new(scene: Scene, number: int, effect: Effect, classes: ClassSet) -> N
         segments, what = shapes.sign_segments(effect.element, one.shape, np.zeros(1)), "sign"
     color = one.color if scene.theme == "dark" else one.color_light
     scene.draw_lines(f"{FORECAST}-new-{number}", segments, color, 2.4, (0.35, 0.25))
-    text = f"new {what}: {effect.before_m:.2f} to {effect.after_m:.2f} m"
     top = effect.element.anchor_m[0] + [0.0, 0.0, 0.9]
-    scene.draw_label(f"{FORECAST}-new-{number}-label", text, top)
+    scene.draw_label(f"{FORECAST}-new-{number}-label", f"new {what} {number}", top)

@@ -23,10 +23,10 @@ export class Forecast {
       return;
     }
     const hatch = el("span", {}, el("i", { class: "hatch" }), "mostly ambiguous");
-    const added = forecast.suggested.map(({ position, text }) => el("button", {
+    const added = forecast.suggested.map(({ position, text }, row) => el("button", {
       class: "added",
       title: "Go to the first frame that it helps",
-      text: `Add a ${text}`,
+      text: `${row + 1}  Add a ${text}`,
       onclick: () => { if (position !== null) this.page.go(position); },
     }));
     byId("forecast-legend").replaceChildren(el("b", { text: "Expected error" }), scale(forecast.limits), hatch, ...added);

@@ -1,0 +1,173 @@
+"""Localizability for people: the command, its plot, and the forecast in the inspector's page."""
+
+import io
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from semviz.cli import main
+from semviz.inspector.forecast import Forecast
+from semviz.inspector.server import Inspector
+from semviz.localizability import positions
+from semviz.recording.reader import load_run
+from semviz.web.door import Door
+from semviz.workspace import TRUTH, Workspace
+from semviz_core.map_file import load_map, save_map
+from semviz_core.semantic_map import SemanticMap
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+Run = Callable[..., tuple[int, str, str]]
+FRAMES = 12
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Exit status, output and error output of ``semviz map localizability``."""
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["map", "localizability", *(str(one) for one in arguments)])
+        output, errors = capsys.readouterr()
+        return int(ended.value.code or 0), output, errors
+
+    return run_command
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A localized street."""
+    folder = tmp_path_factory.mktemp("streets") / "street"
+    for command in (
+        ["new", folder, "--simulate", 3, "--frames", f"0:{FRAMES}"],
+        ["localize", folder, "--map", TRUTH],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main([str(one) for one in command])
+        assert ended.value.code == 0
+    return folder
+
+
+def test_the_table_names_stretches_and_what_would_help(run: Run, street: Path) -> None:
+    status, output, errors = run(street, "--map", TRUTH)
+    assert (status, errors) == (0, "")
+    first, heads, *rows = output.splitlines()
+    assert first.startswith(f"{FRAMES} positions on 11 m: expected error 0.")
+    assert heads.split()[:4] == ["worst", "stretches", "expected", "sigma"]
+    assert rows[0].startswith("0 to 11 m")
+    assert any(row.startswith("keep P-") for row in rows)
+
+
+def test_json_and_plot_say_the_same(run: Run, street: Path, tmp_path: Path) -> None:
+    plot = tmp_path / "route.png"
+    status, output, _ = run(street, "--map", TRUTH, "--frames", "0:12:2", "--json", "--plot", plot)
+    assert status == 0
+    told = json.loads(output)
+    assert len(told["positions"]) == 6
+    expected = [one["expected_m"] for one in told["positions"]]
+    assert told["stretches"][0]["expected_m"] == pytest.approx(np.mean(expected))
+    assert {"sigma_m", "sigma_deg", "too_little", "ambiguous"} <= told["positions"][0].keys()
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_poses_the_map_s_own_way_is_taken(run: Run, street: Path) -> None:
+    """The frames of a range and the trajectory of the map lead along the same street."""
+    workspace = Workspace.open(street)
+    truth = load_map(workspace.map_path(TRUTH))
+    assert truth.trajectory_m.shape == (FRAMES, 3)
+    by_frames = positions(workspace.source.frames, truth)
+    by_map = positions([], truth)
+    assert len(by_frames) == len(by_map)
+    for one, other in zip(by_frames, by_map, strict=True):
+        np.testing.assert_allclose(one.translation, other.translation)
+        assert one.rotation[:, 2] @ other.rotation[:, 2] > np.cos(np.deg2rad(12.0))
+
+
+def test_what_cannot_be_predicted_costs_one_line(run: Run, street: Path, tmp_path: Path) -> None:
+    workspace = Workspace.open(street)
+    truth = load_map(workspace.map_path(TRUTH))
+    save_map(SemanticMap(truth.elements[[]], truth.frame), workspace.map_path("empty"))
+    for arguments, words in (
+        ((street, "--map", "empty"), "the map is empty"),
+        ((street, "--map", "nothing"), "no such map"),
+        ((street, "--map", TRUTH, "--frames", "90:95"), "no frames are left"),
+        ((street, "--map", TRUTH, "--plot", tmp_path / "route.pdf"), "ends in .png"),
+    ):
+        status, output, errors = run(*arguments)
+        assert (status, output, errors.count("\n")) == (2, "", 1)
+        assert words in errors
+    assert not (tmp_path / "route.pdf").exists()
+
+
+def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> None:
+    forecast = Forecast(load_run(street / "runs" / "search.rrd"))
+    seen: list[str] = []
+    forecast.ask(lambda: seen.append(str(forecast.view().get("doing", "ready"))))
+    for _ in range(1200):
+        if forecast.predicted is not None and seen[-1] == "ready":
+            break
+        time.sleep(0.05)
+    assert any("looking along the route" in one for one in seen)
+    assert seen[-1] == "ready"
+    view = forecast.view()
+    assert len(view["expectedM"]) == len(view["ambiguous"]) == FRAMES
+    assert all(0.0 < one <= 1.0 for one in view["expectedM"])
+    first = forecast.predicted
+    forecast.ask(lambda: seen.append("again"))
+    assert seen[-1] == "again"
+    assert forecast.predicted is first
+
+
+# --- the page ---
+
+
+@pytest.fixture
+def url(street: Path) -> Iterator[str]:
+    with Door(Inspector([street / "runs" / "search.rrd"])).running() as url:
+        yield url
+
+
+def pixels(page: "Page", selector: str) -> np.ndarray:
+    from PIL import Image
+
+    shot = page.locator(selector).screenshot()
+    return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def wait_for(page: "Page", said: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
+    for _ in range(int(timeout_s * 10)):
+        if said():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"never came: {what}")
+
+
+@pytest.mark.browser
+def test_the_forecast_is_a_band_a_legend_and_a_line(url: str, page: "Page") -> None:
+    page.goto(url)
+    page.wait_for_selector("#scene.ready")
+    button, legend = page.locator("#forecast"), page.locator("#forecast-legend")
+    wait_for(page, lambda: bool(page.locator("#frame-number").text_content()), "the first frame")
+    page.wait_for_timeout(2000)
+    assert button.get_attribute("aria-pressed") == "false"
+    assert not legend.is_visible()
+    space, line = pixels(page, "#scene"), pixels(page, "#timeline-canvas")
+    page.keyboard.press("f")
+    wait_for(page, lambda: legend.locator(".scale").count() == 1, "the forecast")
+    assert button.get_attribute("aria-pressed") == "true"
+    assert legend.locator(".scale small").all_text_contents() == ["0.1", "0.2", "0.4", "0.7", "m"]
+    page.wait_for_timeout(2000)
+    with_band, with_line = pixels(page, "#scene"), pixels(page, "#timeline-canvas")
+    assert (np.abs(with_band - space).max(axis=2) > 30).sum() > 500
+    assert (np.abs(with_line - line).max(axis=2) > 30).sum() > 100
+    button.click()
+    wait_for(page, lambda: not legend.is_visible(), "the legend gone")
+    page.wait_for_timeout(2000)
+    assert (np.abs(pixels(page, "#timeline-canvas") - line).max(axis=2) > 30).sum() < 20
+    assert (np.abs(pixels(page, "#scene") - space).max(axis=2) > 30).sum() < 200
