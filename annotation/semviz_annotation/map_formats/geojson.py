@@ -159,7 +159,7 @@ def _read_feature(feature: dict[str, Any], ours: bool, found: Found, reading: Re
     assert place is not None
     coordinates = geometry.get("coordinates")
     points = place.to_map(_places([coordinates] if kind == "Point" else coordinates, found, place))
-    if ours and properties.get("semviz") == ROAD:
+    if properties.get("semviz") == ROAD:  # also where an editor left out what the file says of us
         found.trajectory_m = points
         return None
     class_id = reading.class_id(_class_name(properties))
