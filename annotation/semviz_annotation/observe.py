@@ -1,8 +1,11 @@
 """The labels of one image as the observations that a localizer takes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from semviz_annotation.labels import Labels
+from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.mapping.labelled import MapRows
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements2D
 from semviz_core.semantic_map import SemanticMap
@@ -38,18 +41,14 @@ def observe(
         anchor_known=np.array([row.anchor_known for row in rows], dtype=np.bool_),
         end_known=np.array([row.end_known for row in rows], dtype=np.bool_),
     )
-    ids = {} if semantic_map is None else map_ids(semantic_map)
-    return elements, np.array([ids.get(row.element_id, UNKNOWN) for row in rows], dtype=np.int64)
+    return elements, _map_ids(rows, semantic_map)
 
 
-def map_ids(semantic_map: SemanticMap) -> dict[str, int]:
-    """Id of the map element by UUID of each label element in it."""
-    return {
-        label_id: int(element_id)
-        for element_id, one in zip(
-            semantic_map.elements.id[: len(semantic_map.provenance)],
-            semantic_map.provenance,
-            strict=True,
-        )
-        for label_id in one.label_ids
-    }
+def _map_ids(rows: Sequence[Observation], semantic_map: SemanticMap | None) -> IntArray:
+    """(m,) of the map elements that observations belong to."""
+    if semantic_map is None:
+        return np.full(len(rows), UNKNOWN)
+    of_map = MapRows.of(semantic_map)
+    places = [of_map.row(row) for row in rows]
+    ids = [UNKNOWN if place < 0 else semantic_map.elements.id[place] for place in places]
+    return np.array(ids, dtype=np.int64)

@@ -13,6 +13,7 @@ from semviz_annotation.mapping.leave_out import delete_each, leave_one_out
 from semviz_annotation.mapping.place import PlaceOptions, place
 from semviz_annotation.mapping.residuals import residuals
 from semviz_annotation.mapping.sightings import Sightings, Views, gather
+from semviz_annotation.observe import observe
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.semantic_map import Provenance
 from semviz_core.sources.street.street import Street
@@ -184,6 +185,8 @@ def test_parts_of_one_label_element_are_told_apart(world):
     assert found[0].residual_px < 2.0
     assert {one.element_id for one in found} == {3, 4, 7, 9}
     assert mapping_accuracy(split, mixed, world).classes["pole"].lateral_rmse_px < 1.0
+    assert [3 in observe(mixed, frame, "left", split)[1] for frame in (0, 3)] == [True, False]
+    assert [4 in observe(mixed, frame, "left", split)[1] for frame in (0, 3)] == [False, True]
     unknown = replace(split, provenance=(Provenance((joined,)), Provenance((joined,)),
                                          *built.provenance[2:]))  # fmt: skip
     assert 4 not in {one.element_id for one in leave_one_out(unknown, mixed, world)}

@@ -29,26 +29,34 @@ class MapRows:
     """Which row of a map labels belong to."""
 
     of_label: dict[str, int]
-    """By id of label elements; of two that were split, the main one."""
-    of_observation: dict[str, int]
-    """By id of the observations that the map was made from."""
+    """By id of label elements; of those that were split, the main part."""
+    of_part: dict[tuple[str, str], int]
+    """Of label elements that were split, by their id and that of the observation."""
 
     @classmethod
     def of(cls, semantic_map: SemanticMap) -> "MapRows":
-        """Of a map without provenance, nothing."""
+        """None of a map without provenance."""
+        provenance = semantic_map.provenance
+        rows = np.argsort(semantic_map.elements.id)[: len(provenance)].tolist()
         of_label: dict[str, int] = {}
-        of_observation: dict[str, int] = {}
-        rows = np.argsort(semantic_map.elements.id)[: len(semantic_map.provenance)]
-        for row in rows.tolist():
-            for label_id in semantic_map.provenance[row].label_ids:
-                of_label.setdefault(label_id, row)
-            for observation_id in semantic_map.provenance[row].observation_ids:
-                of_observation.setdefault(observation_id, row)
-        return cls(of_label, of_observation)
+        split: set[str] = set()
+        for row in rows:
+            for label_id in provenance[row].label_ids:
+                if of_label.setdefault(label_id, row) != row:
+                    split.add(label_id)
+        of_part = {
+            (label_id, observation_id): row
+            for row in rows
+            for label_id in split.intersection(provenance[row].label_ids)
+            for observation_id in provenance[row].observation_ids
+        }
+        return cls(of_label, of_part)
 
     def row(self, one: Observation) -> int:
-        """That of what was made from ``one``, or else from its label element; -1 if none is."""
-        return self.of_observation.get(one.id, self.of_label.get(one.element_id, -1))
+        """That of its label element, of the part that was made from it if there are several; -1
+        where the map has none."""
+        main = self.of_label.get(one.element_id, -1)
+        return self.of_part.get((one.element_id, one.id), main)
 
 
 def check_frame(semantic_map: SemanticMap, source: Source) -> None:
