@@ -1,22 +1,29 @@
 """Localizability under the settings of a drive: what is taken for granted, and the route."""
 
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from semviz.drive import DriveOptions, detector_model, prior_options
+from semviz_core.arrays import IntArray
+from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
 from semviz_core.localizability.conditions import LABEL_NOISE, Conditions
 from semviz_core.localizability.route import poses_along, thinned
+from semviz_core.localizability.sight import look
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.street.detector import NOISE
 
 STEP_M = 1.0
 """Between positions, at least."""
+LEAST_IN_VIEW = 20
+"""So many elements near, and far, tell a recall."""
+RECALL_RANGE = (0.02, 0.98)
+"""A measured recall of 0 or 1 would make chance out to be certainty."""
 
 
 def conditions_of(options: DriveOptions) -> Conditions:
@@ -28,6 +35,34 @@ def conditions_of(options: DriveOptions) -> Conditions:
         crop_radius_m=options.crop_radius_m,
         seed=options.seed,
     )
+
+
+def with_measured_recall(
+    conditions: Conditions,
+    semantic_map: SemanticMap,
+    camera: Camera,
+    seen: Iterable[tuple[Pose, IntArray]],
+) -> Conditions:
+    """With the recall that was had at poses T_map_camera, where map elements (m,) were seen.
+
+    Unchanged where too few are in view to tell, or none is seen.
+    """
+    depths, founds = [np.zeros(0)], [np.zeros(0, dtype=bool)]
+    for T_map_camera, ids in seen:
+        T_camera_map = T_map_camera.inverse()
+        crop = semantic_map.crop(T_map_camera.translation, conditions.crop_radius_m)
+        in_view = crop[look(crop, camera, T_camera_map, conditions).row]
+        depths.append(T_camera_map.apply(in_view.anchor_m)[:, 2])
+        founds.append(np.isin(in_view.id, ids))
+    depth_m, found, stated = np.concatenate(depths), np.concatenate(founds), conditions.detector
+    near, far = found[depth_m <= stated.near_m], found[depth_m >= stated.far_m]
+    if min(len(near), len(far)) < LEAST_IN_VIEW or not found.any():
+        return conditions
+    low, high = RECALL_RANGE
+    recall_near = float(np.clip(near.mean(), low, high))
+    recall_far = float(np.clip(far.mean(), low, recall_near))
+    detector = stated._replace(recall_near=recall_near, recall_far=recall_far)
+    return replace(conditions, detector=detector)
 
 
 def options_of(recorded: dict[str, Any]) -> DriveOptions:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from semviz_core.classes import ClassSet
+from semviz_core.detector_model import DetectorModel
 from semviz_core.errors import SemvizError
 from semviz_core.files import check_replaceable, replacing
 from semviz_core.localizability.effects import Effect
@@ -19,13 +20,14 @@ LISTED = 10
 Json = dict[str, Any]
 
 
-def as_text(predicted: Localizability, classes: ClassSet) -> str:
+def as_text(predicted: Localizability, classes: ClassSet, detector: DetectorModel) -> str:
     """The worst stretches, where it is ambiguous, what would help, and what must stay."""
     stretches = predicted.stretches()
     lines = [
         f"{len(predicted.along_m)} positions on {predicted.along_m[-1]:.0f} m: expected error "
         f"{predicted.expected_m.mean():.2f} m, {predicted.lost.mean():.0%} of frames find too "
         f"little, {predicted.ambiguous.mean():.0%} are ambiguous",
+        assumed(detector),
         f"{'worst stretches':<16}{'expected':>10}{'sigma':>10}{'heading':>11}{'found':>7}"
         f"{'too little':>12}{'ambiguous':>11}",
         *(_row(one) for one in stretches[:LISTED]),
@@ -44,9 +46,10 @@ def as_text(predicted: Localizability, classes: ClassSet) -> str:
     return "\n".join(lines)
 
 
-def as_dict(predicted: Localizability, classes: ClassSet) -> Json:
+def as_dict(predicted: Localizability, classes: ClassSet, detector: DetectorModel) -> Json:
     """Everything as JSON values: positions, stretches, elements; null where there is no answer."""
     return {
+        "detector": detector._asdict(),
         "positions": [
             {
                 "along_m": float(predicted.along_m[row]),
@@ -76,6 +79,14 @@ def as_dict(predicted: Localizability, classes: ClassSet) -> Json:
         "add": [_effect(one, classes, None) for one in predicted.suggested],
         "keep": [_effect(one, classes, int(one.element.id[0])) for one in predicted.critical],
     }
+
+
+def assumed(detector: DetectorModel) -> str:
+    """``for a detector that finds 75 % of what is mapped and in view up to 20 m, ...``."""
+    return (
+        f"for a detector that finds {detector.recall_near:.0%} of what is mapped and in view up to "
+        f"{detector.near_m:.0f} m, {detector.recall_far:.0%} from {detector.far_m:.0f} m on"
+    )
 
 
 def ambiguous_places(predicted: Localizability) -> Iterator[tuple[float, float]]:

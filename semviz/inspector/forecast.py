@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from semviz.localizability import conditions_of, options_of, positions
+from semviz.localizability import conditions_of, options_of, positions, with_measured_recall
 from semviz.localizability_report import change, new_element
 from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
+from semviz_core.localizability.conditions import Conditions
 from semviz_core.localizability.effects import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
 from semviz_core.pose import Pose
@@ -73,7 +74,7 @@ class Forecast:
         run = self._run
         try:
             route = positions((one.frame for one in run.frames), run.semantic_map)
-            conditions = conditions_of(options_of(run.info.options))
+            conditions = _conditions(run)
             self.predicted = predict(
                 run.semantic_map, run.info.rig.left, route, conditions, self._watch
             )
@@ -97,6 +98,20 @@ class Forecast:
             told = tuple(self._told)
         for tell in told:
             tell()
+
+
+def _conditions(run: Run) -> Conditions:
+    """Those of the run; where people's labels were seen, with as much of the map as they saw."""
+    options = options_of(run.info.options)
+    stated = conditions_of(options)
+    if options.observations != "labels":
+        return stated
+    seen = [
+        (one.frame.T_map_camera, one.element_id)
+        for one in run.frames
+        if one.frame.T_map_camera is not None
+    ]
+    return with_measured_recall(stated, run.semantic_map, run.info.rig.left, seen)
 
 
 def _first_frame(effect: Effect, predicted: Localizability, rows: list[int | None]) -> int | None:

@@ -13,10 +13,11 @@ import pytest
 from semviz.cli import main
 from semviz.inspector.forecast import Forecast
 from semviz.inspector.server import Inspector
-from semviz.localizability import positions
+from semviz.localizability import positions, with_measured_recall
 from semviz.recording.reader import load_run
 from semviz.web.door import Door
 from semviz.workspace import TRUTH, Workspace
+from semviz_core.localizability.conditions import Conditions
 from semviz_core.map_file import load_map, save_map
 from semviz_core.semantic_map import SemanticMap
 
@@ -57,8 +58,9 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_table_names_stretches_and_what_would_help(run: Run, street: Path) -> None:
     status, output, errors = run(street, "--map", TRUTH)
     assert (status, errors) == (0, "")
-    first, heads, *rows = output.splitlines()
+    first, assumed, heads, *rows = output.splitlines()
     assert first.startswith(f"{FRAMES} positions on 11 m: expected error 0.")
+    assert assumed.startswith("for a detector that finds 75% of what is mapped")
     assert heads.split()[:4] == ["worst", "stretches", "expected", "sigma"]
     assert rows[0].startswith("0 to 11 m")
     assert any(row.startswith("keep P-") for row in rows)
@@ -87,6 +89,25 @@ def test_without_poses_the_map_s_own_way_is_taken(run: Run, street: Path) -> Non
     for one, other in zip(by_frames, by_map, strict=True):
         np.testing.assert_allclose(one.translation, other.translation)
         assert one.rotation[:, 2] @ other.rotation[:, 2] > np.cos(np.deg2rad(12.0))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_labels_tell_how_much_of_the_map_is_seen(street: Path, share: float) -> None:
+    """Of every frame, that share of what is in view; of none, the stated recall is kept."""
+    workspace, rng = Workspace.open(street), np.random.default_rng(0)
+    truth, camera = load_map(workspace.map_path(TRUTH)), workspace.source.rig.left
+    stated = Conditions()
+    seen = []
+    for frame in workspace.source.frames:
+        assert frame.T_map_camera is not None
+        ids = truth.elements.id[rng.random(len(truth)) < share]
+        seen.append((frame.T_map_camera, ids))
+    detector = with_measured_recall(stated, truth, camera, seen).detector
+    if not share:
+        assert detector == stated.detector
+        return
+    assert detector.recall_near == pytest.approx(min(share, 0.98), abs=0.1)
+    assert detector.recall_far == pytest.approx(min(share, 0.98), abs=0.1)
 
 
 def test_what_cannot_be_predicted_costs_one_line(run: Run, street: Path, tmp_path: Path) -> None:
