@@ -153,6 +153,37 @@ def test_a_click_beside_a_pole_snaps_to_its_axis(served: Served, page: "Page") -
     np.testing.assert_allclose(free[0].anchor_px, (700.0, 120.0), atol=0.05)
 
 
+def test_a_bottom_behind_a_car_is_hidden_unless_one_says_it_is_not(
+    page: "Page", tmp_path: Path
+) -> None:
+    """The ground is known from two poles that are whole; one key says otherwise."""
+    behind_car, whole = 20, (14, 15)
+    with annotating(Workspace.create_street(tmp_path / "cars", 2, range(0, 8))) as served:
+        driver = LabelDriver(page)
+        driver.open(served.url, with_snap=True)
+        street = street_of(served)
+        for element in whole:
+            driver.draw_pole("left", *(tuple(one) for one in truth(street, 0, "left", element)))
+        driver.settle()
+        peak, bottom = (tuple(one) for one in truth(street, 0, "left", behind_car))
+        driver.draw_pole("left", peak, bottom)
+        known = [row.end_known for row in served.labels.in_frame(0, "left")]
+        assert known == [True, True, False]
+        driver.press_and_save("Control+z")
+        driver.clear_selection()
+        page.keyboard.press("1")
+        driver.click_at("left", peak)
+        page.mouse.move(*driver.view("left").screen(bottom))
+        page.wait_for_function("() => semviz.state.look?.snapped?.end_known === false")
+        page.keyboard.press("o")
+        page.wait_for_function("() => semviz.state.look?.snapped?.end_known !== false")
+        before = driver.operation
+        driver.click_at("left", bottom)
+        driver.wait_saved(before)
+        assert all(row.end_known for row in served.labels.in_frame(0, "left"))
+        page.goto("about:blank")
+
+
 def test_a_reload_in_mid_drawing_loses_nothing(driver: LabelDriver, served: Served) -> None:
     _, peak, bottom = poles(served, 0)[0]
     driver.page.keyboard.press("1")

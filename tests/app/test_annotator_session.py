@@ -133,6 +133,37 @@ def test_a_hidden_bottom_does_not_hinder_pairing(session: LabelSession) -> None:
     assert draw(session, short) == first
 
 
+def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:
+    """Only where it is asked for, and never where it is seen; what is far away may not be told."""
+    workspace = Workspace.create_street(tmp_path / "cars", 2, range(0, 8))
+    session = LabelSession(workspace, "tester")
+    street = workspace.street
+    seen, ids = street.labels(0, "left")
+    right = set(street.labels(0, "right")[1].tolist())
+    marked, judged = {}, []
+    for row in np.flatnonzero(seen.is_line & seen.anchor_known):
+        if int(ids[row]) not in right or seen.end_px[row, 1] > street.rig.left.height - 3:
+            continue
+        ends = {"anchor_px": seen.anchor_px[row].tolist(), "end_px": seen.end_px[row].tolist()}
+        edit = pole(session, 0, "left", snap=True, **ends)
+        element = draw(session, edit | {"asks_bottom": True})
+        for question in session.unanswered(0):
+            session.looker.answer(question)
+        (drawn,) = session.labels.of_element(element)
+        marked[element] = edit
+        judged.append((bool(seen.end_known[row]), drawn.end_known))
+    assert sum(not truth for truth, _ in judged) >= 3
+    assert all(said for truth, said in judged if truth)
+    assert sum(not said for _, said in judged) >= 3
+    hidden = next(one for one in marked if not session.labels.of_element(one)[0].end_known)
+    session.do(new_id(), {"kind": "delete element", "element_id": hidden})
+    new = {"observation_id": new_id(), "element_id": new_id()}
+    session.do(new_id(), marked[hidden] | new)
+    said = session.labels.observations[new["observation_id"]]
+    assert said.end_known, "whoever says what is seen is believed"
+    session.close()
+
+
 def test_ghosts_lie_where_the_element_is_in_other_frames(session: LabelSession) -> None:
     first = draw(session, pole(session, 0, "left"))
     draw(session, pole(session, 0, "right", first))

@@ -100,7 +100,7 @@ export function commands(state, images, tools, actions) {
 }
 
 /** What the editing keys do with the selected observation. Each is one edit, or none. */
-export function editing(state, { submit, select }) {
+export function editing(state, { submit, select, look }) {
   const observation = () => state.selectedObservation;
   const kind = () => state.selectedElement && state.classOf(state.selectedElement.class).kind;
   const withPole = (run) => () => { if (observation() && kind() === "line") run(observation()); };
@@ -125,6 +125,7 @@ export function editing(state, { submit, select }) {
         const shown = end === "end_known" ? state.look?.snapped?.end_known : null; // what the tool says of the bottom
         const asks_bottom = drawing.asks_bottom && end !== "end_known";
         state.set({ drawing: { ...drawing, [end]: !(shown ?? drawing[end]), asks_bottom } });
+        look();
       } else if (observation() && kind() === "line") {
         submit({ kind: "set known", observation_id: observation().id, [end]: !observation()[end] });
       }
