@@ -75,8 +75,8 @@ def element_id(number: int) -> str:
 
 
 def planted_map(workspace: Workspace, labels: Labels, decisions: Iterable[Decision]) -> SemanticMap:
-    """The two planted elements as one, and ``decisions``; the place does not matter."""
-    elements = Elements3D.from_ends([1], [[20.0, 4.0, 4.0]], [[20.0, 4.0, 0.0]], [POLE])
+    """The two planted elements as one, which leans by 37 deg, and ``decisions``."""
+    elements = Elements3D.from_ends([1], [[20.0, 4.0, 4.0]], [[23.0, 4.0, 0.0]], [POLE])
     both = Provenance((element_id(1), element_id(2)), tuple(sorted(labels.observations)))
     made = SemanticMap(elements, workspace.source.map_frame, provenance=(both,))
     return replace(made, decisions=tuple(decisions), operation=labels.operation)

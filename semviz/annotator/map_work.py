@@ -1,6 +1,5 @@
 """The last map of a workspace: read when its file changes, looked over, and built anew."""
 
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -35,8 +34,8 @@ class MapWork:
         """None where there is no map yet, or it has not been read."""
         self.failure = ""
         """Why the last map could not be read or built."""
-        self.building_since: float | None = None
-        """Seconds of ``time.monotonic``; None while nothing is built."""
+        self.building: str | None = None
+        """What is being done for the next map; None while none is built."""
         self.version = 0
         """Another number when any of these has changed."""
 
@@ -49,9 +48,9 @@ class MapWork:
 
     def build(self) -> None:
         """Builds the map, soon; SemvizError where that is going on already."""
-        if self.building_since is not None:
+        if self.building is not None:
             raise SemvizError("the map is being built already")
-        self.building_since = time.monotonic()
+        self.building = "starting"
         self.version += 1
         self._pool.submit(self._work, self._build)
 
@@ -81,12 +80,21 @@ class MapWork:
         from semviz_core.map_file import save_map
 
         try:
-            built, _ = build_map(self._labels(), self._workspace.source)
+            built, _ = build_map(
+                self._labels(),
+                self._workspace.source,
+                classes=self._workspace.classes,
+                on_progress=self._note,
+            )
             save_map(built, self._path)
             self._stamp = _stamp(self._path)
             self._take(built)
         finally:
-            self.building_since = None
+            self.building = None
+
+    def _note(self, what: str, done: int, of: int) -> None:
+        self.building = f"{what}, {100 * done // max(of, 1)} %"
+        self.version += 1
 
     def _take(self, semantic_map: SemanticMap) -> None:
         from semviz_annotation.mapping.lint import lint

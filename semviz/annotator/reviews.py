@@ -31,7 +31,7 @@ class Reviews:
             "elements": 0 if built is None else len(built.semantic_map),
             "decisions": len(self._decisions(built, labels)),
             "findings": 0 if built is None else len(built.findings),
-            "building": self._work.building_since is not None,
+            "building": self._work.building,
             "failure": self._work.failure,
         }
 

@@ -175,9 +175,9 @@ class InspectorSession:
             if forecast.predicted is not None:
                 self._shown().show_forecast(forecast.predicted, run, self._state)
 
-    def _decisions(self, _: Message) -> None:
+    def _decisions(self, message: Message) -> None:
         self._opened()
-        shown = self._shelf.decisions(self._state.run).view()
+        shown = self._shelf.decisions(self._state.run).view(message.get("findings") is True)
         self._send({"type": "decisions", "decisions": shown})
 
     def _see(self, message: Message) -> None:

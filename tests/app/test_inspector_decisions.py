@@ -70,25 +70,25 @@ def decisions_of(path: Path) -> Decisions:
 
 
 def entries(decisions: Decisions) -> list[dict[str, Any]]:
-    shown = decisions.view()
+    shown = decisions.view(with_findings=True)
     json.dumps(shown, allow_nan=False)
     return list(shown["entries"])
 
 
 def test_answers_are_saved_in_the_runs_workspace_and_undone(workspace: Workspace) -> None:
     decisions = decisions_of(workspace.run_path("search"))
-    first, second = entries(decisions)
+    first, second, *findings = entries(decisions)
     assert [one["name"] for one in first["answers"]] == ["same", "two"]
     assert [one["map_id"] for one in first["elements"]] == [1, 1]
     assert [one["map_id"] for one in second["elements"]] == [None]
     decisions.answer(first["key"], "two")
     assert set(workspace.read_labels().judgements.values()) == {apart(element_id(1), element_id(2))}
-    answered, _ = entries(decisions)
+    answered, *_ = entries(decisions)
     assert (answered["answers"], answered["undo"]) == ([], True)
     with pytest.raises(SemvizError, match="may be answered already"):
         decisions.answer(first["key"], "same")
     decisions.undo(first["key"])
-    assert entries(decisions) == [first, second]
+    assert entries(decisions) == [first, second, *findings]
     assert not workspace.read_labels().judgements
     with pytest.raises(SemvizError, match="not answered here"):
         decisions.undo(first["key"])
@@ -96,11 +96,22 @@ def test_answers_are_saved_in_the_runs_workspace_and_undone(workspace: Workspace
 
 def test_a_decision_leads_to_the_frame_that_sees_its_element(workspace: Workspace) -> None:
     decisions = decisions_of(workspace.run_path("search"))
-    first, second = entries(decisions)
+    first, second, *findings = entries(decisions)
     assert decisions.place(first["key"]) == (2, 1)
     assert decisions.place(second["key"]) == (None, None)
+    assert all(decisions.place(one["key"]) == (one["frame"] or 2, 1) for one in findings)
     with pytest.raises(SemvizError, match="no such decision"):
         decisions.place("something else")
+
+
+def test_what_looks_odd_in_the_map_is_listed_and_has_no_answers(workspace: Workspace) -> None:
+    decisions = decisions_of(workspace.run_path("search"))
+    finding = entries(decisions)[2]
+    assert (finding["kind"], finding["severity"]) == ("leaning pole", "error")
+    assert len(decisions.view(with_findings=False)["entries"]) == 2
+    assert [one["map_id"] for one in finding["elements"]] == [1]
+    with pytest.raises(SemvizError, match="a finding has no answers"):
+        decisions.answer(finding["key"], "same")
 
 
 def test_without_its_labels_a_run_only_shows_and_says_where_to_answer(
@@ -110,9 +121,9 @@ def test_without_its_labels_a_run_only_shows_and_says_where_to_answer(
     alone.parent.mkdir()
     shutil.move(workspace.run_path("search"), alone)
     decisions = decisions_of(alone)
-    first, _ = entries(decisions)
+    first, *_ = entries(decisions)
     assert (first["answers"], first["reason"]) == ([], "They fit one place")
-    assert "answer in 'semviz annotate WORKSPACE'" in decisions.view()["note"]
+    assert "answer in 'semviz annotate WORKSPACE'" in decisions.view(False)["note"]
     with pytest.raises(SemvizError, match="labels are not at hand"):
         decisions.answer(first["key"], "two")
     run = load_run(alone)

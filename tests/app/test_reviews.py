@@ -155,7 +155,7 @@ def test_a_build_that_fails_says_why_and_leaves_the_map(tmp_path: Path) -> None:
     noticed(session, session.map_work.build)
     assert "no element is labelled in two images" in summary(session)["failure"]
     assert not session.workspace.map_path(MAIN).exists()
-    session.map_work.building_since = 0.0
+    session.map_work.building = "linking, 50 %"
     with pytest.raises(SemvizError, match="being built already"):
         session.map_work.build()
     session.close()

@@ -110,10 +110,11 @@ export class Review {
   /** In the accent where the labels have changed since. */
   #showBuild(map) {
     const node = byId("build");
-    node.disabled = map.building;
-    node.textContent = map.building ? "Building …" : "Build map";
-    node.classList.toggle("due", !map.building && this.#isDue());
-    node.title = map.built === null ? "There is no map yet" : `The map knows the labels up to operation ${map.built}`;
+    node.disabled = map.building !== null;
+    node.textContent = map.building === null ? "Build map" : `Building ${map.building.match(/\d+ %/)?.[0] ?? "…"}`;
+    node.classList.toggle("due", map.building === null && this.#isDue());
+    const known = map.built === null ? "There is no map yet" : `The map knows the labels up to operation ${map.built}`;
+    node.title = map.building ?? known;
   }
 
   #card(review) {

@@ -1,9 +1,10 @@
-/* What was decided when the run's map was built, in the place of the list of frames. */
+/* What was decided when the run's map was built and what looks odd in it, in the place of the frames. */
 
 import { byId, el } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 
+// a finding's kind is its rule, in words
 const SAID = { merge: "taken as one", apart: "kept apart", split: "split in two", "leave out": "left out" };
 
 export class DecisionList {
@@ -11,8 +12,9 @@ export class DecisionList {
     this.page = page;
     this.entries = [];
     this.chosen = null; // key of the entry that is open
-    byId("tab-frames").addEventListener("click", () => this.turn(false));
-    byId("tab-decisions").addEventListener("click", () => this.turn(true));
+    this.isOpen = false; // whether it is shown instead of the frames
+    byId("tab-frames").addEventListener("click", () => this.open(false));
+    byId("tab-decisions").addEventListener("click", () => this.open(true));
   }
 
   showRun(run) {
@@ -26,7 +28,8 @@ export class DecisionList {
     const open = entries.filter(({ answers }) => answers.length).length;
     byId("decisions-open").textContent = open || "";
     byId("decisions-open").title = `${open} open`;
-    byId("decisions-note").textContent = entries.length ? note : "Nothing was merged, split or left out in this map.";
+    byId("decisions-note").textContent = entries.length ? note : "Nothing was merged, split or left out in this map, and nothing looks odd in it.";
+    this.turn(this.isOpen);
     this.fill();
   }
 
@@ -35,15 +38,22 @@ export class DecisionList {
   }
 
   toggle() {
-    this.turn(byId("decision-list").hidden);
+    this.open(!this.isOpen);
+  }
+
+  /** Shows the one list or the other; of decisions the newest, as others may have answered some. */
+  open(decisions) {
+    this.turn(decisions);
+    if (decisions) this.page.socket.send({ verb: "decisions", findings: true });
   }
 
   turn(toDecisions) {
+    this.isOpen = toDecisions;
     for (const one of document.querySelectorAll(".frames-tab")) one.hidden = toDecisions;
-    for (const one of document.querySelectorAll(".decisions-tab")) one.hidden = !toDecisions;
+    byId("decision-list").hidden = !toDecisions;
+    byId("decisions-note").hidden = !toDecisions || !byId("decisions-note").textContent;
     byId("tab-frames").setAttribute("aria-selected", !toDecisions);
     byId("tab-decisions").setAttribute("aria-selected", toDecisions);
-    if (toDecisions) this.page.socket.send({ verb: "decisions" }); // others may have answered some
   }
 
   fill() {
@@ -57,10 +67,10 @@ export class DecisionList {
   }
 
   row(entry) {
-    const { key, kind, by, reason, evidence, elements } = entry;
+    const { key, kind, reason, evidence, elements } = entry;
     const isChosen = key === this.chosen;
-    const names = el("span", { class: "names" }, ...elements.map((one) => this.name(one)), SAID[kind]);
-    const head = el("header", {}, names, this.state(entry, by));
+    const names = el("span", { class: "names" }, ...elements.map((one) => this.name(one)), SAID[kind] ?? kind);
+    const head = el("header", {}, names, this.state(entry));
     const more = isChosen ? [
       el("p", { text: reason }),
       el("dl", {}, ...evidence.flatMap(({ name, value }) => [el("dt", { text: name }), el("dd", { text: value })])),
@@ -71,9 +81,9 @@ export class DecisionList {
     return el("li", { class: "decision", "aria-current": isChosen, tabindex: 0, onclick: choose, onkeydown: pressed }, head, ...more);
   }
 
-  state({ answers, undo }, by) {
-    const text = undo ? "answered" : answers.length ? "open" : `by ${by}`;
-    return el("span", { class: "by", text });
+  state({ answers, undo, by, severity }) {
+    const text = severity ?? (undo ? "answered" : answers.length ? "open" : `by ${by}`);
+    return el("span", { class: severity ? `by ${severity}` : "by", text });
   }
 
   name({ name, class: id, map_id }) {
@@ -87,7 +97,7 @@ export class DecisionList {
   answers({ key, answers, undo }) {
     const button = (text, message) => el("button", { class: "small", text, onclick: (event) => {
       event.stopPropagation();
-      this.page.socket.send({ key, ...message });
+      this.page.socket.send({ key, findings: true, ...message });
     } });
     const said = answers.map(({ name, title }) => button(title, { verb: "answer", name }));
     return el("div", { class: "answers" }, ...said, undo ? button("Undo the answer", { verb: "undo" }) : null);

@@ -162,7 +162,7 @@ class Page {
       step(".", "Frame after", () => this.step(1)),
       step(",", "Up in the worst-first list", () => this.list.step(-1), true),
       step(".", "Down in the worst-first list", () => this.list.step(1), true),
-      step("v", "Frames, or decisions of the map", () => this.decisions.toggle()),
+      step("v", "Frames, or what is to be judged of the map", () => this.decisions.toggle()),
       step("j", "Go to a frame by number", () => this.askForFrame()),
       step(" ", "Play, stop", () => this.play()),
       show("1", "Map with the estimate", () => this.image.setMode("estimate")),
