@@ -16,6 +16,7 @@ from semviz_annotation.edits import DeleteObservation, MoveObservation
 from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.check import FINDINGS_LISTED
+from semviz_annotation.storing.exchange import import_operations
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.elements import Elements3D
 from semviz_core.map_file import save_map
@@ -25,6 +26,7 @@ from semviz_core.sources.street.map_errors import moved, without
 from semviz_core.sources.street.street import Street
 
 FRAMES = range(12)
+OUR_LABELS = Path(__file__).parents[2] / "docs" / "kitti02" / "labels.jsonl"
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +75,14 @@ def test_check_says_how_good_a_map_is(town, capsys):
     assert (status, err) == (0, "")
     assert "RMSE (px)" in out
     assert "labels that agree least with the others of their element, of" in out
-    assert "errors: " in out
+    assert "errors: 0" in out
     status, out, err = run(capsys, "check", town.path, "--json")
     said = json.loads(out)
     assert (status, err) == (0, "")
     assert said["elements"] == len(town.read_map("main"))
     assert set(said["classes"]["pole"]) >= {"rmse_px", "angular_sde_deg", "observations"}
     assert said["operations"] == {"map": 1, "labels": 1}
-    assert {one["severity"] for one in said["lint"]} <= {"error", "warning", "hint"}
+    assert {one["severity"] for one in said["lint"]} <= {"warning", "hint"}
     worst = said["leave_out"]
     assert len(worst) <= 100
     assert worst[0]["normalized"] == max(one["normalized"] for one in worst)
@@ -247,3 +249,19 @@ def test_files_that_are_no_maps(town, capsys, tmp_path):
         status, out, err = run(capsys, *arguments)
         assert (status, out, err.count("\n")) == (2, "", 1)
         assert words in err
+
+
+@pytest.mark.realdata
+def test_real_labels_pass_the_gate_and_the_rules(kitti_root, tmp_path, capsys):
+    """KITTI 02 from the even frames, measured in the odd ones; one board is really far away."""
+    town = Workspace.create_kitti(tmp_path / "town", kitti_root, "02", (2, 3), range(20))
+    with town.open_labels() as store:
+        import_operations(OUR_LABELS, store)
+    assert run(capsys, "build", town.path, "--frames", "0:20:2")[0] == 0
+    status, out, _ = run(capsys, "check", town.path, "--frames", "1:20:2", "--gate", "--json")
+    assert status == 0
+    said = json.loads(out)
+    found = [(one["severity"], one["rule"]) for one in said["lint"] if one["severity"] != "hint"]
+    assert found == [("warning", "ray angle too small")]
+    assert len(said["lint"]) <= 5
+    assert said["leave_out"][0]["residual_px"] < 5.0
