@@ -74,9 +74,9 @@ def write_colmap(semantic_map: SemanticMap, labels: Labels, source: Source, path
     points = {one.id: one for one in _points(semantic_map, tally)}
     images = _images(source, tally)
     _mark(images, points, semantic_map, labels, tally)
-    sides = dict.fromkeys(image.name.partition("/")[0] for image in images.values())
+    cameras = [one for one in (source.rig.left, source.rig.right) if one is not None]
     with new_folder(path) as folder:
-        _write(folder / "cameras.txt", [_camera_line(source, side) for side in sides])
+        _write(folder / "cameras.txt", [_camera_line(*one) for one in enumerate(cameras, 1)])
         _write(folder / "images.txt", [line for one in images.values() for line in _lines(one)])
         _write(folder / "points3D.txt", [_point_line(one) for one in points.values()])
     tally.drop("lines of poles: their ends are points", int(semantic_map.elements.is_line.sum()))
@@ -144,12 +144,10 @@ def _seen_ends(row: Observation, element_id: int) -> Iterator[tuple[Pixel, int]]
         yield row.end_px, 2 * element_id + 2
 
 
-def _camera_line(source: Source, side: str) -> str:
-    left, right = source.rig.left, source.rig.right
-    camera = right if side == "right" and right is not None else left
+def _camera_line(camera_id: int, camera: Camera) -> str:
     model, parameters = _model(camera)
     numbers = " ".join(repr(float(one)) for one in parameters)
-    return f"{1 + (side == 'right')} {model} {camera.width} {camera.height} {numbers}"
+    return f"{camera_id} {model} {camera.width} {camera.height} {numbers}"
 
 
 def _model(camera: Camera) -> tuple[str, list[float]]:

@@ -1,7 +1,8 @@
 """A map into another tool's format: a file or folder, whole or not at all."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 from semviz_annotation.labels import Labels
 from semviz_annotation.map_formats.colmap import write_colmap
@@ -10,18 +11,20 @@ from semviz_annotation.map_formats.geojson import write_geojson
 from semviz_annotation.map_formats.georeference import Georeference
 from semviz_annotation.map_formats.lanelet2_osm import write_lanelet2
 from semviz_annotation.map_formats.mesh import write_mesh
-from semviz_annotation.map_formats.tally import ExchangeReport, Tally
+from semviz_annotation.map_formats.tally import ExchangeReport
 from semviz_annotation.map_formats.writing import counts
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
 
 FileFormat: TypeAlias = Literal["geojson", "lanelet2", "ply", "glb", "csv"]
-_BY_ENDING: dict[str, FileFormat] = {
+_BY_ENDING: Mapping[str, FileFormat] = {
     ".geojson": "geojson",
     ".json": "geojson",
     ".osm": "lanelet2",
-    **{f".{name}": name for name in get_args(FileFormat) if name != "lanelet2"},
+    ".ply": "ply",
+    ".glb": "glb",
+    ".csv": "csv",
 }
 
 
@@ -58,7 +61,7 @@ def export_colmap(
 ) -> ExchangeReport:
     """Write a map with the frames and labels it was built from, as the new folder ``path``."""
     _check(semantic_map)
-    tally: Tally = write_colmap(semantic_map, labels, source, path)
+    tally = write_colmap(semantic_map, labels, source, path)
     return ExchangeReport.of(path, "colmap", counts(semantic_map), tally)
 
 
