@@ -50,10 +50,7 @@ def write_lanelet2(
     lines = elements.is_line[:, None]
     first = place.to_wgs84(np.where(lines, elements.anchor_m, below - half))
     second = place.to_wgs84(np.where(lines, elements.end_m, below + half))
-    about = zip(_PLACE, (*place.origin, place.x_heading_deg), strict=True)
-    own = {f"semviz_{name}": repr(float(value)) for name, value in about}
-    head = {"version": "0.6", "generator": "semviz", "semviz_frame": semantic_map.frame.name}
-    root = ElementTree.Element("osm", head | own)
+    root = _root(semantic_map.frame.name, place)
     for node_id, node in enumerate(np.stack([first, second], axis=1).reshape(-1, 3), 1):
         _add_node(root, node_id, node)
     for row, is_line in enumerate(elements.is_line.tolist()):
@@ -68,6 +65,14 @@ def write_lanelet2(
     tally.assume(f"plates of signs: {PLATE_M:g} m wide and high, facing the road", signs)
     tally.assume("numbers of signs (subtype): none, a map knows the shape only", signs)
     return tally
+
+
+def _root(frame: str, place: Georeference) -> ElementTree.Element:
+    """The outermost element, which says of which map it is."""
+    about = zip(_PLACE, (*place.origin, place.x_heading_deg), strict=True)
+    own = {f"semviz_{name}": repr(float(value)) for name, value in about}
+    head = {"version": "0.6", "generator": "semviz", "semviz_frame": frame}
+    return ElementTree.Element("osm", head | own)
 
 
 def _add_node(root: ElementTree.Element, node_id: int, place: FloatArray) -> None:
