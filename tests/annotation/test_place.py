@@ -81,6 +81,16 @@ def along(world: Drive, row: int) -> float:
     return low
 
 
+def test_a_stray_sighting_does_not_make_a_pole_longer():
+    """Nobody sees the bottom; one click beside the pole ends far below all others."""
+    world = drive(5, things=1, seed=3, hidden=1.0)
+    one = world.sightings
+    aside = one.anchor_px[4] + [60.0, 0.0]
+    stray = changed(one, 4, anchor_px=aside, end_px=aside + 2.0 * (one.end_px - one.anchor_px)[4])
+    others = place(world.views, one.where(np.arange(len(one)) != 4))
+    assert np.allclose(place(world.views, stray).end_m, others.end_m, atol=0.02)
+
+
 @settings(deadline=None, max_examples=20)
 @given(seeds, st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.floats(-5e3, 5e3))
 def test_a_rigid_motion_of_the_world_moves_the_places(seed, turn, shift):
@@ -152,6 +162,12 @@ def test_covariances_are_honest(outlier_sigmas):
     for things in (usual & ~world.is_line, usual & world.is_line & placed.end_known):
         assert things.sum() > 300
         assert 0.9 < nees(placed, world, things) < 1.15
+
+
+def test_rays_weigh_by_their_depth():
+    """A click from far away says less in metres than one from near by."""
+    world = drive(25, things=200, seed=2, sigma_px=1.0)
+    assert 0.9 < nees(place_linearly(world.views, world.sightings), world, ~world.is_line) < 1.15
 
 
 def test_least_squares_beat_rays_and_planes():

@@ -173,9 +173,13 @@ def flat(values: Unknowns) -> np.ndarray:
 
 @pytest.fixture
 def problem() -> "tuple[module.Problem, Unknowns]":
-    world = drive(5, things=7, seed=8, sigma_px=1.0, hidden=0.4, pose_sigma=POSES)
-    placed = place(world.views, world.sightings)
-    made = module.Problem(world.views, world.sightings, OPTIONS)
+    """Things in no order along the road, so that some come into sight late."""
+    world = drive(12, things=7, seed=8, sigma_px=1.0, hidden=0.4, pose_sigma=POSES, reach_m=28.0)
+    mixed = np.array([4, 1, 6, 2, 0, 5, 3])
+    sightings = world.sightings.regrouped(mixed[world.sightings.thing], 7)
+    placed = place(world.views, sightings)
+    assert placed.ok.all()
+    made = module.Problem(world.views, sightings, OPTIONS)
     at = made.start(placed)
     rng = np.random.default_rng(0)
     return made, Unknowns(at.things, rng.normal(0.0, 0.01, at.frames.shape), 0.2)

@@ -95,25 +95,28 @@ class Normal:
     gradient: Unknowns
 
     def step(self, damping: float) -> Unknowns:
-        """Levenberg-Marquardt's."""
+        """Levenberg-Marquardt's.
+
+        Without things, S frames + w shared = -r and w^T frames + s shared = -q are left.
+        """
         more = 1.0 + damping * np.eye(6)
-        things = np.asarray(np.linalg.inv(self.things * more))
-        Y, reduced = self._reduced(things, self.frames * more)
+        inverse = np.asarray(np.linalg.inv(self.things * more))
+        Y, S = self._reduced(inverse, self.frames * more)
         follow = self.bonds.matrix(Y)
-        factors = splu(reduced.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        by_shared = self.frames_shared.ravel() - follow.T @ self.things_shared.ravel()
-        right = self.gradient.frames.ravel() - follow.T @ self.gradient.things.ravel()
-        frames, frames_by_shared = factors.solve(np.stack([right, by_shared], axis=1)).T
-        things_by_shared = (things @ self.things_shared[:, :, None])[:, :, 0]
-        stiffness = self.shared * (1.0 + damping) - (self.things_shared * things_by_shared).sum()
-        pull = self.gradient.shared - (self.gradient.things * things_by_shared).sum()
-        shared = -(pull - by_shared @ frames) / (stiffness - by_shared @ frames_by_shared)
-        frames = -frames - shared * frames_by_shared
-        things_alone = (things @ self.gradient.things[:, :, None])[:, :, 0]
+        w = self.frames_shared.ravel() - follow.T @ self.things_shared.ravel()
+        r = self.gradient.frames.ravel() - follow.T @ self.gradient.things.ravel()
+        things_by_shared = _times(inverse, self.things_shared)
+        s = self.shared * (1.0 + damping) - (self.things_shared * things_by_shared).sum()
+        q = self.gradient.shared - (self.gradient.things * things_by_shared).sum()
+        factors = splu(S.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        alone, by_shared = factors.solve(np.stack([-r, -w], axis=1)).T
+        shared = float(-(q + w @ alone) / (s + w @ by_shared))
+        frames = alone + shared * by_shared
+        things = -_times(inverse, self.gradient.things) - shared * things_by_shared
         return Unknowns(
-            things=-things_alone - (follow @ frames).reshape(-1, 6) - shared * things_by_shared,
+            things=things - (follow @ frames).reshape(-1, 6),
             frames=frames.reshape(-1, 6),
-            shared=float(shared),
+            shared=shared,
         )
 
     def things_covariance(self) -> FloatArray:
@@ -121,24 +124,23 @@ class Normal:
 
         Frames that see nothing of what its frames see, and what all share, are taken as exact.
         """
-        alone = np.asarray(np.linalg.inv(self.things))
-        Y, reduced = self._reduced(alone, self.frames)
-        bonds, reduced_rows = self.bonds, reduced.tocsr()
-        by_frames = np.empty_like(alone)
-        order = np.argsort(bonds.frame[bonds.first[:-1]], kind="stable")
-        for things in np.split(order, range(_AT_ONCE, len(order), _AT_ONCE)):
-            rows = np.flatnonzero(np.isin(bonds.thing, things))
-            seeing = np.unique(bonds.frame[rows])
-            near = np.unique(np.concatenate([_neighbours(reduced, one) for one in seeing]))
-            column = np.searchsorted(near, bonds.frame[rows])
-            row = np.searchsorted(np.sort(things), bonds.thing[rows])
+        result = np.asarray(np.linalg.inv(self.things))
+        Y, S = self._reduced(result, self.frames)
+        S_rows = S.tocsr()
+        order = np.argsort(self.bonds.frame[self.bonds.first[:-1]], kind="stable")
+        for start in range(0, len(order), _AT_ONCE):  # things near each other share frames
+            things = np.sort(order[start : start + _AT_ONCE])
+            pairs = np.flatnonzero(np.isin(self.bonds.thing, things))
+            seeing = self.bonds.frame[pairs]
+            near = np.unique(np.concatenate([_bound_to(S, one) for one in np.unique(seeing)]))
             follow = np.zeros((len(things), 6, len(near), 6))
-            follow[row, :, column] = Y[rows]
+            row = np.searchsorted(things, self.bonds.thing[pairs])
+            follow[row, :, np.searchsorted(near, seeing)] = Y[pairs]
             flat = follow.reshape(-1, 6 * len(near))
-            spread = solve(_blocks(reduced_rows, near), flat.T, assume_a="pos")
-            spread = spread.reshape(-1, len(things), 6).transpose(1, 0, 2)
-            by_frames[np.sort(things)] = flat.reshape(len(things), 6, -1) @ spread
-        return np.asarray(alone + by_frames)
+            spread = solve(_blocks(S_rows, near), flat.T, assume_a="pos").T
+            wide = (len(things), 6, -1)
+            result[things] += flat.reshape(wide) @ spread.reshape(wide).transpose(0, 2, 1)
+        return result
 
     def _reduced(self, things: FloatArray, frames: FloatArray) -> tuple[FloatArray, bsr_matrix]:
         """What is left for frames (6 f, 6 f) once things are eliminated, whose information has the
@@ -149,15 +151,20 @@ class Normal:
         return Y, alone - self.bonds.matrix(self.between).T @ self.bonds.matrix(Y)
 
 
+def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """(n, 6) of matrices (n, 6, 6) and vectors (n, 6)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+
+
 def _summed(where: IntArray, values: FloatArray, count: int) -> FloatArray:
     ones = np.ones(len(where))
     chooser = csr_matrix((ones, (where, np.arange(len(where)))), shape=(count, len(where)))
     return np.asarray(chooser @ values.reshape(len(values), -1)).reshape(count, *values.shape[1:])
 
 
-def _neighbours(reduced: bsr_matrix, frame: int) -> IntArray:
+def _bound_to(S: bsr_matrix, frame: int) -> IntArray:
     """Frames bound to one, itself too."""
-    return np.asarray(reduced.indices[reduced.indptr[frame] : reduced.indptr[frame + 1]])
+    return np.asarray(S.indices[S.indptr[frame] : S.indptr[frame + 1]])
 
 
 def _six(rows: IntArray) -> IntArray:
