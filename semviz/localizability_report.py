@@ -139,8 +139,10 @@ def draw(predicted: Localizability, path: Path) -> None:
     x = predicted.along_m
     sigma_m = np.where(np.isfinite(predicted.sigma_m), predicted.sigma_m, np.nan)
     accuracy.plot(x, predicted.expected_m, color=COLORS[1], label="expected error")
-    accuracy.plot(x, sigma_m, color=COLORS[0], linestyle="--", label="sigma where it answers")
-    accuracy.set(ylabel="m", yscale="log", ylim=(0.03, 1.2), yticks=[0.05, 0.1, 0.2, 0.5, 1.0])
+    accuracy.plot(x, sigma_m, color=COLORS[0], linestyle="--", label="sigma, if answered")
+    accuracy.set(
+        ylabel="m", yscale="log", ylim=(0.015, 1.2), yticks=[0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
+    )
     accuracy.yaxis.set_major_formatter("{x:g}")
     found.plot(x, predicted.found, color=COLORS[2])
     found.set(ylabel="elements found", ylim=(0.0, None))
@@ -150,7 +152,7 @@ def draw(predicted: Localizability, path: Path) -> None:
     for effect in predicted.suggested:
         accuracy.axvspan(effect.first_m, effect.last_m, color=COLORS[4], alpha=0.15, linewidth=0)
     for axis in (accuracy, share):
-        axis.legend(loc="upper right", fontsize="small", ncols=2)
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     for axis in (accuracy, found, share):
         axis.grid(color="0.88", linewidth=0.7)
         axis.set_axisbelow(True)

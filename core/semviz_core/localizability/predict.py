@@ -10,7 +10,7 @@ from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError
 from semviz_core.localizability.conditions import Conditions
 from semviz_core.localizability.effects import Effect, critical, suggest
-from semviz_core.localizability.outlook import look_out
+from semviz_core.localizability.outlook import LOST_M, look_out
 from semviz_core.localizability.route import candidates_beside, distance_along
 from semviz_core.localizability.trial import try_out
 from semviz_core.pose import Pose
@@ -18,7 +18,8 @@ from semviz_core.semantic_map import SemanticMap
 
 STRETCH_M = 20.0
 NEARBY_M = 5.0
-"""Positions no further along the route than this share their trials: they see nearly the same."""
+"""Positions no further along the route than this share what was drawn for them: they see nearly
+the same, and share its chance."""
 EFFECTS = 3
 """So many new elements are suggested, and so many critical ones named."""
 LIMITS_M = (0.1, 0.2, 0.4, 0.7)
@@ -58,7 +59,7 @@ class Localizability:
         """The route in pieces of STRETCH_M, the worst first."""
         piece = (self.along_m // STRETCH_M).astype(np.int64)
         found = [self._stretch(np.flatnonzero(piece == one)) for one in np.unique(piece)]
-        return tuple(sorted(found, key=lambda one: (-one.expected_m, one.first_m)))
+        return tuple(sorted(found, key=lambda one: (-one.badness_m, one.first_m)))
 
     def _stretch(self, rows: IntArray) -> "Stretch":
         return Stretch(
@@ -91,6 +92,11 @@ class Stretch:
     expected_m: float
     lost: float
     ambiguous: float
+
+    @property
+    def badness_m(self) -> float:
+        """The expected error if a frame that is not sure counts as one without an answer."""
+        return self.expected_m + self.ambiguous * (LOST_M - self.expected_m)
 
 
 def predict(
@@ -128,8 +134,8 @@ def predict(
         found=np.array([one.count.mean() for one in outlooks]),
         sigma_m=sigmas[:, 0],
         sigma_deg=np.rad2deg(sigmas[:, 1]),
-        expected_m=np.array([one.expected_m for one in outlooks]),
-        lost=np.array([one.lost for one in outlooks]),
+        expected_m=_mean_nearby(along_m, np.array([one.expected_m for one in outlooks])),
+        lost=_mean_nearby(along_m, np.array([one.lost for one in outlooks])),
         ambiguous=_mean_nearby(along_m, tried[:, 1]),
         suggested=suggest(outlooks, along_m, candidates, camera, conditions, EFFECTS),
         critical=critical(outlooks, along_m, elements, EFFECTS),

@@ -58,7 +58,7 @@ export class Timeline {
 
   drawAgain() {
     const shown = this.withForecast && this.forecast;
-    byId("forecast-mean").textContent = shown ? `— forecast ${fixed(this.forecast.meanM, 2)} m` : "";
+    byId("forecast-mean").textContent = shown ? `forecast ${fixed(this.forecast.meanM, 2)} m` : "";
     this.surface.redraw();
   }
 
