@@ -17,6 +17,8 @@ from semviz_core.arrays import BoolArray, FloatArray, IntArray
 
 _NOTHING_KNOWN = 1e-6
 """Information (1/m2) in directions that the sightings do not tell: a sigma of a kilometre."""
+_UNEVEN = 0.5
+"""Wrong poses move both ends of a pole alike, and each by this share of that by itself."""
 _DIGITS = 1e-12
 """Of the largest information, what the smallest must be to be told from rounding."""
 
@@ -96,7 +98,8 @@ def agreement(
     nothing = _NOTHING_KNOWN + _DIGITS * largest
     alone = np.linalg.inv(information + nothing[:, None, None] * np.eye(6))
     is_line = sightings.of(sightings.is_line)
-    other = places.covariance_m2 + pose_sigma_m**2 * np.tile(np.eye(3), (2, 2))
+    moved = np.tile(np.eye(3), (2, 2)) + _UNEVEN**2 * np.eye(6)
+    other = places.covariance_m2 + pose_sigma_m**2 * moved
     other[~is_line, 3:] = other[~is_line, :, 3:] = 0.0
     off = np.einsum("pij,pj->pi", alone, gradient)
     both = alone + other

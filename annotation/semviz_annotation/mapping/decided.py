@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz_annotation.mapping.residuals import residuals
 from semviz_annotation.mapping.tracks import Tracks
-from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.semantic_map import Decision, DecisionKind
 
 _ORDER: tuple[DecisionKind, ...] = ("merge", "apart", "split", "leave out")
@@ -55,7 +55,7 @@ class _Book:
         order = order[nodes.part[order] == 0]
         things, first, count = np.unique(tracks.thing[order], return_index=True, return_counts=True)
         for thing, start, several in zip(things, first, count, strict=True):
-            if several > 1 and tracks.placed.ok[thing]:
+            if several > 1 and self._ok[thing]:
                 members = order[start : start + several]
                 evidence = {
                     "distance_m": self._distance_m(members, int(thing)),
@@ -73,7 +73,7 @@ class _Book:
         for one in tracks.apart:
             elements = tuple(tracks.nodes.element[list(one.nodes)].tolist())
             things = tracks.thing[list(one.nodes)]
-            if elements[0] == elements[1] or not tracks.placed.ok[things].all():
+            if elements[0] == elements[1] or not self._ok[things].all():
                 continue  # two parts of one element: that is a split
             evidence = {
                 "distance_m": float(np.linalg.norm(np.subtract(*self._stand_m[things]))),
@@ -89,7 +89,7 @@ class _Book:
     def splits(self) -> Iterator[Decision]:
         """Parts of label elements that are other things."""
         tracks, nodes = self.tracks, self.tracks.nodes
-        for node in np.flatnonzero((nodes.part > 0) & tracks.placed.ok[tracks.thing]).tolist():
+        for node in np.flatnonzero((nodes.part > 0) & self._ok[tracks.thing]).tolist():
             row, thing = int(nodes.element[node]), int(tracks.thing[node])
             about = np.flatnonzero(nodes.of_sighting == node)
             main = tracks.thing[nodes.main[row]]
@@ -98,7 +98,7 @@ class _Book:
             same = [one for one in np.flatnonzero(tracks.thing == thing) if nodes.part[one] == 0]
             who = ""
             if same:
-                who = f", which is {tracks.gathered.elements[nodes.element[same[0]]].number}"
+                who = f", which is number {tracks.gathered.elements[nodes.element[same[0]]].number}"
             reason = f"{len(about)} of its labels are of another thing{where}{who}"
             yield self.decision("split", [row], reason, {"distance_m": away}, about)
 
@@ -111,7 +111,7 @@ class _Book:
         elements, first = np.unique(tracks.gathered.sightings.thing[unused], return_index=True)
         for row, about in zip(elements.tolist(), np.split(unused, first[1:]), strict=False):
             node = nodes.main.get(row)
-            if node is None or not tracks.placed.ok[tracks.thing[node]]:
+            if node is None or not self._ok[tracks.thing[node]]:
                 continue
             off = self._errors_px(about, int(tracks.thing[node])).max()
             one = len(about) == 1
@@ -128,9 +128,14 @@ class _Book:
                 yield self.decision("leave out", [row], "a person said so", by="human")
             elif node is None:
                 yield self.decision("leave out", [row], str(tracks.failure[row]))
-            elif not tracks.placed.ok[tracks.thing[node]]:
+            elif not self._ok[tracks.thing[node]]:
                 failure = str(tracks.placed.failure[tracks.thing[node]])
                 yield self.decision("leave out", [row], failure)
+
+    @cached_property
+    def _ok(self) -> BoolArray:
+        """(n,) things that are in the map."""
+        return self.tracks.placed.ok
 
     @cached_property
     def _frames(self) -> IntArray:

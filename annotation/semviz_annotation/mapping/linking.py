@@ -138,7 +138,7 @@ class Linking:
         number = np.full(len(self.group), -1)
         number[grown] = np.arange(len(grown))
         sightings = self._sightings.regrouped(number[self.group][self._sightings.thing], len(grown))
-        placed = _placed_near(
+        placed = placed_near(
             self._views, sightings, self._places.ends_m[grown], self._options.place
         )
         self._places.put(grown, placed)
@@ -180,7 +180,7 @@ def _best_of_each(pairs: Pairs, score: FloatArray) -> IntArray:
     return np.asarray(order[first])
 
 
-def _placed_near(
+def placed_near(
     views: Views, sightings: Sightings, ends_m: FloatArray, options: PlaceOptions
 ) -> Placed:
     """Things from all their views, that are near ends_m (n, 6) already."""

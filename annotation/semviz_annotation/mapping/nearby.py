@@ -61,7 +61,7 @@ class Spots:
         ends = np.stack([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)[:, :, :2]
         covariance = placed.covariance_m2.reshape(-1, 2, 3, 2, 3)[:, :, :2, :, :2]
         spread = np.einsum("ne,neifj,nf->nij", shares, covariance, shares)
-        sigma = np.sqrt(np.linalg.eigvalsh(spread)[:, 1])
+        sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
         good = placed.ok & (sigma < _HARDLY_KNOWN_M)
         self.at_m[rows[good]] = np.einsum("ne,nei->ni", shares, ends)[good]
         self.covariance_m2[rows[good]] = spread[good]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.exclusion import Exclusion, Reason
-from semviz_annotation.mapping.linking import Linking, LinkOptions
+from semviz_annotation.mapping.linking import Linking, LinkOptions, placed_near
 from semviz_annotation.mapping.misfits import misfits, parts
 from semviz_annotation.mapping.nodes import LEFT_OUT, Judged, Nodes, exclusion_of
 from semviz_annotation.mapping.place import place, place_linearly
@@ -72,14 +72,18 @@ def find_tracks(
     linking.run(_named("linking", on_progress))
     group, misfit = _without_strangers(views, nodes, linking, options)
     misfit &= ~judged.kept[sightings.thing]
-    _, thing = np.unique(group, return_inverse=True)
-    used = (nodes.of_sighting != LEFT_OUT) & ~misfit
+    roots, thing = np.unique(group, return_inverse=True)
+    used = (nodes.of_sighting != LEFT_OUT) & ~(misfit & ~judged.kept[sightings.thing])
     of_sighting = np.where(used, thing[nodes.of_sighting], LEFT_OUT)
-    tracked = sightings.regrouped(of_sighting, int(thing.max(initial=-1)) + 1)
+    tracked = sightings.regrouped(of_sighting, len(roots))
     placed = place(views, tracked, options.place, _named("placing things", on_progress))
-    kept = np.zeros(tracked.count, dtype=bool)
+    # labels of several passes may agree no better than the poses do
+    linked = ~placed.ok & (np.bincount(thing, minlength=len(roots)) > 1)
+    near = placed_near(views, tracked.only(linked), linking.ends_m[roots[linked]], options.place)
+    placed = _with(placed, tracked, linked, near)
+    kept = np.zeros(len(roots), dtype=bool)
     kept[thing[judged.kept[nodes.element]]] = True
-    placed = _at_any_price(views, tracked, placed, kept & ~placed.ok, options)
+    placed = _kept_at_any_price(views, tracked, placed, kept, options)
     _refuse_rare(views, tracked, placed, ~kept, options)
     return Tracks(
         gathered=gathered,
@@ -142,22 +146,25 @@ def _without_strangers(
     return group, misfit
 
 
-def _at_any_price(
-    views: Views, sightings: Sightings, placed: Placed, things: BoolArray, options: LinkOptions
-) -> Placed:
-    """With ``things`` (n,), which a person wants in the map, where they can be placed at all."""
-    if not things.any():
-        return placed
-    wanted = replace(options.place, min_angle_rad=float(np.finfo(np.float64).tiny))
-    forced = place_linearly(views, sightings.only(things), wanted)
+def _with(placed: Placed, sightings: Sightings, things: BoolArray, others: Placed) -> Placed:
+    """With other places of things (n,), of all of which there are ``sightings``."""
 
     def put(name: str) -> Any:
         values = getattr(placed, name).copy()
         rows = things[sightings.thing] if name == "chi2_of" else things
-        values[rows] = getattr(forced, name)
+        values[rows] = getattr(others, name)
         return values
 
     return Placed(**{one.name: put(one.name) for one in fields(Placed)})
+
+
+def _kept_at_any_price(
+    views: Views, sightings: Sightings, placed: Placed, kept: BoolArray, options: LinkOptions
+) -> Placed:
+    """With things (n,) that a person wants in the map, wherever they can be placed at all."""
+    kept = kept & ~placed.ok
+    narrow = replace(options.place, min_angle_rad=float(np.finfo(np.float64).tiny))
+    return _with(placed, sightings, kept, place_linearly(views, sightings.only(kept), narrow))
 
 
 def _refuse_rare(

@@ -1,0 +1,293 @@
+"""Which labels are one thing: merges, splits, misfits, and what people decided."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from semviz_annotation.edits import Judge
+from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
+from semviz_annotation.mapping.agreement import Places, agreement
+from semviz_annotation.mapping.assemble import PART_ID
+from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.exclusion import Exclusion, Reason
+from semviz_annotation.mapping.place import PlaceOptions, place
+from semviz_annotation.mapping.sightings import gather
+from semviz_annotation.observe import observe
+from semviz_annotation.rows import apart, judged
+from semviz_annotation.rules import Rules
+from semviz_annotation.street_labels import (
+    DrivenTwice,
+    StreetLabels,
+    careful,
+    label_street,
+    with_mistakes,
+)
+from semviz_core.semantic_map import Decision, SemanticMap
+from semviz_core.sources.street.detector import SimulatedDetector
+from semviz_core.sources.street.layout import StreetOptions
+from semviz_core.sources.street.street import Street
+
+SIGN, OTHER = np.array([22.0, -4.0, 2.4]), np.array([25.0, -3.0, 2.4])
+POLE = (np.array([20.0, 5.0, 4.0]), np.array([20.0, 5.02, 0.4]))
+NEAR_IS_ONE = BuildOptions(pose_sigma_m=1.0)
+"""So lax that only the hard rule keeps neighbours apart."""
+
+
+def renamed(labels: Labels, name: Callable[[int, Observation], int]) -> Labels:
+    """With the label elements that ``name`` gives each observation, from its present number."""
+    elements: dict[int, LabelElement] = {}
+    rows = []
+    for row in labels.observations.values():
+        old = labels.element(row.element_id)
+        number = name(old.number, row)
+        element = elements.setdefault(number, LabelElement(new_id(), number, old.class_id))
+        rows.append(replace(row, element_id=element.id))
+    return Labels.from_rows([*elements.values(), *rows])
+
+
+def id_of(labels: Labels, number: int) -> str:
+    return next(one.id for one in labels.elements.values() if one.number == number)
+
+
+def decided(semantic_map: SemanticMap, kind: str) -> list[Decision]:
+    return [one for one in semantic_map.decisions if one.kind == kind]
+
+
+def halves(number: int, row: Observation) -> int:
+    """A thing is labelled anew from frame 3 on."""
+    return number + 10 * (row.frame_index >= 3)
+
+
+def test_a_planted_duplicate_is_merged(world):
+    labels = renamed(world.labels(sigma_px=0.5), lambda n, row: halves(n, row) if n == 4 else n)
+    built, _ = build_map(labels, world)
+    assert list(built.elements.id) == [3, 4, 7, 9]
+    (merge,) = built.decisions
+    assert (merge.kind, merge.numbers, merge.by) == ("merge", (4, 14), "machine")
+    assert merge.label_ids == (id_of(labels, 4), id_of(labels, 14)) == built.provenance[1].label_ids
+    assert merge.evidence["frames"] == world.count
+    assert merge.evidence["chi2_apart"] < merge.evidence["chi2_together"]
+    assert merge.evidence["chi2_together"] < 2.0 * merge.evidence["freedom"]
+    assert 0.0 < merge.evidence["distance_m"] < 3.0
+    whole = build_map(world.labels(sigma_px=0.5), world)[0].elements
+    assert np.allclose(built.elements.anchor_m, whole.anchor_m, atol=1e-4)
+
+
+def test_neighbours_seen_together_stay_two_transitively(make_world):
+    """One is labelled anew in frame 2, the other in frame 3: only frame 2 shows new and old."""
+    twins = make_world({1: (1, SIGN, None), 2: (1, SIGN + np.array([0.0, 0.8, 0.0]), None)})
+    labels = renamed(
+        twins.labels(sigma_px=0.5),
+        lambda n, row: n + 10 * (row.frame_index >= 1 + n),
+    )
+    built, _ = build_map(labels, twins, NEAR_IS_ONE)
+    assert [one.numbers for one in decided(built, "merge")] == [(1, 11), (2, 12)]
+    assert np.allclose(built.elements.anchor_m[0], SIGN, atol=0.3)
+    (two,) = decided(built, "apart")
+    assert two.by == "machine"
+    assert two.reason.endswith("shows both in its left image")
+    assert 0.5 < two.evidence["distance_m"] < 1.1
+    single = renamed(labels, lambda n, row: n)
+    alone = [row for row in single.observations.values() if row.frame_index in (0, 4)]
+    alone = [r for r in alone if single.element(r.element_id).number in (1, 12)]
+    rows = [single.element(one) for one in {row.element_id for row in alone}]
+    assert len(build_map(Labels.from_rows([*rows, *alone]), twins, NEAR_IS_ONE)[0]) == 1
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_group_has_a_mark_twice(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 12))
+    node = rng.integers(0, n, 20)
+    pairs = np.unique(np.stack([node, rng.integers(0, 15, 20)]), axis=1)
+    exclusion = Exclusion(pairs[0], pairs[1], (Reason("image"),) * 15)
+    group = rng.integers(-1, 3, n)
+    out = exclusion.clashing(group, rng.permutation(n))
+    kept = np.where(out, -1, group)
+    named = [
+        (kept[one], mark) for one, mark in zip(pairs[0], pairs[1], strict=True) if kept[one] >= 0
+    ]
+    assert len(set(named)) == len(named)
+    one, other = rng.integers(0, n, (2, 8))
+    marks = [set(pairs[1][pairs[0] == row].tolist()) for row in range(n)]
+    expected = [min(marks[a] & marks[b], default=-1) for a, b in zip(one, other, strict=True)]
+    assert exclusion.shared(one, other).tolist() == expected
+
+
+def under_one_name(make_world, sigma_px: float = 0.3):
+    """Two signs, 3 m apart; the second is called as the first from frame 4 on."""
+    signs = {5: (1, SIGN, None), 6: (1, OTHER, None), 7: (0, *POLE)}
+    world = make_world(signs, count=6)
+    labels = world.labels(sigma_px=sigma_px)
+    kept = [
+        row
+        for row in labels.observations.values()
+        if (number := labels.element(row.element_id).number) == 7
+        or (row.frame_index < 4) == (number == 5)
+    ]
+    some = Labels.from_rows([*labels.elements.values(), *kept])
+    return world, renamed(some, lambda n, row: 5 if n == 6 else n)
+
+
+def test_a_planted_split_is_found(make_world):
+    world, labels = under_one_name(make_world)
+    built, report = build_map(labels, world)
+    assert list(built.elements.id) == [5, 7, PART_ID + 5]
+    assert np.allclose(built.elements.anchor_m[0], SIGN, atol=0.3)
+    assert np.allclose(built.elements.anchor_m[2], OTHER, atol=0.3)
+    (split,) = built.decisions
+    assert (split.kind, split.numbers, split.label_ids) == ("split", (5,), (id_of(labels, 5),))
+    frames = {labels.observation(one).frame_index for one in split.observation_ids}
+    assert frames == {4, 5}
+    assert set(split.observation_ids) == set(built.provenance[2].observation_ids)
+    assert split.evidence["distance_m"] == pytest.approx(np.hypot(3.0, 1.0), abs=0.3)
+    assert "split T-05: 4 of its labels are of another thing 3." in str(report)
+    _, ids = observe(labels, 5, "left", built)
+    assert sorted(ids) == [7, PART_ID + 5]
+
+
+def test_what_is_split_off_joins_what_it_is(make_world):
+    """The second sign has a name of its own, too, in the frames before."""
+    world, labels = under_one_name(make_world)
+    again = replace(world, things={8: (1, OTHER, None)}).labels()
+    before = [row for row in again.observations.values() if row.frame_index < 4]
+    rows = [*labels.rows(), *again.elements.values(), *before]
+    both = Labels.from_rows(rows)
+    built, report = build_map(both, world)
+    assert list(built.elements.id) == [5, 7, 8]
+    (split,) = built.decisions
+    assert (split.kind, split.numbers) == ("split", (5,))
+    assert split.reason.endswith("which is number 8")
+    assert "split T-05" in str(report)
+    assert set(split.observation_ids) < set(built.provenance[2].observation_ids)
+    assert built.provenance[2].label_ids == (id_of(both, 8),)
+
+
+def test_people_have_the_last_word(make_world):
+    world, labels = under_one_name(make_world)
+
+    def built_after(*verdicts) -> SemanticMap:
+        judged_ = labels.changed(Judge(verdicts).changes(labels, Rules()))
+        return build_map(judged_, world)[0]
+
+    kept = built_after(judged(id_of(labels, 5), "keep"))
+    assert list(kept.elements.id) == [5, 7]
+    assert kept.decisions == ()
+    assert len(kept.provenance[0].observation_ids) == 12
+    gone = built_after(judged(id_of(labels, 5), "leave out"))
+    assert list(gone.elements.id) == [7]
+    (left_out,) = gone.decisions
+    assert (left_out.kind, left_out.numbers, left_out.by) == ("leave out", (5,), "human")
+
+
+def test_what_a_person_called_two_is_two(world):
+    labels = renamed(world.labels(), lambda n, row: n + 10 * (row.frame_index % 3) if n == 4 else n)
+    one = apart(id_of(labels, 4), id_of(labels, 14))
+    judged_labels = labels.changed(Judge((one,)).changes(labels, Rules()))
+    built, report = build_map(judged_labels, world)
+    assert len(built) == 5
+    (two,) = decided(built, "apart")
+    assert (two.numbers, two.by) == ((4, 14), "human")
+    assert "a person said that 4 and 14 are two things" in str(report)
+    (merge,) = decided(built, "merge")
+    assert merge.numbers in ((4, 24), (14, 24))
+
+
+def test_the_order_of_rows_means_nothing():
+    given = detected(1)
+    rows = list(given.labels.rows())
+    order = np.random.default_rng(0).permutation(len(rows))
+    shuffled = Labels.from_rows([rows[k] for k in order])
+    one, _ = build_map(given.labels, STREET, MACHINE)
+    other, _ = build_map(shuffled, STREET, MACHINE)
+    assert one.digest == other.digest
+    assert one.decisions == other.decisions
+    assert one.provenance == other.provenance
+
+
+def test_ids_stay_when_labels_are_added(world):
+    labels = renamed(world.labels(sigma_px=0.3), lambda n, row: n + 10 * row.frame_index)
+    first = [row for row in labels.observations.values() if row.frame_index < 3]
+    elements = {row.element_id: labels.element(row.element_id) for row in first}
+    before, _ = build_map(Labels.from_rows([*elements.values(), *first]), world)
+    after, _ = build_map(labels, world)
+    assert np.array_equal(before.elements.id, after.elements.id)
+
+
+# -- streets
+
+
+STREET = Street(3, StreetOptions(frames=24))
+MACHINE = BuildOptions(sigma_px=1.3, min_frames=2)
+
+
+def detected(seed: int) -> StreetLabels:
+    return label_street(SimulatedDetector(STREET, "low", seed).detect, range(24))
+
+
+def things_of(built: SemanticMap, given: StreetLabels) -> list[Counter[int]]:
+    """What each map element is made from."""
+    return [
+        Counter(given.truth[name].element_id for name in one.observation_ids)
+        for one in built.provenance
+    ]
+
+
+def test_a_street_without_identity_gives_each_thing_once():
+    given = label_street(careful(STREET, 0.5, 1), range(24))
+    built, _ = build_map(given.labels, STREET, BuildOptions(sigma_px=0.5))
+    things = things_of(built, given)
+    assert all(len(one) == 1 for one in things)
+    assert len({next(iter(one)) for one in things}) == len(built) > 15
+
+
+def test_no_element_is_seen_twice_in_one_image():
+    given = detected(2)
+    built, _ = build_map(given.labels, STREET, BuildOptions(sigma_px=4.0, pose_sigma_m=1.0))
+    assert decided(built, "merge")
+    for one in built.provenance:
+        rows = [given.labels.observation(name) for name in one.observation_ids]
+        assert len({(row.frame_index, row.side) for row in rows}) == len(rows)
+
+
+def test_mistakes_in_identity_are_found():
+    given = label_street(careful(STREET, 0.5, 1), range(24), memory=8)
+    mixed, names = with_mistakes(given, 4, seed=5)
+    built, _ = build_map(mixed.labels, STREET, BuildOptions(sigma_px=0.5))
+    things = things_of(built, given)
+    assert all(len(one) == 1 for one in things)
+    found = {one.label_ids[0] for one in built.decisions if one.kind in ("split", "leave out")}
+    assert found == names
+
+
+def test_a_second_pass_with_other_poses_is_the_same_street():
+    source = DrivenTwice(STREET, 0.3, seed=1)
+    see = source.seen_by(careful(STREET, 0.5, 1), careful(STREET, 0.5, 2))
+    given = label_street(see, range(48), memory=24)
+    built, _ = build_map(given.labels, source, BuildOptions(sigma_px=0.5, pose_sigma_m=0.2))
+    strict, _ = build_map(given.labels, source, BuildOptions(sigma_px=0.5, pose_sigma_m=0.001))
+    things = [one.most_common(1)[0][0] for one in things_of(built, given)]
+    assert len(things) == len(set(things)) < 0.7 * len(strict)
+    seen = Counter(one.element_id for one in given.truth.values())
+    assert {thing for thing, count in seen.items() if count > 8} <= set(things)
+
+
+@pytest.mark.parametrize("number", [3, 7])
+def test_the_test_of_one_place_keeps_its_level(world, number):
+    """chi2 of pairs from frame 1 at the place that all other frames give, 40 times."""
+    ratios = []
+    for seed in range(40):
+        labels = world.labels(sigma_px=1.0, seed=seed)
+        views, sightings, elements, _ = gather(labels, world)
+        row = [one.number for one in elements].index(number)
+        mine = sightings.only(np.arange(sightings.count) == row)
+        first = views.frame_index[mine.view] == 1
+        others = place(views, mine.where(~first), PlaceOptions(outlier_sigmas=np.inf))
+        result = agreement(views, mine.where(first), Places.of(others), 1.0, 0.0)
+        ratios.append(result.chi2[0] / result.freedom[0])
+    assert 0.75 < np.mean(ratios) < 1.25
