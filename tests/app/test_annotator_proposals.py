@@ -98,6 +98,16 @@ def test_the_partner_is_proposed_and_one_key_accepts_it(
     assert served.labels.in_frame(0, "right") == ()
 
 
+def test_one_key_takes_the_sure_ones_and_goes_on(driver: LabelDriver, served: Served) -> None:
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Control+Enter")
+    driver.page.wait_for_function("() => semviz.state.frame === 1")
+    driver.page.wait_for_function("() => semviz.state.pending.length === 0")
+    assert len(served.labels.in_frame(0, "right")) == 1
+    assert served.labels.review(0) == "reviewed"
+
+
 def test_a_mapped_element_is_followed_into_the_next_frame(
     driver: LabelDriver, served: Served
 ) -> None:

@@ -257,7 +257,7 @@ function select(element, side = null) {
 const actions = {
   submit, mayEdit, look, go, select, resolve,
   stepReview: (list, by) => review.step(list, by),
-  review: () => editing(state, actions).review("reviewed"),
+  sayReviewed: () => editing(state, actions).review("reviewed"),
 };
 const tools = new Tools(state, images, actions);
 const send = (message) => socket.send(message);

@@ -10,7 +10,7 @@ export function proposalCommands(state, actions, nextFrame) {
     { key: " ", shift: true, group, title: "Accept all that are sure", run: does.acceptSure },
     { key: "Enter", ctrl: true, group, title: "Accept the sure ones, reviewed, next frame", run: () => {
       does.acceptSure();
-      actions.review();
+      actions.sayReviewed();
       nextFrame();
     } },
     { key: "x", group, title: "Reject: not here", run: () => does.dismiss("rejected") },
