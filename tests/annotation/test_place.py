@@ -86,7 +86,7 @@ def test_a_stray_sighting_does_not_make_a_pole_longer():
     world = drive(5, things=1, seed=3, hidden=1.0)
     one = world.sightings
     aside = one.anchor_px[4] + [60.0, 0.0]
-    stray = changed(one, 4, anchor_px=aside, end_px=aside + 2.0 * (one.end_px - one.anchor_px)[4])
+    stray = changed(one, 4, anchor_px=aside, end_px=aside + 6.0 * (one.end_px - one.anchor_px)[4])
     others = place(world.views, one.where(np.arange(len(one)) != 4))
     assert np.allclose(place(world.views, stray).end_m, others.end_m, atol=0.02)
 
