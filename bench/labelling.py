@@ -59,6 +59,8 @@ class Work:
     points: int = 0
     """At something, for a key."""
     thoughts: int = 0
+    least: int = 0
+    """Inputs if all went well but for the first drawing of each element: the floor."""
     counts: Counter[str] = field(default_factory=Counter)
     pressed: Counter[str] = field(default_factory=Counter)
 
@@ -107,6 +109,7 @@ class Labeller:
         self.hand = np.random.default_rng(seed)
         self.work = Work()
         self.class_id = 0
+        self.drawn: set[int] = set()
 
     def label(self, frame: int) -> None:
         """One frame: proposals first, then what is missing; then on to the next."""
@@ -124,6 +127,7 @@ class Labeller:
             if self.lacking(frame, truth, element) and not self.is_offered(frame, truth, element):
                 self.draw(frame, truth, element, "right")
         self.key("Control+Enter")
+        self.work.least += 1
 
     def judge(self, frame: int, truth: Truth) -> None:
         """Turns down what is sure but wrong, and accepts what is weak but right."""
@@ -142,10 +146,14 @@ class Labeller:
         """With snapping where its preview is right, without where it isn't; then corrected."""
         self.work.thoughts += 1
         self.work.counts["drawn"] += 1
+        before = self.work.inputs
         if truth.class_id[element] != self.class_id:
             self.class_id = truth.class_id[element]
             self.key(str(self.class_id + 1))
         marks = truth.marks[element][side]
+        if element not in self.drawn:  # its clicks, and the key of its class
+            self.drawn.add(element)
+            self.work.least += self.work.inputs - before + int(np.isfinite(marks).sum() / 2)
         self.click(side, marks[0])
         if np.isfinite(marks[1]).all():
             peak_known, bottom_known = truth.known[element][side]
@@ -382,6 +390,20 @@ def error_px(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> flo
     return float(np.abs(across).max())
 
 
+def flags_right(labels: Labels, street: Street) -> float:
+    """Share of the poles' ends in labels that are rightly said to be seen or not."""
+    right = []
+    for row in labels.observations.values():
+        if row.end_px is None:
+            continue
+        marks = list(by_id(*street.labels(row.frame_index, row.side)).values())
+        gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
+        if min(gaps, default=np.inf) <= RIGHT_PX:
+            known = marks[int(np.argmin(gaps))][3]
+            right += [row.anchor_known == known[0], row.end_known == known[1]]
+    return float(np.mean(right))
+
+
 def errors_px(labels: Labels, street: Street) -> list[float]:
     """How far each label is from the nearest truth of its kind."""
     errors = []
@@ -392,7 +414,7 @@ def errors_px(labels: Labels, street: Street) -> list[float]:
     return errors
 
 
-def run(seed: int, folder: Path, browser: Any) -> tuple[Work, list[float], str]:
+def run(seed: int, folder: Path, browser: Any) -> tuple[Work, list[float], float, str]:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     annotator = Annotator(workspace, author="script")
     street = workspace.street
@@ -408,7 +430,8 @@ def run(seed: int, folder: Path, browser: Any) -> tuple[Work, list[float], str]:
                 labeller.label(frame)
             said = page.get_attribute("#effort", "title")
             page.close()
-        return labeller.work, errors_px(annotator.session.labels, street), said
+        made = annotator.session.labels
+        return labeller.work, errors_px(made, street), flags_right(made, street), said
     finally:
         annotator.close()
 
@@ -417,12 +440,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1001, 1002, 1003])
     seeds = parser.parse_args().seeds
-    inputs = labels = 0
+    inputs = labels = least = 0
     seconds = 0.0
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         for seed in seeds:
-            work, errors, said = run(seed, Path(folder), browser)
+            work, errors, flags, said = run(seed, Path(folder), browser)
             right = [one for one in errors if one <= RIGHT_PX]
             print(
                 f"street {seed}: {len(errors)} observations in {FRAMES} frames, "
@@ -431,11 +454,17 @@ def main() -> None:
                 f"{RIGHT_PX:g} px, median {np.median(right):.2f} px; {dict(work.counts)}"
             )
             print(f"  keys: {dict(work.pressed)}")
+            print(
+                f"  the first drawings and the frames' keys alone: {work.least / len(errors):.3f}; "
+                f"ends rightly said to be seen or hidden: {flags:.1%}"
+            )
+            least += work.least
             print(f"  the page's own count since it was opened: {said}")
             inputs, labels = inputs + work.inputs, labels + len(errors)
             seconds += work.seconds
     pairs = labels / 2
-    print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2)")
+    print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
+    print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
     print(f"1,000 stereo observations: {seconds / pairs * 1000 / 60:.1f} min (goal 20)")
     print(BY_HAND)
 
