@@ -115,18 +115,17 @@ def _join_by_place(base: Elements3D, other: Elements3D, result: Same) -> None:
     """What is gone and what is new, of one kind and nearest to each other, is the same."""
     from scipy.spatial import cKDTree
 
-    for is_line in (True, False):
-        gone = [i for i in result.gone if base.is_line[i] == is_line]
-        new = [j for j in result.new if other.is_line[j] == is_line]
-        if not gone or not new:
+    gone, new = np.array(result.gone, dtype=np.int64), np.array(result.new, dtype=np.int64)
+    for kind in (True, False):
+        mine, theirs = gone[base.is_line[gone] == kind], new[other.is_line[new] == kind]
+        if not len(mine) or not len(theirs):
             continue
-        mine, theirs = stand_m(base)[gone], stand_m(other)[new]
-        distance, nearest = cKDTree(theirs).query(mine)
-        _, back = cKDTree(mine).query(theirs)
-        for place in np.flatnonzero(distance < SAME_PLACE_M).tolist():
-            if back[nearest[place]] == place:
-                i, j = gone[place], new[nearest[place]]
-                result.pairs.append((i, j))
-                result.gone.remove(i)
-                result.new.remove(j)
+        here, there = stand_m(base)[mine], stand_m(other)[theirs]
+        distance, nearest = cKDTree(there).query(here)
+        _, back = cKDTree(here).query(there)
+        mutual = (distance < SAME_PLACE_M) & (back[nearest] == np.arange(len(mine)))
+        result.pairs += zip(mine[mutual].tolist(), theirs[nearest[mutual]].tolist(), strict=True)
     result.pairs.sort()
+    paired = {i for i, _ in result.pairs}, {j for _, j in result.pairs}
+    result.gone = [i for i in result.gone if i not in paired[0]]
+    result.new = [j for j in result.new if j not in paired[1]]

@@ -85,10 +85,10 @@ def narrow_rays(case: Case) -> Iterator[Finding]:
     if case.labelled is None:
         return
     views, sightings, _ = case.labelled
-    elements = case.semantic_map.elements
+    elements, is_line = case.semantic_map.elements, case.semantic_map.elements.is_line
     for row in np.flatnonzero(sightings.seen > 1).tolist():
         away = elements.anchor_m[row] - views.center_m[case.views_of(row)]
-        if elements.is_line[row]:  # only the angle across the line counts
+        if is_line[row]:  # only the angle across the line counts
             axis = elements.end_m[row] - elements.anchor_m[row]
             away = away - np.outer(away @ axis, axis) / (axis @ axis)
         away = away / np.linalg.norm(away, axis=1, keepdims=True)

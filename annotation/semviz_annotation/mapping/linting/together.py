@@ -110,13 +110,13 @@ def _near(case: Case, group: IntArray) -> Iterator[_Pair]:
     """Pairs of one group (n,), by row; those of group -1 have none."""
     from scipy.spatial import cKDTree
 
-    elements = case.semantic_map.elements
+    elements, is_line = case.semantic_map.elements, case.semantic_map.elements.is_line
     place, covariance = stand_m(elements), stand_covariance_m2(elements)
     for number in np.unique(group[group >= 0]):
         rows = np.flatnonzero(group == number)
         pairs = cKDTree(place[rows]).query_pairs(SAME_PLACE_MOST_M, output_type="ndarray")
         for i, j in rows[np.sort(pairs, axis=1)][np.lexsort(pairs.T[::-1])]:
-            dimension = 2 if elements.is_line[i] else 3
+            dimension = 2 if is_line[i] else 3
             offset = (place[i] - place[j])[:dimension]
             both = (covariance[i] + covariance[j])[:dimension, :dimension]
             squared = float(offset @ np.linalg.pinv(both) @ offset)
