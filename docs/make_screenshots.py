@@ -14,8 +14,9 @@ from pathlib import Path
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
+from semviz.commands.map_localizability import MapLocalizability
 from semviz.demo import ensure_demo
-from semviz.demo_street import RUN
+from semviz.demo_street import MAP, RUN
 from semviz.inspector.server import Inspector
 from semviz.web.door import Door
 from semviz.workspace import Workspace
@@ -31,6 +32,7 @@ CHROMIUM = [
     "--disable-background-networking",
 ]
 SHOWN_FRAME = 97
+FORECAST_FRAME = 26
 LABELLED_FRAMES = range(3)
 SETTLED_MS = 15_000
 """Software rendering takes its time."""
@@ -53,6 +55,22 @@ def take_inspector(page: Page) -> None:
         page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=IMAGES / "serve.png")
         page.goto("about:blank")
+
+
+def take_forecast(page: Page) -> None:
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={FORECAST_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        page.click("#forecast")
+        page.wait_for_selector("#forecast-legend .scale", timeout=120_000)
+        page.wait_for_timeout(SETTLED_MS)
+        page.screenshot(path=IMAGES / "serve-forecast.png")
+        page.goto("about:blank")
+
+
+def draw_route() -> None:
+    MapLocalizability(ensure_demo(), map=MAP, plot=IMAGES / "localizability-route.png").run()
 
 
 def take_annotator(page: Page) -> None:
@@ -102,8 +120,10 @@ def label(workspace: Workspace) -> None:
 
 def main() -> None:
     IMAGES.mkdir(exist_ok=True)
+    draw_route()
     with browser_page() as page:
         take_inspector(page)
+        take_forecast(page)
         take_annotator(page)
     for path in sorted(IMAGES.glob("*.png")):
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
