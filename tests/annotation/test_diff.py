@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from semviz_annotation.labels import Labels, new_id
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.diff import diff_maps
+from semviz_annotation.mapping.same import same_elements
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
@@ -118,6 +121,27 @@ def test_labels_that_change_hands():
     other = a_map({1: (1,), 2: (2, 5)})
     diff = diff_maps(base, other)
     assert (diff.unchanged, diff.merged, diff.split, diff.new, diff.gone) == (2, (), (), (), ())
+
+
+GROUPS = st.dictionaries(
+    st.integers(1, 6), st.frozensets(st.integers(1, 8), max_size=3).map(sorted).map(tuple)
+)
+"""Labels by id of the map element."""
+
+
+@given(GROUPS, GROUPS, st.booleans())
+def test_every_element_is_told_of_once(mine, theirs, by_place):
+    base, other = a_map(mine or {1: ()}), a_map(theirs or {1: ()})
+    if by_place:
+        base, other = nameless(base), renumbered(other, 3)
+    same = same_elements(base, other)
+    merged = [row for rows in same.merged.values() for row in rows[1:]]
+    split = [row for rows in same.split.values() for row in rows[1:]]
+    assert sorted([i for i, _ in same.pairs] + merged + same.gone) == list(range(len(base)))
+    assert sorted([j for _, j in same.pairs] + split + same.new) == list(range(len(other)))
+    pairs = dict(same.pairs)
+    assert all(pairs[rows[0]] == j for j, rows in same.merged.items())
+    assert all(pairs[i] == rows[0] for i, rows in same.split.items())
 
 
 def test_class_changed():

@@ -36,8 +36,7 @@ class Same:
 
 def same_elements(base: SemanticMap, other: SemanticMap) -> Same:
     """Every row of both maps is in a pair, or merged, split, gone or new."""
-    by_label = bool(base.provenance and other.provenance)
-    if by_label:
+    if base.provenance and other.provenance:
         names = _labels(base), _labels(other)
     elif _ids_mean_the_same(base.elements, other.elements):
         names = _ids(base), _ids(other)
