@@ -18,7 +18,7 @@ Json = dict[str, Any]
 
 _UNITS = {"m": "m", "px": "px", "deg": "°", "s": "s"}
 """The end of a figure's name, and how that unit is written."""
-_SHOWN_FRAMES = 6
+_SHOWN_FRAMES = 4
 """So many frames of an element are named, evenly among all."""
 
 
@@ -82,6 +82,7 @@ def _element_json(label_id: str, number: int, semantic_map: SemanticMap, labels:
     classes = semantic_map.classes
     return {
         "id": label_id,
+        "number": number,
         "name": str(number) if class_id is None else classes.element_name(class_id, number),
         "class": class_id,
         "map_id": None if row is None else int(semantic_map.elements.id[row]),
@@ -99,6 +100,7 @@ def _mapped_json(row: int, semantic_map: SemanticMap, labels: Labels) -> Json:
     rows = () if label_id is None else labels.of_element(label_id)
     return {
         "id": label_id,
+        "number": map_id,
         "name": semantic_map.classes.element_name(class_id, map_id),
         "class": class_id,
         "map_id": map_id,

@@ -201,13 +201,27 @@ def _accepted(operation: Operation, labels: Labels, classes: ClassSet) -> str:
 
 
 def _judged(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """``P-03 and P-09 are two things``."""
+    """``P-03 and P-09 are apart``; of more, ``P-03 is apart from 5 others`` if it alone is."""
     rows = [row for row in _rows(operation) if isinstance(row, Judgement)]
-    ids = dict.fromkeys(one for row in rows for one in elements_of(row))
-    known = sorted((labels.elements[one] for one in ids if one in labels.elements), key=_number)
-    names = " and ".join(element_name(one, classes) for one in known) or "Elements"
-    verdicts = {"apart": "are apart", "keep": "kept as it is", "leave out": "left out of maps"}
-    return f"{names} {verdicts[rows[0].verdict]}"
+    about = [set(elements_of(row)) for row in rows]
+    every, common = set().union(*about), set.intersection(*about)
+    names = _names(every, labels, classes)
+    match rows[0].verdict:
+        case "apart" if len(rows) > 1 and len(common) == 1:
+            return f"{_names(common, labels, classes)} is apart from {len(every) - 1} others"
+        case "apart":
+            return f"{names} are apart"
+        case "keep":
+            return f"{names} kept as one thing"
+        case "leave out":
+            return f"{names} left out of maps"
+
+
+def _names(element_ids: set[str], labels: Labels, classes: ClassSet) -> str:
+    """``P-03, P-09 and P-12``, by number, of those that are there still."""
+    known = [labels.elements[one] for one in element_ids if one in labels.elements]
+    names = [element_name(one, classes) for one in sorted(known, key=lambda one: one.number)]
+    return " and ".join([", ".join(names[:-1]), *names[-1:]] if len(names) > 1 else names or ["It"])
 
 
 def _said(operation: Operation) -> str:
@@ -238,10 +252,6 @@ def observation_json(row: Observation) -> Json:
         "frame": row.frame_index,
         "side": row.side,
     }
-
-
-def _number(element: LabelElement) -> int:
-    return element.number
 
 
 def _count(number: int, what: str) -> str:

@@ -14,8 +14,10 @@ from random_edits import pole, random_edit
 from semviz.annotator.reviews import Open
 from semviz.annotator.session import LabelSession
 from semviz.workspace import MAIN, Workspace
+from semviz_annotation.edits import Judge, edit_to_json
 from semviz_annotation.labels import Labels, new_id
 from semviz_annotation.mapping.review import open_decisions
+from semviz_annotation.rows import apart, judged
 from semviz_annotation.rules import Rules
 from semviz_core.errors import SemvizError
 from semviz_core.map_file import save_map
@@ -85,6 +87,7 @@ def test_a_card_says_what_was_decided_why_and_what_can_be_said_to_it(session: La
     assert {"name": "Off", "value": "unknown"} in first["evidence"]
     assert [one["name"] for one in first["elements"]] == ["P-01", "P-02"]
     assert [one["frames"] for one in first["elements"]] == [[0, 1, 2], [3, 4, 5]]
+    assert [one["number"] for one in first["elements"]] == [1, 2]
     assert first["frame"] == 2
     assert [one["title"] for one in first["answers"]] == ["One thing", "Two things"]
     second = card(session, 1, first)
@@ -118,6 +121,21 @@ def test_a_judgement_is_shown_on_its_elements_and_in_the_history(session: LabelS
     session.do(new_id(), {"kind": "take back", "judgement_id": shown["judged"][0]["id"]})
     assert session.summary()["history"][0]["text"].startswith("Leave to the map P-0")
     assert summary(session)["decisions"] == 1
+
+
+def test_the_history_says_which_of_several_is_another_thing(session: LabelSession) -> None:
+    poles = [one for one in session.labels.elements.values() if one.class_id == 0]
+    first, *others = sorted(poles, key=lambda one: one.number)[:3]
+    rows = [apart(first.id, one.id) for one in others]
+    for judgements, text in (
+        (rows, "P-01 is apart from 2 others"),
+        ([*rows, apart(others[0].id, others[1].id)], f"P-01, P-02 and P-{others[1].number} are"),
+        ([judged(first.id, "keep")], "P-01 kept as one thing"),
+        ([judged(first.id, "leave out")], "P-01 left out of maps"),
+    ):
+        session.do(new_id(), edit_to_json(Judge(tuple(judgements))))
+        assert session.summary()["history"][0]["text"].startswith(text)
+        session.do(new_id(), {"kind": "undo"})
 
 
 def test_findings_are_of_the_map_that_is_there(session: LabelSession) -> None:

@@ -123,20 +123,23 @@ export class Review {
     const chip = severity ? el("span", { class: `push chip ${severity}`, text: severity }) : null;
     return [
       header(title, `${REVIEWS[list].one} ${place + 1} of ${count}`, null, chip),
-      ...review.elements.map((one) => this.#element(one)),
+      el("div", { class: "seen-list" }, ...review.elements.map((one) => this.#element(one, answers))),
       review.about.length ? el("p", { class: "seen" }, "in question", ...this.#frames(review.about)) : null,
       el("p", { class: "reason", text: reason }),
       el("dl", { class: "evidence" }, ...evidence.flatMap(({ name, value }) => [el("dt", { text: name }), el("dd", { text: value })])),
-      answers.length ? el("div", { class: "buttons" }, ...answers.map((one, index) => this.#answer(one, index))) : null,
+      answers.length ? el("div", { class: "buttons" }, ...answers.slice(0, KEYS.length).map((one, index) => this.#answer(one, index))) : null,
     ].filter(Boolean);
   }
 
-  #element({ id, name, class: classId, frames }) {
+  /** Where of three and more elements one alone can be another thing, its line says so. */
+  #element({ id, number, name, class: classId, frames }, answers) {
+    const other = answers.findIndex((answer) => answer.name === `not ${number}`);
     const one = classId === null ? null : this.state.classOf(classId);
     const glyph = one && classGlyph(one, this.state.colorOf(one));
     const label = el("b", { text: name });
     if (one) label.style.color = this.state.colorOf(one);
-    return el("p", { class: "seen" }, glyph, id ? el("button", { class: "small", onclick: () => this.select(id) }, label) : label, ...this.#frames(frames));
+    return el("p", { class: "seen" }, glyph, id ? el("button", { class: "small", onclick: () => this.select(id) }, label) : label, ...this.#frames(frames),
+      other < 0 ? null : el("button", { class: "push small", title: answers[other].title, onclick: () => this.answer(other), text: "another" }));
   }
 
   /** Where to look: buttons that lead to frames. */
