@@ -361,3 +361,20 @@ def test_frames_without_a_pose_are_left_alone(world):
 def test_nothing_to_look_at(world):
     empty = SemanticMap(Elements3D.from_ends([], [], [], []), world.map_frame)
     assert lint(empty, Labels(), world) == ()
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_what_is_no_geometry_is_still_looked_at(labelled):
+    """A pole without length, a sign in the camera, one camera alone: findings, no crash."""
+    given = town()
+    pole, sign = given.often_seen(POLE), given.often_seen(*SIGNS)
+    bottom = given.true.elements.end_m[given.row(pole)]
+    odd = changed(given.true, pole, anchor_m=bottom, covariance_m2=np.zeros((6, 6)))
+    odd = changed(odd, sign, anchor_m=given.true.trajectory_m[10])
+    labels = given.labels if labelled else Labels()
+    with np.errstate(all="raise", under="ignore"):
+        found = given.find(odd, labels)
+        given.find(replace(odd, trajectory_m=odd.trajectory_m[:1]), labels)
+        given.find(replace(odd, elements=odd.elements[~odd.elements.is_line], provenance=()))
+    rules = {(one.rule, one.element_ids[0]) for one in found if one.severity == "error"}
+    assert {("too short pole", pole), ("in the lane", sign)} <= rules

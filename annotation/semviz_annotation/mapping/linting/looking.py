@@ -90,8 +90,8 @@ def narrow_rays(case: Case) -> Iterator[Finding]:
         away = elements.anchor_m[row] - views.center_m[case.views_of(row)]
         if is_line[row]:  # only the angle across the line counts
             axis = elements.end_m[row] - elements.anchor_m[row]
-            away = away - np.outer(away @ axis, axis) / (axis @ axis)
-        away = away / np.linalg.norm(away, axis=1, keepdims=True)
+            away = away - np.outer(away @ axis, axis) / max(axis @ axis, 1e-12)
+        away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         angle = np.rad2deg(2.0 * np.arcsin(min(1.0, _widest(away) / 2.0)))
         if angle < NARROW_DEG:
             sigma = np.sqrt(np.linalg.eigvalsh(elements.covariance_m2[row, :3, :3])[-1])

@@ -54,7 +54,7 @@ def _lean_deg(elements: Elements3D) -> tuple[FloatArray, FloatArray]:
     """(n,) angle to the vertical, and its standard deviation; 0 for points."""
     axis = np.where(elements.is_line[:, None], elements.anchor_m - elements.end_m, [0.0, 0.0, 1.0])
     level = np.linalg.norm(axis[:, :2], axis=1)
-    length = np.linalg.norm(axis, axis=1)
+    length = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
     aside = np.where(level[:, None] > 0.0, axis[:, :2] / np.maximum(level, 1e-12)[:, None], [1, 0])
     down = np.concatenate([axis[:, 2:] * aside, -level[:, None]], axis=1) / length[:, None]
     J = np.concatenate([down, -down], axis=1) / length[:, None]  # of the angle, by both ends
