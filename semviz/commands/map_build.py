@@ -40,7 +40,7 @@ class MapBuild:
     pose_sigma_m: OptionalFloat = None
     """How far poses may be off from one pass to the next (0.05)."""
     refine_poses: bool = False
-    """Move the poses of the frames, too, by centimetres."""
+    """Move the poses, too, by about --pose-sigma-m (0.01)."""
     eps_m: OptionalFloat = None
     """Method paper: DBSCAN's radius (1.0)."""
     min_points: OptionalInt = None
@@ -87,5 +87,7 @@ class MapBuild:
         given = {name: value for name, value in mine.items() if value is not None}
         if self.method == "paper":
             return PaperOptions(sigma_px=self.sigma_px, **given)
-        given["refine"] = RefineOptions() if given.pop("refine_poses") else None
+        if given.pop("refine_poses"):
+            prior = {} if self.pose_sigma_m is None else {"pose_sigma_m": self.pose_sigma_m}
+            given["refine"] = RefineOptions(**prior)
         return BuildOptions(sigma_px=self.sigma_px, **given)

@@ -1,0 +1,377 @@
+"""How good maps of simulated streets are: linked labels beside the paper's way.
+
+    OMP_NUM_THREADS=1 python bench/mapping.py [--seeds 1 2 3]
+    OMP_NUM_THREADS=1 python bench/mapping.py --big
+
+Streets have seeds from 1000 on; nothing was tuned on these. --big: time and memory of a long drive.
+
+Columns. complete: share of the things that the labels would fix to 0.3 m, if it were known what is
+what, which the map has within 1 m. twice: elements too many, over all things. merged: elements of
+two things, each with a fifth of the observations; in brackets, of two that one image shows. false:
+elements that are mostly nothing. error: RMS of the position; bound: over that of an efficient
+estimator that knows what is what, and the true noise.
+"""
+
+import argparse
+import resource
+import subprocess
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.paper import PaperOptions
+from semviz_annotation.mapping.refine import RefineOptions
+from semviz_annotation.mapping.residuals import residuals
+from semviz_annotation.mapping.sightings import gather
+from semviz_annotation.street_labels import (
+    Detect,
+    DrivenTwice,
+    StreetLabels,
+    careful,
+    label_street,
+    with_mistakes,
+)
+from semviz_annotation.view import rig_view
+from semviz_core.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.classes import POLE
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.frame import Frame
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz_core.sources.source import Side, Source
+from semviz_core.sources.street.detector import Detection, SimulatedDetector
+from semviz_core.sources.street.layout import StreetOptions
+from semviz_core.sources.street.street import Street
+
+Way: TypeAlias = BuildOptions | PaperOptions
+FIXED_M, FOUND_M, SHARE = 0.3, 1.0, 0.2
+EPS_M = (0.25, 0.5, 1.0, 2.0, 4.0)
+NEAR_M, FAR_M = 6.0, 40.0
+"""Between which a long drive shows things."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of labelling."""
+
+    name: str
+    detect: Callable[[Street, int], Detect]
+    sigma_px: float
+    """What map building is told."""
+    min_frames: int
+    shift_px: float | None = None
+    """By how much a pole is off as a whole; None where its ends are off by themselves."""
+
+
+CASES = (
+    Case("careful clicks, 0.5 px", lambda street, seed: careful(street, 0.5, seed), 0.5, 1),
+    Case("detector, low noise", lambda s, k: SimulatedDetector(s, "low", k).detect, 1.3, 2, 1.0),
+    Case(
+        "detector, paper's noise", lambda s, k: SimulatedDetector(s, "paper", k).detect, 3.0, 2, 1.5
+    ),
+)
+
+
+@dataclass
+class Score:
+    """Sums over streets."""
+
+    possible: int = 0
+    found: int = 0
+    things: int = 0
+    twice: int = 0
+    merged: int = 0
+    together: int = 0
+    """Merged, of things that one image shows."""
+    false: int = 0
+    squared_m2: float = 0.0
+    bound_m2: float = 0.0
+
+    def add(self, other: "Score") -> None:
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
+
+    def __str__(self) -> str:
+        complete = self.found / self.possible
+        ratio = np.sqrt(self.squared_m2 / self.bound_m2) if self.bound_m2 else np.nan
+        rms = np.sqrt(self.squared_m2 / max(self.found, 1))
+        return (
+            f"{complete:9.1%} {self.twice:6d} {self.merged:6d} ({self.together:3d}) "
+            f"{self.false:6d} {rms:8.3f} m {ratio:8.2f}"
+        )
+
+
+HEAD = f"{'':36}{'complete':>9} {'twice':>6} {'merged':>12} {'false':>6} {'error':>10} {'bound':>8}"
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Knows the truth of one street's labels."""
+
+    street: Street
+    given: StreetLabels
+    bounds: dict[int, float]
+    """m2, of what can be found, by id"""
+    together: set[frozenset[int]]
+
+    @classmethod
+    def of(
+        cls, street: Street, given: StreetLabels, source: Source, shift_px: float | None
+    ) -> "Judge":
+        bounds = dict(_bounds(street, given, source, shift_px))
+        return cls(street, given, bounds, _together(given))
+
+    def score(self, built: SemanticMap) -> Score:
+        result = Score(possible=len(self.bounds))
+        best: dict[int, float] = {}
+        count: Counter[int] = Counter()
+        for row, one in enumerate(built.provenance):
+            things = Counter(self.given.truth[name].element_id for name in one.observation_ids)
+            thing, most = things.most_common(1)[0]
+            enough = [
+                t for t, n in things.items() if t >= 0 and n >= max(2, SHARE * things.total())
+            ]
+            result.merged += len(enough) > 1
+            result.together += len(enough) > 1 and frozenset(enough[:2]) in self.together
+            if thing < 0 or most <= things.total() / 2:
+                result.false += 1
+                continue
+            count[thing] += 1
+            error = self._error_m(built.elements, row, thing)
+            best[thing] = min(error, best.get(thing, np.inf))
+        result.things = len(count)
+        result.twice = count.total() - len(count)
+        for thing, bound in self.bounds.items():
+            if best.get(thing, np.inf) <= FOUND_M:
+                result.found += 1
+                result.squared_m2 += best[thing] ** 2
+                result.bound_m2 += bound
+        return result
+
+    def _error_m(self, elements: Elements3D, row: int, thing: int) -> float:
+        """Of a sign's middle; of a pole on the ground plane, half-way up the true one."""
+        truth = self.street.truth_map.elements
+        true = int(np.searchsorted(truth.id, thing))
+        if truth.is_line[true] != elements.is_line[row]:
+            return float("inf")
+        anchor, end = elements.anchor_m[row], elements.end_m[row]
+        if not truth.is_line[true]:
+            return float(np.linalg.norm(anchor - truth.anchor_m[true]))
+        middle = (truth.anchor_m[true] + truth.end_m[true]) / 2.0
+        at = anchor + (end - anchor) * (middle[2] - anchor[2]) / (end[2] - anchor[2])
+        return float(np.linalg.norm((at - middle)[:2]))
+
+
+def _bounds(
+    street: Street, given: StreetLabels, source: Source, shift_px: float | None
+) -> Iterator[tuple[int, float]]:
+    """(id, m2) of what two or more frames show, and the labels fix well."""
+    gathered = gather(given.labels, source)
+    true = np.array([given.truth[one.id].element_id for one in gathered.observations])
+    sigma = np.array([given.truth[one.id].sigma_px for one in gathered.observations])
+    truth = street.truth_map.elements
+    thing = np.where(true >= 0, np.searchsorted(truth.id, true), -1)
+    sightings = gathered.sightings.regrouped(thing, len(truth))
+    at = residuals(gathered.views, sightings, truth.anchor_m, truth.end_m)
+    J = _whitened(at.J, sightings.is_line, *sigma[sightings.observation].T, shift_px)
+    information = sightings.per_thing(np.add, J.transpose(0, 2, 1) @ J)
+    frame = gathered.views.frame_index[sightings.view]
+    frames = np.bincount(
+        np.unique(np.stack([sightings.thing, frame]), axis=1)[0], minlength=len(truth)
+    )
+    for row in np.flatnonzero(frames >= 2):
+        if truth.is_line[row]:
+            covariance = np.linalg.pinv(information[row], hermitian=True)
+            middle = covariance.reshape(2, 3, 2, 3).sum(axis=(0, 2))[:2, :2] / 4.0
+        else:
+            middle = np.linalg.pinv(information[row, :3, :3], hermitian=True)
+        if np.linalg.eigvalsh(middle)[-1] <= FIXED_M**2 and sightings.seen[row] >= 4:
+            yield int(truth.id[row]), float(np.trace(middle))
+
+
+def _whitened(
+    J: FloatArray,
+    is_line: BoolArray,
+    across_px: FloatArray,
+    along_px: FloatArray,
+    shift_px: float | None,
+) -> FloatArray:
+    """J (k, 4, 6) by errors that are independent, each in multiples of its sigma.
+
+    A detector shifts and turns a pole: its ends are then off together, and against each other.
+    """
+    shift = across_px / np.sqrt(2.0) if shift_px is None else np.full(len(J), shift_px)
+    turn = np.sqrt(across_px**2 - shift**2, where=is_line, out=np.ones(len(J)))
+    one, other = J[:, 0], J[:, 1]
+    poles = np.stack(
+        [
+            (one + other) / (2.0 * shift[:, None]),
+            (one - other) / (2.0 * turn[:, None]),
+            J[:, 2] / along_px[:, None],
+            J[:, 3] / along_px[:, None],
+        ],
+        axis=1,
+    )
+    return np.where(is_line[:, None, None], poles, J / across_px[:, None, None])
+
+
+def _together(given: StreetLabels) -> set[frozenset[int]]:
+    """Pairs of things that one image shows."""
+    images = defaultdict(set)
+    for row in given.labels.observations.values():
+        images[row.frame_index, row.side].add(given.truth[row.id].element_id)
+    return {frozenset((a, b)) for seen in images.values() for a in seen for b in seen if a != b}
+
+
+def compare(seeds: Sequence[int]) -> None:
+    """Linked beside DBSCAN, for each way of labelling; no identity over frames."""
+    for case in CASES:
+        ways: dict[str, Way] = {"linked": BuildOptions(case.sigma_px, min_frames=case.min_frames)}
+        for eps_m in EPS_M:
+            paper = PaperOptions(eps_m, case.min_frames, case.sigma_px)
+            ways[f"paper, eps {eps_m} m"] = paper
+        tables(f"{case.name}, each frame by itself", case, seeds, ways)
+
+
+def identity(seeds: Sequence[int]) -> None:
+    """People know who is who for twelve frames; then also with four mistakes a street."""
+    case = CASES[0]
+    ways: dict[str, Way] = {
+        "linked": BuildOptions(case.sigma_px),
+        "paper, eps 0.5 m": PaperOptions(0.5, 1, case.sigma_px),
+    }
+    tables(f"{case.name}, identity for 12 frames", case, seeds, ways, memory=12)
+    what = f"{case.name}, identity for 12 frames, 4 mistakes a street"
+    tables(what, case, seeds, ways, memory=12, mistakes=4)
+
+
+def two_passes(seeds: Sequence[int]) -> None:
+    """The same street twice, the second time with poses that drift."""
+    case = CASES[0]
+    for drift_m in (0.1, 0.3):
+        poses = RefineOptions(pose_sigma_m=drift_m)
+        ways: dict[str, Way] = {
+            "linked, pose sigma 0.05 m": BuildOptions(case.sigma_px),
+            "linked, pose sigma 0.2 m": BuildOptions(case.sigma_px, pose_sigma_m=0.2),
+            "the same, poses refined": BuildOptions(case.sigma_px, pose_sigma_m=0.2, refine=poses),
+            "paper, eps 0.5 m": PaperOptions(0.5, 1, case.sigma_px),
+        }
+        what = f"{case.name}, each frame by itself, poses of a second pass off by {drift_m} m"
+        tables(what, case, seeds, ways, drift_m=drift_m)
+
+
+def tables(
+    what: str,
+    case: Case,
+    seeds: Sequence[int],
+    ways: dict[str, Way],
+    memory: int = 1,
+    mistakes: int = 0,
+    drift_m: float = 0.0,
+) -> None:
+    """One table, a line for each way to build maps."""
+    print(f"\n{what}: {len(seeds)} streets of 60 frames\n{HEAD}")
+    scores = {name: Score() for name in ways}
+    for seed in seeds:
+        street = Street(seed)
+        source: Source = street
+        see, frames = case.detect(street, seed), range(60)
+        if drift_m:
+            twice = DrivenTwice(street, drift_m, seed)
+            source, frames = twice, range(120)
+            see = twice.seen_by(see, case.detect(street, seed + 10_000))
+        given = label_street(see, frames, memory)
+        judge = Judge.of(street, given, source, case.shift_px)
+        if mistakes:
+            given, _ = with_mistakes(given, mistakes, seed)
+        for name, way in ways.items():
+            scores[name].add(judge.score(build_map(given.labels, source, way)[0]))
+    for name, score in scores.items():
+        print(f"{name:<36}{score}", flush=True)
+
+
+# -- a long drive
+
+
+def big(frames: int) -> None:
+    """In processes of their own, so that memory is that of the build."""
+    for memory, what in ((1, "each frame by itself"), (frames, "identity given")):
+        code = f"import mapping; mapping.build_long({frames}, {memory}, {what!r})"
+        folder = Path(__file__).parent
+        subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+
+
+def build_long(frames: int, memory: int, what: str) -> None:
+    road = Road(frames)
+    labels = label_street(road.see, range(frames), memory).labels
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    start = time.perf_counter()
+    built, _ = build_map(labels, road, BuildOptions(0.5))
+    seconds = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(
+        f"{frames} frames, {len(labels.observations)} observations, {what}: {len(built)} elements "
+        f"of {len(road.things)} things in {seconds:.1f} s, {peak:.2f} GB (labels alone "
+        f"{before:.2f} GB)",
+        flush=True,
+    )
+
+
+class Road:
+    """A straight road, endless if wanted, with ten things in each image and nothing that hides
+    them; a ``Source``."""
+
+    def __init__(self, frames: int) -> None:
+        rng = np.random.default_rng(0)
+        self.map_frame = MapFrame("road")
+        self.rig = Street(0, StreetOptions(frames=1)).rig
+        ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        self.frames = tuple(
+            Frame(i, 0.1 * i, Pose(ahead, np.array([float(i), 0.0, 1.65]))) for i in range(frames)
+        )
+        x = np.arange(NEAR_M, frames + FAR_M, (FAR_M - NEAR_M) / 10.0)
+        n = len(x)
+        y = rng.choice([-1.0, 1.0], n) * rng.uniform(3.5, 8.0, n)
+        self.things = np.column_stack([x + rng.uniform(-1.0, 1.0, n), y, rng.uniform(2.2, 4.5, n)])
+        self.class_id = rng.choice(4, n, p=[0.6, 0.1, 0.2, 0.1])
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        raise NotImplementedError
+
+    def see(self, index: int, side: Side) -> Detection:
+        """Clicks 0.5 px off."""
+        rng = np.random.default_rng([index, side == "right"])
+        first, last = np.searchsorted(self.things[:, 0], (index + NEAR_M, index + FAR_M))
+        ids = np.arange(first, last)
+        pose = self.frames[index].T_map_camera
+        assert pose is not None
+        view = rig_view(self.rig, side, pose.inverse())
+        tops = self.things[ids]
+        anchor = view.project(tops) + rng.normal(0.0, 0.5, (len(ids), 2))
+        end = view.project(tops * [1.0, 1.0, 0.0]) + rng.normal(0.0, 0.5, (len(ids), 2))
+        end[self.class_id[ids] != POLE] = np.nan
+        return Detection(Elements2D.from_ends(anchor, end, self.class_id[ids], 0.5), ids)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1000, 1020)))
+    parser.add_argument("--big", type=int, nargs="?", const=10_000, metavar="FRAMES")
+    options = parser.parse_args()
+    if options.big:
+        big(options.big)
+        return
+    compare(options.seeds)
+    identity(options.seeds)
+    two_passes(options.seeds[:6])
+
+
+if __name__ == "__main__":
+    main()
