@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from semviz_core.errors import SemvizError
 from semviz_core.evaluation.bound import bound_covariance
 from semviz_core.evaluation.problems import CAMERA, Problem
 from semviz_core.localizability.conditions import Conditions
+from semviz_core.localizability.effects import suggest
 from semviz_core.localizability.outlook import LOST_M, Outlook, look_out
 from semviz_core.localizability.predict import Localizability, predict
 from semviz_core.localizability.route import UP, candidates_beside, poses_along, thinned
 from semviz_core.localizability.sight import detect, look
 from semviz_core.localizability.trial import try_out
+from semviz_core.localization import Localization
+from semviz_core.localize import Localizer
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame, SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
@@ -136,13 +140,19 @@ def test_a_suggested_element_helps_where_it_is_said(
     first = predicted.suggested[0]
     assert BARE_M[0] - 5.0 < first.element.anchor_m[0, 0] < BARE_M[1] + 30.0
     new = predicted.suggested
-    assert len({int(one.element.id[0]) for one in new}) == len(new) == 3
     grown = reduce(joined, (one.element for one in new), street.elements)
     again = predict(mapped(grown), CAMERA, predicted.T_map_camera, replace(CONDITIONS, seed=9))
     said = sum(one.total_m2 for one in new)
     got = float(((again.expected_m - predicted.expected_m) * np.gradient(predicted.along_m)).sum())
     assert said < -5.0
     assert got == pytest.approx(said, rel=0.25)
+
+
+def test_no_place_is_suggested_twice(street: SemanticMap, predicted: Localizability) -> None:
+    best = replace(predicted.suggested[0].element, id=[10_000])
+    found = outlooks(street)
+    along_m = np.arange(len(found)) * 12.0
+    assert len(suggest(found, along_m, best, CAMERA, CONDITIONS, 3)) == 1
 
 
 def test_the_critical_element_is_the_one_that_hurts_most(
@@ -198,6 +208,26 @@ def test_a_row_of_equal_poles_is_ambiguous() -> None:
     assert sum(alike) == pytest.approx(1.0)
     assert alike.ambiguous > 0.7
     assert told_apart.ambiguous < 0.4
+
+
+def test_a_sure_answer_far_off_counts_as_ambiguous(
+    street: SemanticMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pose, conditions = poses_along(TRACK_M)[2], replace(CONDITIONS, trials=8)
+    localize = Localizer.localize
+
+    def elsewhere(self: Localizer, *request: Any) -> Localization:
+        found = localize(self, *request)
+        if found.T_camera_map is None:
+            return found
+        off = Pose(np.eye(3), np.array([0.0, 0.0, 1.5 * LOST_M]))
+        return replace(found, T_camera_map=off @ found.T_camera_map)
+
+    true = try_out(street, CAMERA, pose, conditions, 0)
+    monkeypatch.setattr(Localizer, "localize", elsewhere)
+    wrong = try_out(street, CAMERA, pose, conditions, 0)
+    assert true.ok > 0.2
+    assert wrong == (0.0, pytest.approx(true.ambiguous + true.ok), true.cannot)
 
 
 def test_made_up_frames_have_the_noise_that_they_state(street: SemanticMap) -> None:
