@@ -81,6 +81,24 @@ def along(world: Drive, row: int) -> float:
     return low
 
 
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.integers(0, 7), st.floats(0.2, 0.9))
+def test_a_hidden_bottom_tells_of_the_line_and_not_of_its_end(seed, row, share):
+    """Against the same places without that sighting: more is known of all but where it ends."""
+    world = drive(4, things=1, seed=seed)
+    one = world.sightings
+    cut = one.anchor_px[row] + share * (one.end_px[row] - one.anchor_px[row])
+    hidden = changed(one, row, end_px=cut, end_known=False)
+    others = place(world.views, one.where(np.arange(len(one)) != row))
+    placed = place(world.views, hidden)
+    assert np.allclose(places(placed), places(others), atol=1e-7)
+    gained = np.linalg.inv(placed.covariance_m2[0]) - np.linalg.inv(others.covariance_m2[0])
+    largest = np.abs(gained).max()
+    assert np.linalg.eigvalsh(gained).min() > -1e-6 * largest
+    along = np.concatenate([np.zeros(3), (world.end_m - world.anchor_m)[0]])
+    assert np.abs(gained @ along / np.linalg.norm(along)).max() < 1e-6 * largest
+
+
 def test_a_stray_sighting_does_not_make_a_pole_longer():
     """Nobody sees the bottom; one click beside the pole ends far below all others."""
     world = drive(5, things=1, seed=3, hidden=1.0)

@@ -43,7 +43,8 @@ class Placed:
     """(n,) number of unknowns that they tell: 3 of a point, 4 of a line and 1 for each known end.
     ``rows - parameters`` are the degrees of freedom."""
     chi2_of: FloatArray
-    """(k,) share of each sighting in ``chi2``; NaN for those of things without a place."""
+    """(k,) share of each sighting in ``chi2``: infinite where the thing is behind the camera, NaN
+    where it has no place."""
 
     @property
     def ok(self) -> BoolArray:
