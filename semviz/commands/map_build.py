@@ -1,7 +1,7 @@
 """semviz map build"""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -88,6 +88,7 @@ class MapBuild:
         if self.method == "paper":
             return PaperOptions(sigma_px=self.sigma_px, **given)
         if given.pop("refine_poses"):
-            prior = {} if self.pose_sigma_m is None else {"pose_sigma_m": self.pose_sigma_m}
-            given["refine"] = RefineOptions(**prior)
+            prior = RefineOptions()
+            sigma_m = given.get("pose_sigma_m", prior.pose_sigma_m)
+            given["refine"] = replace(prior, pose_sigma_m=sigma_m)
         return BuildOptions(sigma_px=self.sigma_px, **given)
