@@ -151,6 +151,20 @@ def test_maps_without_labels_are_looked_over(town, capsys):
     assert (status, "nothing was measured" in err) == (1, True)
 
 
+def test_a_map_of_signs_alone_is_a_map(town, capsys):
+    semantic_map = town.read_map("main")
+    signs = ~semantic_map.elements.is_line
+    provenance = tuple(
+        one for one, keep in zip(semantic_map.provenance, signs, strict=True) if keep
+    )
+    put(town, "signs", replace(
+        semantic_map, elements=semantic_map.elements[signs], provenance=provenance))  # fmt: skip
+    status, out, _ = run(capsys, "check", town.path, "--map", "signs", "--gate")
+    assert status == 0
+    assert out.splitlines()[1].split()[2] == "-"
+    assert "sign without post" not in out
+
+
 def test_diff_of_names_and_files(town, labels, capsys, tmp_path):
     before = town.read_map("main")
     gone = without(before, some_pole(before))
