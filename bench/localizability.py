@@ -242,7 +242,7 @@ def halves(values: FloatArray) -> float:
 def draw(drawn: dict[str, tuple[Localizability, Real]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from semviz.benchmark.plots import COLORS
+    from semviz.plot_style import COLORS
 
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     for axis, noise in zip(figure.subplots(1, 2), ("low", "paper"), strict=True):

@@ -128,7 +128,7 @@ def check_plot_path(path: Path) -> None:
 
 def draw(predicted: Localizability, path: Path) -> None:
     """Accuracy, elements found and ambiguity along the route, as a PNG file."""
-    from semviz.benchmark.plots import COLORS
+    from semviz.plot_style import COLORS
 
     try:
         from matplotlib.figure import Figure

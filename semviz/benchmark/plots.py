@@ -2,23 +2,25 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from semviz.plot_style import (
+    COLORS,
+    add_grid,
+    add_legend,
+    line_style,
+    new_figure,
+    plain_numbers,
+)
 from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
 from semviz_core.evaluation.outcomes import Outcome
 from semviz_core.evaluation.tables import ALL, STRATA, Row
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-"""Told apart by colour-blind people too (Okabe and Ito 2008); line styles differ as well."""
-STYLES = ("-", "--", "-.", ":")
 MARKERS = {"ok": ("o", COLORS[0]), "ambiguous": ("x", COLORS[1])}
 FARTHEST_M = 100.0
 """A pose that is further off is only wrong; how far says nothing and would squeeze the others."""
@@ -55,18 +57,18 @@ def draw(outcomes: Iterable[Outcome], rows: Sequence[Row], folder: Path) -> None
 
 def cumulative(title: str, groups: Groups) -> "Figure":
     """Share of ALL frames below an error: a curve that ends below 100 % left some unanswered."""
-    figure = _figure(10.0, 4.2, title)
+    figure = new_figure(10.0, 4.2, title)
     for axis, (label, error, limits) in zip(figure.subplots(1, 2), ERRORS, strict=True):
         for number, (method, group) in enumerate(groups.items()):
             found = np.sort(_finite(map(error, group)))
             share = np.arange(1, len(found) + 1) / len(group) * 100.0
-            axis.plot(found, share, label=method, **_line(number))
+            axis.plot(found, share, label=method, **line_style(number))
         axis.axvline(1.0, color="0.6", linewidth=0.8, zorder=0)
         axis.set(xscale="log", xlim=limits, xlabel=label)
         axis.set(ylim=(0.0, 101.0), ylabel="frames below (%)")
-        _plain(axis.xaxis)
-        _grid(axis)
-    _legend(figure)
+        plain_numbers(axis.xaxis)
+        add_grid(axis)
+    add_legend(figure)
     return figure
 
 
@@ -74,7 +76,7 @@ def against_bound(title: str, groups: Groups) -> "Figure":
     """RTE of each frame over the median error of its Cramer-Rao bound; 100 m stands for more."""
     columns = max(min(len(groups), 3), 1)
     rows = max(-(-len(groups) // columns), 1)
-    figure = _figure(3.4 * columns + 0.6, 3.2 * rows + 0.8, title)
+    figure = new_figure(3.4 * columns + 0.6, 3.2 * rows + 0.8, title)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     bounds = _finite(one.facts.bound_m for group in groups.values() for one in group)
     both = [bounds.min(initial=1.0), bounds.max(initial=1.0)]
@@ -98,8 +100,8 @@ def against_bound(title: str, groups: Groups) -> "Figure":
         axis.set(xscale="log", yscale="log")
         axis.tick_params(labelbottom=True)
         axis.set_title(method, fontsize="medium")
-        _plain(axis.xaxis, axis.yaxis)
-        _grid(axis)
+        plain_numbers(axis.xaxis, axis.yaxis)
+        add_grid(axis)
     for axis in axes[len(groups) :]:
         axis.remove()
     figure.supxlabel("median error of an efficient estimator on the frame (m)", fontsize="medium")
@@ -110,19 +112,21 @@ def against_bound(title: str, groups: Groups) -> "Figure":
 
 def against_recall(title: str, groups: Groups) -> "Figure":
     """Median errors by recall of the image, as in the paper; with quartiles if methods are few."""
-    figure = _figure(10.0, 4.2, title)
+    figure = new_figure(10.0, 4.2, title)
     edges = np.linspace(0.0, 1.0, 11)
     for axis, (label, error, _) in zip(figure.subplots(1, 2), ERRORS, strict=True):
         for number, (method, group) in enumerate(groups.items()):
             middle, quartiles = _by_recall(group, error, edges)
             if not len(middle):
                 continue
-            line = axis.plot(middle, quartiles[:, 1], marker="o", label=method, **_line(number))
+            line = axis.plot(
+                middle, quartiles[:, 1], marker="o", label=method, **line_style(number)
+            )
             if len(groups) > MOST_BANDS:
                 continue
             color = line[0].get_color()
             axis.fill_between(middle, quartiles[:, 0], quartiles[:, 2], color=color, alpha=0.10)
-            axis.plot(middle, quartiles[:, [0, 2]], **{**_line(number), "linewidth": 0.7})
+            axis.plot(middle, quartiles[:, [0, 2]], **{**line_style(number), "linewidth": 0.7})
         axis.set(
             xlim=(0.0, 100.0),
             xlabel="visible mapped elements that were detected (%)",
@@ -130,13 +134,13 @@ def against_recall(title: str, groups: Groups) -> "Figure":
         )
         if axis.lines:
             axis.set_yscale("log")
-            _plain(axis.yaxis)
+            plain_numbers(axis.yaxis)
         else:
             few = f"fewer than {LEAST_IN_BIN} frames at every recall"
             axis.text(50.0, 0.5, few, ha="center", color="0.4")
             axis.set_yticks([])
-        _grid(axis)
-    _legend(figure)
+        add_grid(axis)
+    add_legend(figure)
     return figure
 
 
@@ -147,7 +151,7 @@ def times(title: str, rows: Sequence[Row]) -> "Figure":
         for row in rows
         for stage, time in [*row.stages_ms.items(), ("", row.time_ms)]
     ]
-    figure = _figure(8.0, 0.26 * len(bars) + 1.4, title)
+    figure = new_figure(8.0, 0.26 * len(bars) + 1.4, title)
     axis = figure.subplots()
     for place, (_, stage, time) in enumerate(bars):
         if time.median is None or time.p95 is None:
@@ -157,10 +161,10 @@ def times(title: str, rows: Sequence[Row]) -> "Figure":
         axis.plot([time.median, time.p95], [place, place], color="0.2", linewidth=1.0)
         axis.plot(time.p95, place, "|", color="0.2", markersize=9)
     axis.set(xscale="log", xlabel="time (ms): bar to the median, tick at the 95th percentile")
-    _plain(axis.xaxis)
+    plain_numbers(axis.xaxis)
     axis.set_yticks(range(len(bars)), [name for name, _, _ in bars])
     axis.invert_yaxis()
-    _grid(axis)
+    add_grid(axis)
     return figure
 
 
@@ -190,45 +194,6 @@ def _by_recall(
     middle = np.array([recall[bins == number].mean() * 100.0 for number in kept])
     quartiles = [np.percentile(errors[bins == number], [25.0, 50.0, 75.0]) for number in kept]
     return middle, np.array(quartiles, dtype=np.float64).reshape(-1, 3)
-
-
-def _figure(width: float, height: float, title: str) -> "Figure":
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SemvizError("plots need matplotlib: install it, or say --no-plots") from None
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.suptitle(title, fontsize="medium")
-    return figure
-
-
-def _legend(figure: "Figure") -> None:
-    """One for all axes, below them."""
-    handles, labels = figure.axes[0].get_legend_handles_labels() if figure.axes else ([], [])
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-
-
-def _grid(axis: "Axes") -> None:
-    axis.grid(color="0.88", linewidth=0.7)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right"]].set_visible(False)
-
-
-def _plain(*axes: "Axis") -> None:
-    """0.1, 1, 10 on a logarithmic axis, and 2 and 5 between where it is short."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in axes:
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 200.0 * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-
-
-def _line(number: int) -> dict[str, Any]:
-    color, style = COLORS[number % len(COLORS)], STYLES[number % len(STYLES)]  # 7 x 4 differ
-    return {"color": color, "linestyle": style, "linewidth": 1.8}
 
 
 def _finite(values: Iterable[float | None]) -> FloatArray:

@@ -1,43 +1,17 @@
 """The tables of a benchmark: aligned text, Markdown, JSON."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from semviz.tables import Table, figure, percent
 from semviz_core.evaluation.tables import ALL, Row
 from semviz_core.files import replacing
 
 Columns = tuple[tuple[str, Callable[[Row], str]], ...]
 """Headers, and what stands under them in a row."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells under a header, below a title."""
-
-    title: str
-    header: tuple[str, ...]
-    cells: tuple[tuple[str, ...], ...]
-    words: int
-    """How many columns from the left hold words; the others hold numbers."""
-
-    def as_text(self) -> str:
-        widths = [max(map(len, column)) for column in zip(self.header, *self.cells, strict=True)]
-        header, *lines = (self._line(cells, widths) for cells in (self.header, *self.cells))
-        return "\n".join([self.title, header, "-" * len(header), *lines])
-
-    def as_markdown(self) -> str:
-        sides = [":--" if column < self.words else "--:" for column in range(len(self.header))]
-        lines = (" | ".join(cells) for cells in (self.header, sides, *self.cells))
-        return "\n".join([f"## {self.title}", "", *(f"| {line} |" for line in lines)])
-
-    def _line(self, cells: Sequence[str], widths: list[int]) -> str:
-        return "  ".join(
-            cell.ljust(width) if column < self.words else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
 
 
 @dataclass(frozen=True)
@@ -107,19 +81,6 @@ def _times_table(title: str, group: list[Row]) -> Table:
     return Table(title, ("method", "stage", "median", "p95"), tuple(cells), words=2)
 
 
-def _figure(value: float | None) -> str:
-    """In five characters."""
-    if value is None:
-        return "-"
-    if value >= 99999.5:
-        return f"{value:.0e}"
-    return f"{value:.{max(4 - len(str(int(value))), 0)}f}"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1%}"
-
-
 def _milliseconds(row: Row, value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}" + ("" if row.timed_alone else "*")
 
@@ -131,26 +92,26 @@ _WHO: Columns = (
 )
 _ERRORS: Columns = (
     *_WHO,
-    ("RTE", lambda row: _figure(row.accuracy.rte_m.mean)),
-    ("Q1", lambda row: _figure(row.accuracy.rte_m.q1)),
-    ("Q2", lambda row: _figure(row.accuracy.rte_m.q2)),
-    ("Q3", lambda row: _figure(row.accuracy.rte_m.q3)),
-    ("<1 m", lambda row: _percent(row.accuracy.share_below_1m)),
-    ("RRE", lambda row: _figure(row.accuracy.rre_deg.mean)),
-    ("Q1", lambda row: _figure(row.accuracy.rre_deg.q1)),
-    ("Q2", lambda row: _figure(row.accuracy.rre_deg.q2)),
-    ("Q3", lambda row: _figure(row.accuracy.rre_deg.q3)),
-    ("<1 deg", lambda row: _percent(row.accuracy.share_below_1deg)),
-    ("/bound", lambda row: _figure(row.bound_ratio_median)),
+    ("RTE", lambda row: figure(row.accuracy.rte_m.mean)),
+    ("Q1", lambda row: figure(row.accuracy.rte_m.q1)),
+    ("Q2", lambda row: figure(row.accuracy.rte_m.q2)),
+    ("Q3", lambda row: figure(row.accuracy.rte_m.q3)),
+    ("<1 m", lambda row: percent(row.accuracy.share_below_1m)),
+    ("RRE", lambda row: figure(row.accuracy.rre_deg.mean)),
+    ("Q1", lambda row: figure(row.accuracy.rre_deg.q1)),
+    ("Q2", lambda row: figure(row.accuracy.rre_deg.q2)),
+    ("Q3", lambda row: figure(row.accuracy.rre_deg.q3)),
+    ("<1 deg", lambda row: percent(row.accuracy.share_below_1deg)),
+    ("/bound", lambda row: figure(row.bound_ratio_median)),
 )
 _TRUST: Columns = (
     *_WHO,
-    ("ok", lambda row: _percent(row.coverage)),
-    ("ambig.", lambda row: _percent(row.ambiguous)),
-    ("cannot", lambda row: _percent(row.cannot)),
-    ("sure+wrong", lambda row: _percent(row.confident_wrong)),
-    ("ok >1 m", lambda row: _percent(row.ok_above_1m)),
-    ("NEES", lambda row: _figure(row.nees_mean)),
-    ("both <1", lambda row: _percent(row.success)),
-    ("RMS/bound", lambda row: _figure(row.rms_over_bound)),
+    ("ok", lambda row: percent(row.coverage)),
+    ("ambig.", lambda row: percent(row.ambiguous)),
+    ("cannot", lambda row: percent(row.cannot)),
+    ("sure+wrong", lambda row: percent(row.confident_wrong)),
+    ("ok >1 m", lambda row: percent(row.ok_above_1m)),
+    ("NEES", lambda row: figure(row.nees_mean)),
+    ("both <1", lambda row: percent(row.success)),
+    ("RMS/bound", lambda row: figure(row.rms_over_bound)),
 )
