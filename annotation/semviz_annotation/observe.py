@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.labelled import MapRows
+from semviz_annotation.mapping.labelled import map_rows
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements2D
 from semviz_core.semantic_map import SemanticMap
@@ -48,7 +48,7 @@ def _map_ids(rows: Sequence[Observation], semantic_map: SemanticMap | None) -> I
     """(m,) of the map elements that observations belong to."""
     if semantic_map is None:
         return np.full(len(rows), UNKNOWN)
-    of_map = MapRows.of(semantic_map)
+    of_map = map_rows(semantic_map)
     places = [of_map.row(row) for row in rows]
     ids = [UNKNOWN if place < 0 else semantic_map.elements.id[place] for place in places]
     return np.array(ids, dtype=np.int64)

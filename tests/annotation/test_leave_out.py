@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.labels import Labels, Observation, new_id
 from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.leave_out import delete_each, leave_one_out
@@ -187,6 +187,10 @@ def test_parts_of_one_label_element_are_told_apart(world):
     assert mapping_accuracy(split, mixed, world).classes["pole"].lateral_rmse_px < 1.0
     assert [3 in observe(mixed, frame, "left", split)[1] for frame in (0, 3)] == [True, False]
     assert [4 in observe(mixed, frame, "left", split)[1] for frame in (0, 3)] == [False, True]
+    joins = replace(split, provenance=(Provenance((joined,), provenance[0].observation_ids),
+                                       Provenance((new_id(),), provenance[1].observation_ids),
+                                       *built.provenance[2:]))  # fmt: skip
+    assert leave_one_out(joins, mixed, world) == found  # a part that went to another element
     unknown = replace(split, provenance=(Provenance((joined,)), Provenance((joined,)),
                                          *built.provenance[2:]))  # fmt: skip
     assert 4 not in {one.element_id for one in leave_one_out(unknown, mixed, world)}

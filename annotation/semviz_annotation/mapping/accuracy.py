@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.labelled import MapRows, check_frame
+from semviz_annotation.mapping.labelled import check_frame, map_rows
 from semviz_annotation.triangulate import across_px
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
@@ -126,7 +126,7 @@ def mapping_accuracy(
     if not semantic_map.provenance:
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
     elements = semantic_map.elements
-    rows = MapRows.of(semantic_map)
+    rows = map_rows(semantic_map)
     errors: dict[int, list[_Errors]] = {one.id: [] for one in semantic_map.classes}
     unmapped = 0
     for view, observation in _observations(labels, source, frames):

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -29,34 +30,28 @@ class MapRows:
     """Which row of a map labels belong to."""
 
     of_label: dict[str, int]
-    """By id of label elements; of those that were split, the main part."""
-    of_part: dict[tuple[str, str], int]
-    """Of label elements that were split, by their id and that of the observation."""
-
-    @classmethod
-    def of(cls, semantic_map: SemanticMap) -> "MapRows":
-        """None of a map without provenance."""
-        provenance = semantic_map.provenance
-        rows = np.argsort(semantic_map.elements.id)[: len(provenance)].tolist()
-        of_label: dict[str, int] = {}
-        split: set[str] = set()
-        for row in rows:
-            for label_id in provenance[row].label_ids:
-                if of_label.setdefault(label_id, row) != row:
-                    split.add(label_id)
-        of_part = {
-            (label_id, observation_id): row
-            for row in rows
-            for label_id in split.intersection(provenance[row].label_ids)
-            for observation_id in provenance[row].observation_ids
-        }
-        return cls(of_label, of_part)
+    """By id of label elements; of those in several rows, the one with the smallest id."""
+    of_observation: dict[str, int]
+    """By id of the observations that the map was made from."""
 
     def row(self, one: Observation) -> int:
-        """That of its label element, of the part that was made from it if there are several; -1
-        where the map has none."""
+        """That of what was made from ``one``, as its label element may have been split, or else
+        that of its label element; -1 where the map does not know that."""
         main = self.of_label.get(one.element_id, -1)
-        return self.of_part.get((one.element_id, one.id), main)
+        return main if main < 0 else self.of_observation.get(one.id, main)
+
+
+@lru_cache(maxsize=4)
+def map_rows(semantic_map: SemanticMap) -> MapRows:
+    """Of a map with provenance; cached, since frame by frame is asked for it."""
+    provenance = semantic_map.provenance
+    of_label: dict[str, int] = {}
+    of_observation: dict[str, int] = {}
+    for row in np.argsort(semantic_map.elements.id)[: len(provenance)].tolist():
+        for label_id in provenance[row].label_ids:
+            of_label.setdefault(label_id, row)
+        of_observation.update(dict.fromkeys(provenance[row].observation_ids, row))
+    return MapRows(of_label, of_observation)
 
 
 def check_frame(semantic_map: SemanticMap, source: Source) -> None:
@@ -80,7 +75,7 @@ def labelled(
     where the map is of another frame.
     """
     check_frame(semantic_map, source)
-    rows = MapRows.of(semantic_map)
+    rows = map_rows(semantic_map)
     views = Counter(
         row.element_id
         for index in labels.frames

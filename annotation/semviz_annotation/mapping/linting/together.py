@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_annotation.mapping.labelled import MapRows
+from semviz_annotation.mapping.labelled import map_rows
 from semviz_annotation.mapping.linting.case import Case
 from semviz_annotation.mapping.linting.finding import Finding, Severity
 from semviz_annotation.mapping.stand import stand_covariance_m2, stand_m
@@ -134,7 +134,7 @@ def _seen_together(case: Case, pair: _Pair) -> bool:
 def _kept_apart(case: Case) -> dict[tuple[int, int], Decision]:
     """What was decided about pairs of rows (ascending) when the map was built."""
     semantic_map = case.semantic_map
-    row_of = MapRows.of(semantic_map).of_label
+    row_of = map_rows(semantic_map).of_label
     apart: dict[tuple[int, int], Decision] = {}
     for one in semantic_map.decisions:
         if one.kind == "apart":
