@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from semviz.commands.annotate import Annotate
 from semviz.commands.benchmark import Benchmark
+from semviz.commands.compare import Compare
 from semviz.commands.evaluate import Evaluate
 from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
@@ -51,6 +52,7 @@ Command = (
     | MapCommands
     | Annotated[Localize, subcommand("localize")]
     | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Compare, subcommand("compare")]
     | Annotated[OpenRun, subcommand("open")]
     | Annotated[Trajectory, subcommand("trajectory")]
     | LabelCommands

@@ -1,0 +1,1 @@
+"""Two runs of one drive compared, and gates on the outcome."""
