@@ -7,7 +7,6 @@ stand side by side in the image only the one at the right depth suits both.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from semviz_annotation.assist.pole import Axis, across, shifted, support
 from semviz_annotation.assist.profile import refine
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
+from semviz_annotation.assist.together import Choice, chosen
 from semviz_annotation.triangulate import Triangulated
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
@@ -37,12 +37,8 @@ _REACH_PX = 24.0
 """Nothing is looked for further away from where it is expected."""
 _NEAR_PX = 1.0
 _LEAN_PX = 0.4
-_TRIED = 6
-"""Places in each image that are tried with those in the other."""
 _WHOLE = 0.07
 """An end that is not compared, but for this share of the pole, is one of which nothing is known."""
-_OTHER_PX = 2.5
-"""A place so far away is another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +90,6 @@ class _Search:
     """(n, m) places, px along the axes from the expected one."""
     total: FloatArray
     """(n,) likeness."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """The place that was chosen in one image."""
-
-    off: FloatArray
-    total: float
-    margin: float
-    """By how much the best of the other places is worse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +166,7 @@ def _together(searches: Sequence[_Search], spread: FloatArray) -> list[Followed]
     if not searches:
         return []
     information = np.asarray(np.linalg.inv(spread), dtype=np.float64)
-    choices = _chosen(searches, information)
+    choices = chosen([one.offs for one in searches], [one.total for one in searches], information)
     is_line = len(searches[0].axes) == 1
     settled = [
         (_settled_pole if is_line else _settled_sign)(search, choice)
@@ -194,44 +180,6 @@ def _together(searches: Sequence[_Search], spread: FloatArray) -> list[Followed]
         evidence = [*one.evidence, min([choices[k].total, *beside]), pull]
         result.append(Followed(one.mark, np.array(evidence)))
     return result
-
-
-def _chosen(searches: Sequence[_Search], information: FloatArray) -> list[_Choice]:
-    """The places, one in each image, that are like the element and suit one another best."""
-    m = len(searches[0].axes)
-    peaks = [
-        _peaks(one, information[m * k : m * k + m, m * k : m * k + m])
-        for k, one in enumerate(searches)
-    ]
-    tried = list(product(*peaks))
-    totals = np.empty(len(tried))
-    for n, places in enumerate(tried):
-        off = np.concatenate([one.offs[at] for one, at in zip(searches, places, strict=True)])
-        alike = sum(one.total[at] for one, at in zip(searches, places, strict=True))
-        totals[n] = alike - 0.5 * off @ information @ off / 9.0
-    best = int(np.argmax(totals))
-    result = []
-    for k, one in enumerate(searches):
-        off = one.offs[tried[best][k]]
-        away = [np.linalg.norm(one.offs[places[k]] - off) > _OTHER_PX for places in tried]
-        rest = totals[away]
-        margin = float(np.clip(totals[best] - rest.max(), 0.0, 0.5)) if len(rest) else 0.5
-        result.append(_Choice(off, float(one.total[tried[best][k]]), margin))
-    return result
-
-
-def _peaks(search: _Search, information: FloatArray) -> list[int]:
-    """The likeliest places in one image, apart from one another."""
-    pull = np.einsum("ni,ij,nj->n", search.offs, information, search.offs)
-    total = search.total - 0.5 * pull / 9.0
-    found: list[int] = []
-    for at in np.argsort(-total, kind="stable"):
-        gaps = [np.abs(search.offs[at] - search.offs[one]).max() for one in found]
-        if min(gaps, default=np.inf) > 1.6:
-            found.append(int(at))
-        if len(found) == _TRIED:
-            break
-    return found
 
 
 # -- poles
@@ -268,7 +216,7 @@ def _sigma_px(expected: _Expected, direction: FloatArray) -> float:
     return float(np.sqrt(np.einsum("aiaj,i,j->", expected.spread_px2, direction, direction) / 2.0))
 
 
-def _settled_pole(search: _Search, choice: _Choice) -> _Settled:
+def _settled_pole(search: _Search, choice: Choice) -> _Settled:
     expected, there = search.expected, search.expected.sight.there
     normal, width, start = search.axes[0], float(search.size_px[0]), search.start_px
     along = np.array([-normal[1], normal[0]])
@@ -386,7 +334,7 @@ def _places(reach_px: float) -> FloatArray:
     return np.linspace(-reach, reach, 2 * int(np.ceil(reach / 1.5)) + 1)
 
 
-def _settled_sign(search: _Search, choice: _Choice) -> _Settled:
+def _settled_sign(search: _Search, choice: Choice) -> _Settled:
     expected, half = search.expected, search.size_px
     there = expected.sight.there
     begun = search.start_px[0] + choice.off @ search.axes

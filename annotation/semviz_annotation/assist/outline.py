@@ -180,10 +180,6 @@ def _further_out(shot: Shot, shape: str, inner: Outline) -> list[Outline]:
     return [_fitted(shot, shape, inner.middle_px + grown[:2], inner.half_px + grown[2:], 1.25)]
 
 
-FEATURES = ("one", "edges", "weakest side", "varied inside", "varied outside", "log size")
-WEIGHTS = np.array([0.0, 3.73, 4.1, -4.11, -1.0, 3.03])
-
-
 def _edges(
     shot: Shot, points: FloatArray, normals: FloatArray, search_px: float
 ) -> tuple[FloatArray, FloatArray]:
