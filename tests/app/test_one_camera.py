@@ -90,8 +90,7 @@ def test_labels_of_one_camera_become_a_map_in_which_it_is_localized(
     assert workspace.source.rig.right is None
     label(workspace, street)
 
-    assert "0 stereo pairs triangulated" in (said := semviz("map", "build", town))
-    assert "elements placed by motion" in said
+    semviz("map", "build", town)
     built = workspace.read_map("main").elements
     truth = street.truth_map.elements
     nearest = np.linalg.norm(built.anchor_m[:, None] - truth.anchor_m[None], axis=2).min(axis=1)

@@ -36,8 +36,8 @@ class BuildOptions:
     """Things whose rays are all nearer to parallel are left out: by stereo alone, with KITTI's
     baseline, from 62 m on, where 1 px is 10 m."""
     pose_sigma_m: float = 0.05
-    """How far poses may be off, in each direction, from one pass to the next; KITTI 02 shows as
-    much within one, 10 px at 4 m. For linking, and for telling misplaced labels."""
+    """How far poses may be off, in each direction, from one pass to the next. KITTI 02 shows about
+    as much within one: 1 px at 30 m. For linking, and for telling misplaced labels."""
     min_frames: int = 1
     """What fewer frames show is left out. People draw no noise; with a detector, 2 or 3."""
     refine: RefineOptions | None = None
