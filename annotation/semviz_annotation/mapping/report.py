@@ -8,7 +8,8 @@ from typing import Any
 from semviz_annotation.mapping.sightings import Gathered
 from semviz_core.semantic_map import Decision, SemanticMap
 
-_MOST_LINES = 20
+_MOST_LINES = 12
+_MOST_NAMES = 6
 
 
 @dataclass(frozen=True)
@@ -65,11 +66,15 @@ class BuildReport:
         for one in self.decisions:
             told[one.kind] += 1
             if told[one.kind] <= _MOST_LINES:
-                names = ", ".join(self.names[number] for number in one.numbers)
-                yield f"{_WORDS[one.kind]} {names}: {one.reason}"
+                yield f"{_WORDS[one.kind]} {self._names(one)}: {one.reason}"
         for kind, count in told.items():
             if count > _MOST_LINES:
                 yield f"{_WORDS[kind]} {count - _MOST_LINES} more"
+
+    def _names(self, one: Decision) -> str:
+        names = [self.names[number] for number in one.numbers]
+        more = len(names) - _MOST_NAMES
+        return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 _WORDS = {"merge": "merged", "apart": "kept apart", "split": "split", "leave out": "left out"}
