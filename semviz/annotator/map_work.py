@@ -30,6 +30,7 @@ class MapWork:
         self._path = workspace.map_path(MAIN)
         self._pool = ThreadPoolExecutor(1, "semviz-map")
         self._stamp: tuple[int, int] | None = None
+        self._closing = False
         self.built: Built | None = None
         """None where there is no map yet, or it has not been read."""
         self.failure = ""
@@ -55,7 +56,8 @@ class MapWork:
         self._pool.submit(self._work, self._build)
 
     def close(self) -> None:
-        """Waits for what is being done."""
+        """Stops what is being built; the map there is stays."""
+        self._closing = True
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _work(self, do: Callable[[], None]) -> None:
@@ -93,6 +95,8 @@ class MapWork:
             self.building = None
 
     def _note(self, what: str, done: int, of: int) -> None:
+        if self._closing:
+            raise SemvizError("stopped")
         self.building = f"{what}, {100 * done // max(of, 1)} %"
         self.version += 1
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,18 @@ def test_a_build_that_fails_says_why_and_leaves_the_map(tmp_path: Path) -> None:
     session.map_work.building = "linking, 50 %"
     with pytest.raises(SemvizError, match="being built already"):
         session.map_work.build()
+    session.close()
+
+
+def test_closing_stops_a_build_and_leaves_the_map(tmp_path: Path) -> None:
+    session = LabelSession(street(tmp_path / "street"), "tester")
+    session.map_work._pool.submit(time.sleep, 0.3)
+    session.map_work.build()
+    session.map_work._closing = True
+    session.map_work._pool.submit(lambda: None).result()
+    assert session.map_work.failure == "stopped"
+    assert session.map_work.building is None
+    assert not session.workspace.map_path(MAIN).exists()
     session.close()
 
 
