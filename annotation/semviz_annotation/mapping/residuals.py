@@ -23,7 +23,8 @@ class Residuals:
 
     error_px: FloatArray
     """(k, 4) thing minus sighting. Signs: u, v, nothing, nothing. Poles: across the projected line
-    (to its right where it runs downwards) at the observed anchor and end, along it at both."""
+    (to its right where it runs downwards) at the observed anchor and end; along the observed line
+    at both."""
     J: FloatArray
     """(k, 4, 6) px/m, by (anchor, end) in the map frame. An end that nobody saw is held where it is
     along the line: its rows along have no error, but a derivative."""
@@ -108,10 +109,11 @@ def _fill_lines(
     along = (end - anchor) / length
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)
     anchor_across, end_across = _dot(across, of_anchor), _dot(across, of_end)
-    anchor_along, end_along = _dot(along, of_anchor), _dot(along, of_end)
     seen_px = (sightings.anchor_px[rows], sightings.end_px[rows])
     known = (sightings.anchor_known, sightings.end_known)
-    places, moves = (anchor, end), (anchor_along, end_along)
+    places, by_place = (anchor, end), (of_anchor, of_end)
+    seen_along = seen_px[1] - seen_px[0]  # not along the thing: a stray line would turn it
+    seen_along /= np.maximum(np.linalg.norm(seen_along, axis=1, keepdims=True), 1e-9)
     for which in range(2):
         off = places[which] - seen_px[which]
         share = ((seen_px[which] - anchor) * along).sum(axis=1)[:, None] / length
@@ -122,13 +124,11 @@ def _fill_lines(
         result.counts[rows, which] = True
         seen_by_any = sightings.of(known[which])[things]
         counts = known[which][rows]
-        result.by_u[rows, 2 + which] = np.where(counts, along[:, 0], 0.0)
+        result.by_u[rows, 2 + which] = np.where(counts, seen_along[:, 0], 0.0)
         result.counts[rows, 2 + which] = counts
-        result.error_px[rows, 2 + which] = np.where(counts, (off * along).sum(axis=1), 0.0)
-        turn = np.where(counts, (off * across).sum(axis=1), 0.0)[:, None] / length
-        by_turn = turn * np.concatenate([-anchor_across, end_across], axis=1)
-        by_turn[:, 3 * which : 3 * which + 3] += moves[which]
-        result.J[rows, 2 + which] = np.where((counts | ~seen_by_any)[:, None], by_turn, 0.0)
+        result.error_px[rows, 2 + which] = np.where(counts, (off * seen_along).sum(axis=1), 0.0)
+        moves = np.where((counts | ~seen_by_any)[:, None], _dot(seen_along, by_place[which]), 0.0)
+        result.J[rows, 2 + which, 3 * which : 3 * which + 3] = moves
 
 
 def projected(
