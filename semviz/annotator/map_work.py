@@ -30,7 +30,7 @@ class MapWork:
         self._path = workspace.map_path(MAIN)
         self._pool = ThreadPoolExecutor(1, "semviz-map")
         self._stamp: tuple[int, int] | None = None
-        self._closing = False
+        self._stopping = False
         self.built: Built | None = None
         """None where there is no map yet, or it has not been read."""
         self.failure = ""
@@ -51,13 +51,17 @@ class MapWork:
         """Builds the map, soon; SemvizError where that is going on already."""
         if self.building is not None:
             raise SemvizError("the map is being built already")
-        self.building = "starting"
+        self.building, self._stopping = "starting", False
         self.version += 1
         self._pool.submit(self._work, self._build)
 
+    def stop(self) -> None:
+        """Gives up what is being built, soon; the map that is there stays."""
+        self._stopping = True
+
     def close(self) -> None:
-        """Stops what is being built; the map there is stays."""
-        self._closing = True
+        """Stops, and waits for the thread."""
+        self.stop()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _work(self, do: Callable[[], None]) -> None:
@@ -95,8 +99,8 @@ class MapWork:
             self.building = None
 
     def _note(self, what: str, done: int, of: int) -> None:
-        if self._closing:
-            raise SemvizError("stopped")
+        if self._stopping:
+            raise SemvizError("Stopped: the map is as it was.")
         self.building = f"{what}, {100 * done // max(of, 1)} %"
         self.version += 1
 

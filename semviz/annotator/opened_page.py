@@ -185,9 +185,12 @@ class OpenedPage:
         self._send({"type": "review", "card": card})
         self._redraw()
 
-    def _build(self, _: Message) -> None:
-        """Builds the map; all pages are told that it has begun, and of how it ends."""
+    def _build(self, message: Message) -> None:
+        """Builds the map, or stops that; all pages are told that it has begun, and how it ends."""
         with self._shared.lock:
+            if message.get("stop") is True:
+                self._session.map_work.stop()
+                return
             self._session.map_work.build()
             state = self._session.news()
             for page in self._shared.pages:

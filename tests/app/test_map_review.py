@@ -34,7 +34,7 @@ def killable(workspace: Workspace) -> Iterator[Killable]:
 def build(page: "Page", operation: int) -> None:
     """By the button, until the page knows the map of ``operation``."""
     page.click("#build")
-    known = f'#build:enabled[title$="up to operation {operation}"]'
+    known = f'#build[title$="up to operation {operation}"]'
     page.wait_for_selector(known, timeout=WAIT_MS)
 
 

@@ -180,15 +180,17 @@ def test_a_build_that_fails_says_why_and_leaves_the_map(tmp_path: Path) -> None:
     session.close()
 
 
-def test_closing_stops_a_build_and_leaves_the_map(tmp_path: Path) -> None:
+def test_a_build_that_is_stopped_leaves_the_map(tmp_path: Path) -> None:
     session = LabelSession(street(tmp_path / "street"), "tester")
     session.map_work._pool.submit(time.sleep, 0.3)
     session.map_work.build()
-    session.map_work._closing = True
+    session.map_work.stop()
     session.map_work._pool.submit(lambda: None).result()
-    assert session.map_work.failure == "stopped"
+    assert session.map_work.failure.startswith("Stopped")
     assert session.map_work.building is None
     assert not session.workspace.map_path(MAIN).exists()
+    noticed(session, session.map_work.build)
+    assert session.workspace.map_path(MAIN).exists()
     session.close()
 
 

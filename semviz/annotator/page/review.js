@@ -17,7 +17,7 @@ export function reviewCommands(review) {
   return [
     { key: "y", group, title: "Answer as the map has it", run: () => review.answer(0) },
     { key: "y", shift: true, group, title: "Answer the other way", run: () => review.answer(1) },
-    { key: "m", shift: true, group, title: "Build the map", run: () => review.build() },
+    { key: "m", shift: true, group, title: "Build the map; again: stop that", run: () => review.build() },
   ];
 }
 
@@ -52,8 +52,9 @@ export class Review {
     this.submit(answer.edit); // once it is saved, the next one is asked for
   }
 
+  /** Builds the map or, where that is going on, stops it. */
   build() {
-    this.send({ type: "build" });
+    this.send({ type: "build", stop: this.state.labels.map.building !== null });
   }
 
   /** Returns whether a card was open. */
@@ -110,11 +111,10 @@ export class Review {
   /** In the accent where the labels have changed since. */
   #showBuild(map) {
     const node = byId("build");
-    node.disabled = map.building !== null;
-    node.textContent = map.building === null ? "Build map" : `Building ${map.building.match(/\d+ %/)?.[0] ?? "…"}`;
+    node.textContent = map.building === null ? "Build map" : `Stop, ${map.building.match(/\d+ %/)?.[0] ?? "0 %"}`;
     node.classList.toggle("due", map.building === null && this.#isDue());
     const known = map.built === null ? "There is no map yet" : `The map knows the labels up to operation ${map.built}`;
-    node.title = map.building ?? known;
+    node.title = map.building === null ? known : `Building the map: ${map.building}`;
   }
 
   #card(review) {

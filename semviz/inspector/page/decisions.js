@@ -100,6 +100,7 @@ export class DecisionList {
       this.page.socket.send({ key, findings: true, ...message });
     } });
     const said = answers.map(({ name, title }) => button(title, { verb: "answer", name }));
+    if (!said.length && !undo) return "";
     return el("div", { class: "answers" }, ...said, undo ? button("Undo the answer", { verb: "undo" }) : null);
   }
 }
