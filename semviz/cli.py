@@ -23,6 +23,7 @@ from semviz.commands.map_import import MapImport
 from semviz.commands.map_localizability import MapLocalizability
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
+from semviz.commands.report import Report
 from semviz.commands.serve import Serve
 from semviz.commands.trajectory import Trajectory
 from semviz_core.errors import SemvizError
@@ -53,6 +54,7 @@ Command = (
     | Annotated[Localize, subcommand("localize")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Compare, subcommand("compare")]
+    | Annotated[Report, subcommand("report")]
     | Annotated[OpenRun, subcommand("open")]
     | Annotated[Trajectory, subcommand("trajectory")]
     | LabelCommands

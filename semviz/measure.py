@@ -1,4 +1,4 @@
-"""Runs in numbers: summaries, and one row a frame."""
+"""Runs in numbers: summaries, and one row a frame; and what they were made with."""
 
 import csv
 from collections.abc import Sequence
@@ -18,6 +18,19 @@ def summarize_run(run: Run) -> Summary:
         [one.localization for one in run.frames],
         [None if truth is None else truth.inverse() for truth in truths],
     )
+
+
+def settings_of(run: Run) -> dict[str, str]:
+    """What a run was made with, by name, in words."""
+    info = run.info
+    return {
+        "method": info.method,
+        "map": f"{info.map_name} ({run.semantic_map.digest[:12]})",
+        "observations": info.observations,
+        "seed": str(info.seed),
+        "semviz": info.version,
+        **{name: str(value) for name, value in info.options.items()},
+    }
 
 
 def frame_row(run: Run, record: FrameRecord) -> Row:

@@ -8,6 +8,7 @@ import numpy as np
 
 from semviz.comparing.metrics import Metrics, metrics_of
 from semviz.inspector.why import Errors, errors_of
+from semviz.measure import settings_of
 from semviz.recording.run import FrameRecord, Run
 from semviz_annotation.mapping.diff import MapDiff, diff_maps
 from semviz_core.errors import SemvizError
@@ -16,7 +17,7 @@ from semviz_core.localization import Status
 GOOD_BELOW_M = 1.0
 SAME_TRUTH_M = 1e-3
 """True poses that are further apart are worth a note."""
-OTHER_DRIVE_M = 5.0
+OTHER_DRIVE_M = 1.0
 """True poses of one frame that are, by the median, further apart are of two drives."""
 Change = Literal["fixed", "broken", "same"]
 
@@ -156,7 +157,7 @@ def _truth_notes(pairs: list[tuple[FrameRecord, FrameRecord]]) -> Iterator[str]:
     apart = [float(np.linalg.norm(a.translation - b.translation)) for a, b in known if a and b]
     if apart and np.median(apart) > OTHER_DRIVE_M:
         raise SemvizError(
-            f"true poses of the same frames are {np.median(apart):.0f} m apart (median): "
+            f"true poses of the same frames are {np.median(apart):.1f} m apart (median): "
             "the runs are of two drives"
         )
     if apart and max(apart) > SAME_TRUTH_M:
@@ -181,23 +182,11 @@ def _change(base: FrameRecord, other: FrameRecord) -> FrameChange:
 
 def _differences(base: Run, other: Run) -> Iterator[Difference]:
     """In what the runs were made with."""
-    settings = [_settings(run) for run in (base, other)]
+    settings = [settings_of(run) for run in (base, other)]
     for what in dict.fromkeys([*settings[0], *settings[1]]):
         values = [one.get(what, "-") for one in settings]
         if values[0] != values[1]:
             yield Difference(what, *values)
-
-
-def _settings(run: Run) -> dict[str, str]:
-    info = run.info
-    return {
-        "method": info.method,
-        "map": f"{info.map_name} ({run.semantic_map.digest[:12]})",
-        "observations": info.observations,
-        "seed": str(info.seed),
-        "semviz": info.version,
-        **{name: str(value) for name, value in info.options.items()},
-    }
 
 
 def _frame_as_dict(one: FrameChange) -> dict[str, Any]:

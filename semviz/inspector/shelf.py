@@ -16,7 +16,7 @@ class Shelf:
     def __init__(self, paths: Sequence[Path]) -> None:
         if not paths:
             raise SemvizError("no run to show; 'semviz localize' records one")
-        self._paths = dict(zip(_names(paths), paths, strict=True))
+        self._paths = dict(zip(run_names(paths), paths, strict=True))
         self._runs: dict[str, Run] = {}
         self._decisions: dict[str, Decisions] = {}
         self._forecasts: dict[str, Forecast] = {}
@@ -52,7 +52,7 @@ class Shelf:
             return self._forecasts.setdefault(name, Forecast(run))
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
+def run_names(paths: Sequence[Path]) -> list[str]:
     """File names without ending, with as many folders before them as tell them apart."""
     whole = [path.resolve().with_suffix("").parts for path in paths]
     names = [parts[-1] for parts in whole]

@@ -8,6 +8,8 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from semviz_core.arrays import FloatArray, IntArray
+from semviz_core.camera import Camera
+from semviz_core.elements import Elements3D
 from semviz_core.evaluation.answers import Answer
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Problem
@@ -92,7 +94,7 @@ def errors(answer: Answer, T_camera_map: Pose) -> tuple[float | None, float | No
 
 def facts_of(problem: Problem, covariance: FloatArray | None) -> Facts:
     """What is true of ``problem``, given its Cramer-Rao bound (6, 6)."""
-    visible = len(visible_rows(problem))
+    visible = len(visible_rows(problem.submap, problem.T_camera_map, problem.camera))
     return Facts(
         detections=len(problem.observed),
         true_matches=len(problem.pairs),
@@ -102,12 +104,10 @@ def facts_of(problem: Problem, covariance: FloatArray | None) -> Facts:
     )
 
 
-def visible_rows(problem: Problem) -> IntArray:
+def visible_rows(submap: Elements3D, T_camera_map: Pose, camera: Camera) -> IntArray:
     """Rows of the submap that a detector without faults would find: in range and in the image."""
-    submap, camera = problem.submap, problem.camera
     end_m = np.where(submap.is_line[:, None], submap.end_m, submap.anchor_m)
-    anchor_c = problem.T_camera_map.apply(submap.anchor_m)
-    end_c = problem.T_camera_map.apply(end_m)
+    anchor_c, end_c = T_camera_map.apply(submap.anchor_m), T_camera_map.apply(end_m)
     anchor_px, end_px = camera.project(anchor_c), camera.project(end_c)
     highest, lowest = np.minimum(anchor_px, end_px), np.maximum(anchor_px, end_px)
     inside = (highest[:, 0] >= 0.0) & (lowest[:, 0] < camera.width)

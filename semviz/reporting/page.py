@@ -1,0 +1,170 @@
+"""A report as one HTML file that asks nothing of any other machine, and runs no script."""
+
+import shlex
+from collections.abc import Sequence
+from importlib.resources import files
+from urllib.parse import urlencode
+
+from semviz.inspector.why import errors_of
+from semviz.palette import STATUS
+from semviz.plot_style import COLORS
+from semviz.recording.run import FrameRecord
+from semviz.reporting.facts import Reported
+from semviz.reporting.html import Html, element, table_element, void_element
+from semviz.reporting.pictures import picture
+from semviz.reporting.plots import as_svg, comparing_plots, over_the_drive
+from semviz.reporting.summary import notes, tables, worst_table
+from semviz.tables import Table
+
+INSPECTOR = "http://127.0.0.1:8080/"
+"""Where ``semviz serve`` listens unless told otherwise."""
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+DEFINITIONS = (
+    "RTE: distance of the camera centres. RRE: angle between the rotations. Means and quartiles "
+    "are of the frames with a pose and a true one; shares below 1 m and 1 deg, and sure and wrong "
+    "(ok, and more than 1 m off), of all frames with a true pose; other shares of all frames."
+)
+DARK_SERIES = ("#4BA3E3", "#F08A4B", "#35C79B", "#E39BC4", "#8ACBF2", "#F2B84B", "#E6E7E9")
+"""Of the same hues as the colours of plots on light ground."""
+
+
+def as_html(reported: Sequence[Reported], pictures: int) -> str:
+    """The page; with pictures of so many frames of each run."""
+    side_by_side = tables(reported)
+    title = f"semviz report: {', '.join(one.name for one in reported)}"
+    head = element(
+        "head",
+        void_element("meta", charset="utf-8"),
+        void_element("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        void_element("meta", name="viewport", content="width=device-width"),
+        element("title", title),
+        element("style", Html(_style())),
+    )
+    body = element(
+        "body",
+        _header(reported),
+        *(element("p", f"Note: {note}.", class_="note") for note in notes(reported)),
+        *map(_table_section, side_by_side[:2]),
+        element("p", DEFINITIONS, class_="dim"),
+        *_plots(reported),
+        *map(_table_section, side_by_side[2:-1]),
+        *(_run_section(one, pictures) for one in reported),
+        _table_section(side_by_side[-1]),
+    )
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _style() -> str:
+    """The page's style, with the colours of status and plots."""
+    light: dict[str, str] = {status: tone.light for status, tone in STATUS.items()}
+    dark: dict[str, str] = {status: tone.dark for status, tone in STATUS.items()}
+    light |= {f"series-{number}": color for number, color in enumerate(COLORS)}
+    dark |= {f"series-{number}": color for number, color in enumerate(DARK_SERIES)}
+    style = files("semviz.reporting").joinpath("page.css").read_text()
+    return (
+        f":root {{{_variables(light)}}}\n"
+        f"@media screen and (prefers-color-scheme: dark) {{ :root {{{_variables(dark)}}} }}\n"
+        f"{style}"
+    )
+
+
+def _variables(colors: dict[str, str]) -> str:
+    return " ".join(f"--{name}: {color};" for name, color in colors.items())
+
+
+def _header(reported: Sequence[Reported]) -> Html:
+    sequences = dict.fromkeys(one.run.semantic_map.frame.name for one in reported)
+    frames = sum(len(one.run.frames) for one in reported)
+    command = f"semviz serve {shlex.join(str(one.path) for one in reported)}"
+    return element(
+        "header",
+        element("h1", ", ".join(one.name for one in reported)),
+        element("p", f"{', '.join(sequences)}: {frames} frames in {_runs(reported)}."),
+        element(
+            "p",
+            "Numbers of frames are links: run ",
+            element("code", command),
+            " first, and they open there.",
+            class_="dim screen",
+        ),
+    )
+
+
+def _runs(reported: Sequence[Reported]) -> str:
+    return "1 run" if len(reported) == 1 else f"{len(reported)} runs"
+
+
+def _table_section(table: Table) -> Html:
+    return element("section", element("h2", table.title), table_element(table))
+
+
+def _plots(reported: Sequence[Reported]) -> list[Html]:
+    return [
+        _plot(caption, as_svg(figure, f"plot-{number}"))
+        for number, (caption, figure) in enumerate(comparing_plots(reported).items())
+    ]
+
+
+def _plot(caption: str, svg: str) -> Html:
+    drawn = element("div", Html(svg), class_="plot", role="img", aria_label=caption)
+    return element("figure", element("figcaption", caption), drawn)
+
+
+def _run_section(one: Reported, pictures: int) -> Html:
+    table = worst_table(one)
+    links = [_link(one, int(row[0])) for row in table.cells]
+    return element(
+        "section",
+        element("h2", f"Run {one.name}"),
+        _plot("Error and status over the drive", as_svg(over_the_drive(one), f"drive-{one.name}")),
+        element("h3", "Worst frames"),
+        table_element(table, links),
+        *_pictures(one, pictures),
+    )
+
+
+def _link(one: Reported, frame: int) -> Html:
+    address = f"{INSPECTOR}?{urlencode({'run': one.name, 'frame': frame})}"
+    return element("a", str(frame), href=address)
+
+
+def _pictures(one: Reported, count: int) -> list[Html]:
+    """The worst frame of each verdict, each with its story."""
+    rows = one.worst_of_each_verdict(count)
+    if not rows:
+        return []
+    return [
+        element("h3", "The worst frame of each verdict"),
+        element(
+            "p",
+            "Detections in the colours of their classes, named after what they were taken for; the "
+            "map under the estimate in orange, under the true pose in white.",
+            class_="dim",
+        ),
+        *(_pictured(one, row) for row in rows),
+    ]
+
+
+def _pictured(one: Reported, row: int) -> Html:
+    record, verdict = one.run.frames[row], one.verdicts[row]
+    alike = one.verdicts.count(verdict)
+    frames = "1 frame" if alike == 1 else f"{alike} frames"
+    about = f"Frame {record.frame.index} of {one.name}: {verdict}"
+    return element(
+        "figure",
+        element(
+            "figcaption",
+            element("b", verdict.capitalize()),
+            f", {frames}. The worst: frame ",
+            _link(one, record.frame.index),
+            f"{_off(record)}. {record.localization.reason}",
+        ),
+        picture(record, one.run.semantic_map.classes, about),
+    )
+
+
+def _off(record: FrameRecord) -> str:
+    errors = errors_of(record)
+    if errors is None:
+        return ""
+    return f", {errors.distance_m:.2f} m and {errors.angle_deg:.2f} deg off"

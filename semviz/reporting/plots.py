@@ -1,0 +1,201 @@
+"""The plots of a report, as SVG that follows the page's colours."""
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz.benchmark.plots import FARTHEST_M, against_recall, cumulative
+from semviz.palette import STATUS
+from semviz.plot_style import (
+    COLORS,
+    GRID,
+    add_grid,
+    add_legend,
+    line_style,
+    new_figure,
+    plain_numbers,
+)
+from semviz.reporting.facts import FAR_M, Reported
+from semviz_core.arrays import FloatArray
+from semviz_core.evaluation.metrics import STATUSES
+from semviz_core.evaluation.outcomes import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BINS = 20
+ROUND_LIMITS = (0.1, 0.2, 0.5, 1.0)
+"""Where histograms may end, m or deg."""
+SHARE_INSIDE = 0.95
+"""A histogram ends at the first round limit below which so many of the errors are."""
+BESIDE = (1.11, 1.28)
+"""Where histograms show larger errors, and frames without a pose: in parts of their length."""
+LEAST_M = 1e-3
+"""Smaller errors are drawn at the lower edge."""
+PLOT_WIDTH_PT = 640.0
+BAR_SHARE, WIDEST_BAR_PT = 0.7, 8.0
+"""How wide the bar of a frame is: of what it could have, and at most."""
+_THEMED = {
+    GRID: "var(--hairline)",
+    **{color: f"var(--series-{number})" for number, color in enumerate(COLORS)},
+    **{tone.light: f"var(--{status})" for status, tone in STATUS.items()},
+}
+"""Colours of the figures that the page gives in its own."""
+Error = Callable[[Outcome], float | None]
+ERRORS: tuple[tuple[str, Error], ...] = (
+    ("RTE (m)", lambda one: one.rte_m),
+    ("RRE (deg)", lambda one: one.rre_deg),
+)
+
+
+def comparing_plots(reported: Sequence[Reported]) -> dict[str, "Figure"]:
+    """Of all runs with errors together, by what they show; none without true poses."""
+    groups = {
+        one.name: one.outcomes
+        for one in reported
+        if any(outcome.rte_m is not None for outcome in one.outcomes)
+    }
+    if not groups:
+        return {}
+    plots = {
+        "How large errors are: share of all frames with a true pose": histograms(groups),
+        "Share of all frames below an error": cumulative("", groups),
+    }
+    if any(one.facts.recall is not None for group in groups.values() for one in group):
+        plots["Error against the share of what is in view that was detected"] = against_recall(
+            "", groups
+        )
+    return plots
+
+
+def histograms(groups: dict[str, list[Outcome]]) -> "Figure":
+    """As in the paper; at the right, set apart, what is larger, and frames without a pose."""
+    figure = new_figure(10.0, 3.6)
+    for axis, (label, error) in zip(figure.subplots(1, 2), ERRORS, strict=True):
+        errors = {name: _values(group, error) for name, group in groups.items()}
+        limit = _round_limit(np.concatenate(list(errors.values())))
+        for number, (name, values) in enumerate(errors.items()):
+            _draw_histogram(axis, values, limit, name, number)
+        axis.axvline(limit, color="0.6", linewidth=0.8)
+        ticks = np.linspace(0.0, limit, 6)
+        axis.set_xticks(
+            [*ticks, *(limit * np.array(BESIDE))],
+            [*(f"{tick:g}" for tick in ticks.round(3)), "more", "no pose"],
+        )
+        axis.set(xlabel=label, ylabel="frames (%)", xlim=(0.0, 1.38 * limit))
+        add_grid(axis)
+    add_legend(figure)
+    return figure
+
+
+def over_the_drive(one: Reported) -> "Figure":
+    """Above, where errors are known: RTE by status, with a mark on what is sure and wrong. Below:
+    the status of every frame."""
+    has_errors = any(outcome.rte_m is not None for outcome in one.outcomes)
+    figure = new_figure(10.0, 3.2 if has_errors else 1.2)
+    heights = (4.0, 1.0) if has_errors else (1.0,)
+    axes = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights).ravel()
+    numbers = [record.frame.index for record in one.run.frames]
+    width = min(BAR_SHARE * PLOT_WIDTH_PT / (numbers[-1] - numbers[0] + 1), WIDEST_BAR_PT)
+    if has_errors:
+        _draw_errors(axes[0], one.outcomes, width)
+    _draw_status(axes[-1], one, width)
+    axes[-1].set(xlim=(numbers[0] - 0.5, numbers[-1] + 0.5), xlabel="frame")
+    axes[-1].xaxis.get_major_locator().set_params(integer=True)
+    return figure
+
+
+def as_svg(figure: "Figure", name: str) -> str:
+    """One ``svg`` element, the same for the same figure; ``name`` tells its ids from others'."""
+    import matplotlib as mpl
+
+    written = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(written, format="svg", transparent=True, metadata=nothing)
+    svg = written.getvalue()
+    svg = svg[svg.index("<svg") :]
+    used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
+    svg = re.sub(r' id="([^"]+)"', lambda found: found[0] if found[1] in used else "", svg)
+    for color, themed in _THEMED.items():
+        svg = svg.replace(color.lower(), themed)
+    return svg
+
+
+def _values(group: list[Outcome], error: Error) -> FloatArray:
+    """(k,) errors of all frames; infinite for those without a pose."""
+    values = (error(one) for one in group)
+    return np.array([np.inf if value is None else value for value in values])
+
+
+def _round_limit(errors: FloatArray) -> float:
+    """Where a histogram of errors (k,) ends."""
+    found = errors[np.isfinite(errors)]
+    wanted = float(np.quantile(found, SHARE_INSIDE)) if len(found) else ROUND_LIMITS[-1]
+    return next((limit for limit in ROUND_LIMITS if limit >= wanted), ROUND_LIMITS[-1])
+
+
+def _draw_histogram(axis: "Axes", errors: FloatArray, limit: float, name: str, number: int) -> None:
+    edges = np.linspace(0.0, limit, BINS + 1)
+    inside = errors[errors < limit]
+    shares = np.histogram(inside, edges)[0] / len(errors) * 100.0
+    without = np.isinf(errors).mean() * 100.0
+    beside = (errors >= limit).mean() * 100.0 - without, without
+    style = line_style(number)
+    axis.stairs(shares, edges, fill=True, color=style["color"], alpha=0.15)
+    axis.stairs(shares, edges, label=name, **style)
+    for share, middle in zip(beside, BESIDE, strict=True):
+        axis.stairs([share], [(middle - 0.06) * limit, (middle + 0.06) * limit], **style)
+
+
+def _draw_errors(axis: "Axes", outcomes: Sequence[Outcome], width: float) -> None:
+    found = [one for one in outcomes if one.rte_m is not None]
+    for status in ("ok", "ambiguous"):
+        group = [one for one in found if one.status == status]
+        errors = np.clip([one.rte_m or 0.0 for one in group], LEAST_M, FARTHEST_M)
+        axis.vlines(
+            [one.frame for one in group],
+            LEAST_M,
+            errors,
+            color=STATUS[status].light,
+            linewidth=width,
+        )
+    wrong = [one for one in found if one.status == "ok" and (one.rte_m or 0.0) > FAR_M]
+    axis.plot(
+        [one.frame for one in wrong],
+        np.clip([one.rte_m or 0.0 for one in wrong], LEAST_M, FARTHEST_M),
+        "v",
+        color=STATUS["cannot"].light,
+        label="sure and wrong",
+    )
+    axis.axhline(FAR_M, color="0.6", linewidth=0.8)
+    highest = max(2.0, *(one.rte_m or 0.0 for one in found))
+    lowest = min(one.rte_m or LEAST_M for one in found)
+    axis.set(
+        yscale="log",
+        ylim=(max(lowest / 2.0, LEAST_M), min(2.0 * highest, 2.0 * FARTHEST_M)),
+        ylabel="RTE (m)",
+    )
+    plain_numbers(axis.yaxis)
+    add_grid(axis)
+
+
+def _draw_status(axis: "Axes", one: Reported, width: float) -> None:
+    """A row for each status, so that colour alone tells nothing."""
+    frames = one.run.frames
+    for row, status in enumerate(STATUSES):
+        numbers = [record.frame.index for record in frames if record.localization.status == status]
+        axis.vlines(
+            numbers,
+            row - 0.4,
+            row + 0.4,
+            color=STATUS[status].light,
+            linewidth=width,
+        )
+    axis.set_yticks(range(len(STATUSES)), STATUSES, fontsize="small")
+    axis.set_ylim(len(STATUSES) - 0.5, -0.5)
+    axis.spines[["top", "right"]].set_visible(False)
