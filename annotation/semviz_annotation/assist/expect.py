@@ -12,9 +12,8 @@ from semviz_core.arrays import FloatArray
 SIGMA_PX = 1.5
 """What slightly wrong poses add to an expected place."""
 _UPRIGHT_RAD = 0.02
-APART_PX = 0.4, 1.0
-"""What two images of one moment differ by beyond what both are off: poles are tried at places 1 px
-apart, signs at coarser ones."""
+_APART_PX = 0.4
+"""What calibrated cameras of one moment differ by, beyond what both are off."""
 
 
 def expected_px(element: Triangulated, view: View) -> FloatArray | None:
@@ -63,5 +62,5 @@ def spread_px2(element: Triangulated, views: Sequence[View], sigma_px: float) ->
     covariance = J @ element.covariance_m2[: 3 * size, : 3 * size] @ J.T
     alike = np.tile(np.eye(2), (len(views) * size, len(views) * size))
     own = np.kron(np.eye(len(views)), np.tile(np.eye(2), (size, size)))
-    covariance += sigma_px**2 * alike + APART_PX[0 if element.is_line else 1] ** 2 * own
+    covariance += sigma_px**2 * alike + _APART_PX**2 * own
     return covariance.reshape(len(views), size, 2, len(views), size, 2)

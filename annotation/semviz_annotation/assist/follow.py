@@ -1,7 +1,7 @@
 """Find a mapped element in other images: expected from its place, refined in the image.
 
-The images of one moment are searched together: what is off to the left of where it is expected
-in one of them is so in the other too, but for what the depth may be wrong. So of two poles that
+For poles the images of one moment are searched together: what is off to the left of where it is
+expected in one of them is so in the other too, but for what the depth may be wrong. So of two that
 stand side by side in the image only the one at the right depth suits both.
 """
 
@@ -127,24 +127,34 @@ def found_in(
 ) -> list[Followed | None]:
     """As ``follow``, not judged yet."""
     element = upright(element)
-    views = [one.there.view for one in sights]
-    pixels = [expected_px(element, view) for view in views]
-    spread = spread_px2(element, views, sigma_px)
+    spread = spread_px2(element, [one.there.view for one in sights], sigma_px)
+    searches = _searched(sights, element, element_class, spread)
+    found: dict[int, Followed] = {}
+    # poles stand side by side in an image; signs don't, and each is found better by itself
+    for group in [[*searches]] if element.is_line else [[k] for k in searches]:
+        found |= _together({k: searches[k] for k in group}, spread)
+    return [found.get(k) for k in range(len(sights))]
+
+
+def _searched(
+    sights: Sequence[Sight], element: Triangulated, element_class: ElementClass, spread: FloatArray
+) -> dict[int, _Search]:
+    """By sight, those that the element is in."""
     mark = Mark((0.0, 0.0), None, element.anchor_known, element.end_known)
     searches: dict[int, _Search] = {}
-    for k, (sight, ends) in enumerate(zip(sights, pixels, strict=True)):
-        if ends is not None:
-            expected = _Expected(sight, ends, spread[k, :, :, k], mark)
-            search = (
-                _search_pole(expected, element)
-                if element.is_line
-                else _search_sign(expected, element, element_class)
-            )
-            if search is not None:
-                searches[k] = search
-    found = _together([*searches.values()], _joint_px2(searches, spread))
-    by_place = dict(zip(searches, found, strict=True))
-    return [by_place.get(k) for k in range(len(sights))]
+    for k, sight in enumerate(sights):
+        ends = expected_px(element, sight.there.view)
+        if ends is None:
+            continue
+        expected = _Expected(sight, ends, spread[k, :, :, k], mark)
+        search = (
+            _search_pole(expected, element)
+            if element.is_line
+            else _search_sign(expected, element, element_class)
+        )
+        if search is not None:
+            searches[k] = search
+    return searches
 
 
 # -- the images of one moment together
@@ -159,13 +169,15 @@ def _joint_px2(searches: dict[int, _Search], spread: FloatArray) -> FloatArray:
         ]
         for k, one in searches.items()
     ]
-    return np.block(rows) if rows else np.zeros((0, 0))
+    return np.asarray(np.block(rows), dtype=np.float64)
 
 
-def _together(searches: Sequence[_Search], spread: FloatArray) -> list[Followed]:
-    if not searches:
-        return []
-    information = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+def _together(by_sight: dict[int, _Search], spread: FloatArray) -> dict[int, Followed]:
+    """Where an element is in images of one moment, by sight."""
+    if not by_sight:
+        return {}
+    searches = [*by_sight.values()]
+    information = np.asarray(np.linalg.inv(_joint_px2(by_sight, spread)), dtype=np.float64)
     choices = chosen([one.offs for one in searches], [one.total for one in searches], information)
     is_line = len(searches[0].axes) == 1
     settled = [
@@ -174,12 +186,11 @@ def _together(searches: Sequence[_Search], spread: FloatArray) -> list[Followed]
     ]
     off = np.concatenate([one.off for one in settled])
     pull = float(np.sqrt(off @ information @ off / len(off)))
-    result = []
-    for k, one in enumerate(settled):
-        beside = [choice.total for j, choice in enumerate(choices) if j != k]
-        evidence = [*one.evidence, min([choices[k].total, *beside]), pull]
-        result.append(Followed(one.mark, np.array(evidence)))
-    return result
+    worst = min(one.total for one in choices)
+    return {
+        k: Followed(one.mark, np.array([*one.evidence, worst, pull]))
+        for k, one in zip(by_sight, settled, strict=True)
+    }
 
 
 # -- poles
