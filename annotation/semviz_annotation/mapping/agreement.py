@@ -15,12 +15,12 @@ from semviz_annotation.mapping.residuals import residuals
 from semviz_annotation.mapping.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 
-_NOTHING_KNOWN = 1e-6
-"""Information (1/m2) in directions that the sightings do not tell: a sigma of a kilometre."""
 _UNEVEN = 0.5
 """Wrong poses move both ends of a pole alike, and each by this share of that by itself."""
-_DIGITS = 1e-12
-"""Of the largest information, what the smallest must be to be told from rounding."""
+_LEAST_M = 1e-4
+"""No place is known better."""
+_DIGITS = 1e-10
+"""Of the largest information; less than that is rounding."""
 
 
 class Agreement(NamedTuple):
@@ -94,20 +94,27 @@ def agreement(
     total = sightings.per_thing
     information = total(np.add, J.transpose(0, 2, 1) @ J)
     gradient = total(np.add, np.einsum("kri,kr->ki", J, error))
-    largest = np.einsum("pii->pi", information).max(axis=1)
-    nothing = _NOTHING_KNOWN + _DIGITS * largest
-    alone = np.linalg.inv(information + nothing[:, None, None] * np.eye(6))
     is_line = sightings.of(sightings.is_line)
-    moved = np.tile(np.eye(3), (2, 2)) + _UNEVEN**2 * np.eye(6)
-    other = places.covariance_m2 + pose_sigma_m**2 * moved
-    other[~is_line, 3:] = other[~is_line, :, 3:] = 0.0
-    off = np.einsum("pij,pj->pi", alone, gradient)
-    both = alone + other
-    chi2 = np.einsum("pi,pi->p", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
-    _, spread = np.linalg.slogdet(np.eye(6) + other @ information)
-    ahead = ~sightings.of(~at.ahead)
-    chi2 = np.where(ahead, chi2, np.inf)
+    root = _root(places, is_line, pose_sigma_m)
+    # in units of how well the place is known, so that nothing is singular
+    values, axes = np.linalg.eigh(root.transpose(0, 2, 1) @ information @ root)
+    pull = np.einsum("pia,pij,pj->pa", axes, root.transpose(0, 2, 1), gradient)
+    told = values > _DIGITS * np.maximum(values[:, -1:], 1.0)
+    safe = np.where(told, values, 1.0)
+    chi2 = np.where(told, pull**2 / (safe * (1.0 + safe)), 0.0).sum(axis=1)
+    spread = np.where(told, np.log1p(safe), 0.0).sum(axis=1)
+    chi2[sightings.of(~at.ahead)] = np.inf
     return Agreement(chi2, _freedom(compared, is_line), -0.5 * (chi2 + spread))
+
+
+def _root(places: Places, is_line: BoolArray, pose_sigma_m: float) -> FloatArray:
+    """(p, 6, 6) roots of the covariances of places, wrong poses included; of points' ends, 1."""
+    moved = np.tile(np.eye(3), (2, 2)) + _UNEVEN**2 * np.eye(6)
+    covariance = places.covariance_m2 + pose_sigma_m**2 * moved
+    covariance[~is_line, 3:] = covariance[~is_line, :, 3:] = 0.0
+    covariance[~is_line, 3:, 3:] = np.eye(3)
+    values, axes = np.linalg.eigh(covariance)  # of vague places, some are below 0 by rounding
+    return np.asarray(axes * np.sqrt(np.maximum(values, _LEAST_M**2))[:, None])
 
 
 def _freedom(sightings: Sightings, is_line: BoolArray) -> IntArray:
