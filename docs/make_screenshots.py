@@ -21,7 +21,10 @@ from semviz.inspector.server import Inspector
 from semviz.web.door import Door
 from semviz.workspace import Workspace
 from semviz_annotation.edits import AddObservation
+from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import new_id
+from semviz_annotation.storing.store import LabelStore
+from semviz_annotation.street_labels import careful, label_street
 from semviz_core.sources.source import Side
 
 IMAGES = Path(__file__).parent / "images"
@@ -88,6 +91,25 @@ def take_annotator(page: Page) -> None:
             page.goto("about:blank")
 
 
+def take_review(page: Page) -> None:
+    """A question of the last map, after labels that were begun anew every six frames."""
+    with tempfile.TemporaryDirectory() as folder:
+        workspace = Workspace.create_street(Path(folder) / "street", 7, range(10))
+        made = label_street(careful(workspace.street, 0.5, 1), range(10), memory=6).labels
+        edit = ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
+        with LabelStore.open(workspace.labels_path) as store:
+            store.apply(edit, "you")
+        with Door(Annotator(workspace, author="you")).running() as url:
+            page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
+            page.goto(url)
+            page.click("#build")
+            page.wait_for_selector('#build[title$="up to operation 1"]', timeout=120_000)
+            page.click('#jumps .row:has-text("Map decisions")')
+            page.wait_for_timeout(SETTLED_MS)
+            page.screenshot(path=IMAGES / "annotate-review.png")
+            page.goto("about:blank")
+
+
 def label(workspace: Workspace) -> None:
     """Most of what is visible in the first frames, as a careful annotator would have it."""
     elements: dict[int, str] = {}
@@ -125,6 +147,7 @@ def main() -> None:
         take_inspector(page)
         take_forecast(page)
         take_annotator(page)
+        take_review(page)
     for path in sorted(IMAGES.glob("*.png")):
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
