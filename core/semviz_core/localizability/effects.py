@@ -107,23 +107,33 @@ def _greatest(
     unique, which = np.unique(ids, return_inverse=True)
     total = np.bincount(which, change * step_m[position], minlength=len(unique))
     order = np.argsort(-np.abs(total), kind="stable")[:count]
-    before = np.array([one.expected_m for one in outlooks])
+    before_m = np.array([one.expected_m for one in outlooks])
     effects = []
     for at in order[np.abs(total[order]) >= LEAST_TOTAL_M2]:
-        mine = np.zeros(len(parts))
-        mine[position[which == at]] = change[which == at]
-        felt = _felt(np.abs(mine))
-        effects.append(
-            Effect(
-                elements[elements.id == unique[at]],
-                float(along_m[felt][0]),
-                float(along_m[felt][-1]),
-                float(before[felt].mean()),
-                float((before + mine)[felt].mean()),
-                float(total[at]),
-            )
-        )
+        change_m = np.zeros(len(parts))
+        change_m[position[which == at]] = change[which == at]
+        element = elements[elements.id == unique[at]]
+        effects.append(_effect(element, along_m, before_m, change_m, float(total[at])))
     return tuple(effects)
+
+
+def _effect(
+    element: Elements3D,
+    along_m: FloatArray,
+    before_m: FloatArray,
+    change_m: FloatArray,
+    total_m2: float,
+) -> Effect:
+    """Told over the stretch around its largest change (k,) in which it is felt."""
+    felt = _felt(np.abs(change_m))
+    return Effect(
+        element,
+        first_m=float(along_m[felt][0]),
+        last_m=float(along_m[felt][-1]),
+        before_m=float(before_m[felt].mean()),
+        after_m=float((before_m + change_m)[felt].mean()),
+        total_m2=total_m2,
+    )
 
 
 def _felt(change: FloatArray) -> slice:
