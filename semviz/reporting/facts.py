@@ -34,12 +34,12 @@ class Reported:
     @cached_property
     def verdicts(self) -> tuple[str, ...]:
         """On each frame."""
-        return tuple(verdict(one) for one in self.run.frames)
+        return tuple(verdict(self.run, one) for one in self.run.frames)
 
     @cached_property
     def outcomes(self) -> list[Outcome]:
         """Of the frames with a true pose, as plots of benchmarks take them."""
-        return [_outcome(self, one) for one in self.run.frames if one.frame.T_map_camera]
+        return [_outcome(self, one) for one in self.run.frames if one.frame.T_map_camera is not None]
 
     def worst(self, count: int) -> list[int]:
         """Positions of the ``count`` worst frames."""

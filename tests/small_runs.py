@@ -1,0 +1,89 @@
+"""Small runs through the simulated street, and ways to spoil them, for tests of what reads runs."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from semviz.recording.run import FrameRecord, Run, RunInfo
+from semviz.recording.writer import RunWriter
+from semviz_core.localize import Localizer
+from semviz_core.pose import Pose
+from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.sources.street.street import Street
+
+FRAMES = (10, 12, 14, 16, 18, 20)
+Spoil = Callable[[FrameRecord], FrameRecord]
+
+
+@lru_cache
+def small_run() -> Run:
+    """What is labelled in a few frames, localized in the true map; all ok, and without images."""
+    street = Street(7)
+    info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", street.rig, "street")
+    return Run(info, street.truth_map, tuple(_record(street, index) for index in FRAMES))
+
+
+def _record(street: Street, index: int) -> FrameRecord:
+    frame = street.frames[index]
+    observed, ids = street.labels(index, "left")
+    assert frame.T_map_camera is not None
+    prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
+    submap = street.truth_map.crop(prior.position_m, 50.0)
+    return FrameRecord(frame, Localizer().localize(observed, submap, street.rig.left, prior), ids)
+
+
+def spoiled(run: Run, by_frame: dict[int, Spoil]) -> Run:
+    """The run with some frames changed, by number."""
+    frames = (by_frame.get(one.frame.index, lambda same: same)(one) for one in run.frames)
+    return replace(run, frames=tuple(frames))
+
+
+def off_by(metres: float) -> Spoil:
+    """The answer is so far from the true pose, straight ahead."""
+
+    def spoil(record: FrameRecord) -> FrameRecord:
+        assert record.frame.T_map_camera is not None
+        ahead = Pose(np.eye(3), np.array([0.0, 0.0, metres]))
+        wrong = (record.frame.T_map_camera @ ahead).inverse()
+        return replace(record, localization=replace(record.localization, T_camera_map=wrong))
+
+    return spoil
+
+
+def ambiguous(record: FrameRecord) -> FrameRecord:
+    return replace(record, localization=replace(record.localization, status="ambiguous"))
+
+
+def unanswered(record: FrameRecord) -> FrameRecord:
+    failed = replace(
+        record.localization,
+        status="cannot",
+        reason="Nothing fits.",
+        T_camera_map=None,
+        covariance=None,
+        refinement=None,
+        alternatives=(),
+    )
+    return replace(record, localization=failed)
+
+
+def without_truth(run: Run) -> Run:
+    frames = (replace(one, frame=replace(one.frame, T_map_camera=None)) for one in run.frames)
+    return replace(run, frames=tuple(frames))
+
+
+def saved(run: Run, path: Path) -> Path:
+    """The run as a file; cut off before its end where it is not complete."""
+    writer = RunWriter(path, run.info, run.semantic_map)
+    try:
+        with writer:
+            for one in run.frames:
+                writer.write(one)
+            if not run.complete:
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        pass
+    return path
