@@ -1,0 +1,291 @@
+"""``semviz report``: one file, alone in the world, the same on a second call, and harmless."""
+
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_runs import FRAMES, off_by, saved, small_run, spoiled, unanswered, without_truth
+
+from semviz.cli import main
+from semviz.commands.serve import Serve
+from semviz.inspector.why import verdict
+from semviz.measure import summarize_run
+from semviz.recording.run import Run
+from semviz.reporting.facts import Reported, load_reported
+from semviz.reporting.html import element
+from semviz.reporting.page import INSPECTOR
+from semviz.reporting.pictures import picture
+from semviz.reporting.plots import histograms
+from semviz.reporting.summary import tables
+from semviz.tables import Table, figure, in_latex, in_markdown
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+Command = Callable[..., tuple[int, str, str]]
+TAKEN = "<script>document.title='taken'</script><img src=x onerror=document.title='taken'>"
+FAILED, WRONG = 14, 18
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Command:
+    """Exit status, output and error output of ``semviz report``."""
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["report", *(str(one) for one in arguments)])
+        output, errors = capsys.readouterr()
+        return int(ended.value.code or 0), output, errors
+
+    return run_command
+
+
+def pictured(run: Run) -> Run:
+    """With an image in every frame, large enough that one is made smaller."""
+    import cv2
+
+    camera = run.info.rig.left
+    image = np.full((camera.height, camera.width, 3), 90, np.uint8)
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    return replace(run, frames=tuple(replace(one, image=jpeg) for one in run.frames))
+
+
+def spoiled_run() -> Run:
+    """One frame without an answer, one that is sure and wrong."""
+    return pictured(spoiled(small_run(), {FAILED: unanswered, WRONG: off_by(2.0)}))
+
+
+def hostile_run() -> Run:
+    """Everything that people and files name is markup."""
+    run = spoiled_run()
+    info = replace(
+        run.info, map_name=TAKEN, workspace=TAKEN, observations=TAKEN, options={TAKEN: TAKEN}
+    )
+    frames = tuple(
+        replace(one, localization=replace(one.localization, reason=TAKEN)) for one in run.frames
+    )
+    return replace(run, info=info, frames=frames)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("runs")
+    return saved(small_run(), folder / "whole.rrd"), saved(spoiled_run(), folder / "spoiled.rrd")
+
+
+def test_a_second_call_gives_the_same_bytes(
+    command: Command, runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    once, again = tmp_path / "once.html", tmp_path / "again.html"
+    status, output, errors = command(*runs, "--out", once)
+    assert (status, errors) == (0, "")
+    assert output.startswith(f"{once}: ")
+    other = [sys.executable, "-m", "semviz.cli", "report", *map(str, runs), "--out", str(again)]
+    subprocess.run(other, check=True, capture_output=True, env=os.environ | {"PYTHONHASHSEED": "7"})
+    assert once.read_bytes() == again.read_bytes()
+    assert once.stat().st_size < 500_000
+
+
+def test_tables_hold_the_numbers_of_evaluate(runs: tuple[Path, Path]) -> None:
+    reported = load_reported(runs)
+    errors, trust, verdicts, changes, made_with = tables(reported)
+    for one, row in zip(reported, errors.cells, strict=True):
+        summary = summarize_run(one.run).accuracy
+        shown = [getattr(summary.rte_m, name) for name in ("mean", "q1", "q2", "q3")]
+        assert row[:6] == (one.name, str(len(FRAMES)), *map(figure, shown))
+        assert row[6] == f"{summary.share_below_1m:.1%}"
+    assert trust.cells[1][2:6] == ("83.3%", "0.0%", "16.7%", "16.7%")
+    counted = {name: (int(a), int(b)) for name, a, b in verdicts.cells}
+    for column, one in enumerate(reported):
+        want = Counter(verdict(one.run, record) for record in one.run.frames)
+        assert {name: count[column] for name, count in counted.items() if count[column]} == want
+    assert changes.cells == (("spoiled", "6", "0", "2", "4", "same"),)
+    assert ("method", "search", "search") in made_with.cells
+    assert ("map elements", *[str(len(small_run().semantic_map))] * 2) in made_with.cells
+
+
+def test_the_worst_frames_come_first_and_each_verdict_once(runs: tuple[Path, Path]) -> None:
+    (one,) = load_reported(runs[1:])
+    numbers = [one.run.frames[row].frame.index for row in one.worst(2)]
+    assert numbers == [WRONG, FAILED]
+    rows = one.worst_of_each_verdict(6)
+    assert sorted(one.verdicts[row] for row in rows) == sorted(set(one.verdicts))
+    assert len(one.worst_of_each_verdict(1)) == 1
+
+
+def test_histograms_hold_every_frame(runs: tuple[Path, Path]) -> None:
+    groups = {one.name: one.outcomes for one in load_reported(runs)}
+    for axis in histograms(groups).axes:
+        outlines = [one for one in axis.patches if not one.get_fill()]
+        total = sum(float(np.sum(one.get_data().values)) for one in outlines)
+        assert total == pytest.approx(100.0 * len(groups))
+
+
+def test_the_map_is_drawn_where_the_pose_has_it() -> None:
+    """Exact labels in a true map: under the truth every detection lies on its element."""
+    run = small_run()
+    record = run.frames[0]
+    drawn = picture(record, run.semantic_map.classes, "")
+    lines = re.findall(r'<path d="([^"]*)" stroke="(#\w+)"', drawn)
+    points = {color: re.findall(r"M(-?[\d.]+) (-?[\d.]+)", trace) for trace, color in lines}
+    white = np.array(points["#FFFFFF"], dtype=float)
+    pole = run.semantic_map.classes[0]
+    peaks = np.array(points[pole.color], dtype=float)[1::2]  # after their caps
+    observed, submap = record.localization.observed, record.localization.submap
+    whole = observed.anchor_known & np.isin(record.element_id, submap.id)
+    whole = whole[observed.class_id == pole.id]
+    assert len(peaks) == len(whole)
+    apart = np.linalg.norm(white[None] - peaks[whole, None], axis=2).min(axis=1)
+    assert len(apart) > 3
+    assert apart.max() < 0.3
+
+
+@pytest.mark.browser
+def test_the_page_asks_for_nothing_and_runs_nothing(
+    command: Command, page: "Page", tmp_path: Path
+) -> None:
+    path = saved(hostile_run(), tmp_path / "<script>document.title='taken'<!--.rrd")
+    out = tmp_path / "report.html"
+    assert command(path, "--out", out)[0] == 0
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.context.set_offline(True)
+    page.goto(out.as_uri())
+    page.wait_for_timeout(300)
+    assert [url for url in asked if not url.startswith("data:")] == [out.as_uri()]
+    assert page.title().startswith("semviz report: <script>")
+    assert page.locator("script, img, iframe, link, object").count() == 0
+    assert page.locator("h1").text_content() == "<script>document.title='taken'<!--"
+    assert TAKEN in (page.locator("body").text_content() or "")
+    links = [one.get_attribute("href") or "" for one in page.locator("a").all()]
+    assert links
+    assert all(link.startswith(f"{INSPECTOR}?run=") for link in links)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("size", [(1280, 720), (900, 720), (3840, 2160)])
+def test_nothing_overlaps_or_sticks_out(
+    command: Command, runs: tuple[Path, Path], page: "Page", tmp_path: Path, size: tuple[int, int]
+) -> None:
+    out = tmp_path / "report.html"
+    command(*runs, "--out", out)
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.goto(out.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    boxes = page.evaluate(
+        """() => [...document.querySelectorAll(
+          "header, body > p, h2, h3, section > p, .table, figcaption, .plot, .picture")]
+        .map((one) => one.getBoundingClientRect())
+        .map((box) => [box.top, box.bottom, box.left, box.right])"""
+    )
+    assert len(boxes) > 20
+    for above, below in pairwise(boxes):
+        assert above[1] <= below[0] + 0.5
+    assert all(box[2] >= 0 and box[3] <= size[0] for box in boxes)
+    out_of_plots = page.evaluate(
+        """() => [...document.querySelectorAll(".plot")].flatMap((plot) => {
+          const outer = plot.getBoundingClientRect();
+          return [...plot.querySelectorAll("text")].filter((one) => {
+            const box = one.getBoundingClientRect();
+            return box.left < outer.left - 1 || box.right > outer.right + 1
+              || box.top < outer.top - 1 || box.bottom > outer.bottom + 1;
+          }).map((one) => one.textContent);
+        })"""
+    )
+    assert out_of_plots == []
+
+
+@pytest.mark.browser
+def test_light_dark_and_paper(
+    command: Command, runs: tuple[Path, Path], page: "Page", tmp_path: Path
+) -> None:
+    out = tmp_path / "report.html"
+    command(*runs, "--out", out)
+    page.goto(out.as_uri())
+    text = 'getComputedStyle(document.querySelector(".plot text")).fill'
+    ground = "getComputedStyle(document.body).backgroundColor"
+    seen = {}
+    for media, scheme in (("screen", "light"), ("screen", "dark"), ("print", "dark")):
+        page.emulate_media(media=media, color_scheme=scheme)  # type: ignore[arg-type]
+        seen[media, scheme] = page.evaluate(ground), page.evaluate(text)
+    assert seen["screen", "light"] == ("rgb(255, 255, 255)", "rgb(29, 31, 34)")
+    assert seen["screen", "dark"] == ("rgb(27, 28, 30)", "rgb(230, 231, 233)")
+    assert seen["print", "dark"] == seen["screen", "light"]
+
+
+@pytest.mark.parametrize("ending", ["html", "md", "tex"])
+def test_runs_without_truth_images_or_end_are_reported(
+    command: Command, tmp_path: Path, ending: str
+) -> None:
+    cut = replace(without_truth(small_run()), complete=False)
+    path, out = saved(cut, tmp_path / "cut.rrd"), tmp_path / f"report.{ending}"
+    assert command(path, "--out", out)[0] == 0
+    text = out.read_text()
+    assert "Note: cut: This run was interrupted after frame 20; 6 frames are readable." in text
+    assert "Note: cut: no true poses, so errors are not known." in text
+    assert "nan" not in re.sub(r"base64,[^\"]*", "", text).lower()
+
+
+def test_markdown_and_latex_hold_the_same_tables(
+    command: Command, runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    markdown, latex = tmp_path / "r.md", tmp_path / "r.txt"
+    assert command(*runs, "--out", markdown)[0] == 0
+    assert command(*runs, "--out", latex, "--format", "latex")[0] == 0
+    count = len(tables(load_reported(runs))) + 2
+    assert markdown.read_text().count("\n## ") == count
+    assert latex.read_text().count(r"\begin{tabular}") == count
+    assert r"share\_below" not in latex.read_text()
+    assert r"17\%" not in latex.read_text()
+    assert r"16.7\%" in latex.read_text()
+
+
+@given(st.text(max_size=40))
+def test_no_text_becomes_markup(text: str) -> None:
+    assert not re.search(r"[<>]", element("p", text)[3:-4])
+    assert not re.search(r'["<>]', element("p", title=text)[10:-6])
+    assert not re.search(r"(?<!\\)[|<`*\[\n]", re.sub(r"\\\\", "", in_markdown(text)))
+    free = re.sub(r"\\[{}$&#%_]|\\text\w+\{\}", "", in_latex(text))
+    assert not re.search(r"[\\{}$&#%_~^\n]", free)
+    Table("t", ("a",), ((text,),), 1).as_markdown()
+
+
+def test_what_cannot_be_reported_is_refused_in_one_line(
+    command: Command, runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    empty = saved(replace(small_run(), frames=()), tmp_path / "empty.rrd")
+    for arguments, said in (
+        ((), "name at least one run"),
+        ((runs[0], "--out", tmp_path / "report.pdf"), "tells the format"),
+        ((runs[0], runs[0]), "a run is named twice"),
+        ((empty,), "no frame is in this run"),
+        ((tmp_path / "none.rrd",), "no such run"),
+        ((runs[0], "--out", tmp_path, "--format", "html"), "a folder or a device"),
+        ((runs[0], "--pictures", -1), "--pictures -1: give 0 or more"),
+    ):
+        status, output, errors = command(*arguments)
+        assert (status, output) == (2, "")
+        assert said in errors
+        assert errors.count("\n") == 1
+    assert not (tmp_path / "report.pdf").exists()
+
+
+def test_links_lead_to_where_serve_listens() -> None:
+    serve = Serve()
+    assert f"http://{serve.host}:{serve.port}/" == INSPECTOR
+
+
+def test_names_are_those_of_serve(runs: tuple[Path, Path]) -> None:
+    assert [one.name for one in load_reported(runs)] == ["whole", "spoiled"]
+    assert isinstance(load_reported(runs)[0], Reported)
