@@ -27,6 +27,7 @@ from semviz_annotation.street_labels import (
     label_street,
     with_mistakes,
 )
+from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision, SemanticMap
 from semviz_core.sources.street.detector import SimulatedDetector
 from semviz_core.sources.street.layout import StreetOptions
@@ -291,3 +292,30 @@ def test_the_test_of_one_place_keeps_its_level(world, number):
         result = agreement(views, mine.where(first), Places.of(others), 1.0, 0.0)
         ratios.append(result.chi2[0] / result.freedom[0])
     assert 0.75 < np.mean(ratios) < 1.25
+
+
+def test_nothing_is_left_where_people_leave_out_all(world):
+    labels = world.labels()
+    every = tuple(judged(one, "leave out") for one in sorted(labels.elements))
+    with pytest.raises(SemvizError, match="nothing can be placed; the first of all: a person said"):
+        build_map(labels.changed(Judge(every).changes(labels, Rules())), world)
+    some = every[:3]
+    built, _ = build_map(labels.changed(Judge(some).changes(labels, Rules())), world)
+    assert len(built) == 1
+    assert [one.by for one in built.decisions] == ["human"] * 3
+
+
+def test_what_one_image_shows_joins_what_it_is_and_is_nothing_by_itself(world):
+    labels = renamed(
+        world.labels(sigma_px=0.3),
+        lambda n, row: 50 + n if (row.frame_index, row.side) == (2, "left") and n in (4, 7) else n,
+    )
+    built, _ = build_map(labels, world)
+    assert [one.numbers for one in built.decisions] == [(4, 54), (7, 57)]
+    assert list(built.elements.id) == [3, 4, 7, 9]
+    alone = [row for row in labels.rows() if not isinstance(row, LabelElement)]
+    alone = [row for row in alone if labels.element(row.element_id).number not in (4, 7)]
+    rest = [labels.element(one) for one in sorted({row.element_id for row in alone})]
+    built, _ = build_map(Labels.from_rows([*rest, *alone]), world)
+    assert list(built.elements.id) == [3, 9]
+    assert {one.reason for one in built.decisions} == {"labelled in one image only"}

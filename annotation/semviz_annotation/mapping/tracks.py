@@ -73,8 +73,8 @@ def find_tracks(
     group, misfit = _without_strangers(views, nodes, linking, options)
     misfit &= ~judged.kept[sightings.thing]
     roots, thing = np.unique(group, return_inverse=True)
-    used = (nodes.of_sighting != LEFT_OUT) & ~(misfit & ~judged.kept[sightings.thing])
-    of_sighting = np.where(used, thing[nodes.of_sighting], LEFT_OUT)
+    of_sighting = np.append(thing, LEFT_OUT)[nodes.of_sighting]
+    of_sighting[misfit & ~judged.kept[sightings.thing]] = LEFT_OUT
     tracked = sightings.regrouped(of_sighting, len(roots))
     placed = place(views, tracked, options.place, _named("placing things", on_progress))
     # labels of several passes may agree no better than the poses do
@@ -142,7 +142,7 @@ def _without_strangers(
     misfits_of = np.bincount(nodes.of_sighting[misfit], minlength=len(nodes))
     stranger = 2 * misfits_of >= np.maximum(nodes.sightings.seen, 1)
     group = np.where(stranger, len(nodes) + np.arange(len(nodes)), linking.group)
-    misfit &= ~stranger[nodes.of_sighting]
+    misfit &= ~np.append(stranger, False)[nodes.of_sighting]
     return group, misfit
 
 
