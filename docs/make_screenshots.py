@@ -8,13 +8,14 @@ Needs Chromium and the test extra. Everything shown is simulated; no data set is
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
 from semviz.commands.map_localizability import MapLocalizability
+from semviz.commands.report import Report
 from semviz.demo import ensure_demo
 from semviz.demo_street import MAP, RUN
 from semviz.inspector.server import Inspector
@@ -27,7 +28,7 @@ from semviz_annotation.storing.store import LabelStore
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.sources.source import Side
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES = Path(__file__).resolve().parent / "images"
 CHROMIUM = [
     "--no-sandbox",
     "--use-angle=swiftshader",
@@ -69,6 +70,16 @@ def take_forecast(page: Page) -> None:
         page.wait_for_selector("#forecast-legend .scale", timeout=120_000)
         page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=IMAGES / "serve-forecast.png")
+        page.goto("about:blank")
+
+
+def take_report(page: Page) -> None:
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        shutil.copy(run, "demo.rrd")
+        Report((Path("demo.rrd"),)).run()
+        page.goto(Path("report.html").resolve().as_uri())
+        page.screenshot(path=IMAGES / "report.png")
         page.goto("about:blank")
 
 
@@ -146,6 +157,7 @@ def main() -> None:
     with browser_page() as page:
         take_inspector(page)
         take_forecast(page)
+        take_report(page)
         take_annotator(page)
         take_review(page)
     for path in sorted(IMAGES.glob("*.png")):
