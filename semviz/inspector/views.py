@@ -30,7 +30,7 @@ def run_view(name: str, run: Run) -> Json:
         "elements": len(run.semantic_map),
         "image": {"width": camera.width, "height": camera.height},
         "classes": _classes(run.semantic_map.classes),
-        "frames": [_frame_row(record) for record in run.frames],
+        "frames": [_frame_row(run, record) for record in run.frames],
         **_summary(run),
     }
 
@@ -53,8 +53,8 @@ def frame_view(run: Run, position: int) -> Json:
         "pairs": _pairs(one, estimated),
         "truePairs": _true_pairs(one, mapped, true),
         "matrix": _matrix(one),
-        "why": why_card(record, run.semantic_map.classes),
-        **_frame_row(record),
+        "why": why_card(run, record),
+        **_frame_row(run, record),
     }
 
 
@@ -69,7 +69,7 @@ def state_view(state: State) -> Json:
     }
 
 
-def _frame_row(record: FrameRecord) -> Json:
+def _frame_row(run: Run, record: FrameRecord) -> Json:
     one = record.localization
     errors = errors_of(record)
     matched = 0 if one.refinement is None else int(one.refinement.inlier.sum())
@@ -77,7 +77,7 @@ def _frame_row(record: FrameRecord) -> Json:
         "index": record.frame.index,
         "status": one.status,
         "reason": one.reason,
-        "verdict": verdict(record),
+        "verdict": verdict(run, record),
         "sureAndWrong": sure_and_wrong(one, errors),
         "errorM": None if errors is None else errors.distance_m,
         "errorDeg": None if errors is None else errors.angle_deg,

@@ -2,22 +2,23 @@
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from semviz import follow
-from semviz.recording.run import FrameRecord
+from semviz.drive import detector_model
+from semviz.recording.run import FrameRecord, Run
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
+from semviz_core.explaining.case import is_healthy
+from semviz_core.explaining.explain import explain
+from semviz_core.explaining.told import UNKNOWN, Truth, Verdict
 from semviz_core.localization import Localization
-from semviz_core.localize import NEEDED_ELEMENTS
 from semviz_core.pose import Pose
 from semviz_core.solving.residuals import pair_residuals
-from semviz_core.solving.verdict import AMBIGUOUS_NATS, SURE_PAIRS, hanging_pair
 
 SURE_AND_WRONG_M = 1.0
-FAR_OFF_SIGMAS = 4.0
-"""A prior is called wrong beyond this many of its own sigmas."""
 LISTED = 2
 """So many alternatives, and pairs that do not fit, are listed; the card must not scroll."""
 
@@ -51,71 +52,66 @@ def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:
     return localization.status == "ok" and off_m > SURE_AND_WRONG_M
 
 
-def verdict(record: FrameRecord) -> str:
+def verdict(run: Run, record: FrameRecord) -> str:
     """A name for what happened; neighbouring frames of one name are one row in lists."""
-    one = record.localization
-    if one.status == "cannot":
-        return _failure(record)
-    if one.status == "ambiguous":
-        return _doubt(one)
-    return "sure and wrong" if sure_and_wrong(one, errors_of(record)) else "healthy"
-
-
-def _doubt(localization: Localization) -> str:
-    """What keeps an answer from being sure."""
-    rivals, fit = _rivals(localization), localization.refinement
-    if rivals > 1 or fit is None:
-        return "two poses fit" if rivals == 2 else "several poses fit"
-    if fit.inlier.sum() >= SURE_PAIRS and hanging_pair(fit) is not None:
-        return "hangs on one pair"
-    return "few fit"
-
-
-def _failure(record: FrameRecord) -> str:
-    """By how far the solver came."""
-    one = record.localization
-    if one.method == follow.METHOD:
+    truth = _truth(run, record)
+    if record.localization.method == follow.METHOD and record.localization.status == "cannot":
         return "starting or lost"
-    if len(one.observed) < NEEDED_ELEMENTS:
-        return "too few seen"
-    if _prior_far_off(record):
-        return "prior far off"
-    if not len(one.submap):
-        return "nothing mapped"
-    if one.search is None:
-        return "no clear pairs"
-    return "too little fits" if len(one.search.score) else "prior excludes"
+    if is_healthy(record.localization, None if truth is None else truth.T_camera_map):
+        return "healthy"
+    return explained(run, record).kind
 
 
-def _rivals(localization: Localization) -> int:
-    """How many poses the solver could not tell apart."""
-    if localization.search is None:
-        return 1 + len(localization.alternatives)
-    score = localization.search.score
-    return int((score > score.max(initial=-np.inf) - AMBIGUOUS_NATS).sum())
+_EXPLAINED: WeakKeyDictionary[FrameRecord, Verdict] = WeakKeyDictionary()
 
 
-def _prior_far_off(record: FrameRecord) -> bool:
-    truth, prior = record.frame.T_map_camera, record.localization.prior
-    if truth is None:
-        return False
-    off_m = float(np.linalg.norm((prior.position_m - truth.translation)[:2]))
-    return off_m > FAR_OFF_SIGMAS * prior.horizontal_sigma_m
+def explained(run: Run, record: FrameRecord) -> Verdict:
+    """The verdict on one frame, with all that the run knows of it."""
+    if record not in _EXPLAINED:
+        labelled = run.info.observations == "labels"
+        _EXPLAINED[record] = explain(
+            record.localization,
+            run.semantic_map,
+            _truth(run, record),
+            detector_model("labels" if labelled else "simulated"),
+        )
+    return _EXPLAINED[record]
 
 
-def why_card(record: FrameRecord, classes: ClassSet) -> dict[str, Any]:
-    """Title, the solver's sentence, and rows of (label, value)."""
-    one = record.localization
+def _truth(run: Run, record: FrameRecord) -> Truth | None:
+    """What is known of a frame. Labels without an element in the map may be of anything."""
+    pose, ids = record.frame.T_map_camera, record.element_id
+    if pose is None:
+        return None
+    if run.info.observations == "labels":
+        ids = np.where(ids < 0, UNKNOWN, ids)
+    return Truth(pose.inverse(), ids if (ids >= 0).any() else None)
+
+
+def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
+    """Title, what the solver and the verdict say, and rows of (label, value)."""
+    one, told, title = record.localization, explained(run, record), verdict(run, record)
     answer, errors = one.T_camera_map, errors_of(record)
+    rows = _rows(record, errors, run.semantic_map.classes)
+    explains = title == told.kind != "healthy"
     return {
-        "title": verdict(record).capitalize(),
-        "sentence": one.reason,
-        "rows": [row for row in _rows(record, errors, classes) if row[1]],
+        "title": title.capitalize(),
+        "sentence": f"{one.reason} {told.sentence}" if explains else one.reason,
+        "rows": [row for row in (*_verdict_rows(told, explains), *rows) if row[1]],
         "alternatives": _alternatives(one),
         "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - LISTED),
         "times": [[stage, ms] for stage, ms in one.time_ms.items()],
         "hypotheses": None if one.search is None else one.search.hypotheses,
     }
+
+
+def _verdict_rows(told: Verdict, explains: bool) -> list[tuple[str, str]]:
+    """How sure the verdict is; of frames that came out well, what is wrong in them all the same."""
+    if explains:
+        return [("Such verdicts are right in", f"{told.sure:.0%}")]
+    noticed = [one.kind for one in told.noticed]
+    kinds = [f"{noticed.count(kind)} {kind}" for kind in dict.fromkeys(noticed)]
+    return [("Noticed", ", ".join(kinds))]
 
 
 def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list[tuple[str, str]]:

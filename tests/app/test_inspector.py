@@ -153,7 +153,7 @@ def test_list_click_goes_to_the_failure_and_says_why(url: str, page: "Page") -> 
     page.locator("#frame-list li").first.click()
     wait_for(page, lambda: in_url(page, "frame") == str(FAILED), "the failed frame")
     wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
-    assert page.locator("#why h3").text_content() == "Too few seen"
+    assert page.locator("#why h3").text_content() == "Missed detection"
     assert "2 elements seen" in (page.locator("#why .sentence").text_content() or "")
     assert "no pose" in (page.locator("#numbers").text_content() or "")
 

@@ -98,7 +98,7 @@ def test_frame_without_any_stage_is_drawable() -> None:
     view = json.loads(json.dumps(frame_view(run_of(bare, truth=None), 0), allow_nan=False))
     assert (view["matrix"], view["pairs"], view["errorM"]) == (None, [], None)
     assert all(one["estimate"] is None and one["truth"] is None for one in view["mapped"])
-    assert view["why"]["title"] == "No clear pairs"
+    assert view["why"]["title"] == "Not in the submap"
 
 
 def test_matrix_orders_rows_and_columns_into_class_blocks() -> None:
@@ -113,21 +113,25 @@ def test_sure_and_wrong_is_marked_and_named() -> None:
     run = run_of(localized(), localized(far), localized(far, "ambiguous", "Two poses fit."))
     rows = run_view("first", run)["frames"]
     assert [row["sureAndWrong"] for row in rows] == [False, True, False]
-    assert [row["verdict"] for row in rows] == ["healthy", "sure and wrong", "few fit"]
+    assert [row["verdict"] for row in rows] == [
+        "healthy", "refinement diverged", "refinement diverged",
+    ]  # fmt: skip
     assert rows[1]["errorM"] == pytest.approx(3.2)
-    assert why_card(run.frames[1], MAP.classes)["title"] == "Sure and wrong"
+    card = why_card(run, run.frames[1])
+    assert card["title"] == "Refinement diverged"
+    assert "3.2 m" in card["sentence"]
 
 
 def test_a_moved_element_is_named_at_the_true_pose() -> None:
     asides = np.where(ELEMENTS.id == 4, 2.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
     faulty = replace(ELEMENTS, anchor_m=ELEMENTS.anchor_m + asides, end_m=ELEMENTS.end_m + asides)
     run = run_of(localized(), replace(localized(), submap=faulty))
-    healthy, moved = (dict(why_card(one, MAP.classes)["rows"]) for one in run.frames)
+    healthy, moved = (dict(why_card(run, one)["rows"]) for one in run.frames)
     assert "Off at the true pose" not in healthy
     name, size, unit = moved["Off at the true pose"].split()
     assert (name, unit) == ("P-04", "px")
     assert float(size) == pytest.approx(700 * 2.0 / 20, rel=0.05)
-    blind = dict(why_card(replace(run.frames[1], frame=Frame(0, 0.0, None)), MAP.classes)["rows"])
+    blind = dict(why_card(run, replace(run.frames[1], frame=Frame(0, 0.0, None)))["rows"])
     assert blind["Do not fit"] == "T-12 9 px"
 
 
@@ -136,20 +140,21 @@ def failed(seen: int = 4, **changes: Any) -> Localization:
     return replace(bare, observed=bare.observed[np.arange(seen)])
 
 
-def test_failures_are_named_by_how_far_the_solver_came() -> None:
+def test_failures_are_named_by_the_first_broken_link() -> None:
     far = Prior(np.array([50.0, 0.0, 1.65]))
     nothing = ELEMENTS[np.arange(0)]
     run = run_of(
         failed(3, search=None, prior=far),
         failed(search=None, submap=nothing, prior=far),
         failed(search=None, submap=nothing),
-        failed(search=None),
         failed(search=Search(100, (), np.zeros(0))),
         failed(),
     )
-    assert [row["verdict"] for row in run_view("first", run)["frames"]] == [
-        "too few seen", "prior far off", "nothing mapped", "no clear pairs", "prior excludes",
-        "too little fits",
+    known = tuple(replace(one, element_id=ELEMENTS.id[: len(one.element_id)]) for one in run.frames)
+    rows = run_view("first", replace(run, frames=known))["frames"]
+    assert [row["verdict"] for row in rows] == [
+        "missed detection", "not in the submap", "not in the submap", "search miss",
+        "ambiguous geometry",
     ]  # fmt: skip
 
 

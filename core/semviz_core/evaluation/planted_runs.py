@@ -1,0 +1,105 @@
+"""Short drives with one fault planted in the map or in the camera, to see whether it is named.
+
+Frames a few metres apart share a world and its map. The element that is moved, missing or mapped
+twice is the one most frames see, four or more.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_core.elements import Elements3D
+from semviz_core.evaluation.planted import CLEAN, Given, aside, copied, shifted
+from semviz_core.evaluation.problems import make_problem, mapped_elements
+from semviz_core.evaluation.roads import Road
+from semviz_core.explaining.told import Kind, Truth
+from semviz_core.localization import Localization
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+
+FRAMES = 10
+STEP = 3
+"""Poses of the road from frame to frame: metres."""
+LEAST_SEEN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class PlantedRun:
+    """One run, and what is wrong with it."""
+
+    fault: Kind
+    frames: tuple[tuple[Localization, Truth], ...]
+    semantic_map: SemanticMap
+    elements: tuple[int, ...] = ()
+    """Ids of which one must be named with the fault; empty where it has none."""
+
+
+def plant_in_run(fault: Kind, seed: int, road: Road, count: int = FRAMES) -> PlantedRun | None:
+    """A run of ``count`` frames with the fault; None where no element is seen often enough."""
+    rng = np.random.default_rng([seed, 9])
+    first = int(rng.integers(len(road) - count * STEP))
+    elements = mapped_elements(road, seed, CLEAN)
+    frames = [
+        Given.of(make_problem(seed, CLEAN, road, first + k * STEP, driving=True), elements)
+        for k in range(count)
+    ]
+    ids, times = np.unique(np.concatenate([one.ids for one in frames]), return_counts=True)
+    if not len(ids) or times.max() < LEAST_SEEN:
+        return None
+    element = int(ids[np.argmax(times)])
+    if fault == "healthy":
+        return _localized(fault, frames)
+    if fault == "wrong calibration":
+        return _localized(fault, _other_camera(frames, rng))
+    changed, named = _FAULTS[fault](elements, element, rng)
+    return _localized(fault, [replace(one, elements=changed) for one in frames], (named,))
+
+
+def _localized(fault: Kind, frames: list[Given], elements: tuple[int, ...] = ()) -> PlantedRun:
+    found = tuple((one.localized(), Truth(one.T_camera_map, one.ids)) for one in frames)
+    return PlantedRun(fault, found, frames[0].semantic_map, elements)
+
+
+def _moved(elements: Elements3D, element: int, rng: np.random.Generator) -> tuple[Elements3D, int]:
+    return shifted(elements, element, aside(rng, 1.0, 8.0)), element
+
+
+def _missing(
+    elements: Elements3D, element: int, rng: np.random.Generator
+) -> tuple[Elements3D, int]:
+    return elements[elements.id != element], element
+
+
+def _twice(elements: Elements3D, element: int, rng: np.random.Generator) -> tuple[Elements3D, int]:
+    return copied(elements, element, aside(rng, 0.2, 0.8))
+
+
+_FAULTS: dict[Kind, Callable[[Elements3D, int, np.random.Generator], tuple[Elements3D, int]]] = {
+    "moved in the map": _moved,
+    "missing in the map": _missing,
+    "twice in the map": _twice,
+}
+
+
+def _other_camera(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """A focal length 2 to 5 % off, a principal point 6 to 20 px, or a mounting rolled by 1 to 3
+    deg, the same in all frames."""
+    pattern, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+    if pattern == 2:
+        roll = np.array([0.0, 0.0, sign * np.deg2rad(rng.uniform(1.0, 3.0))])
+        return [_rolled(one, Pose.from_rotvec(roll, np.zeros(3))) for one in frames]
+    K = frames[0].camera.K.copy()
+    if pattern == 0:
+        K[[0, 1], [0, 1]] *= 1.0 + sign * rng.uniform(0.02, 0.05)
+    else:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        K[:2, 2] += rng.uniform(6.0, 20.0) * np.array([np.cos(angle), np.sin(angle)])
+    return [replace(one, camera=replace(one.camera, K=K)) for one in frames]
+
+
+def _rolled(one: Given, T_stated_camera: Pose) -> Given:
+    """As a camera that is said to be mounted otherwise: pose and gravity are told for that one."""
+    up = one.prior.up_camera
+    prior = replace(one.prior, up_camera=None if up is None else T_stated_camera.rotation @ up)
+    return replace(one, T_camera_map=T_stated_camera @ one.T_camera_map, prior=prior)

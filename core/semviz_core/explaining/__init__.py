@@ -1,0 +1,1 @@
+"""What went wrong in a frame, and over a run, told from the method's own chain."""
