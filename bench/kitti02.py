@@ -15,13 +15,13 @@ import numpy as np
 from semviz.drive import DriveOptions, drive_workspace
 from semviz.workspace import Workspace
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import BuildOptions, build_map
-from semviz_annotation.mapping.place import place, place_linearly
-from semviz_annotation.mapping.refine import Problem, Refined, RefineOptions, refine
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.schur import Unknowns
-from semviz_annotation.mapping.sightings import Gathered, Views, gather
+from semviz_annotation.mapping.placing.place import place, place_linearly
+from semviz_annotation.mapping.placing.refine import Problem, Refined, RefineOptions, refine
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.schur import Unknowns
+from semviz_annotation.mapping.placing.sightings import Gathered, Views, gather
+from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
 from semviz_annotation.observe import observe
 from semviz_annotation.storing.exchange import import_operations
 from semviz_core.arrays import FloatArray

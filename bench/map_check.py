@@ -18,12 +18,12 @@ import numpy as np
 
 from semviz.workspace import Workspace
 from semviz_annotation.labels import LabelElement, Labels, Observation
-from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.leave_out import delete_each, leave_one_out
-from semviz_annotation.mapping.lint import lint
-from semviz_annotation.mapping.place import PlaceOptions, place
-from semviz_annotation.mapping.sightings import Sightings, Views, gather
+from semviz_annotation.mapping.placing.place import PlaceOptions, place
+from semviz_annotation.mapping.placing.sightings import Sightings, Views, gather
+from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
+from semviz_annotation.mapping.quality.leave_out import delete_each, leave_one_out
+from semviz_annotation.mapping.quality.lint import lint
 from semviz_annotation.rows import derived_id
 from semviz_annotation.storing.exchange import import_operations
 from semviz_annotation.street_labels import careful, label_street

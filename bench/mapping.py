@@ -28,9 +28,9 @@ import numpy as np
 
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.mapping.paper import PaperOptions
-from semviz_annotation.mapping.refine import RefineOptions
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import gather
+from semviz_annotation.mapping.placing.refine import RefineOptions
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import gather
 from semviz_annotation.street_labels import (
     Detect,
     DrivenTwice,

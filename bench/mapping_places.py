@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from mapping_solver import SEED, drive
 
-from semviz_annotation.mapping.place import Placed, PlaceOptions, place, place_linearly
-from semviz_annotation.mapping.sightings import Sightings
+from semviz_annotation.mapping.placing.place import Placed, PlaceOptions, place, place_linearly
+from semviz_annotation.mapping.placing.sightings import Sightings
 from semviz_core.arrays import FloatArray
 
 OPTIONS = PlaceOptions(min_angle_rad=float(np.deg2rad(0.5)))

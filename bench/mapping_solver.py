@@ -21,11 +21,11 @@ from scipy.sparse import csr_matrix, diags_array, hstack, vstack
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from semviz_annotation.mapping.place import PlaceOptions, place
-from semviz_annotation.mapping.refine import Problem, RefineOptions, refine
-from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.schur import Unknowns
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.place import PlaceOptions, place
+from semviz_annotation.mapping.placing.refine import Problem, RefineOptions, refine
+from semviz_annotation.mapping.placing.residuals import Residuals, residuals
+from semviz_annotation.mapping.placing.schur import Unknowns
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import FloatArray, IntArray
 
 SEED = 1000

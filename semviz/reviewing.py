@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz_annotation.edits import edit_to_json
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_annotation.mapping.review import answers, decision_id, frame_to_see
 from semviz_annotation.rows import derived_id
 from semviz_core.semantic_map import Decision, SemanticMap

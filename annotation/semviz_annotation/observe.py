@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.labelled import map_rows
+from semviz_annotation.mapping.quality.labelled import map_rows
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements2D
 from semviz_core.semantic_map import SemanticMap

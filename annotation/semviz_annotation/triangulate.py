@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_annotation.labels import Observation
-from semviz_annotation.mapping.linear import MIN_ANGLE_RAD
-from semviz_annotation.mapping.place import PlaceOptions, place_linearly
-from semviz_annotation.mapping.sightings import Sightings, as_views, undistorted
+from semviz_annotation.mapping.placing.linear import MIN_ANGLE_RAD
+from semviz_annotation.mapping.placing.place import PlaceOptions, place_linearly
+from semviz_annotation.mapping.placing.sightings import Sightings, as_views, undistorted
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import Rig

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from semviz.workspace import MAIN, Workspace
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 
@@ -105,7 +105,7 @@ class MapWork:
         self.version += 1
 
     def _take(self, semantic_map: SemanticMap) -> None:
-        from semviz_annotation.mapping.lint import lint
+        from semviz_annotation.mapping.quality.lint import lint
 
         findings = lint(semantic_map, self._labels(), self._workspace.source)
         self.built = Built(semantic_map, findings)

@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias, get_args
 from semviz.annotator.map_work import Built, MapWork
 from semviz.reviewing import Json, entry_json, entry_key
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_annotation.mapping.review import is_open
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision

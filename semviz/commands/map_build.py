@@ -76,7 +76,7 @@ class MapBuild:
     def _options(self) -> "BuildOptions | PaperOptions":
         from semviz_annotation.mapping.build import BuildOptions
         from semviz_annotation.mapping.paper import PaperOptions
-        from semviz_annotation.mapping.refine import RefineOptions
+        from semviz_annotation.mapping.placing.refine import RefineOptions
 
         for method, names in _ONLY.items():
             for name in names:

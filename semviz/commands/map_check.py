@@ -33,8 +33,8 @@ class MapCheck:
         import sys
 
         from semviz.workspace import Workspace
-        from semviz_annotation.mapping.accuracy import Gate
-        from semviz_annotation.mapping.check import check_map
+        from semviz_annotation.mapping.quality.accuracy import Gate
+        from semviz_annotation.mapping.quality.check import check_map
 
         workspace = Workspace.open(self.workspace)
         check = check_map(

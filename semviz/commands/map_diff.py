@@ -27,7 +27,7 @@ class MapDiff:
 
     def run(self) -> int:
         from semviz.workspace import Workspace
-        from semviz_annotation.mapping.diff import diff_maps
+        from semviz_annotation.mapping.quality.diff import diff_maps
 
         workspace = Workspace.open(self.workspace)
         diff = diff_maps(_read(workspace, self.base), _read(workspace, self.other))

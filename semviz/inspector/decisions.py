@@ -11,7 +11,7 @@ from semviz.recording.run import Run
 from semviz.reviewing import Json, entry_json, entry_key
 from semviz.workspace import SETTINGS, Workspace
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_annotation.mapping.review import edit_of
 from semviz_annotation.storing.store import LabelStore
 from semviz_core.arrays import ByteImage
@@ -80,7 +80,7 @@ class Decisions:
     @cached_property
     def _findings(self) -> tuple[Finding, ...]:
         """The worst first."""
-        from semviz_annotation.mapping.lint import lint
+        from semviz_annotation.mapping.quality.lint import lint
 
         frames = tuple(one.frame for one in self._run.frames)
         posed = {one.index for one in frames if one.T_map_camera is not None}

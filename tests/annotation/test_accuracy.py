@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.mapping.accuracy import Gate, mapping_accuracy
 from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.quality.accuracy import Gate, mapping_accuracy
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap

@@ -8,9 +8,9 @@ import pytest
 
 from semviz_annotation.edits import DeleteObservation, Link
 from semviz_annotation.labels import LabelElement, Labels, Observation, Row, new_id
-from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.mapping.paper import PaperOptions
+from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
 from semviz_annotation.observe import UNKNOWN, observe
 from semviz_annotation.rules import Rules
 from semviz_core.camera import Rig

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from semviz_annotation.labels import Labels, new_id
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.diff import diff_maps
-from semviz_annotation.mapping.same import same_elements
+from semviz_annotation.mapping.quality.diff import diff_maps
+from semviz_annotation.mapping.quality.same import same_elements
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import Labels, Observation, new_id
-from semviz_annotation.mapping.accuracy import mapping_accuracy
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.leave_out import delete_each, leave_one_out
-from semviz_annotation.mapping.place import PlaceOptions, place
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views, gather
+from semviz_annotation.mapping.placing.place import PlaceOptions, place
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views, gather
+from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
+from semviz_annotation.mapping.quality.leave_out import delete_each, leave_one_out
 from semviz_annotation.observe import observe
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.semantic_map import Provenance

@@ -9,7 +9,7 @@ import pytest
 
 from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation, proposal_id
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.lint import Finding, lint
+from semviz_annotation.mapping.quality.lint import Finding, lint
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.elements import Elements3D

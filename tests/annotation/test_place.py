@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from semviz_annotation.mapping.place import Placed, PlaceOptions, place, place_linearly
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.place import Placed, PlaceOptions, place, place_linearly
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.errors import SemvizError
 
 seeds = st.integers(0, 999)

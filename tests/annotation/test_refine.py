@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from drives import Drive, drive
 
-from semviz_annotation.mapping import refine as module
-from semviz_annotation.mapping.place import Placed, PlaceOptions, place
-from semviz_annotation.mapping.refine import Refined, RefineOptions, refine
-from semviz_annotation.mapping.schur import Bonds, Normal, Unknowns
-from semviz_annotation.mapping.sightings import Views
+from semviz_annotation.mapping.placing import refine as module
+from semviz_annotation.mapping.placing.place import Placed, PlaceOptions, place
+from semviz_annotation.mapping.placing.refine import Refined, RefineOptions, refine
+from semviz_annotation.mapping.placing.schur import Bonds, Normal, Unknowns
+from semviz_annotation.mapping.placing.sightings import Views
 from semviz_core.errors import SemvizError
 
 POSES = (0.03, float(np.deg2rad(0.05)))

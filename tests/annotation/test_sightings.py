@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.place import place
-from semviz_annotation.mapping.sightings import gather
+from semviz_annotation.mapping.placing.place import place
+from semviz_annotation.mapping.placing.sightings import gather
 from semviz_core.camera import Camera, Rig
 from semviz_core.errors import SemvizError
 

@@ -15,7 +15,7 @@ from semviz.workspace import Workspace
 from semviz_annotation.edits import DeleteObservation, MoveObservation
 from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.check import FINDINGS_LISTED
+from semviz_annotation.mapping.quality.check import FINDINGS_LISTED
 from semviz_annotation.storing.exchange import import_operations
 from semviz_annotation.street_labels import careful, label_street
 from semviz_core.elements import Elements3D

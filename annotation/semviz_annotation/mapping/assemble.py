@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from semviz_annotation.mapping.tracks import Tracks
+from semviz_annotation.mapping.linking.tracks import Tracks
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements3D
 from semviz_core.semantic_map import Provenance

@@ -13,13 +13,13 @@ import numpy as np
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.assemble import elements_of
 from semviz_annotation.mapping.decided import decisions_of
-from semviz_annotation.mapping.least_squares import PlaceOptions
-from semviz_annotation.mapping.linking import LinkOptions
+from semviz_annotation.mapping.linking.rounds import LinkOptions
+from semviz_annotation.mapping.linking.tracks import OnProgress, find_tracks, with_poses
 from semviz_annotation.mapping.paper import PaperOptions, paper_tracks
-from semviz_annotation.mapping.refine import RefineOptions
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions
+from semviz_annotation.mapping.placing.refine import RefineOptions
+from semviz_annotation.mapping.placing.sightings import gather
 from semviz_annotation.mapping.report import BuildReport
-from semviz_annotation.mapping.sightings import gather
-from semviz_annotation.mapping.tracks import OnProgress, find_tracks, with_poses
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap

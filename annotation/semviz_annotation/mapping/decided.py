@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.tracks import Tracks
+from semviz_annotation.mapping.linking.tracks import Tracks
+from semviz_annotation.mapping.placing.residuals import residuals
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.semantic_map import Decision, DecisionKind
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.mapping.least_squares import PlaceOptions
-from semviz_annotation.mapping.misfits import main_first
-from semviz_annotation.mapping.nodes import LEFT_OUT, Judged, Nodes
-from semviz_annotation.mapping.place import place_linearly
-from semviz_annotation.mapping.placed import Placed, measured
-from semviz_annotation.mapping.sightings import Gathered, Sightings
-from semviz_annotation.mapping.tracks import Tracks
+from semviz_annotation.mapping.linking.misfits import main_first
+from semviz_annotation.mapping.linking.nodes import LEFT_OUT, Judged, Nodes
+from semviz_annotation.mapping.linking.tracks import Tracks
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions
+from semviz_annotation.mapping.placing.place import place_linearly
+from semviz_annotation.mapping.placing.placed import Placed, measured
+from semviz_annotation.mapping.placing.sightings import Gathered, Sightings
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.errors import SemvizError
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from semviz_annotation.mapping.sightings import Gathered
+from semviz_annotation.mapping.placing.sightings import Gathered
 from semviz_core.semantic_map import Decision, SemanticMap
 
 _MOST_LINES = 12

@@ -12,7 +12,7 @@ from scipy.linalg import solve
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
-from semviz_annotation.mapping.sightings import Sightings
+from semviz_annotation.mapping.placing.sightings import Sightings
 from semviz_core.arrays import FloatArray, IntArray
 
 _AT_ONCE = 32

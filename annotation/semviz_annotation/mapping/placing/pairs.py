@@ -5,10 +5,10 @@ So does RANSAC (Fischler & Bolles 1981); but which pairs are tried is not left t
 
 import numpy as np
 
-from semviz_annotation.mapping.least_squares import PlaceOptions
-from semviz_annotation.mapping.linear import linear_start
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions
+from semviz_annotation.mapping.placing.linear import linear_start
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import FloatArray, IntArray
 
 _PAIRS = 24

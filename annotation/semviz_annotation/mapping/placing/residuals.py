@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import MIN_DEPTH_M
 

@@ -8,9 +8,9 @@ from typing import TypeAlias
 import numpy as np
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.labelled import Labelled, labelled
-from semviz_annotation.mapping.linting.finding import Finding, Severity
-from semviz_annotation.mapping.linting.road import Road
+from semviz_annotation.mapping.quality.labelled import Labelled, labelled
+from semviz_annotation.mapping.quality.linting.finding import Finding, Severity
+from semviz_annotation.mapping.quality.linting.road import Road
 from semviz_annotation.view import rig_view
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.semantic_map import SemanticMap

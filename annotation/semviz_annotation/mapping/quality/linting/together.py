@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_annotation.mapping.labelled import map_rows
-from semviz_annotation.mapping.linting.case import Case
-from semviz_annotation.mapping.linting.finding import Finding, Severity
-from semviz_annotation.mapping.stand import stand_covariance_m2, stand_m
+from semviz_annotation.mapping.quality.labelled import map_rows
+from semviz_annotation.mapping.quality.linting.case import Case
+from semviz_annotation.mapping.quality.linting.finding import Finding, Severity
+from semviz_annotation.mapping.quality.stand import stand_covariance_m2, stand_m
 from semviz_core.arrays import IntArray
 from semviz_core.semantic_map import Decision
 

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from semviz_annotation.mapping.stand import stand_m
+from semviz_annotation.mapping.quality.stand import stand_m
 from semviz_core.elements import Elements3D
 from semviz_core.semantic_map import SemanticMap
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz_annotation.mapping.same import same_elements
+from semviz_annotation.mapping.quality.same import same_elements
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from semviz_annotation.mapping.linting.case import Case
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.linting.case import Case
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_core.arrays import FloatArray
 from semviz_core.elements import Elements3D
 

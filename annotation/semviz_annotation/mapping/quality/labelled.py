@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.sightings import Sightings, Views, gather
+from semviz_annotation.mapping.placing.sightings import Sightings, Views, gather
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semviz_annotation.mapping.least_squares import PlaceOptions, information
-from semviz_annotation.mapping.placed import Placed, measured
-from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.schur import Bonds, Normal, Unknowns
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions, information
+from semviz_annotation.mapping.placing.placed import Placed, measured
+from semviz_annotation.mapping.placing.residuals import Residuals, residuals
+from semviz_annotation.mapping.placing.schur import Bonds, Normal, Unknowns
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.errors import SemvizError
 

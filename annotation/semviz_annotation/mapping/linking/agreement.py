@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_annotation.mapping.placed import Placed
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.placed import Placed
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 
 _UNEVEN = 0.5

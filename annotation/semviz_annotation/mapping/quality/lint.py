@@ -5,10 +5,10 @@ Most need no labels, so maps from elsewhere can be looked over too.
 """
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.labelled import check_frame
-from semviz_annotation.mapping.linting import looking, standing, together
-from semviz_annotation.mapping.linting.case import Case, Rule
-from semviz_annotation.mapping.linting.finding import SEVERITIES, Finding, Severity
+from semviz_annotation.mapping.quality.labelled import check_frame
+from semviz_annotation.mapping.quality.linting import looking, standing, together
+from semviz_annotation.mapping.quality.linting.case import Case, Rule
+from semviz_annotation.mapping.quality.linting.finding import SEVERITIES, Finding, Severity
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.labelled import labelled
-from semviz_annotation.mapping.least_squares import information
-from semviz_annotation.mapping.place import PlaceOptions, place
-from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.least_squares import information
+from semviz_annotation.mapping.placing.place import PlaceOptions, place
+from semviz_annotation.mapping.placing.residuals import Residuals, residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
+from semviz_annotation.mapping.quality.labelled import labelled
 from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Side, Source

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.mapping.least_squares import PlaceOptions, information
-from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions, information
+from semviz_annotation.mapping.placing.residuals import Residuals, residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 
 

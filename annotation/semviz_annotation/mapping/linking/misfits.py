@@ -6,13 +6,13 @@ another thing under the same name; the rest are misplaced clicks.
 
 import numpy as np
 
-from semviz_annotation.mapping.least_squares import PlaceOptions, settled
-from semviz_annotation.mapping.nodes import LEFT_OUT
-from semviz_annotation.mapping.pairs import best_of_pairs
-from semviz_annotation.mapping.place import place
-from semviz_annotation.mapping.placed import Placed
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.linking.nodes import LEFT_OUT
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions, settled
+from semviz_annotation.mapping.placing.pairs import best_of_pairs
+from semviz_annotation.mapping.placing.place import place
+from semviz_annotation.mapping.placing.placed import Placed
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import MIN_DEPTH_M
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.exclusion import Exclusion, Reason
-from semviz_annotation.mapping.linking import Linking, LinkOptions, placed_near
-from semviz_annotation.mapping.misfits import misfits, parts
-from semviz_annotation.mapping.nodes import LEFT_OUT, Judged, Nodes, exclusion_of
-from semviz_annotation.mapping.place import place, place_linearly
-from semviz_annotation.mapping.placed import Placed
-from semviz_annotation.mapping.refine import RefineOptions, refine
-from semviz_annotation.mapping.sightings import Gathered, Sightings, Views
+from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
+from semviz_annotation.mapping.linking.misfits import misfits, parts
+from semviz_annotation.mapping.linking.nodes import LEFT_OUT, Judged, Nodes, exclusion_of
+from semviz_annotation.mapping.linking.rounds import Linking, LinkOptions, placed_near
+from semviz_annotation.mapping.placing.place import place, place_linearly
+from semviz_annotation.mapping.placing.placed import Placed
+from semviz_annotation.mapping.placing.refine import RefineOptions, refine
+from semviz_annotation.mapping.placing.sightings import Gathered, Sightings, Views
 from semviz_core.arrays import BoolArray, IntArray
 
 OnProgress: TypeAlias = Callable[[str, int, int], None]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
-from semviz_annotation.mapping.labelled import check_frame, map_rows
+from semviz_annotation.mapping.quality.labelled import check_frame, map_rows
 from semviz_annotation.triangulate import across_px
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray

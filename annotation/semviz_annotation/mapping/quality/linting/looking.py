@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from semviz_annotation.mapping.labelled import Labelled
-from semviz_annotation.mapping.linting.case import Case
-from semviz_annotation.mapping.linting.finding import Finding
+from semviz_annotation.mapping.quality.labelled import Labelled
+from semviz_annotation.mapping.quality.linting.case import Case
+from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_annotation.view import rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.camera import MIN_DEPTH_M

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.accuracy import Accuracy, mapping_accuracy
-from semviz_annotation.mapping.labelled import check_frame
-from semviz_annotation.mapping.leave_out import LeftOut, leave_one_out
-from semviz_annotation.mapping.lint import SEVERITIES, Finding, lint
-from semviz_annotation.mapping.linting.case import Case
+from semviz_annotation.mapping.quality.accuracy import Accuracy, mapping_accuracy
+from semviz_annotation.mapping.quality.labelled import check_frame
+from semviz_annotation.mapping.quality.leave_out import LeftOut, leave_one_out
+from semviz_annotation.mapping.quality.lint import SEVERITIES, Finding, lint
+from semviz_annotation.mapping.quality.linting.case import Case
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz_annotation.mapping.linear import MIN_ANGLE_RAD
-from semviz_annotation.mapping.residuals import Residuals, residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.linear import MIN_ANGLE_RAD
+from semviz_annotation.mapping.placing.residuals import Residuals, residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.errors import SemvizError
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.camera import MIN_DEPTH_M
 from semviz_core.errors import SemvizError

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from semviz_annotation.labels import LabelElement, Labels
-from semviz_annotation.mapping.exclusion import Exclusion, Reason
-from semviz_annotation.mapping.sightings import Gathered, Sightings
+from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
+from semviz_annotation.mapping.placing.sightings import Gathered, Sightings
 from semviz_core.arrays import BoolArray, IntArray
 
 LEFT_OUT = -1

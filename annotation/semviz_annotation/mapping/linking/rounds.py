@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from semviz_annotation.mapping.agreement import Agreement, Places, agreement
-from semviz_annotation.mapping.exclusion import Exclusion, spans
-from semviz_annotation.mapping.least_squares import PlaceOptions, settled
-from semviz_annotation.mapping.nearby import Pairs, Spots
-from semviz_annotation.mapping.placed import Placed, measured
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.linking.agreement import Agreement, Places, agreement
+from semviz_annotation.mapping.linking.exclusion import Exclusion, spans
+from semviz_annotation.mapping.linking.nearby import Pairs, Spots
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions, settled
+from semviz_annotation.mapping.placing.placed import Placed, measured
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.errors import SemvizError
 

@@ -9,12 +9,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from semviz_annotation.mapping.least_squares import PlaceOptions, settled
-from semviz_annotation.mapping.linear import along_lines, end_rays, linear_start, outermost
-from semviz_annotation.mapping.pairs import best_of_pairs
-from semviz_annotation.mapping.placed import Placed, measured, rms_px
-from semviz_annotation.mapping.residuals import residuals
-from semviz_annotation.mapping.sightings import Sightings, Views
+from semviz_annotation.mapping.placing.least_squares import PlaceOptions, settled
+from semviz_annotation.mapping.placing.linear import along_lines, end_rays, linear_start, outermost
+from semviz_annotation.mapping.placing.pairs import best_of_pairs
+from semviz_annotation.mapping.placing.placed import Placed, measured, rms_px
+from semviz_annotation.mapping.placing.residuals import residuals
+from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray
 
 __all__ = ["PlaceOptions", "Placed", "place", "place_linearly"]

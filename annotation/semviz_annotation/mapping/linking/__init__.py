@@ -1,0 +1,1 @@
+"""Which labels are of one physical thing."""

@@ -1,0 +1,1 @@
+"""Labels of many things as arrays, and their places in space."""

@@ -1,0 +1,1 @@
+"""How good a map is: measured, looked over by rules, compared with another."""
