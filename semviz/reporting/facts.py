@@ -39,14 +39,15 @@ class Reported:
     @cached_property
     def outcomes(self) -> list[Outcome]:
         """Of the frames with a true pose, as plots of benchmarks take them."""
-        return [_outcome(self, one) for one in self.run.frames if one.frame.T_map_camera is not None]
+        return [
+            _outcome(self, one) for one in self.run.frames if one.frame.T_map_camera is not None
+        ]
 
     def worst(self, count: int) -> list[int]:
-        """Positions of the ``count`` worst frames."""
+        """Positions of the ``count`` worst frames, the worst first."""
         frames = self.run.frames
-        return sorted(range(len(frames)), key=lambda row: _badness(frames[row]), reverse=True)[
-            :count
-        ]
+        rows = sorted(range(len(frames)), key=lambda row: _badness(frames[row]), reverse=True)
+        return rows[:count]
 
     def worst_of_each_verdict(self, count: int) -> list[int]:
         """Positions of the worst frame of each verdict; so many at most, the worst first."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from urllib.parse import urlencode
 
-from semviz.inspector.why import errors_of
+from semviz.inspector.why import errors_of, why_card
 from semviz.palette import STATUS
 from semviz.plot_style import COLORS
 from semviz.recording.run import FrameRecord
@@ -157,7 +157,7 @@ def _pictured(one: Reported, row: int) -> Html:
             element("b", verdict.capitalize()),
             f", {frames}. The worst: frame ",
             _link(one, record.frame.index),
-            f"{_off(record)}. {record.localization.reason}",
+            f"{_off(record)}. {why_card(one.run, record)['sentence']}",
         ),
         picture(record, one.run.semantic_map.classes, about),
     )

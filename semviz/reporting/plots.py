@@ -19,7 +19,7 @@ from semviz.plot_style import (
     plain_numbers,
 )
 from semviz.reporting.facts import FAR_M, Reported
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.evaluation.metrics import STATUSES
 from semviz_core.evaluation.outcomes import Outcome
 
@@ -153,49 +153,39 @@ def _draw_histogram(axis: "Axes", errors: FloatArray, limit: float, name: str, n
 
 
 def _draw_errors(axis: "Axes", outcomes: Sequence[Outcome], width: float) -> None:
-    found = [one for one in outcomes if one.rte_m is not None]
-    for status in ("ok", "ambiguous"):
-        group = [one for one in found if one.status == status]
-        errors = np.clip([one.rte_m or 0.0 for one in group], LEAST_M, FARTHEST_M)
-        axis.vlines(
-            [one.frame for one in group],
-            LEAST_M,
-            errors,
-            color=STATUS[status].light,
-            linewidth=width,
-        )
-    wrong = [one for one in found if one.status == "ok" and (one.rte_m or 0.0) > FAR_M]
-    axis.plot(
-        [one.frame for one in wrong],
-        np.clip([one.rte_m or 0.0 for one in wrong], LEAST_M, FARTHEST_M),
-        "v",
-        color=STATUS["cannot"].light,
-        label="sure and wrong",
-    )
+    found = [(one.frame, one.status, one.rte_m) for one in outcomes if one.rte_m is not None]
+    status = np.array([one[1] for one in found])
+    frame = np.array([one[0] for one in found])
+    error_m = np.clip([one[2] for one in found], LEAST_M, FARTHEST_M)
+    for name in ("ok", "ambiguous"):
+        rows = status == name
+        _draw_bars(axis, frame[rows], LEAST_M, error_m[rows], STATUS[name].light, width)
+    wrong = (status == "ok") & (error_m > FAR_M)
+    axis.plot(frame[wrong], error_m[wrong], "v", color=STATUS["cannot"].light)
     axis.axhline(FAR_M, color="0.6", linewidth=0.8)
-    highest = max(2.0, *(one.rte_m or 0.0 for one in found))
-    lowest = min(one.rte_m or LEAST_M for one in found)
-    axis.set(
-        yscale="log",
-        ylim=(max(lowest / 2.0, LEAST_M), min(2.0 * highest, 2.0 * FARTHEST_M)),
-        ylabel="RTE (m)",
-    )
+    top = min(2.0 * max(error_m.max(), FAR_M), 2.0 * FARTHEST_M)
+    axis.set(yscale="log", ylim=(max(error_m.min() / 2.0, LEAST_M), top), ylabel="RTE (m)")
     plain_numbers(axis.yaxis)
     add_grid(axis)
 
 
 def _draw_status(axis: "Axes", one: Reported, width: float) -> None:
     """A row for each status, so that colour alone tells nothing."""
-    frames = one.run.frames
     for row, status in enumerate(STATUSES):
-        numbers = [record.frame.index for record in frames if record.localization.status == status]
-        axis.vlines(
-            numbers,
-            row - 0.4,
-            row + 0.4,
-            color=STATUS[status].light,
-            linewidth=width,
-        )
+        frame = [
+            record.frame.index for record in one.run.frames if record.localization.status == status
+        ]
+        top = np.full(len(frame), row + 0.4)
+        _draw_bars(axis, np.array(frame), row - 0.4, top, STATUS[status].light, width)
     axis.set_yticks(range(len(STATUSES)), STATUSES, fontsize="small")
     axis.set_ylim(len(STATUSES) - 0.5, -0.5)
     axis.spines[["top", "right"]].set_visible(False)
+
+
+def _draw_bars(
+    axis: "Axes", frame: IntArray, low: float, high: FloatArray, color: str, width: float
+) -> None:
+    """A bar over each frame (k,), all as one path: long drives stay small files."""
+    x = np.repeat(frame.astype(np.float64), 3)
+    y = np.stack([np.full(len(frame), low), high, np.full(len(frame), np.nan)], axis=1).ravel()
+    axis.plot(x, y, color=color, linewidth=width, solid_capstyle="butt")
