@@ -61,26 +61,19 @@ def find_tracks(
     views, sightings = gathered.views, gathered.sightings
     judged = Judged.of(labels, gathered.elements)
     whole = place(views, sightings, options.place, _named("placing labels", on_progress))
-    part = parts(views, sightings, whole, options.place, options.pose_sigma_m)
-    part[judged.kept[sightings.thing]] = 0
-    part[judged.left_out[sightings.thing]] = LEFT_OUT
-    nodes = Nodes.of(sightings, part)
-    alone = place(views, nodes.sightings, options.place) if part.any() else whole
+    nodes, alone = _parted(views, sightings, whole, judged, options)
     exclusion = exclusion_of(labels, gathered, nodes, judged)
     kind = np.array([one.class_id for one in gathered.elements], dtype=np.int64)[nodes.element]
     linking = Linking(views, nodes.sightings, alone, kind, exclusion, options)
     linking.run(_named("linking", on_progress))
     group, misfit = _without_strangers(views, nodes, linking, options)
-    misfit &= ~judged.kept[sightings.thing]
     roots, thing = np.unique(group, return_inverse=True)
     of_sighting = np.append(thing, LEFT_OUT)[nodes.of_sighting]
     of_sighting[misfit & ~judged.kept[sightings.thing]] = LEFT_OUT
     tracked = sightings.regrouped(of_sighting, len(roots))
     placed = place(views, tracked, options.place, _named("placing things", on_progress))
-    # labels of several passes may agree no better than the poses do
-    linked = ~placed.ok & (np.bincount(thing, minlength=len(roots)) > 1)
-    near = placed_near(views, tracked.only(linked), linking.ends_m[roots[linked]], options.place)
-    placed = _with(placed, tracked, linked, near)
+    linked = np.bincount(thing, minlength=len(roots)) > 1
+    placed = _linked_at_least_near(views, tracked, placed, linked, linking, roots, options)
     kept = np.zeros(len(roots), dtype=bool)
     kept[thing[judged.kept[nodes.element]]] = True
     placed = _kept_at_any_price(views, tracked, placed, kept, options)
@@ -96,6 +89,35 @@ def find_tracks(
         placed=placed,
         apart=tuple(_apart(linking, exclusion)),
     )
+
+
+def _parted(
+    views: Views, sightings: Sightings, whole: Placed, judged: Judged, options: LinkOptions
+) -> tuple[Nodes, Placed]:
+    """What is linked, and where each is by itself: label elements, those that are two in parts."""
+    part = parts(views, sightings, whole, options.place, options.pose_sigma_m)
+    part[judged.kept[sightings.thing]] = 0
+    part[judged.left_out[sightings.thing]] = LEFT_OUT
+    nodes = Nodes.of(sightings, part)
+    return nodes, place(views, nodes.sightings, options.place) if part.any() else whole
+
+
+def _linked_at_least_near(
+    views: Views,
+    sightings: Sightings,
+    placed: Placed,
+    linked: BoolArray,
+    linking: Linking,
+    roots: IntArray,
+    options: LinkOptions,
+) -> Placed:
+    """``placed``, with linked things (n,) that have no place near where they were linked.
+
+    Labels of several passes may agree no better than the poses do.
+    """
+    lost = ~placed.ok & linked
+    near = placed_near(views, sightings.only(lost), linking.ends_m[roots[lost]], options.place)
+    return _with(placed, sightings, lost, near)
 
 
 def with_poses(tracks: Tracks, options: RefineOptions, on_progress: OnProgress) -> Tracks:
