@@ -94,24 +94,25 @@ def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
     answer, errors = one.T_camera_map, errors_of(record)
     rows = _rows(record, errors, run.semantic_map.classes)
     explains = title == told.kind != "healthy"
+    # of rivals the solver has said all itself; elsewhere the verdict needs the room
+    adds = explains and told.kind != "ambiguous geometry"
+    listed = 1 if adds else LISTED
     return {
         "title": title.capitalize(),
-        "sentence": f"{one.reason} {told.sentence}" if explains else one.reason,
-        "rows": [row for row in (*_verdict_rows(told, explains), *rows) if row[1]],
-        "alternatives": _alternatives(one),
-        "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - LISTED),
+        "sentence": f"{one.reason} {told.sentence}" if adds else one.reason,
+        "sure": told.sure if explains else None,
+        "rows": [row for row in (("Noticed", _noticed(told)), *rows) if row[1]],
+        "alternatives": _alternatives(one)[:listed],
+        "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - listed),
         "times": [[stage, ms] for stage, ms in one.time_ms.items()],
         "hypotheses": None if one.search is None else one.search.hypotheses,
     }
 
 
-def _verdict_rows(told: Verdict, explains: bool) -> list[tuple[str, str]]:
-    """How sure the verdict is; of frames that came out well, what is wrong in them all the same."""
-    if explains:
-        return [("Such verdicts are right in", f"{told.sure:.0%}")]
-    noticed = [one.kind for one in told.noticed]
-    kinds = [f"{noticed.count(kind)} {kind}" for kind in dict.fromkeys(noticed)]
-    return [("Noticed", ", ".join(kinds))]
+def _noticed(told: Verdict) -> str:
+    """What is wrong in a frame that came out well all the same."""
+    kinds = [one.kind for one in told.noticed] if told.kind == "healthy" else []
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
 
 
 def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list[tuple[str, str]]:
@@ -120,7 +121,6 @@ def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list
     return [
         ("Error against the truth", error),
         ("Seen / matched / fit", _counts(one)),
-        ("χ² of the pairs that fit", _chi2(one)),
         ("Uncertainty, 1σ", _sigma(one)),
         ("Prior off by", _prior(record)),
         _misfits(record, classes),
@@ -160,19 +160,15 @@ def true_pairs(record: FrameRecord) -> IntArray:
 
 
 def _counts(localization: Localization) -> str:
+    """And chi2 of those that fit."""
     fine = localization.refinement
     seen = len(localization.observed)
     if fine is None:
         return f"{seen} / none / none"
-    return f"{seen} / {len(fine.pairs)} / {int(fine.inlier.sum())}"
-
-
-def _chi2(localization: Localization) -> str:
-    fine = localization.refinement
-    if fine is None or not fine.inlier.any():
-        return ""
-    fitting = fine.chi2[fine.inlier]
-    return f"{np.nansum(fitting):.1f} in {len(fitting)} pairs"
+    fitting = f"{seen} / {len(fine.pairs)} / {int(fine.inlier.sum())}"
+    return (
+        f"{fitting} · χ² {np.nansum(fine.chi2[fine.inlier]):.1f}" if fine.inlier.any() else fitting
+    )
 
 
 def _sigma(localization: Localization) -> str:

@@ -87,7 +87,7 @@ def _moved(case: Case, i: int, j: int) -> Fault:
     off_m = distance_m(case, i, j)
     return Fault(
         "moved in the map",
-        f"{case.name(j)} is seen {off_px:.0f} px from where it is mapped, {off_m:.1f} m.",
+        f"{case.name(j)} is mapped {off_m:.1f} m ({off_px:.0f} px) off.",
         (Evidence("off", off_px, "px"), Evidence("off", off_m, "m")),
         (int(case.nearby.id[j]),), (i,),
     )  # fmt: skip

@@ -5,13 +5,14 @@ import { statusMark } from "/static/glyphs.js";
 
 export class WhyCard {
   showFrame(frame) {
-    const { title, sentence, rows, alternatives, alternativesLeft, times, hypotheses } = frame.why;
+    const { title, sentence, sure, rows, alternatives, alternativesLeft, times, hypotheses } = frame.why;
     const numbers = [...rows, ...alternatives.map(alternativeRow)];
     if (alternativesLeft) numbers.at(-1)[0] += `, ${alternativesLeft} more`;
     const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
     if (hypotheses !== null) costs.push(`${hypotheses} poses tried`);
     byId("why-frame").textContent = `frame ${frame.index}`;
-    byId("why-truth").textContent = frame.hasTruth ? "with truth" : "without truth";
+    const told = frame.hasTruth ? "with truth" : "without truth";
+    byId("why-truth").textContent = sure === null ? told : `${told} · ${fixed(100 * sure, 0)} % sure`;
     byId("why-body").replaceChildren(
       el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
       el("p", { class: "sentence", text: sentence }),
@@ -21,6 +22,6 @@ export class WhyCard {
 }
 
 function alternativeRow({ name, distanceM, angleDeg, gapNats }) {
-  const gap = gapNats === null ? "" : ` · ${fixed(gapNats, 1)} nats worse`;
-  return [`Alternative ${name}`, `${fixed(distanceM, 1)} m · ${fixed(angleDeg, 1)}°${gap}`];
+  const gap = gapNats === null ? "" : ` · −${fixed(gapNats, 1)} nats`;
+  return [`Pose ${name}`, `${fixed(distanceM, 1)} m · ${fixed(angleDeg, 1)}°${gap}`];
 }
