@@ -10,7 +10,7 @@ from semviz.comparing.metrics import Metrics, metrics_of
 from semviz.inspector.why import Errors, errors_of
 from semviz.measure import settings_of
 from semviz.recording.run import FrameRecord, Run
-from semviz_annotation.mapping.diff import MapDiff, diff_maps
+from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps
 from semviz_core.errors import SemvizError
 from semviz_core.localization import Status
 
