@@ -73,7 +73,7 @@ class Condition:
     def _number(self, node: ast.expr, values: dict[str, float]) -> float:
         try:
             return _evaluate(node, values)
-        except ArithmeticError as error:
+        except ZeroDivisionError as error:
             raise self._wrong(f"cannot be computed ({error})") from None
 
     def _wrong(self, why: str) -> SemvizError:

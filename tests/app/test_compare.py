@@ -99,6 +99,9 @@ def test_metrics_are_those_of_evaluate_over_the_frames_in_both() -> None:
     assert comparison.other["frames"] == 4.0
     assert comparison.only_base == (18, 20)
     assert comparison.notes == ("2 frames are only in the base, and left out",)
+    turned = compare_runs(fewer, base)
+    assert (turned.base, turned.other) == (comparison.other, comparison.base)
+    assert turned.notes == ("2 frames are only in the other run, and left out",)
 
 
 def test_settings_and_maps_that_differ_are_told() -> None:
