@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from semviz_annotation.mapping.placing.least_squares import settled
 from semviz_annotation.mapping.placing.place import Placed, PlaceOptions, place, place_linearly
 from semviz_annotation.mapping.placing.residuals import residuals
 from semviz_annotation.mapping.placing.sightings import Sightings, Views
@@ -79,6 +80,18 @@ def along(world: Drive, row: int) -> float:
         reached = np.linalg.norm(pixels(world.true_views, view, point[None])[0] - top)
         low, high = (share, high) if reached < goal else (low, share)
     return low
+
+
+def test_no_pole_ends_beyond_the_horizon():
+    """Nobody sees the bottom, so it may be anywhere along the line; but not everywhere."""
+    world = drive(5, things=1, seed=3, hidden=1.0)
+    for stretch, fits in ((10.0, True), (1e5, False)):
+        end_m = world.anchor_m + stretch * (world.end_m - world.anchor_m)
+        start = np.concatenate([world.anchor_m, end_m], axis=1)
+        _, cost = settled(
+            world.views, world.sightings, start, np.ones(1, dtype=bool), PlaceOptions()
+        )
+        assert np.isfinite(cost[0]) == fits
 
 
 @settings(deadline=None, max_examples=20)

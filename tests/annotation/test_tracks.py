@@ -319,3 +319,12 @@ def test_what_one_image_shows_joins_what_it_is_and_is_nothing_by_itself(world):
     built, _ = build_map(Labels.from_rows([*rest, *alone]), world)
     assert list(built.elements.id) == [3, 9]
     assert {one.reason for one in built.decisions} == {"labelled in one image only"}
+
+
+def test_what_is_hardly_known_is_not_in_the_map(make_world):
+    far = make_world(
+        {1: (1, np.array([300.0, 4.0, 2.5]), None), 2: (1, np.array([30.0, 4.0, 2.5]), None)}
+    )
+    built, _ = build_map(far.labels(0.5), far, BuildOptions(0.5, min_angle_deg=1e-3))
+    assert list(built.elements.id) == [2]
+    assert [one.reason for one in built.decisions] == ["where it stands is not known to 20 m"]

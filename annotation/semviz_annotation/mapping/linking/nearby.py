@@ -12,7 +12,7 @@ from semviz_core.arrays import BoolArray, FloatArray, IntArray
 _REACH_SIGMAS = 6.0
 _LEAST_REACH_M = 0.5
 _MOST_REACH_M = 40.0
-_HARDLY_KNOWN_M = 20.0
+HARDLY_KNOWN_M = 20.0
 """A place that is not known better is none."""
 _NOMINAL_M = 30.0
 """How far away something without a place is looked for, and ``_MOST_REACH_M`` around that."""
@@ -56,14 +56,9 @@ class Spots:
 
     def put(self, rows: IntArray, placed: Placed) -> None:
         """New places, of the things in rows (m,); those of ``placed`` that have one."""
-        share = np.where(np.isfinite(placed.end_m[:, 0]), 0.5, 1.0)
-        shares = np.stack([share, 1.0 - share], axis=1)
-        ends = np.stack([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)[:, :, :2]
-        covariance = placed.covariance_m2.reshape(-1, 2, 3, 2, 3)[:, :, :2, :, :2]
-        spread = np.einsum("ne,neifj,nf->nij", shares, covariance, shares)
-        sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, 1], 0.0))
-        good = placed.ok & (sigma < _HARDLY_KNOWN_M)
-        self.at_m[rows[good]] = np.einsum("ne,nei->ni", shares, ends)[good]
+        at_m, spread, sigma = stands(placed)
+        good = sigma < HARDLY_KNOWN_M
+        self.at_m[rows[good]] = at_m[good]
         self.covariance_m2[rows[good]] = spread[good]
         self.sigma_m[rows[good]] = sigma[good]
 
@@ -104,6 +99,19 @@ class Spots:
         a, b, d = both[:, 0, 0], both[:, 0, 1], both[:, 1, 1]
         squared = (d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b)
         return np.asarray(squared <= _REACH_SIGMAS**2)
+
+
+def stands(placed: Placed) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, 2) m where things stand on the ground plane, (n, 2, 2) its covariance, and (n,) sigma in
+    the worst direction: infinite without a place."""
+    share = np.where(np.isfinite(placed.end_m[:, 0]), 0.5, 1.0)
+    shares = np.stack([share, 1.0 - share], axis=1)
+    ends = np.stack([placed.anchor_m, np.nan_to_num(placed.end_m)], axis=1)[:, :, :2]
+    covariance = placed.covariance_m2.reshape(-1, 2, 3, 2, 3)[:, :, :2, :, :2]
+    spread = np.einsum("ne,neifj,nf->nij", shares, covariance, shares)
+    sigma = np.sqrt(np.linalg.eigvalsh(spread)[:, 1])
+    at_m = np.einsum("ne,nei->ni", shares, ends)
+    return at_m, spread, np.where(placed.ok, sigma, np.inf)
 
 
 def _on_rays(views: Views, sightings: Sightings) -> FloatArray:

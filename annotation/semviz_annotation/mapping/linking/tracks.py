@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
 from semviz_annotation.mapping.linking.misfits import misfits, parts
+from semviz_annotation.mapping.linking.nearby import HARDLY_KNOWN_M, stands
 from semviz_annotation.mapping.linking.nodes import LEFT_OUT, Judged, Nodes, exclusion_of
 from semviz_annotation.mapping.linking.rounds import Linking, LinkOptions, placed_near
 from semviz_annotation.mapping.placing.place import place, place_linearly
@@ -78,6 +79,7 @@ def find_tracks(
     kept[thing[judged.kept[nodes.element]]] = True
     placed = _kept_at_any_price(views, tracked, placed, kept, options)
     _refuse_rare(views, tracked, placed, ~kept, options)
+    _refuse_vague(placed, ~kept)
     return Tracks(
         gathered=gathered,
         judged=judged,
@@ -197,3 +199,10 @@ def _refuse_rare(
     frames = np.bincount(np.unique(seen, axis=1)[0], minlength=sightings.count)
     rare = things & placed.ok & (frames < options.min_frames)
     placed.failure[rare] = f"seen in fewer than {options.min_frames} frames"
+
+
+def _refuse_vague(placed: Placed, things: BoolArray) -> None:
+    """Those of ``things`` (n,) whose places are hardly known."""
+    _, _, sigma_m = stands(placed)
+    vague = things & placed.ok & ~(sigma_m < HARDLY_KNOWN_M)
+    placed.failure[vague] = f"where it stands is not known to {HARDLY_KNOWN_M:g} m"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz_annotation.mapping.placing.linear import MIN_ANGLE_RAD
+from semviz_annotation.mapping.placing.linear import MIN_ANGLE_RAD, beyond_horizon
 from semviz_annotation.mapping.placing.residuals import Residuals, residuals
 from semviz_annotation.mapping.placing.sightings import Sightings, Views
 from semviz_core.arrays import BoolArray, FloatArray
@@ -64,7 +64,8 @@ def settled(
     Levenberg-Marquardt (Madsen, Nielsen & Tingleff 2004, 3.2), each thing with its own damping.
     """
     X, cost = np.where(where[:, None], X, 0.0), np.full(len(X), np.inf)
-    busy, sightings = np.flatnonzero(where), sightings.only(where)
+    busy, things = np.flatnonzero(where), sightings.only(where)
+    sightings = things
     damping = np.full(len(busy), 1e-4)
     here = _normal(views, sightings, X[busy], options)
     for _ in range(_STEPS):
@@ -82,6 +83,9 @@ def settled(
         cost[busy[done]] = here.cost[done]
         sightings, here = sightings.only(~done), here.chosen(~done)
         busy, damping = busy[~done], damping[~done]
+    anchor, is_line = X[where, :3], things.of(things.is_line)
+    end = np.where(is_line[:, None], X[where, 3:], anchor)
+    cost[where] = np.where(beyond_horizon(views, things, anchor, end), np.inf, cost[where])
     return X, cost
 
 

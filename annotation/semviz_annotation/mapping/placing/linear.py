@@ -184,15 +184,22 @@ def _put_ends(
     first, last = outermost(sightings, along)
     start.anchor_m[:] = origin + first[:, None] * direction
     start.end_m[:] = origin + last[:, None] * direction
-    middle, _ = _near_cameras(views, sightings)
-    reach = np.maximum(np.abs(start.anchor_m - middle), np.abs(start.end_m - middle)).max(axis=1)
-    far = ~(reach < _HORIZON_M)  # NaN too
+    far = beyond_horizon(views, sightings, start.anchor_m, start.end_m)
     start.fail(far, "an end would be at the horizon: are these two different things?")
     behind = np.zeros(sightings.count, dtype=bool)
     for ends in (start.anchor_m, start.end_m):
         depth = views.depth_m(sightings.view, ends[sightings.thing])
         behind |= sightings.of(~(depth >= MIN_DEPTH_M))
     start.fail(behind, "the planes meet behind the camera: are these two different things?")
+
+
+def beyond_horizon(
+    views: Views, sightings: Sightings, anchor_m: FloatArray, end_m: FloatArray
+) -> BoolArray:
+    """(n,) whether an end (n, 3) of a thing is so far away that its lines are of two things."""
+    middle, _ = _near_cameras(views, sightings)
+    reach = np.maximum(np.abs(anchor_m - middle), np.abs(end_m - middle)).max(axis=1)
+    return np.asarray(~(reach < _HORIZON_M))  # NaN too
 
 
 def end_rays(views: Views, sightings: Sightings) -> FloatArray:
