@@ -45,6 +45,8 @@ from semviz_core.solving.search import COARSE, Modes
 from semviz_core.solving.verdict import judge
 
 CLEAN = Difficulty(false_detections=0.0, missing=0.0, duplicated=0.0, moved=0.0)
+WHOLE: Difficulty = replace(CLEAN, crop_m=100.0)
+"""So wide that every element that is seen is among the problem's pairs; submaps are ``CLEAN``'s."""
 SHOWS_PX = 20.0
 _SIGNS = (TRIANGULAR, RECTANGULAR, ROUNDED)
 _STARTS = 40
@@ -125,7 +127,7 @@ def plant(
 
     ``false_detections`` is the mean number of others that are in it anyway.
     """
-    level = replace(CLEAN, false_detections=false_detections)
+    level = replace(WHOLE, false_detections=false_detections)
     problem = make_problem(seed, level, road)
     given = Given.of(problem, mapped_elements(road or default_road(), seed, level))
     if not problem.is_valid:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_core.elements import Elements3D
-from semviz_core.evaluation.planted import CLEAN, Given, aside, copied, shifted
+from semviz_core.evaluation.planted import WHOLE, Given, aside, copied, shifted
 from semviz_core.evaluation.problems import make_problem, mapped_elements
 from semviz_core.evaluation.roads import Road
 from semviz_core.explaining.told import Kind, Truth
@@ -39,9 +39,9 @@ def plant_in_run(fault: Kind, seed: int, road: Road, count: int = FRAMES) -> Pla
     """A run of ``count`` frames with the fault; None where no element is seen often enough."""
     rng = np.random.default_rng([seed, 9])
     first = int(rng.integers(len(road) - count * STEP))
-    elements = mapped_elements(road, seed, CLEAN)
+    elements = mapped_elements(road, seed, WHOLE)
     frames = [
-        Given.of(make_problem(seed, CLEAN, road, first + k * STEP, driving=True), elements)
+        Given.of(make_problem(seed, WHOLE, road, first + k * STEP, driving=True), elements)
         for k in range(count)
     ]
     ids, times = np.unique(np.concatenate([one.ids for one in frames]), return_counts=True)

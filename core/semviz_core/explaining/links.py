@@ -32,8 +32,10 @@ MISSED_NATS = 3.0
 """By more, a pose that was not found explains the image better than the best found."""
 MUCH_CLUTTER = 0.5
 """Share of false rows that does harm even where none of them is in the answer."""
+STRANGER: Kind = "false or not mapped"
+"""Costs a pair if it is of something real; where enough is seen without, that is no failure."""
 COSTS_A_PAIR: tuple[Kind, ...] = (
-    "wrong class", "moved in the map", "missing in the map", "false or not mapped",
+    "wrong class", "moved in the map", "missing in the map", STRANGER,
 )  # fmt: skip
 _AHEAD_SHARE = 0.23
 """Of all around, so much is in an image of about 80 deg."""
@@ -80,8 +82,9 @@ def pairs_possible(case: Case, noticed: Sequence[Fault]) -> Fault | None:
     sound = len(sound_pairs(case))
     if sound < NEEDED_ELEMENTS and sound + len(costly) < NEEDED_ELEMENTS and case.truth is not None:
         return _too_few(case, sound)
-    if costly:
-        return costly[0]
+    blamed = [one for one in costly if sound < NEEDED_ELEMENTS or one.kind != STRANGER]
+    if blamed:
+        return blamed[0]
     used = case.localization.refinement
     rows = set() if used is None else set(used.pairs[used.inlier, 0].tolist())
     cluttered = len(noticed) >= MUCH_CLUTTER * len(case.localization.observed)

@@ -28,19 +28,20 @@ _WITH_IDS: dict[Kind, float] = {
 _WITH_POSE: dict[Kind, float] = _WITH_IDS | {
     "healthy": 0.98,
     "false or not mapped": 0.99,
-    "moved in the map": 0.56,
+    "moved in the map": 0.51,
+    "ambiguous geometry": 0.89,
 }
 _BLIND: dict[Kind, float] = {
     "healthy": 0.98,
-    "too few elements": 0.88,
+    "too few elements": 0.87,
     "missed detection": 0.78,
     "wrong class": 0.99,
-    "false or not mapped": 0.90,
+    "false or not mapped": 0.91,
     "not in the submap": 0.32,
-    "moved in the map": 0.43,
+    "moved in the map": 0.38,
     "twice in the map": 0.99,
     "refinement diverged": 0.98,
-    "ambiguous geometry": 0.96,
+    "ambiguous geometry": 0.84,
 }
 SURE: dict[Knowledge, dict[Kind, float]] = {
     knowledge: {kind: shares.get(kind, UNMEASURED) for kind in get_args(Kind)}
