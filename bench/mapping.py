@@ -364,7 +364,7 @@ class Road:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1000, 1010)))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1000, 1040)))
     parser.add_argument("--big", type=int, nargs="?", const=10_000, metavar="FRAMES")
     options = parser.parse_args()
     if options.big:
