@@ -12,6 +12,7 @@ import threading
 import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Protocol
 from weakref import WeakSet
 
@@ -69,7 +70,7 @@ class Door:
             print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
             if open_browser:
                 _open_browser(url)
-            told.wait()
+            told.get()
             _end_within(CLOSING_S)
 
     @contextlib.contextmanager
@@ -140,11 +141,15 @@ def _bound(host: str, port: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _until_told() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; the handlers before are put back afterwards."""
-    told = threading.Event()
+def _until_told() -> Iterator["SimpleQueue[int]"]:
+    """A queue that gets the numbers of Ctrl-C and SIGTERM; the handlers before are put back.
+
+    Not an event: a handler runs in the thread that waits, between any two of its steps, and an
+    event's lock may be its own just then. Putting into this queue never waits.
+    """
+    told: SimpleQueue[int] = SimpleQueue()
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: told.set()) for number in numbers]
+    before = [signal.signal(number, lambda number, _: told.put(number)) for number in numbers]
     try:
         yield told
     finally:

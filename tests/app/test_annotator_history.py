@@ -72,7 +72,7 @@ def test_an_earlier_state_is_looked_at_and_nothing_changes(
     page.keyboard.press("Control+z")
     page.keyboard.press("Enter")
     driver.goto(1)  # the past of every frame
-    page.wait_for_function("document.querySelectorAll('#elements .row').length === 1")
+    page.wait_for_function("() => document.querySelectorAll('#elements .row').length === 1")
     assert names(page) == ["O-02"]
     driver.goto(0)
     page.keyboard.press("Escape")
