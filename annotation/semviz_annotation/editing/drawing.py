@@ -1,6 +1,6 @@
 """Edits of observations: drawn, moved, corrected, deleted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
@@ -84,11 +84,7 @@ class AddMany:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
-        draft = Draft(labels)
-        for one in self.observations:
-            changes = tuple(one.changes(draft.labels(), rules))
-            draft.apply(changes)
-            yield from changes
+        yield from _in_turn(self.observations, labels, rules)
 
 
 @dataclass(frozen=True)
@@ -189,8 +185,15 @@ class DeleteMany:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[Change]:
-        draft = Draft(labels)
-        for one in self.observation_ids:
-            changes = tuple(DeleteObservation(one).changes(draft.labels(), rules))
-            draft.apply(changes)
-            yield from changes
+        yield from _in_turn(map(DeleteObservation, self.observation_ids), labels, rules)
+
+
+def _in_turn(
+    edits: Iterable[AddObservation | DeleteObservation], labels: Labels, rules: Rules
+) -> Iterator[Change]:
+    """Changes of edits of which each finds what those before it have left."""
+    draft = Draft(labels)
+    for one in edits:
+        changes = tuple(one.changes(draft.labels(), rules))
+        draft.apply(changes)
+        yield from changes

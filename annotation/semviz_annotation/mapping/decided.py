@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from semviz_annotation.mapping.linking.nearby import stands
 from semviz_annotation.mapping.linking.tracks import Tracks
 from semviz_annotation.mapping.placing.residuals import residuals
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
@@ -148,13 +149,19 @@ class _Book:
     @cached_property
     def _stand_m(self) -> FloatArray:
         """(n, 2) where things stand on the ground plane; NaN without a place."""
-        return _on_ground(self.tracks.placed.anchor_m, self.tracks.placed.end_m)
+        at_m, _, _ = stands(self.tracks.placed)
+        return at_m
+
+    @cached_property
+    def _stand_alone_m(self) -> FloatArray:
+        """(m, 2) where nodes stand by themselves, likewise."""
+        at_m, _, _ = stands(self.tracks.alone)
+        return at_m
 
     def _distance_m(self, nodes: IntArray, thing: int) -> float:
         """From a thing to the furthest of its nodes that have a place by themselves."""
-        alone = self.tracks.alone
-        stand = _on_ground(alone.anchor_m[nodes], alone.end_m[nodes])[alone.ok[nodes]]
-        away = np.linalg.norm(stand - self._stand_m[thing], axis=1)
+        placed = nodes[self.tracks.alone.ok[nodes]]
+        away = np.linalg.norm(self._stand_alone_m[placed] - self._stand_m[thing], axis=1)
         return float(away.max(initial=0.0))
 
     def _errors_px(self, rows: IntArray, thing: int) -> FloatArray:
@@ -164,9 +171,3 @@ class _Book:
         here = slice(thing, thing + 1)
         at = residuals(gathered.views, sightings, placed.anchor_m[here], placed.end_m[here])
         return np.where(at.ahead, np.linalg.norm(at.error_px, axis=1), np.inf)
-
-
-def _on_ground(anchor_m: FloatArray, end_m: FloatArray) -> FloatArray:
-    """(n, 2) of things at anchor_m and end_m (n, 3): where poles stand in the middle."""
-    middle = np.where(np.isnan(end_m), anchor_m, (anchor_m + end_m) / 2.0)
-    return np.asarray(middle[:, :2])
