@@ -1,21 +1,20 @@
 """The benchmark: the same numbers however it was run, and tables that say what they claim."""
 
 import json
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from calling import Call, call
 
 from semviz.benchmark import runner
 from semviz.benchmark.methods import KNOWN
 from semviz.benchmark.report import Report
 from semviz.benchmark.suites import SUITES
-from semviz.cli import main
 from semviz_core.evaluation.outcomes import Facts, Outcome
 from semviz_core.evaluation.tables import rows
 
-Run = Callable[..., tuple[int, str, str]]
 QUICK = ("--methods", "true matches,bound", "--noise", "low", "--no-plots", "--json")
 KEYS = {
     "method", "noise", "stratum", "frames", "rte_m", "rre_deg", "share_below_1m",
@@ -25,16 +24,9 @@ TIMES = {"time_ms", "stages_ms", "first_call_ms", "timed_alone"}
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of ``semviz benchmark``."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["benchmark", *map(str, arguments)])
-        output, error_output = capsys.readouterr()
-        return int(ended.value.code or 0), output, error_output
-
-    return run_command
+    return partial(call, capsys, "benchmark")
 
 
 def untimed(output: str) -> list[dict[str, Any]]:
@@ -45,7 +37,7 @@ def untimed(output: str) -> list[dict[str, Any]]:
     ]
 
 
-def test_json_table_and_plots(run: Run, tmp_path: Path) -> None:
+def test_json_table_and_plots(run: Call, tmp_path: Path) -> None:
     options = ("--frames", 6, "--methods", "search,bound", "--noise", "low", "--json")
     status, output, _ = run(*options, "--out", tmp_path)
     assert status == 0
@@ -62,7 +54,7 @@ def test_json_table_and_plots(run: Run, tmp_path: Path) -> None:
     assert plots == {f"frames-low-{kind}.png" for kind in kinds}
 
 
-def test_suites_of_drives_and_of_matches(run: Run, tmp_path: Path) -> None:
+def test_suites_of_drives_and_of_matches(run: Call, tmp_path: Path) -> None:
     """Each method runs where it can; drives have no strata by true matches."""
     options = ("--methods", "tracking,p3p", "--noise", "low", "--frames", 5, "--no-plots", "--json")
     status, output, _ = run("--suite", "matched,sequence", *options, "--out", tmp_path)
@@ -73,7 +65,7 @@ def test_suites_of_drives_and_of_matches(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def whole(run: Run, tmp_path: Path) -> tuple[Path, list[dict[str, Any]]]:
+def whole(run: Call, tmp_path: Path) -> tuple[Path, list[dict[str, Any]]]:
     """Folder and rows of an uninterrupted benchmark."""
     folder = tmp_path / "whole"
     status, output, _ = run("--frames", 8, *QUICK, "--out", folder)
@@ -82,7 +74,7 @@ def whole(run: Run, tmp_path: Path) -> tuple[Path, list[dict[str, Any]]]:
 
 
 def test_same_seeds_same_numbers(
-    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+    run: Call, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
 ) -> None:
     assert untimed(run("--frames", 8, *QUICK, "--out", tmp_path / "again")[1]) == whole[1]
     assert (
@@ -93,7 +85,7 @@ def test_same_seeds_same_numbers(
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.4, 0.77, 1.0])
 def test_what_a_kill_leaves_is_gone_on_with(
-    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path, share: float
+    run: Call, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path, share: float
 ) -> None:
     """The file is cut anywhere, as a killed process leaves it."""
     content = (whole[0] / "results.jsonl").read_bytes()
@@ -109,7 +101,7 @@ def test_what_a_kill_leaves_is_gone_on_with(
 
 
 def test_interrupted_keeps_what_is_done(
-    run: Run,
+    run: Call,
     whole: tuple[Path, list[dict[str, Any]]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -131,7 +123,7 @@ def test_interrupted_keeps_what_is_done(
 
 
 def test_two_processes_change_only_times(
-    run: Run, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+    run: Call, whole: tuple[Path, list[dict[str, Any]]], tmp_path: Path
 ) -> None:
     output = run("--frames", 8, "--jobs", 2, *QUICK, "--out", tmp_path / "two")[1]
     assert untimed(output) == whole[1]
@@ -149,7 +141,7 @@ def test_two_processes_change_only_times(
     ],
 )
 def test_mistakes_cost_one_line(
-    run: Run, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+    run: Call, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     status, output, error_output = run(*arguments, "--out", tmp_path)
     assert (status, output, error_output.count("\n")) == (2, "", 1)
@@ -157,7 +149,7 @@ def test_mistakes_cost_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_other_settings_are_refused(run: Run, whole: tuple[Path, list[dict[str, Any]]]) -> None:
+def test_other_settings_are_refused(run: Call, whole: tuple[Path, list[dict[str, Any]]]) -> None:
     before = (whole[0] / "results.jsonl").read_bytes()
     status, output, error_output = run("--seed", 1500, *QUICK, "--out", whole[0])
     assert (status, output, error_output.count("\n")) == (2, "", 1)
@@ -170,12 +162,12 @@ def test_every_method_and_suite_can_be_named_in_a_list() -> None:
     assert not [name for name in names if "," in name]
 
 
-def test_tuning_seeds_are_named_so(run: Run, tmp_path: Path) -> None:
+def test_tuning_seeds_are_named_so(run: Call, tmp_path: Path) -> None:
     _, output, _ = run("--seed", 0, "--frames", 1, *QUICK, "--out", tmp_path)
     assert any("tuning" in note for note in json.loads(output)["notes"])
 
 
-def test_what_is_given_without_the_prior_is_measured_without_it(run: Run, tmp_path: Path) -> None:
+def test_what_is_given_without_the_prior_is_measured_without_it(run: Call, tmp_path: Path) -> None:
     """Each method's ratio is to the bound that it can reach; without the prior that is further."""
     methods = "bound,bound alone,true matches,true matches alone"
     options = ("--methods", methods, "--noise", "low", "--frames", 40, "--no-plots", "--json")
@@ -189,7 +181,7 @@ def test_what_is_given_without_the_prior_is_measured_without_it(run: Run, tmp_pa
         assert row[f"{name} alone"]["rte_m"]["q2"] > row[name]["rte_m"]["q2"]
 
 
-def test_where_noise_is_misstated_there_is_no_bound(run: Run, tmp_path: Path) -> None:
+def test_where_noise_is_misstated_there_is_no_bound(run: Call, tmp_path: Path) -> None:
     options = ("--frames", 4, "--methods", "search,bound", "--noise", "low", "--json")
     _, output, _ = run("--suite", "noise 3 px,noise 3 px unstated", *options, "--out", tmp_path)
     rows = [row for row in json.loads(output)["rows"] if row["stratum"] == "all"]

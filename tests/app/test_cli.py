@@ -4,12 +4,13 @@ import json
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from calling import Call, call
 
 from semviz.cli import main
 from semviz.recording.reader import load_run
@@ -20,20 +21,11 @@ from semviz_core.elements import Elements3D
 from semviz_core.map_file import load_map, save_map
 from semviz_core.semantic_map import MapFrame, SemanticMap
 
-Run = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of one command."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main([str(one) for one in arguments])
-        output, errors = capsys.readouterr()
-        return int(ended.value.code or 0), output, errors
-
-    return run_command
+    return partial(call, capsys)
 
 
 @pytest.fixture(scope="module")
@@ -79,26 +71,26 @@ def test_help_is_quick_and_light() -> None:
 @pytest.mark.parametrize(
     "command", ["annotate", "localize", "serve", "map build", "map check", "labels export"]
 )
-def test_a_missing_workspace(run: Run, tmp_path: Path, command: str) -> None:
+def test_a_missing_workspace(run: Call, tmp_path: Path, command: str) -> None:
     extra = [tmp_path / "out.jsonl"] if command == "labels export" else []
     result = run(*command.split(), tmp_path / "nowhere", *extra)
     assert_refused(result, "nowhere", "no such workspace", "semviz new")
 
 
-def test_a_folder_without_images(run: Run, tmp_path: Path) -> None:
+def test_a_folder_without_images(run: Call, tmp_path: Path) -> None:
     (tmp_path / "kitti").mkdir()
     result = run("new", tmp_path / "town", "--kitti", tmp_path / "kitti")
     assert_refused(result, "kitti")
     assert not (tmp_path / "town").exists()
 
 
-def test_new_needs_one_source(run: Run, tmp_path: Path) -> None:
+def test_new_needs_one_source(run: Call, tmp_path: Path) -> None:
     assert_refused(run("new", tmp_path / "town"), "--kitti", "--simulate")
     both = run("new", tmp_path / "town", "--kitti", tmp_path, "--simulate", 1)
     assert_refused(both, "--kitti", "--simulate")
 
 
-def test_new_never_overwrites(run: Run, street: Path) -> None:
+def test_new_never_overwrites(run: Call, street: Path) -> None:
     before = (street / "semviz.toml").read_bytes()
     assert_refused(run("new", street, "--simulate", 4), "not empty")
     assert (street / "semviz.toml").read_bytes() == before
@@ -128,7 +120,7 @@ def test_new_never_overwrites(run: Run, street: Path) -> None:
         ("--heading-sigma-deg", "1e-300"),
     ],
 )
-def test_impossible_options(run: Run, street: Path, option: str, value: str) -> None:
+def test_impossible_options(run: Call, street: Path, option: str, value: str) -> None:
     out = street / "runs" / "refused.rrd"
     options = {"--map": TRUTH, option: value}
     words = [word for pair in options.items() for word in pair]
@@ -137,7 +129,7 @@ def test_impossible_options(run: Run, street: Path, option: str, value: str) -> 
 
 
 @pytest.mark.parametrize("name", [".", "folder.rrd", "first.txt", "first.rrd/second.rrd"])
-def test_a_run_takes_no_other_things_place(run: Run, street: Path, name: str) -> None:
+def test_a_run_takes_no_other_things_place(run: Call, street: Path, name: str) -> None:
     runs = street / "runs"
     (runs / "folder.rrd").mkdir(exist_ok=True)
     before = sorted(runs.iterdir())
@@ -146,21 +138,21 @@ def test_a_run_takes_no_other_things_place(run: Run, street: Path, name: str) ->
     (runs / "folder.rrd").rmdir()
 
 
-def test_a_busy_port(run: Run, street: Path) -> None:
+def test_a_busy_port(run: Call, street: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         result = run("serve", street, "--port", port, "--no-open")
     assert_refused(result, str(port), "in use", "--port")
 
 
-def test_a_map_of_another_frame(run: Run, street: Path) -> None:
+def test_a_map_of_another_frame(run: Call, street: Path) -> None:
     path = Workspace.open(street).map_path("foreign")
     save_map(replace(load_map(path.with_stem(TRUTH)), frame=MapFrame("elsewhere")), path)
     result = run("localize", street, "--map", "foreign")
     assert_refused(result, "elsewhere", "street-3")
 
 
-def test_an_empty_map(run: Run, street: Path) -> None:
+def test_an_empty_map(run: Call, street: Path) -> None:
     workspace = Workspace.open(street)
     nothing = Elements3D.from_ends([], np.zeros((0, 3)), np.zeros((0, 3)), [])
     empty = SemanticMap(nothing, workspace.source.map_frame)
@@ -168,13 +160,13 @@ def test_an_empty_map(run: Run, street: Path) -> None:
     assert_refused(run("localize", street, "--map", "empty"), "empty")
 
 
-def test_no_labels_to_build_from(run: Run, street: Path) -> None:
+def test_no_labels_to_build_from(run: Call, street: Path) -> None:
     assert_refused(run("map", "build", street), "label")
     assert not Workspace.open(street).map_path("main").exists()
 
 
 @pytest.mark.parametrize("command", ["evaluate", "open", "serve"])
-def test_a_broken_run(run: Run, tmp_path: Path, command: str) -> None:
+def test_a_broken_run(run: Call, tmp_path: Path, command: str) -> None:
     broken = tmp_path / "broken.rrd"
     broken.write_bytes(b"not a recording at all")
     options = ["--port", "0", "--no-open"] if command == "serve" else []
@@ -182,11 +174,11 @@ def test_a_broken_run(run: Run, tmp_path: Path, command: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["evaluate", "open"])
-def test_a_missing_run(run: Run, tmp_path: Path, command: str) -> None:
+def test_a_missing_run(run: Call, tmp_path: Path, command: str) -> None:
     assert_refused(run(command, tmp_path / "none.rrd"), "none.rrd", "semviz localize")
 
 
-def test_a_run_from_street_to_numbers(run: Run, street: Path, tmp_path: Path) -> None:
+def test_a_run_from_street_to_numbers(run: Call, street: Path, tmp_path: Path) -> None:
     first = street / "runs" / "first.rrd"
     status, output, _ = run("evaluate", first, "--json", "--csv", tmp_path / "rows.csv")
     assert status == 0
@@ -201,7 +193,7 @@ def test_a_run_from_street_to_numbers(run: Run, street: Path, tmp_path: Path) ->
     assert "RTE" in output
 
 
-def test_the_same_seed_gives_the_same_run(run: Run, street: Path) -> None:
+def test_the_same_seed_gives_the_same_run(run: Call, street: Path) -> None:
     rows = []
     for name in ("again", "once-more"):
         path = street / "runs" / f"{name}.rrd"
@@ -211,13 +203,13 @@ def test_the_same_seed_gives_the_same_run(run: Run, street: Path) -> None:
     assert rows[0] == rows[1]
 
 
-def test_a_street_too_long_leaves_nothing_behind(run: Run, tmp_path: Path) -> None:
+def test_a_street_too_long_leaves_nothing_behind(run: Call, tmp_path: Path) -> None:
     result = run("new", tmp_path / "town", "--simulate", 1, "--frames", "0:99999999999999999999")
     assert_refused(result, "frames")
     assert not (tmp_path / "town").exists()
 
 
-def test_a_name_that_the_system_refuses(run: Run, tmp_path: Path) -> None:
+def test_a_name_that_the_system_refuses(run: Call, tmp_path: Path) -> None:
     assert_refused(run("new", tmp_path / ("x" * 300), "--simulate", 1), "too long")
 
 
@@ -233,7 +225,7 @@ def test_a_reader_that_has_seen_enough(street: Path) -> None:
 
 
 def test_an_interrupted_run_leaves_the_earlier_one(
-    run: Run, street: Path, monkeypatch: pytest.MonkeyPatch
+    run: Call, street: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C: status 130, the frames so far are readable, what was there before is untouched."""
     first = street / "runs" / "first.rrd"

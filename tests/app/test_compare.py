@@ -1,18 +1,18 @@
 """``semviz compare``: what is fixed and broken, what differs, and gates that cannot be fooled."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from calling import Call, call
 from hypothesis import given
 from hypothesis import strategies as st
 from small_runs import FRAMES, ambiguous, off_by, saved, small_run, spoiled, unanswered
 from small_runs import without_truth as untold
 
-from semviz.cli import main
 from semviz.comparing.comparison import compare_runs
 from semviz.comparing.conditions import LONGEST, parse_condition
 from semviz.comparing.metrics import metrics_of
@@ -22,20 +22,11 @@ from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame
 
-Command = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
+def command(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of ``semviz compare``."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["compare", *(str(one) for one in arguments)])
-        output, errors = capsys.readouterr()
-        return int(ended.value.code or 0), output, errors
-
-    return run_command
+    return partial(call, capsys, "compare")
 
 
 def spoiled_pair() -> tuple[Run, Run]:
@@ -119,7 +110,7 @@ def test_settings_and_maps_that_differ_are_told() -> None:
     assert len(comparison.maps.moved) == 1
 
 
-def test_json_is_as_promised(command: Command, pair: tuple[Path, Path]) -> None:
+def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
     status, output, errors = command(*pair, "--json", "--fail-if", "broken > 2")
     told = json.loads(output)
     assert (status, errors) == (1, "")
@@ -146,15 +137,13 @@ def test_json_is_as_promised(command: Command, pair: tuple[Path, Path]) -> None:
         ("missing == 0", 1),
     ],
 )
-def test_gates(command: Command, pair: tuple[Path, Path], condition: str, status: int) -> None:
+def test_gates(command: Call, pair: tuple[Path, Path], condition: str, status: int) -> None:
     ended, output, errors = command(*pair, "--fail-if", condition)
     assert (ended, errors) == (status, "")
     assert (f"\nfailed: {condition} (" in output) == bool(status)
 
 
-def test_several_gates_and_each_that_fails_is_told(
-    command: Command, pair: tuple[Path, Path]
-) -> None:
+def test_several_gates_and_each_that_fails_is_told(command: Call, pair: tuple[Path, Path]) -> None:
     gates = ("--fail-if", "broken > 2", "--fail-if", "fixed > 5", "--fail-if", "same < 6")
     status, output, _ = command(*pair, *gates)
     assert status == 1
@@ -187,7 +176,7 @@ def test_several_gates_and_each_that_fails_is_told(
     ],
 )
 def test_what_is_no_gate_is_refused_in_one_line(
-    command: Command, pair: tuple[Path, Path], condition: str, said: str
+    command: Call, pair: tuple[Path, Path], condition: str, said: str
 ) -> None:
     status, output, errors = command(*pair, "--fail-if", condition)
     if not said:  # a large number is only a number
@@ -199,7 +188,7 @@ def test_what_is_no_gate_is_refused_in_one_line(
     assert said in errors
 
 
-def test_a_gate_does_not_pass_because_nothing_is_known(command: Command, tmp_path: Path) -> None:
+def test_a_gate_does_not_pass_because_nothing_is_known(command: Call, tmp_path: Path) -> None:
     nothing = spoiled(small_run(), dict.fromkeys(FRAMES, unanswered))
     paths = saved(small_run(), tmp_path / "a.rrd"), saved(nothing, tmp_path / "b.rrd")
     status, _, errors = command(*paths, "--fail-if", "median_rte_m > 1.05*base")
@@ -207,7 +196,7 @@ def test_a_gate_does_not_pass_because_nothing_is_known(command: Command, tmp_pat
     assert "the other run does not tell median_rte_m" in errors
 
 
-def test_an_interrupted_run_is_noted_and_never_gated(command: Command, tmp_path: Path) -> None:
+def test_an_interrupted_run_is_noted_and_never_gated(command: Call, tmp_path: Path) -> None:
     cut = replace(small_run(), frames=small_run().frames[:3], complete=False)
     paths = saved(small_run(), tmp_path / "a.rrd"), saved(cut, tmp_path / "b.rrd")
     status, output, _ = command(*paths)

@@ -5,9 +5,9 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+from calling import call
 from random_edits import pole
 
-from semviz.cli import main
 from semviz.workspace import Workspace
 
 
@@ -21,10 +21,7 @@ def workspace(tmp_path: Path) -> Workspace:
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as caught:
-        main(["labels", *map(str, arguments)])
-    said = capsys.readouterr()
-    return int(caught.value.code or 0), said.out, said.err
+    return call(capsys, "labels", *arguments)
 
 
 def test_check_says_what_is_there_and_where_it_breaks(workspace, capsys):

@@ -4,11 +4,13 @@ import io
 import json
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from calling import Call, call
 
 from semviz.cli import main
 from semviz.inspector.forecast import Forecast
@@ -24,21 +26,13 @@ from semviz_core.semantic_map import SemanticMap
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-Run = Callable[..., tuple[int, str, str]]
 FRAMES = 12
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of ``semviz map localizability``."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["map", "localizability", *(str(one) for one in arguments)])
-        output, errors = capsys.readouterr()
-        return int(ended.value.code or 0), output, errors
-
-    return run_command
+    return partial(call, capsys, "map", "localizability")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +49,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_table_names_stretches_and_what_would_help(run: Run, street: Path) -> None:
+def test_the_table_names_stretches_and_what_would_help(run: Call, street: Path) -> None:
     status, output, errors = run(street, "--map", TRUTH)
     assert (status, errors) == (0, "")
     first, assumed, heads, *rows = output.splitlines()
@@ -66,7 +60,7 @@ def test_the_table_names_stretches_and_what_would_help(run: Run, street: Path) -
     assert any(row.startswith("keep P-") for row in rows)
 
 
-def test_json_and_plot_say_the_same(run: Run, street: Path, tmp_path: Path) -> None:
+def test_json_and_plot_say_the_same(run: Call, street: Path, tmp_path: Path) -> None:
     plot = tmp_path / "route.png"
     status, output, _ = run(street, "--map", TRUTH, "--frames", "0:12:2", "--json", "--plot", plot)
     assert status == 0
@@ -78,7 +72,7 @@ def test_json_and_plot_say_the_same(run: Run, street: Path, tmp_path: Path) -> N
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_without_poses_the_map_s_own_way_is_taken(run: Run, street: Path) -> None:
+def test_without_poses_the_map_s_own_way_is_taken(run: Call, street: Path) -> None:
     """The frames of a range and the trajectory of the map lead along the same street."""
     workspace = Workspace.open(street)
     truth = load_map(workspace.map_path(TRUTH))
@@ -110,7 +104,7 @@ def test_labels_tell_how_much_of_the_map_is_seen(street: Path, share: float) -> 
     assert detector.recall_far == pytest.approx(min(share, 0.98), abs=0.1)
 
 
-def test_what_cannot_be_predicted_costs_one_line(run: Run, street: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_predicted_costs_one_line(run: Call, street: Path, tmp_path: Path) -> None:
     workspace = Workspace.open(street)
     truth = load_map(workspace.map_path(TRUTH))
     save_map(SemanticMap(truth.elements[[]], truth.frame), workspace.map_path("empty"))

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
+from calling import call
 
-from semviz.cli import main
 from semviz.workspace import Workspace
 from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.street_labels import label_street
@@ -31,10 +31,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as caught:
-        main(["map", "build", *map(str, arguments)])
-    said = capsys.readouterr()
-    return int(caught.value.code or 0), said.out, said.err
+    return call(capsys, "map", "build", *arguments)
 
 
 def test_what_was_decided_is_told_in_words(town, capsys):

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from calling import call
 
-from semviz.cli import main
 from semviz.workspace import Workspace
 from semviz_annotation.edits import DeleteObservation, MoveObservation
 from semviz_annotation.formats.plan import ImportLabels
@@ -54,10 +54,7 @@ def town(tmp_path: Path, labels: Labels, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as caught:
-        main(["map", *map(str, arguments)])
-    said = capsys.readouterr()
-    return int(caught.value.code or 0), said.out, said.err
+    return call(capsys, "map", *arguments)
 
 
 def put(town: Workspace, name: str, semantic_map: SemanticMap) -> None:

@@ -1,33 +1,26 @@
 """Maps and trajectories out and in by commands; what is wrong costs one line, nothing else."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from calling import Call, call
 
 from semviz.cli import main
 from semviz.recording.reader import load_run
 from semviz.recording.writer import RunWriter
 from semviz.workspace import TRUTH, Workspace
 
-Run = Callable[..., tuple[int, str, str]]
 ANCHOR = "--anchor=-33.8,151.2,12"
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of one command."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main([str(one) for one in arguments])
-        output, errors = capsys.readouterr()
-        return int(ended.value.code or 0), output, errors
-
-    return run_command
+    return partial(call, capsys)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +46,7 @@ def refused(result: tuple[int, str, str], *words: str) -> None:
         assert word in errors
 
 
-def test_a_map_goes_out_and_comes_back(run: Run, made: Path, tmp_path: Path) -> None:
+def test_a_map_goes_out_and_comes_back(run: Call, made: Path, tmp_path: Path) -> None:
     workspace, file = Workspace.open(made), tmp_path / "back.geojson"
     status, output, _ = run(
         "map", "export", made, file, "--map", TRUTH, ANCHOR, "--anchor-heading", 33, "--json"
@@ -78,7 +71,7 @@ def test_a_map_goes_out_and_comes_back(run: Run, made: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("ending", ["osm", "ply", "glb", "csv"])
-def test_every_ending_has_its_format(run: Run, made: Path, tmp_path: Path, ending: str) -> None:
+def test_every_ending_has_its_format(run: Call, made: Path, tmp_path: Path, ending: str) -> None:
     place = [ANCHOR] if ending == "osm" else []
     file = tmp_path / f"town.{ending}"
     status, output, _ = run("map", "export", made, file, "--map", TRUTH, *place)
@@ -88,7 +81,7 @@ def test_every_ending_has_its_format(run: Run, made: Path, tmp_path: Path, endin
     assert file.stat().st_size > 1000
 
 
-def test_colmap_takes_frames_and_labels(run: Run, made: Path, tmp_path: Path) -> None:
+def test_colmap_takes_frames_and_labels(run: Call, made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "model"
     assert run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap")[0] == 0
     assert len((folder / "images.txt").read_text().splitlines()) == 2 * 2 * 3
@@ -107,7 +100,7 @@ def test_colmap_takes_frames_and_labels(run: Run, made: Path, tmp_path: Path) ->
         ('<osm semviz_frame="kitti-02"/>', ["'kitti-02'", "'street-3'"]),
     ],
 )
-def test_bad_files(run: Run, made: Path, tmp_path: Path, text: str, words: list[str]) -> None:
+def test_bad_files(run: Call, made: Path, tmp_path: Path, text: str, words: list[str]) -> None:
     file, maps = tmp_path / "town.osm", set(Workspace.open(made).maps())
     file.write_text(text)
     refused(run("map", "import", made, file, "--anchor", "49,8"), *words)
@@ -127,7 +120,7 @@ def test_bad_files(run: Run, made: Path, tmp_path: Path, text: str, words: list[
     ],
 )
 def test_bad_exports(
-    run: Run, made: Path, tmp_path: Path, options: list[str], words: list[str]
+    run: Call, made: Path, tmp_path: Path, options: list[str], words: list[str]
 ) -> None:
     file, *rest = options
     (tmp_path / file).write_text("precious")
@@ -135,7 +128,7 @@ def test_bad_exports(
     assert (tmp_path / file).read_text() == "precious"
 
 
-def test_estimates_and_true_poses_for_evo(run: Run, made: Path, tmp_path: Path) -> None:
+def test_estimates_and_true_poses_for_evo(run: Call, made: Path, tmp_path: Path) -> None:
     recording = made / "runs" / "search.rrd"
     status, output, _ = run("trajectory", recording, tmp_path / "estimate.tum", "--json")
     assert status == 0
@@ -157,7 +150,7 @@ def test_estimates_and_true_poses_for_evo(run: Run, made: Path, tmp_path: Path) 
     refused(poses, "--poses", "say --kitti ROOT")
 
 
-def test_frames_that_were_not_localized(run: Run, made: Path, tmp_path: Path) -> None:
+def test_frames_that_were_not_localized(run: Call, made: Path, tmp_path: Path) -> None:
     whole = load_run(made / "runs" / "search.rrd")
     lost = replace(
         whole.frames[1].localization, status="cannot", T_camera_map=None, covariance=None
@@ -180,7 +173,7 @@ def test_frames_that_were_not_localized(run: Run, made: Path, tmp_path: Path) ->
 @pytest.mark.realdata
 @pytest.mark.parametrize("format_", ["tum", "kitti"])
 def test_poses_of_another_make_a_workspace(
-    run: Run, tmp_path: Path, kitti_root: Path, format_: str
+    run: Call, tmp_path: Path, kitti_root: Path, format_: str
 ) -> None:
     """Poses that went out come in again, in a frame of their own; without them it says so."""
     poses = tmp_path / "slam.txt"

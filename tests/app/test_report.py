@@ -5,14 +5,15 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from calling import Call, call
 from hypothesis import given
 from hypothesis import strategies as st
 from small_runs import FRAMES, off_by, saved, small_run, spoiled, unanswered, without_truth
@@ -33,22 +34,14 @@ from semviz.tables import Table, figure, in_latex, in_markdown
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-Command = Callable[..., tuple[int, str, str]]
 TAKEN = "<script>document.title='taken'</script><img src=x onerror=document.title='taken'>"
 FAILED, WRONG = 14, 18
 
 
 @pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
+def command(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of ``semviz report``."""
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["report", *(str(one) for one in arguments)])
-        output, errors = capsys.readouterr()
-        return int(ended.value.code or 0), output, errors
-
-    return run_command
+    return partial(call, capsys, "report")
 
 
 def pictured(run: Run) -> Run:
@@ -164,7 +157,7 @@ def test_the_map_is_drawn_where_the_pose_has_it() -> None:
 
 @pytest.mark.browser
 def test_the_page_asks_for_nothing_and_runs_nothing(
-    command: Command, page: "Page", tmp_path: Path
+    command: Call, page: "Page", tmp_path: Path
 ) -> None:
     path = saved(hostile_run(), tmp_path / "<script>document.title='taken'<!--.rrd")
     out = tmp_path / "report.html"
@@ -229,7 +222,7 @@ def test_light_dark_and_paper(report: Path, page: "Page") -> None:
 
 @pytest.mark.parametrize("ending", ["html", "md", "tex"])
 def test_runs_without_truth_images_or_end_are_reported(
-    command: Command, tmp_path: Path, ending: str
+    command: Call, tmp_path: Path, ending: str
 ) -> None:
     cut = replace(without_truth(small_run()), complete=False)
     path, out = saved(cut, tmp_path / "cut.rrd"), tmp_path / f"report.{ending}"
@@ -241,7 +234,7 @@ def test_runs_without_truth_images_or_end_are_reported(
 
 
 def test_markdown_and_latex_hold_the_same_tables(
-    command: Command, runs: tuple[Path, Path], tmp_path: Path
+    command: Call, runs: tuple[Path, Path], tmp_path: Path
 ) -> None:
     markdown, latex = tmp_path / "r.md", tmp_path / "r.txt"
     assert command(*runs, "--out", markdown)[0] == 0
@@ -265,7 +258,7 @@ def test_no_text_becomes_markup(text: str) -> None:
 
 
 def test_what_cannot_be_reported_is_refused_in_one_line(
-    command: Command, runs: tuple[Path, Path], tmp_path: Path
+    command: Call, runs: tuple[Path, Path], tmp_path: Path
 ) -> None:
     empty = saved(replace(small_run(), frames=()), tmp_path / "empty.rrd")
     for arguments, said in (
