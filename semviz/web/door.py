@@ -12,7 +12,6 @@ import threading
 import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Protocol
 from weakref import WeakSet
 
@@ -70,7 +69,7 @@ class Door:
             print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
             if open_browser:
                 _open_browser(url)
-            told.get()
+            told.recv(1)
             _end_within(CLOSING_S)
 
     @contextlib.contextmanager
@@ -141,20 +140,25 @@ def _bound(host: str, port: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _until_told() -> Iterator["SimpleQueue[int]"]:
-    """A queue that gets the numbers of Ctrl-C and SIGTERM; the handlers before are put back.
+def _until_told() -> Iterator[socket.socket]:
+    """A socket that gets a byte at Ctrl-C and SIGTERM; the handlers before are put back.
 
-    Not an event: a handler runs in the thread that waits, between any two of its steps, and an
-    event's lock may be its own just then. Putting into this queue never waits.
+    Python's own handlers run in the main thread, and only between two of its steps: one that waits
+    for a lock is not woken by a signal that came just before, or to another thread. The byte comes
+    from the signal itself and stays until it is read.
     """
-    told: SimpleQueue[int] = SimpleQueue()
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda number, _: told.put(number)) for number in numbers]
-    try:
-        yield told
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+    told, teller = socket.socketpair()
+    with told, teller:
+        teller.setblocking(False)
+        before = [signal.signal(number, lambda *_: None) for number in numbers]
+        woken_before = signal.set_wakeup_fd(teller.fileno(), warn_on_full_buffer=False)
+        try:
+            yield told
+        finally:
+            signal.set_wakeup_fd(woken_before)
+            for number, handler in zip(numbers, before, strict=True):
+                signal.signal(number, handler)
 
 
 def _end_within(seconds: float) -> None:
