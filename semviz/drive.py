@@ -12,7 +12,8 @@ import numpy as np
 
 from semviz import follow
 from semviz.progress import tell_of_compiling, track
-from semviz.recording.run import FrameRecord, RunInfo
+from semviz.recording.pictures import check_offered, with_pictures
+from semviz.recording.run import FrameRecord, Images, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz.workspace import Workspace
 from semviz_core.arrays import IntArray
@@ -36,7 +37,6 @@ CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "simulated": 50.0}
 """The simulated detector sees 40 m far; people label as far as they can see."""
 ROAD_RADIUS_M = 60.0
 """Of the road round the fix that the prior holds."""
-JPEG_QUALITY = 90
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ class DriveOptions:
     heading_sigma_deg: float | None = None
     crop_radius_m: float = CROP_RADIUS_M["labels"]
     seed: int = 0
-    images: bool = True
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -63,7 +62,7 @@ class DriveOptions:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One pass over a sequence; iterate for the records."""
+    """One pass over a sequence; iterate for the records, which have no images yet."""
 
     source: Source
     semantic_map: SemanticMap
@@ -83,8 +82,7 @@ class Drive:
         for frame in self.frames:
             observed, element_id = self.observe(frame)
             result = localize(frame, observed, self._prior(frame))
-            image = self._picture(frame) if self.options.images else None
-            yield FrameRecord(frame, result, element_id, image)
+            yield FrameRecord(frame, result, element_id)
 
     def _prior(self, frame: Frame) -> Prior:
         """What is known, with the road of the map round the fix."""
@@ -102,15 +100,6 @@ class Drive:
         return follow.Follower(
             camera, self.semantic_map, self.localizer, options.crop_radius_m, options.seed
         )
-
-    def _picture(self, frame: Frame) -> bytes:
-        import cv2
-
-        image = self.source.image(frame.index, "left")
-        _, encoded = cv2.imencode(
-            ".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-        )
-        return encoded.tobytes()
 
 
 def check_same_frame(semantic_map: SemanticMap, source: Source) -> None:
@@ -199,7 +188,9 @@ def simulated_prior(options: DriveOptions) -> Know:
     return know
 
 
-def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counter[str]:
+def record(
+    drive: Drive, path: Path, *, workspace: str, map_name: str, images: Images = "embedded"
+) -> Counter[str]:
     """Write the run to ``path`` with a progress bar; how many frames got which status.
 
     An interrupted run stays beside it as ``NAME.partial.rrd``, readable up to its last frame; an
@@ -209,6 +200,7 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
     if path.suffix != ".rrd":
         raise SemvizError(f"{path}: name a file that ends in .rrd, such as runs/first.rrd")
     check_replaceable(path)
+    check_offered(drive.source, images)
     tell_of_compiling()
     options = drive.options
     simulated = f"simulated detector, noise {options.noise}"
@@ -223,13 +215,14 @@ def record(drive: Drive, path: Path, *, workspace: str, map_name: str) -> Counte
         map_name=map_name,
         observations=simulated if options.observations == "simulated" else "labels",
         options=asdict(options),
+        images=images,
     )
     counts: Counter[str] = Counter()
     unfinished = path.with_name(f"{path.stem}.partial.rrd")
     try:
         with RunWriter(unfinished, info, drive.semantic_map) as writer:
             for one in track(drive, "localizing", len(drive.frames)):
-                writer.write(one)
+                writer.write(with_pictures(one, drive.source, images, path.parent))
                 counts[one.localization.status] += 1
     except BaseException:
         if not counts:  # nothing in it to read

@@ -7,8 +7,6 @@ from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from semviz_core.errors import SemvizError
-
 
 @dataclass(frozen=True)
 class Compare:
@@ -27,18 +25,17 @@ class Compare:
 
     def run(self) -> int:
         from semviz.comparing.comparison import compare_runs
-        from semviz.comparing.conditions import parse_condition
+        from semviz.comparing.conditions import check_whole, parse_condition
         from semviz.comparing.words import as_text
         from semviz.recording.reader import load_run
 
         conditions = [parse_condition(text) for text in self.fail_if]
         base, other = load_run(self.base), load_run(self.other)
         for path, run in ((self.base, base), (self.other, other)):
-            if conditions and not run.complete:
-                raise SemvizError(f"{path}: --fail-if needs a whole run. {run.note}")
+            if conditions:
+                check_whole(run, str(path))
         comparison = compare_runs(base, other)
-        measured = comparison.base, {**comparison.other, **comparison.counts}
-        failed = [one for one in conditions if one.holds(*measured)]
+        failed = [one for one in conditions if one.holds(*comparison.measured)]
         if self.json:
             sides = {"base": str(self.base), "other": str(self.other)}
             failures = {"failed": [one.text for one in failed]}
@@ -46,5 +43,5 @@ class Compare:
         else:
             print(f"base: {self.base}\nother: {self.other}\n{as_text(comparison)}")
             for one in failed:
-                print(f"failed: {one.as_text(*measured)}")
+                print(f"failed: {one.as_text(*comparison.measured)}")
         return 1 if failed else 0

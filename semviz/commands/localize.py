@@ -50,8 +50,9 @@ class Localize:
     sees 40 m far, and 120 for labels, which people draw as far as they can see."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
-    images: bool = True
-    """Embed the images in the run (about 130 kB a frame)."""
+    images: Literal["embedded", "both", "reference", "none"] = "embedded"
+    """embedded: the left images in the run (about 130 kB a frame); both: the right ones too;
+    reference: the names of their files; none."""
 
     def run(self) -> int:
         from semviz.drive import CROP_RADIUS_M, DriveOptions, drive_workspace, record
@@ -72,11 +73,12 @@ class Localize:
             heading_sigma_deg=self.heading_sigma_deg,
             crop_radius_m=crop_radius,
             seed=self.seed,
-            images=self.images,
         )
         drive = drive_workspace(workspace, self.map, options, parse_frames(self.frames))
         path = self.out or workspace.run_path(METHOD if self.track else self.method)
-        counts = record(drive, path, workspace=str(self.workspace), map_name=self.map)
+        counts = record(
+            drive, path, workspace=str(self.workspace), map_name=self.map, images=self.images
+        )
         print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
         print(f"next: semviz evaluate {path}; semviz serve {path}")
         return 0

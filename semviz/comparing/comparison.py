@@ -73,6 +73,11 @@ class Comparison:
             "missing": float(len(self.only_base)),
         }
 
+    @property
+    def measured(self) -> tuple[Metrics, Metrics]:
+        """What conditions are about: the base's metrics; the other run's, with the counts."""
+        return self.base, {**self.other, **self.counts}
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON, but for the names of the runs."""
         return {

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from semviz.comparing.metrics import Metrics
+from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
 
 BASE = "base"
@@ -78,6 +79,12 @@ class Condition:
 
     def _wrong(self, why: str) -> SemvizError:
         return SemvizError(f"--fail-if '{self.text}': {why}")
+
+
+def check_whole(run: Run, name: str) -> None:
+    """SemvizError for an interrupted run: its numbers are not those of the drive."""
+    if not run.complete:
+        raise SemvizError(f"{name}: --fail-if needs a whole run. {run.note}")
 
 
 def parse_condition(text: str) -> Condition:

@@ -1,11 +1,18 @@
 """A run in named numbers, as gates and reports call them."""
 
+from typing import Literal
+
 from semviz.inspector.why import errors_of, sure_and_wrong
 from semviz.measure import summarize_run
 from semviz.recording.run import Run
 
 Metrics = dict[str, float | None]
 """By name; None where a run cannot tell, such as errors without true poses."""
+
+Trend = Literal["better", "worse", "same"]
+MORE_IS_BETTER = frozenset({"share_below_1m", "share_below_1deg", "coverage"})
+NEITHER = frozenset({"frames", "share_ambiguous"})
+"""More ambiguous answers are good where there was none before, and bad where there was one."""
 
 
 def metrics_of(run: Run) -> Metrics:
@@ -35,6 +42,13 @@ def metrics_of(run: Run) -> Metrics:
         "median_time_ms": summary.time_ms_median,
         "p95_time_ms": summary.time_ms_p95,
     }
+
+
+def trend(name: str, base: float | None, other: float | None) -> Trend:
+    """Whether the other run is better by a metric; ``same`` where that cannot be said."""
+    if base is None or other is None or base == other or name in NEITHER:
+        return "same"
+    return "better" if (other > base) == (name in MORE_IS_BETTER) else "worse"
 
 
 def _share(members: int, of: int) -> float | None:

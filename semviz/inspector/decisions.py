@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from semviz.author import login_name
+from semviz.inspector.topic import Topic, Verbs
 from semviz.recording.run import Run
 from semviz.reviewing import Json, entry_json, entry_key
+from semviz.web.sessions import Message
 from semviz.workspace import SETTINGS, Workspace
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.quality.linting.finding import Finding
@@ -109,6 +111,41 @@ class Decisions:
             return f"Answers are saved in {self._workspace.name}; 'semviz map build' follows them."
         where = self._run.info.workspace or "WORKSPACE"
         return f"The labels are not at hand: answer in 'semviz annotate {where}'."
+
+
+class DecisionTopic(Topic):
+    """Shows the decisions of the open run's map and takes answers."""
+
+    def verbs(self) -> Verbs:
+        return {
+            "decisions": self._tell,
+            "see": self._see,
+            "answer": self._answer,
+            "undo": self._undo,
+        }
+
+    def _tell(self, message: Message) -> None:
+        decisions = self.desk.kept(Decisions)
+        self.desk.say("decisions", decisions.view(message.get("findings") is True))
+
+    def _see(self, message: Message) -> None:
+        """Selects the map element of a decision, in a frame that shows it."""
+        desk = self.desk
+        position, element = desk.kept(Decisions).place(str(message.get("key")))
+        if position is not None:
+            desk.state = desk.state.at(position, desk.run)
+        desk.state = desk.state.selecting(None, element, desk.run)
+        desk.tell_frame()
+        desk.draw_frame()
+
+    def _answer(self, message: Message) -> None:
+        decisions = self.desk.kept(Decisions)
+        decisions.answer(str(message.get("key")), str(message.get("name")))
+        self._tell(message)
+
+    def _undo(self, message: Message) -> None:
+        self.desk.kept(Decisions).undo(str(message.get("key")))
+        self._tell(message)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,16 @@
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from semviz.inspector.topic import Topic, Verbs
 from semviz.localizability import conditions_of, options_of, positions, with_measured_recall
 from semviz.localizability_report import change, new_element
 from semviz.recording.run import Run
+from semviz.web.sessions import Message
 from semviz_core.errors import SemvizError
 from semviz_core.localizability.conditions import Conditions
 from semviz_core.localizability.effects import Effect
@@ -26,7 +29,7 @@ Json = dict[str, Any]
 class Forecast:
     """One run's localizability. Thread-safe; a thread of its own works while the page goes on."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, _: Path) -> None:
         self._run = run
         self._lock = threading.Lock()
         self._told: list[Tell] = []
@@ -98,6 +101,46 @@ class Forecast:
             told = tuple(self._told)
         for tell in told:
             tell()
+
+
+class ForecastTopic(Topic):
+    """Shows the forecast of the open run where it is asked for."""
+
+    def verbs(self) -> Verbs:
+        return {"forecast": self._forecast}
+
+    def on_run(self) -> None:
+        self._show()
+
+    def on_theme(self) -> None:
+        self._show()
+
+    def _forecast(self, message: Message) -> None:
+        desk = self.desk
+        run = desk.run
+        desk.state = desk.state.showing_forecast(bool(message.get("shown")))
+        desk.tell_state()
+        if desk.state.forecast:
+            self._show()
+        else:
+            desk.scene.show_forecast(None, run, desk.state)
+
+    def _show(self) -> None:
+        """Where it is asked for; worked out first where it is not yet."""
+        if self.desk.state.forecast:
+            run = self.desk.run
+            self.desk.kept(Forecast).ask(lambda: self._got_on(run))
+
+    def _got_on(self, run: Run) -> None:
+        """Called in the forecast's thread; the page may show another run by then."""
+        desk = self.desk
+        with desk.lock:
+            if desk.run is not run or not desk.state.forecast:
+                return
+            forecast = desk.kept(Forecast)
+            desk.say("forecast", forecast.view())
+            if forecast.predicted is not None:
+                desk.scene.show_forecast(forecast.predicted, run, desk.state)
 
 
 def _conditions(run: Run) -> Conditions:

@@ -1,13 +1,14 @@
 """The runs on offer, read when first asked for."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
-from semviz.inspector.decisions import Decisions
-from semviz.inspector.forecast import Forecast
 from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
+
+Made = TypeVar("Made")
 
 
 class Shelf:
@@ -18,8 +19,7 @@ class Shelf:
             raise SemvizError("no run to show; 'semviz localize' records one")
         self._paths = dict(zip(run_names(paths), paths, strict=True))
         self._runs: dict[str, Run] = {}
-        self._decisions: dict[str, Decisions] = {}
-        self._forecasts: dict[str, Forecast] = {}
+        self._kept: dict[tuple[str, Callable[[Run, Path], Any]], object] = {}
         self._lock = threading.Lock()
 
     @property
@@ -37,19 +37,13 @@ class Shelf:
                 self._runs[name] = load_run(self._paths[name])
             return self._runs[name]
 
-    def decisions(self, name: str) -> Decisions:
-        """What was decided for the map of the run called ``name``."""
+    def kept(self, name: str, make: Callable[[Run, Path], Made]) -> Made:
+        """What ``make`` makes of the run called ``name`` and its file: made once, then kept."""
         run = self.run(name)
         with self._lock:
-            if name not in self._decisions:
-                self._decisions[name] = Decisions(run, self._paths[name])
-            return self._decisions[name]
-
-    def forecast(self, name: str) -> Forecast:
-        """What the map of the run called ``name`` lets a camera know along its route."""
-        run = self.run(name)
-        with self._lock:
-            return self._forecasts.setdefault(name, Forecast(run))
+            if (name, make) not in self._kept:
+                self._kept[name, make] = make(run, self._paths[name])
+            return cast(Made, self._kept[name, make])
 
 
 def run_names(paths: Sequence[Path]) -> list[str]:

@@ -7,11 +7,12 @@ import rerun.blueprint as rrb
 
 from semviz.recording import layout, scene
 from semviz.recording.columns import FRAME
+from semviz.recording.run import RunInfo
 from semviz_core.arrays import FloatArray
 from semviz_core.semantic_map import SemanticMap
 
 
-def make_blueprint(semantic_map: SemanticMap) -> Any:
+def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
     """3D beside image and matrix, texts on the right, plots over the frames below."""
     everything = rrb.VisibleTimeRanges(
         timeline=FRAME,
@@ -21,6 +22,9 @@ def make_blueprint(semantic_map: SemanticMap) -> Any:
     paths: dict[Any, Any] = dict.fromkeys((scene.TRUE_PATH, scene.PATH), everything)
     start, behind = _behind(semantic_map.trajectory_m)
     eye = rrb.EyeControls3D(position=behind, look_target=start, tracking_entity=scene.HERE)
+    image: Any = rrb.Spatial2DView(name="Image", origin=layout.IMAGE)
+    if info.images == "both":
+        image = rrb.Tabs(image, rrb.Spatial2DView(name="Right image", origin=layout.IMAGE_RIGHT))
     columns = rrb.TextLogColumns(
         timeline_columns=[rrb.encodings.TimelineColumn(FRAME)],
         text_log_columns=["loglevel", "body"],
@@ -32,10 +36,11 @@ def make_blueprint(semantic_map: SemanticMap) -> Any:
                     rrb.Spatial3DView(
                         name="Map and poses",
                         origin="/map",
+                        contents=["$origin/**", f"- {layout.RIGHT_CAMERA}/**"],
                         overrides=paths,
                         eye_controls=eye,
                     ),
-                    rrb.Spatial2DView(name="Image", origin=layout.IMAGE),
+                    image,
                     row_shares=[6, 5],
                 ),
                 rrb.Vertical(

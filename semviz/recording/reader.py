@@ -63,7 +63,7 @@ def _read_rows(path: Path) -> dict[str, list[Row]]:
         reader = RrdReader(path)
         if not reader.recordings():
             return rows
-        wanted = [f"+ {layout.EXACT}/**", f"+ {layout.IMAGE}"]
+        wanted = [f"+ {layout.EXACT}/**", f"+ {layout.IMAGE}", f"+ {layout.IMAGE_RIGHT}"]
         for chunk in reader.stream().filter(content=wanted):
             rows.setdefault(chunk.entity_path, []).extend(_rows(chunk.to_record_batch()))
     return rows
@@ -114,17 +114,15 @@ def _assemble(path: Path, rows: dict[str, list[Row]]) -> Run:
             "update semviz"
         )
     try:
-        images = {
-            frame: _jpeg(row)
-            for frame, row in rows.get(layout.IMAGE, [])
-            if "EncodedImage:blob" in row
-        }
+        left, right = (_images(rows.get(one, [])) for one in (layout.IMAGE, layout.IMAGE_RIGHT))
         ordered = sorted(rows.get(layout.FRAME, []), key=lambda one: one[0])
         return Run(
             info=_decode(RunInfo, info),
             semantic_map=_decode(SemanticMap, rows[layout.MAP][0][1]),
             frames=tuple(
-                replace(_decode(FrameRecord, row), image=images.get(frame))
+                replace(
+                    _decode(FrameRecord, row), image=left.get(frame), image_right=right.get(frame)
+                )
                 for frame, row in ordered
             ),
             complete=layout.END in rows,
@@ -137,6 +135,7 @@ def _decode(kind: Any, row: Pools) -> Any:
     return decode(kind, json.loads(row[layout.STRUCTURE][0]), row)
 
 
-def _jpeg(row: Pools) -> bytes | None:
-    """A blob is one list of bytes; none where the frame has no image."""
-    return next((np.asarray(one).tobytes() for one in row["EncodedImage:blob"]), None)
+def _images(rows: list[Row]) -> dict[int, bytes]:
+    """By frame number. A blob is one list of bytes; none where the frame has no image."""
+    blobs = ((frame, row.get("EncodedImage:blob", ())) for frame, row in rows)
+    return {frame: np.asarray(one).tobytes() for frame, blob in blobs for one in blob}

@@ -1,7 +1,7 @@
 """A run: one localization of a sequence, with everything to redraw and measure it."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from semviz_core.arrays import IntArray, int_array
 from semviz_core.camera import Rig
@@ -9,6 +9,9 @@ from semviz_core.frame import Frame
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
+
+Images = Literal["embedded", "both", "reference", "none"]
+"""A run's images: the left ones in its file, those of both cameras, only their names, or none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,7 @@ class RunInfo:
     """Where observations come from, in words: ``labels``, or the detector and its noise."""
     options: dict[str, Any] = field(default_factory=dict)
     """JSON values: settings of the method, prior, crop and noise."""
+    images: Images = "embedded"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +48,12 @@ class FrameRecord:
     element_id: IntArray
     """(m,) true map element of each observed row; -1 where unknown or a false detection."""
     image: bytes | None = None
-    """The left image as JPEG."""
+    """The left image as JPEG, where it is in the run's file."""
+    image_right: bytes | None = None
+    """The right one, likewise."""
+    image_file: str = ""
+    """The left image's file, absolute or as seen from the run's folder; empty if not named."""
+    image_right_file: str = ""
 
     def __post_init__(self) -> None:
         rows = len(self.localization.observed)

@@ -10,7 +10,7 @@ from semviz.recording.columns import Columns, Strips
 from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.words import LEVELS, explain, readme
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
+from semviz_core.camera import Camera, Rig
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
@@ -32,6 +32,7 @@ HIDDEN_M = 1e-4
 """The same for a camera without a pose: rerun cannot hide it, so it becomes a dot."""
 LABELLED = 60
 """Maps with more elements than this show names only where the pointer is."""
+_JPEG = rr.EncodedImage.from_fields(media_type="image/jpeg")
 _CIRCLE = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 49)), np.sin(turn)], axis=1)
 
 
@@ -47,6 +48,8 @@ class Scene:
         stream.log(README, rr.TextDocument(text, media_type="text/markdown"), static=True)
         _draw_map(stream, semantic_map)
         _draw_styles(stream, info.rig.left)
+        if info.images == "both":
+            _draw_right_camera(stream, info.rig)
         picture.draw_styles(stream)
 
     def draw(self, columns: Columns, record: FrameRecord) -> None:
@@ -109,7 +112,7 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
             color=rgba(color.dark),
         )
         stream.log(entity, pinhole, static=True)
-    stream.log(layout.IMAGE, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+    stream.log(layout.IMAGE, _JPEG, static=True)
     widths = {TRUE_PATH: 1.5, PATH: 1.5, PRIOR_CIRCLE: 1.0, GHOSTS: 1.0, RAYS: 1.0}
     for entity, width in widths.items():
         thin = rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width / 2))
@@ -126,6 +129,18 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     stream.log(WHY, rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
     states = rr.StateConfiguration(values=list(STATUS), colors=_colors(*STATUS.values()))
     stream.log(STATE, states, static=True)
+
+
+def _draw_right_camera(stream: rr.RecordingStream, rig: Rig) -> None:
+    assert rig.right is not None
+    assert rig.T_right_left is not None
+    T_left_right = rig.T_right_left.inverse()
+    place = rr.Transform3D(translation=T_left_right.translation, mat3x3=T_left_right.rotation)
+    stream.log(layout.RIGHT_CAMERA, place, static=True)
+    pinhole = rr.Pinhole(
+        image_from_camera=rig.right.K, resolution=[rig.right.width, rig.right.height]
+    )
+    stream.log(layout.IMAGE_RIGHT, pinhole, _JPEG, static=True)
 
 
 def _colors(*tones: Tone) -> NDArray[np.uint32]:

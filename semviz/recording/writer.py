@@ -40,7 +40,7 @@ class RunWriter:
         self._frames = 0
         self._last_index: int | None = None
         self._stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
-        self._stream.save(path, default_blueprint=make_blueprint(semantic_map))
+        self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
         self._stream.send_recording_name(info.name)
         columns = Columns()
         columns.add(layout.INFO, "version", pa.array([layout.FORMAT_VERSION]))
@@ -57,8 +57,8 @@ class RunWriter:
             raise ValueError(f"frame {frame.index} comes after frame {self._last_index}")
         columns = Columns.at(frame.index, frame.time_s)
         self._scene.draw(columns, record)
-        # Last, so that a frame whose numbers are readable has its image too. The scene keeps that.
-        _add_exact(columns, layout.FRAME, replace(record, image=None))
+        # Last, so that a frame whose numbers are readable has its images too. The scene keeps that.
+        _add_exact(columns, layout.FRAME, replace(record, image=None, image_right=None))
         columns.send(self._stream)
         self._flush()
         self._last_index = frame.index

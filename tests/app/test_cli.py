@@ -197,7 +197,7 @@ def test_the_same_seed_gives_the_same_run(run: Call, street: Path) -> None:
     rows = []
     for name in ("again", "once-more"):
         path = street / "runs" / f"{name}.rrd"
-        run("localize", street, "--map", TRUTH, "--seed", 5, "--no-images", "--out", path)
+        run("localize", street, "--map", TRUTH, "--seed", 5, "--images", "none", "--out", path)
         numbers = json.loads(run("evaluate", path, "--json")[1])
         rows.append({key: numbers[key] for key in ("status", "rte_m", "rre_deg")})
     assert rows[0] == rows[1]

@@ -121,7 +121,7 @@ def test_what_cannot_be_predicted_costs_one_line(run: Call, street: Path, tmp_pa
 
 
 def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> None:
-    forecast = Forecast(load_run(street / "runs" / "search.rrd"))
+    forecast = Forecast(load_run(street / "runs" / "search.rrd"), street)
     seen: list[str] = []
     forecast.ask(lambda: seen.append(str(forecast.view().get("doing", "ready"))))
     for _ in range(1200):

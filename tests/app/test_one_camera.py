@@ -103,7 +103,7 @@ def test_labels_of_one_camera_become_a_map_in_which_it_is_localized(
     assert accuracy["classes"]["pole"]["lateral_rmse_px"] < 2.0 * SIGMA_PX
 
     run = tmp_path / "run.rrd"
-    semviz("localize", town, "--out", run, "--no-images")
+    semviz("localize", town, "--out", run, "--images", "none")
     numbers = json.loads(semviz("evaluate", run, "--json"))
     assert numbers["status"]["ok"] >= FRAMES - 2
     assert numbers["rte_m"]["q3"] < 0.3

@@ -21,7 +21,7 @@ from semviz.recording.columns import Columns
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
 from semviz.recording.writer import RunWriter
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
@@ -115,6 +115,20 @@ def some_elements(rng: np.random.Generator, m: int, n: int) -> tuple[Elements2D,
     return observed, submap
 
 
+def some_search(rng: np.random.Generator, poses: tuple[Pose, ...], m: int) -> Search:
+    tried, passed = rng.integers(2**50, size=2).tolist()
+    score, mapped = odd(rng, len(poses)), rng.integers(-1, 5, (len(poses), m))
+    old = rng.random() < 0.3
+    return Search(tried, poses, score) if old else Search(tried, poses, score, passed, mapped)
+
+
+def some_refinement(rng: np.random.Generator, pairs: IntArray) -> Refinement:
+    k = len(pairs)
+    steps = None if rng.random() < 0.3 else odd(rng, 2, 2)
+    fit = odd(rng, k, 2), odd(rng, k), rng.random(k) < 0.5
+    return Refinement(pairs, *fit, cost_trace=odd(rng, 3), steps=steps)
+
+
 @st.composite
 def records(draw: st.DrawFn, index: int) -> FrameRecord:
     """Any frame: stages there or not, nothing seen, nothing mapped, numbers of all kinds."""
@@ -143,10 +157,8 @@ def records(draw: st.DrawFn, index: int) -> FrameRecord:
         T_camera_map=None if status == "cannot" else some_pose(rng),
         covariance=odd(rng, 6, 6) if has() else None,
         match=Match(odd(rng, m, n), rng.random((m + 1, n + 1)), pairs) if has() else None,
-        search=Search(int(rng.integers(2**50)), poses, odd(rng, len(poses))) if has() else None,
-        refinement=Refinement(pairs, odd(rng, k, 2), odd(rng, k), rng.random(k) < 0.5, odd(rng, 3))
-        if has()
-        else None,
+        search=some_search(rng, poses, m) if has() else None,
+        refinement=some_refinement(rng, pairs) if has() else None,
         alternatives=tuple(Alternative(one, draw(scalars)) for one in poses),
         time_ms=draw(st.dictionaries(st.text(min_size=1), scalars, max_size=3)),
     )

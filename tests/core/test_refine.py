@@ -101,6 +101,21 @@ def test_cost_falls_and_the_pose_is_the_true_one() -> None:
         assert result.refinement.inlier.mean() > 0.8
 
 
+def test_steps_say_how_far_each_moved_the_camera() -> None:
+    """Summed up they reach as far as the answer is from the start, or further; refused ones do
+    not count."""
+    for problem in frames(10, NOISY, 8):
+        result = refined(problem)
+        assert isinstance(result, Refined)
+        trace, steps = result.refinement.cost_trace, result.refinement.steps
+        assert steps is not None
+        assert steps.shape == (len(trace) - 1, 2)
+        assert (np.diff(trace)[steps[:, 0] == 0.0] == 0.0).all()
+        assert (steps[np.diff(trace) < 0.0, 0] > 0.0).all()
+        moved_m, _ = pose_error(result.T_camera_map, NUDGE @ problem.T_camera_map)
+        assert steps[:, 0].sum() > 0.9 * moved_m
+
+
 def test_the_start_does_not_matter() -> None:
     """Any pose within the doubt that is allowed for leads to the same optimum."""
     for problem in frames(10, NOISY, 8):

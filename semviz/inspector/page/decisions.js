@@ -1,4 +1,4 @@
-/* What was decided when the run's map was built and what looks odd in it, in the place of the frames. */
+/* What was decided when the run's map was built and what looks odd in it. */
 
 import { byId, el } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
@@ -12,9 +12,6 @@ export class DecisionList {
     this.page = page;
     this.entries = [];
     this.chosen = null; // key of the entry that is open
-    this.isOpen = false; // whether it is shown instead of the frames
-    byId("tab-frames").addEventListener("click", () => this.open(false));
-    byId("tab-decisions").addEventListener("click", () => this.open(true));
   }
 
   showRun(run) {
@@ -29,7 +26,6 @@ export class DecisionList {
     byId("decisions-open").textContent = open || "";
     byId("decisions-open").title = `${open} open`;
     byId("decisions-note").textContent = entries.length ? note : "Nothing was merged, split or left out in this map, and nothing looks odd in it.";
-    this.turn(this.isOpen);
     this.fill();
   }
 
@@ -37,23 +33,10 @@ export class DecisionList {
     this.fill();
   }
 
-  toggle() {
-    this.open(!this.isOpen);
-  }
-
-  /** Shows the one list or the other; of decisions the newest, as others may have answered some. */
-  open(decisions) {
-    this.turn(decisions);
-    if (decisions) this.page.socket.send({ verb: "decisions", findings: true });
-  }
-
-  turn(toDecisions) {
-    this.isOpen = toDecisions;
-    for (const one of document.querySelectorAll(".frames-tab")) one.hidden = toDecisions;
-    byId("decision-list").hidden = !toDecisions;
-    byId("decisions-note").hidden = !toDecisions || !byId("decisions-note").textContent;
-    byId("tab-frames").setAttribute("aria-selected", !toDecisions);
-    byId("tab-decisions").setAttribute("aria-selected", toDecisions);
+  /** With findings, and of decisions the newest: others may have answered some. */
+  showTabs() {
+    const { left, run, socket } = this.page;
+    if (left.shown === "map" && run) socket.send({ verb: "decisions", findings: true });
   }
 
   fill() {

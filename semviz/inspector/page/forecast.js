@@ -5,7 +5,16 @@ import { byId, el } from "/static/dom.js";
 export class Forecast {
   constructor(page) {
     this.page = page;
-    byId("forecast").addEventListener("click", () => page.toggleForecast());
+    byId("forecast").addEventListener("click", () => this.toggle());
+  }
+
+  commands() {
+    const title = "Forecast: how well the map lets a camera know its place";
+    return [{ key: "f", group: "3D", title, run: () => this.toggle() }];
+  }
+
+  toggle() {
+    this.page.socket.send({ verb: "forecast", shown: !this.page.state.forecast });
   }
 
   showRun() {

@@ -14,6 +14,7 @@ import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
 import { SpacePanel } from "./space.js";
+import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
 import { WhyCard } from "./why.js";
 
@@ -28,9 +29,19 @@ class Page {
     this.playing = false;
     this.image = new ImagePanel(this, () => this.painted());
     this.list = new FrameList(this);
-    this.decisions = new DecisionList(this);
-    this.matrix = new MatrixPanel(this);
-    this.panels = [new Bar(this), this.list, this.decisions, new SpacePanel(this), new Forecast(this), this.image, new WhyCard(), this.matrix, new Timeline(this)];
+    this.left = new Tabs(byId("frames"), () => this.each("showTabs"));
+    this.right = new Tabs(byId("why"), () => this.each("showTabs"));
+    this.panels = [
+      new Bar(this),
+      this.list,
+      new DecisionList(this),
+      new SpacePanel(this),
+      new Forecast(this),
+      this.image,
+      new WhyCard(),
+      new MatrixPanel(this),
+      new Timeline(this),
+    ];
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
     this.socket = new Socket({
@@ -55,14 +66,13 @@ class Page {
   }
 
   receive(message) {
-    if (message.type === "error") this.refused(message.text);
-    else if (message.type === "runs") this.each("showRuns", message.names);
-    else if (message.type === "run") this.showRun(message.run);
-    else if (message.type === "frame") this.showFrame(message.frame, message.state);
-    else if (message.type === "state") this.showState(message.state);
-    else if (message.type === "forecast") this.each("showForecast", message.forecast);
-    else if (message.type === "decisions") this.decisions.showDecisions(message.decisions);
-    else if (message.type === "scene") this.showScene();
+    const { type } = message;
+    if (type === "error") this.refused(message.text);
+    else if (type === "run") this.showRun(message.run);
+    else if (type === "frame") this.showFrame(message.frame, message.state);
+    else if (type === "state") this.showState(message.state);
+    else if (type === "scene") this.showScene();
+    else this.each(`show${type[0].toUpperCase()}${type.slice(1)}`, message[type]);
   }
 
   refused(text) {
@@ -147,10 +157,6 @@ class Page {
     this.socket.send({ verb: "look", view });
   }
 
-  toggleForecast() {
-    this.socket.send({ verb: "forecast", shown: !this.state.forecast });
-  }
-
   /* Alone */
 
   commands() {
@@ -162,7 +168,6 @@ class Page {
       step(".", "Frame after", () => this.step(1)),
       step(",", "Up in the worst-first list", () => this.list.step(-1), true),
       step(".", "Down in the worst-first list", () => this.list.step(1), true),
-      step("v", "Frames, or what is to be judged of the map", () => this.decisions.toggle()),
       step("j", "Go to a frame by number", () => this.askForFrame()),
       step(" ", "Play, stop", () => this.play()),
       show("1", "Map with the estimate", () => this.image.setMode("estimate")),
@@ -171,15 +176,16 @@ class Page {
       show("r", "Residuals", () => this.image.toggleResiduals()),
       show("z", "Zoom to the selection", () => this.image.zoomToSelection()),
       show("0", "Whole image", () => this.image.fit()),
-      show("m", "Matrix linear, log", () => this.matrix.toggleLog()),
       from("b", "From behind the vehicle", () => this.look("behind")),
       from("l", "Through the camera", () => this.look("camera")),
       from("u", "From above", () => this.look("above")),
       from("g", "Other poses that fit", () => this.socket.send({ verb: "alternatives", shown: !this.state.alternatives })),
-      from("f", "Forecast: how well the map lets a camera know its place", () => this.toggleForecast()),
       { key: "Tab", group: "Selection", title: "Next element", run: () => this.selectNext(1) },
       { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
       { key: "Escape", group: "Selection", title: "Clear the selection", run: () => this.select() },
+      ...this.panels.flatMap((panel) => panel.commands?.() ?? []),
+      { key: "h", group: "Page", title: "Frames, elements, map", run: () => this.left.next() },
+      { key: "i", group: "Page", title: "Why, selected, solver, what if", run: () => this.right.next() },
       { key: "t", group: "Page", title: "Dark or light", run: () => this.switchTheme() },
       { key: "k", ctrl: true, group: "Page", title: "All commands", run: () => showPalette(this.keys) },
       { key: "?", group: "Page", title: "This help", run: () => this.help() },

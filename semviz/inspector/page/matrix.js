@@ -29,6 +29,10 @@ export class MatrixPanel {
     new ResizeObserver(() => this.reserve()).observe(canvas.parentElement.parentElement);
   }
 
+  commands() {
+    return [{ key: "m", group: "Image and matrix", title: "Matrix linear, log", run: () => this.toggleLog() }];
+  }
+
   showRun(run) {
     this.classes = new Map(run.classes.map((one) => [one.id, one]));
     this.showTheme();

@@ -10,11 +10,12 @@ export class WhyCard {
     if (alternativesLeft) numbers.at(-1)[0] += `, ${alternativesLeft} more`;
     const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
     if (hypotheses !== null) costs.push(`${hypotheses} poses tried`);
-    byId("why-frame").textContent = `frame ${frame.index}`;
     const told = frame.hasTruth ? "with truth" : "without truth";
-    byId("why-truth").textContent = sure === null ? told : `${told} · ${fixed(100 * sure, 0)} % sure`;
+    const surely = sure === null ? told : `${told} · ${fixed(100 * sure, 0)} % sure`;
     byId("why-body").replaceChildren(
-      el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
+      el("header", {},
+        el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
+        el("span", { class: "about", id: "why-truth", text: surely })),
       el("p", { class: "sentence", text: sentence }),
       el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
