@@ -169,7 +169,7 @@ def print_localization(workspace: Workspace) -> None:
     found: list[Localization] = []
     truths: list[Pose | None] = []
     for seed in SEEDS:
-        options = DriveOptions(seed=seed, images=False)
+        options = DriveOptions(seed=seed)
         for record in drive_workspace(workspace, "even", options, ODD):
             truth = record.frame.T_map_camera
             found.append(record.localization)

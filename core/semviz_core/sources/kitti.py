@@ -79,7 +79,7 @@ class KittiSequence:
         """
         import cv2
 
-        path = self._image_path(index, side)
+        path = self.image_path(index, side)
         data = _read_png(path)
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
         if image is None:
@@ -94,7 +94,8 @@ class KittiSequence:
         rgb: ByteImage = np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
         return rgb
 
-    def _image_path(self, index: int, side: Side) -> Path:
+    def image_path(self, index: int, side: Side) -> Path:
+        """The file of an image; SemvizError for a frame or side that the sequence lacks."""
         if index not in self._index_set:
             first, last = self._indices[0], self._indices[-1]
             raise SemvizError(f"{self._folder}: no frame {index} among frames {first} to {last}")
@@ -140,8 +141,8 @@ class KittiSequence:
     def _size_of_first(self) -> tuple[int, int]:
         """Width and height of the first frame's images, by their headers."""
         first = self._indices[0]
-        left = _png_size(self._image_path(first, "left"))
-        if len(self._cameras) == 2 and (path := self._image_path(first, "right")).exists():
+        left = _png_size(self.image_path(first, "left"))
+        if len(self._cameras) == 2 and (path := self.image_path(first, "right")).exists():
             right = _png_size(path)
             if right != left:
                 raise SemvizError(
