@@ -60,8 +60,12 @@ class Condition:
 
     def as_text(self, base: Metrics, other: Metrics) -> str:
         """The condition, and what its names stand for."""
+        return f"{self.text} ({self.values_text(base, other)})"
+
+    def values_text(self, base: Metrics, other: Metrics) -> str:
+        """What its names stand for."""
         values = self.values(base, other).items()
-        return f"{self.text} ({', '.join(f'{name} {value:.4g}' for name, value in values)})"
+        return ", ".join(f"{name} {value:.4g}" for name, value in values)
 
     def _known(self, name: str, metrics: Metrics, where: str) -> float:
         if name not in metrics:

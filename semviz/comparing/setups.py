@@ -63,7 +63,7 @@ def _images(base: Run, other: Run) -> tuple[str, str]:
     ]
     here, there = (sum(pair[side] is not None for pair in pairs) for side in (0, 1))
     others = sum(type(a) is type(b) and a != b for a, b in pairs)
-    said = f", {others} of them other pictures" if others else ""
+    said = f", {others} of them otherwise" if others else ""
     return _counted(here), _counted(there) + said
 
 
@@ -73,4 +73,4 @@ def _picture(record: FrameRecord) -> bytes | str | None:
 
 
 def _counted(frames: int) -> str:
-    return f"{frames} frames" if frames else "none"
+    return f"{frames} {'frame' if frames == 1 else 'frames'}" if frames else "none"

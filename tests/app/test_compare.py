@@ -15,7 +15,9 @@ from small_runs import without_truth as untold
 
 from semviz.comparing.comparison import compare_runs
 from semviz.comparing.conditions import LONGEST, parse_condition
-from semviz.comparing.metrics import metrics_of
+from semviz.comparing.map_changes import map_changes
+from semviz.comparing.metrics import metrics_of, trend
+from semviz.comparing.setups import setups
 from semviz.measure import summarize_run
 from semviz.recording.run import Run
 from semviz_core.errors import SemvizError
@@ -108,6 +110,67 @@ def test_settings_and_maps_that_differ_are_told() -> None:
     assert told["method"] == ("search", "direct")
     assert comparison.maps is not None
     assert len(comparison.maps.moved) == 1
+
+
+def test_map_changes_come_with_the_frames_that_saw_them() -> None:
+    base = spoiled(small_run(), {12: unanswered})
+    other = spoiled(small_run(), {14: off_by(1.2), 16: ambiguous})
+    elements = base.semantic_map.elements
+    seen = [set(one.element_id.tolist()) for one in base.frames]  # of frames 10, 12, 14, ...
+    row = next(at for at, id in enumerate(elements.id.tolist()) if id in seen[1] & seen[2])
+    anchor, end = elements.anchor_m.copy(), elements.end_m.copy()
+    anchor[row, 0] += 0.5
+    end[row, 0] += 0.5
+    unseen = int(elements.id[~np.isin(elements.id, np.array([*set().union(*seen)]))][0])
+    kept = replace(elements, anchor_m=anchor, end_m=end)[elements.id != unseen]
+    other = replace(other, semantic_map=replace(other.semantic_map, elements=kept))
+    moved, removed = map_changes(compare_runs(base, other), base, other)
+    assert (moved.kind, moved.base_ids, moved.other_ids) == (
+        "moved",
+        *[(int(elements.id[row]),)] * 2,
+    )
+    assert moved.moved_m == pytest.approx(0.5)
+    assert 14 in moved.broken
+    assert moved.fixed == (12,)
+    assert (removed.kind, removed.base_ids, removed.other_ids) == ("removed", (unseen,), ())
+    assert (removed.broken, removed.fixed) == ((), ())
+    assert map_changes(compare_runs(base, base), base, base) == ()
+
+
+def test_what_runs_were_made_with_side_by_side() -> None:
+    base = small_run()
+    assert all(one.base == one.other for one in setups(base, base))
+    first = replace(base.frames[0], image=b"one")
+    pictured = replace(base, frames=(first, *base.frames[1:]))
+    info = replace(base.info, method="direct", options={"noise": "paper"}, map_name="newer")
+    elements = base.semantic_map.elements[:-1]
+    fewer = replace(base.semantic_map, elements=elements, operation=9)
+    again = replace(pictured.frames[0], image=b"two")
+    other = replace(base, info=info, semantic_map=fewer, frames=(again, *base.frames[1:]))
+    told = {one.what: one[1:] for one in setups(pictured, other) if one.base != one.other}
+    assert told == {
+        "map": ("street", "newer"),
+        "labels": ("none", "operation 9"),
+        "method": ("search", "direct"),
+        "noise": ("-", "paper"),
+        "images": ("1 frame", "1 frame, 1 of them otherwise"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "other", "expected"),
+    [
+        ("median_rte_m", 0.1, 0.2, "worse"),
+        ("median_rte_m", 0.2, 0.1, "better"),
+        ("coverage", 0.5, 0.4, "worse"),
+        ("share_below_1m", 0.5, 0.6, "better"),
+        ("share_ambiguous", 0.1, 0.2, "same"),
+        ("p95_time_ms", 8.0, 8.0, "same"),
+        ("median_rte_m", None, 0.1, "same"),
+    ],
+)
+def test_better_and_worse(name: str, base: float | None, other: float, expected: str) -> None:
+    assert trend(name, base, other) == expected
 
 
 def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
