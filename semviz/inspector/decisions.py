@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from semviz.author import login_name
+from semviz.inspector.origins import workspace_of
 from semviz.inspector.topic import Topic, Verbs
 from semviz.recording.run import Run
 from semviz.reviewing import Json, entry_json, entry_key
 from semviz.web.sessions import Message
-from semviz.workspace import SETTINGS, Workspace
 from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.quality.linting.finding import Finding
 from semviz_annotation.mapping.review import edit_of
@@ -31,7 +31,7 @@ class Decisions:
         """``path`` is where the run was read from."""
         self._run = run
         self._map = run.semantic_map
-        self._workspace = _workspace_of(run, path)
+        self._workspace = workspace_of(run, path)
         self._answered: dict[str, int] = {}
         """Number of the operation that answered a decision here, by its key."""
 
@@ -158,17 +158,3 @@ class _Drive:
 
     def image(self, index: int, side: Side) -> ByteImage:
         raise SemvizError(f"a run has no {side} image of frame {index} to read")
-
-
-def _workspace_of(run: Run, path: Path) -> Workspace | None:
-    """The workspace that a run lies in, or else the one it names, if the labels are of its map."""
-    told = [Path(run.info.workspace)] if run.info.workspace else []
-    for folder in (path.resolve().parent.parent, *told):
-        if not (folder / SETTINGS).is_file():
-            continue
-        workspace = Workspace.open(folder)
-        known = workspace.read_labels().elements
-        ids = {one for decision in run.semantic_map.decisions for one in decision.label_ids}
-        if ids & known.keys():
-            return workspace
-    return None

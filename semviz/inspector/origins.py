@@ -1,4 +1,4 @@
-"""The labels behind a run's map: which label elements an element was made of, who drew them last."""
+"""The labels behind a run's map: what each element was made of, and who drew that last."""
 
 import weakref
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from semviz.recording.run import Run
 from semviz.workspace import SETTINGS, Workspace
 from semviz_annotation.labels import LabelElement, Labels, Observation
 from semviz_annotation.storing.store import LabelStore, Writer
-from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Provenance, SemanticMap
 
 
@@ -82,8 +81,13 @@ class Origins:
 
 def provenance_of(semantic_map: SemanticMap, element_id: int) -> Provenance | None:
     """None where the map does not have the element, or was not made from labels."""
-    row = _rows(semantic_map).get(element_id)
+    row = map_row(semantic_map, element_id)
     return None if row is None or not semantic_map.provenance else semantic_map.provenance[row]
+
+
+def map_row(semantic_map: SemanticMap, element_id: int) -> int | None:
+    """Row of the map's elements; None where it has no such one."""
+    return _rows(semantic_map).get(element_id)
 
 
 @lru_cache(maxsize=4)

@@ -11,6 +11,7 @@ from semviz.drive import detector_model
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
+from semviz_core.detector_model import DetectorModel
 from semviz_core.explaining.case import is_healthy
 from semviz_core.explaining.explain import explain
 from semviz_core.explaining.told import UNKNOWN, Truth, Verdict
@@ -54,7 +55,7 @@ def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:
 
 def verdict(run: Run, record: FrameRecord) -> str:
     """A name for what happened; neighbouring frames of one name are one row in lists."""
-    truth = _truth(run, record)
+    truth = truth_of(run, record)
     if record.localization.method == follow.METHOD and record.localization.status == "cannot":
         return "starting or lost"
     if is_healthy(record.localization, None if truth is None else truth.T_camera_map):
@@ -68,17 +69,18 @@ _EXPLAINED: WeakKeyDictionary[FrameRecord, Verdict] = WeakKeyDictionary()
 def explained(run: Run, record: FrameRecord) -> Verdict:
     """The verdict on one frame, with all that the run knows of it."""
     if record not in _EXPLAINED:
-        labelled = run.info.observations == "labels"
         _EXPLAINED[record] = explain(
-            record.localization,
-            run.semantic_map,
-            _truth(run, record),
-            detector_model("labels" if labelled else "simulated"),
+            record.localization, run.semantic_map, truth_of(run, record), detector_of(run)
         )
     return _EXPLAINED[record]
 
 
-def _truth(run: Run, record: FrameRecord) -> Truth | None:
+def detector_of(run: Run) -> DetectorModel:
+    """What is true of whoever, or whatever, saw what was observed."""
+    return detector_model("labels" if run.info.observations == "labels" else "simulated")
+
+
+def truth_of(run: Run, record: FrameRecord) -> Truth | None:
     """What is known of a frame. Labels without an element in the map may be of anything."""
     pose, ids = record.frame.T_map_camera, record.element_id
     if pose is None:
