@@ -37,6 +37,11 @@ class Search:
     """The best distinct ones, best first."""
     score: FloatArray
     """(len(T_camera_map),) log-likelihoods (nats), larger is better."""
+    passed: int | None = None
+    """How many of those tried agree with the prior; None in runs of older versions."""
+    mapped: IntArray | None = None
+    """(len(T_camera_map), m) row of the submap that each observed row is taken for under each pose,
+    -1 for none; None in runs of older versions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +64,9 @@ class Refinement:
     alone; None in sequences, where frames before support it too, and in runs of older versions."""
     open_m: FloatArray | None = None
     """(k,) how far the camera's place moves, or is uncertain, without each pair."""
+    steps: FloatArray | None = None
+    """(iterations, 2) how far each step moved (m) and turned (rad) the camera, 0 where it was not
+    taken; None in sequences, and in runs of older versions."""
 
 
 @dataclass(frozen=True, eq=False)

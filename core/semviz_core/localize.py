@@ -79,7 +79,8 @@ class Localizer:
         prior = assumed_upright(prior)  # the result keeps the prior as given
         modes = watch.time("search", lambda: search(scene, prior))
         poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
-        work = replace(work, search=Search(modes.tried, poses, modes.score))
+        found = Search(modes.tried, poses, modes.score, modes.passed, modes.match)
+        work = replace(work, search=found)
         if not len(modes.score):
             return replace(work, reason=_nothing_fits(prior))
         work = replace(work, match=watch.time("match", lambda: posterior_match(

@@ -333,7 +333,7 @@ def newer_run(path: Path) -> None:
         (text_file, "not an .rrd file"),
         (stub, "not a run of semviz"),
         (foreign_recording, "not a run of semviz"),
-        (newer_run, "run version 99, this semviz reads up to 2"),
+        (newer_run, f"run version 99, this semviz reads up to {layout.FORMAT_VERSION}"),
     ],
 )
 def test_bad_files_are_named_in_one_line(

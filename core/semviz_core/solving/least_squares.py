@@ -33,7 +33,7 @@ class PairFit:
 
     T_camera_map: Pose
     information: FloatArray  # (6, 6) of the left perturbation, pairs, prior and belief
-    cost_trace: FloatArray  # (iterations + 1,)
+    trace: FloatArray  # (iterations + 1, 3) as of ``fit``
 
 
 def fit_pairs(
@@ -82,16 +82,17 @@ def fit(
     match: IntArray,
     iterations: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Rotation, translation, information (6, 6) and cost after each step (iterations + 1 at most).
+    """Rotation, translation, information (6, 6) and the way there (iterations + 1 rows at most).
 
     ``match`` (m,) holds mapped rows, -1 for none. The covariance of residuals is that of the
-    start and kept, so the cost can only fall.
+    start and kept, so the cost can only fall. A row of the way is the cost after a step and how
+    far it moved (m) and turned (rad) the camera, 0 where it was not taken.
     """
     factors = _factors(scene, R, t, match)
     rows, gradient = new_rows(), np.zeros(6)
     here, there = np.zeros((6, 6)), np.zeros((6, 6))
-    trace = np.empty(iterations + 1)
-    trace[0] = cost = _linearize(scene, known, R, t, match, factors, rows, gradient, here)
+    trace = np.zeros((iterations + 1, 3))
+    trace[0, 0] = cost = _linearize(scene, known, R, t, match, factors, rows, gradient, here)
     damping, done = 1e-4, 0
     slope = gradient.copy()
     for iteration in range(iterations):
@@ -100,12 +101,14 @@ def fit(
         new = _linearize(scene, known, new_R, new_t, match, factors, rows, gradient, there)
         if new <= cost:
             R, t, cost = new_R, new_t, new
+            trace[iteration + 1, 1] = np.sqrt((step[:3] ** 2).sum())
+            trace[iteration + 1, 2] = np.sqrt((step[3:] ** 2).sum())
             here[:], slope[:] = there, gradient
             damping = max(damping * 0.1, 1e-9)
         else:
             damping = min(damping * 10.0, 1e6)
         done = iteration + 1
-        trace[done] = cost
+        trace[done, 0] = cost
         if np.abs(step).max() < STEP_TOLERANCE:
             break
     return R, t, here, trace[: done + 1]

@@ -70,8 +70,8 @@ def refine(
         as_match(scene, pairs),
     )  # fmt: skip
     refinement = Refinement(
-        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.cost_trace,
-        support[pairs[:, 0]], open_m[pairs[:, 0]],
+        pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.trace[:, 0],
+        support[pairs[:, 0]], open_m[pairs[:, 0]], best.trace[1:, 1:],
     )  # fmt: skip
     return Refined(best.T_camera_map, covariance, refinement)
 
