@@ -25,18 +25,21 @@ class Projected:
     """(n, 2) NaN for signs."""
     shown: BoolArray
     """(n,) in front of the camera and in or near the image."""
+    behind: BoolArray
+    """(n,) wholly behind the camera."""
 
 
 def project_elements(elements: Elements3D, T_camera_map: Pose, camera: Camera) -> Projected:
     """Elements (n) of the map frame in the image."""
     anchor, end = T_camera_map.apply(elements.anchor_m), T_camera_map.apply(elements.end_m)
+    behind = np.fmax(anchor[:, 2], end[:, 2]) < NEAR_M
     anchor, end = _cut(anchor, end), _cut(end, anchor)
     anchor_px, end_px = camera.project(anchor), camera.project(end)
     size = np.array([camera.width, camera.height])
     low = np.fmin(anchor_px, end_px)
     high = np.fmax(anchor_px, end_px)
     shown = (high > -MARGIN * size).all(axis=1) & (low < (1 + MARGIN) * size).all(axis=1)
-    return Projected(anchor_px, end_px, np.asarray(shown))
+    return Projected(anchor_px, end_px, np.asarray(shown), np.asarray(behind))
 
 
 def _cut(points: FloatArray, others: FloatArray) -> FloatArray:

@@ -8,14 +8,16 @@ from aiohttp import web
 from semviz.inspector.decisions import DecisionTopic
 from semviz.inspector.desk import Desk
 from semviz.inspector.forecast import ForecastTopic
+from semviz.inspector.image_view import ImageTopic
 from semviz.inspector.navigation import Navigation
+from semviz.inspector.pictures import picture_route
 from semviz.inspector.shelf import Shelf
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
-TOPICS = (Navigation, ForecastTopic, DecisionTopic)
+TOPICS = (Navigation, ImageTopic, ForecastTopic, DecisionTopic)
 
 
 class Inspector:
@@ -33,7 +35,7 @@ class Inspector:
     def routes(self) -> list[web.AbstractRouteDef]:
         return [
             web.get("/", self._page),
-            web.get("/image", self._image),
+            picture_route(self._shelf),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
         ]
@@ -43,18 +45,6 @@ class Inspector:
 
     async def _page(self, _: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
-
-    async def _image(self, request: web.Request) -> web.Response:
-        """``/image?run=NAME&position=K``: the left image of a frame, JPEG."""
-        try:
-            run = self._shelf.run(request.query.get("run", ""))
-            record = run.frames[int(request.query.get("position", ""))]
-        except (SemvizError, ValueError, IndexError):
-            raise web.HTTPNotFound(text="no such frame\n") from None
-        if record.image is None:
-            raise web.HTTPNotFound(text="this run was recorded without images\n")
-        headers = {"Cache-Control": "private, max-age=3600"}
-        return web.Response(body=record.image, content_type="image/jpeg", headers=headers)
 
 
 class InspectorSession:

@@ -6,8 +6,10 @@ from typing import Literal, get_args
 from semviz.recording.run import Run
 from semviz.web.colors import Theme
 from semviz_core.errors import SemvizError
+from semviz_core.sources.source import Side
 
 View = Literal["behind", "above", "camera"]
+ImageMode = Literal["estimate", "truth", "pairs", "error"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,15 @@ class State:
     theme: Theme = "dark"
     alternatives: bool = True
     forecast: bool = False
+    base: str = ""
+    """The run to compare with, by name; empty for none."""
+    comparing: bool = False
+    """Whether both runs are shown side by side."""
+    mode: ImageMode = "estimate"
+    """What is drawn on the image."""
+    side: Side = "left"
+    neighbours: bool = False
+    """Whether the images before and after are shown."""
 
     def opened(self, name: str, run: Run, frame: int | None) -> "State":
         """At the frame numbered ``frame`` of another run; at its first frame where it has none."""
@@ -36,7 +47,9 @@ class State:
         if not numbers:
             raise SemvizError(f"{name}: no frame in it; localize again")
         at = numbers.index(frame) if frame in numbers else 0
-        return replace(self, run=name, position=at, selection=Selection())
+        side = self.side if run.info.rig.right is not None else "left"
+        there = replace(self, run=name, position=at, selection=Selection(), side=side)
+        return there.against("", False) if name == self.base else there
 
     def at(self, position: int, run: Run) -> "State":
         """At another position, cut to the run; a selected map element stays selected."""
@@ -63,6 +76,20 @@ class State:
         if view not in known:
             raise SemvizError(f"no viewpoint '{view}'; there are {', '.join(known)}")
         return replace(self, view=known[view])
+
+    def picturing(self, mode: str, side: str, neighbours: bool) -> "State":
+        """With something else drawn on the image, or on another image."""
+        modes: dict[str, ImageMode] = {one: one for one in get_args(ImageMode)}
+        sides: dict[str, Side] = {one: one for one in get_args(Side)}
+        if mode not in modes:
+            raise SemvizError(f"images do not show '{mode}'; they show {', '.join(modes)}")
+        if side not in sides:
+            raise SemvizError(f"no {side} image; there are {', '.join(sides)}")
+        return replace(self, mode=modes[mode], side=sides[side], neighbours=neighbours)
+
+    def against(self, base: str, comparing: bool) -> "State":
+        """Compared with another run, side by side or not."""
+        return replace(self, base=base, comparing=comparing and bool(base))
 
     def themed(self, theme: str) -> "State":
         """Dark or light."""

@@ -10,6 +10,7 @@ from semviz.inspector.session import State
 from semviz.inspector.why import errors_of, sure_and_wrong, verdict, why_card
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.arrays import IntArray
+from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
@@ -19,19 +20,27 @@ Json = dict[str, Any]
 
 def run_view(name: str, run: Run) -> Json:
     """Everything about a run that does not change from frame to frame."""
-    camera = run.info.rig.left
+    return {
+        **run_head(name, run),
+        "note": run.note,
+        "frames": [_frame_row(run, record) for record in run.frames],
+        **_summary(run),
+    }
+
+
+def run_head(name: str, run: Run) -> Json:
+    """What it was made with, and what its images are."""
+    rig = run.info.rig
     return {
         "name": name,
         "method": run.info.method,
         "map": run.info.map_name,
         "mapFrame": run.semantic_map.frame.name,
         "created": run.info.created,
-        "note": run.note,
         "elements": len(run.semantic_map),
-        "image": {"width": camera.width, "height": camera.height},
+        "image": _size(rig.left),
+        "imageRight": None if rig.right is None else _size(rig.right),
         "classes": _classes(run.semantic_map.classes),
-        "frames": [_frame_row(run, record) for record in run.frames],
-        **_summary(run),
     }
 
 
@@ -46,7 +55,6 @@ def frame_view(run: Run, position: int) -> Json:
     return {
         "position": position,
         "index": record.frame.index,
-        "hasImage": record.image is not None,
         "hasTruth": truth is not None,
         "observed": _observed(one, mapped),
         "mapped": _mapped(one, run.semantic_map.classes, estimated, true),
@@ -66,7 +74,16 @@ def state_view(state: State) -> Json:
         "view": state.view,
         "alternatives": state.alternatives,
         "forecast": state.forecast,
+        "base": state.base,
+        "comparing": state.comparing,
+        "mode": state.mode,
+        "side": state.side,
+        "neighbours": state.neighbours,
     }
+
+
+def _size(camera: Camera) -> Json:
+    return {"width": camera.width, "height": camera.height}
 
 
 def _frame_row(run: Run, record: FrameRecord) -> Json:
@@ -152,14 +169,19 @@ def _mapped(
             "id": int(submap.id[row]),
             "name": classes.element_name(int(submap.class_id[row]), int(submap.id[row])),
             "class": int(submap.class_id[row]),
-            "estimate": _place(estimated, row),
-            "truth": _place(true, row),
+            "estimate": place(estimated, row),
+            "truth": place(true, row),
+            "behind": _is_behind(estimated or true, row),
         }
         for row in range(len(submap))
     ]
 
 
-def _place(projected: Projected | None, row: int) -> list[Any] | None:
+def _is_behind(projected: Projected | None, row: int) -> bool:
+    return projected is not None and bool(projected.behind[row])
+
+
+def place(projected: Projected | None, row: int) -> list[Any] | None:
     """[anchor, end] in the image, or null where it is not shown."""
     if projected is None or not projected.shown[row]:
         return None

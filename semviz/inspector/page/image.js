@@ -1,33 +1,19 @@
-/* The image with what was seen in it, the map projected into it, and the residuals. */
+/* The image panel: which image, what is drawn on it, and what people do with it. */
 
 import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
-import {
-  ON_IMAGE, drawArrow, drawGlyph, drawHandle, drawLine, residualColor,
-} from "/static/glyphs.js";
-import { drawLegend } from "./legend.js";
-import { Labels } from "./labels.js";
+import { drawPhoto, drawSight } from "./image_drawing.js";
+import { Sight, middle, placeOf } from "./image_model.js";
 import { Pictures } from "./pictures.js";
 
-export const MAGNIFICATION = 8;
 const HIT_PX = 12;
-const ABOUT = {
-  estimate: "map projected with the estimate",
-  truth: "map projected with the truth",
-  pairs: "pairs and outliers",
-};
-const NO_MAP = {
-  estimate: "no pose: no map here; 2 shows it with the truth",
-  truth: "no truth: no map here; 1 shows it with the estimate",
-  pairs: "no pose: no pairs",
-};
+const TITLES = { left: "Left image", right: "Right image" };
 
 export class ImagePanel {
   constructor(page, painted) {
     this.page = page;
-    this.mode = "estimate";
     this.residuals = true;
-    this.state = {};
+    this.state = { mode: "estimate", side: "left" };
     this.view = new View();
     this.fitted = true;
     this.pictures = new Pictures();
@@ -38,9 +24,25 @@ export class ImagePanel {
     enableZoomAndPan(canvas, this.view, () => { this.fitted = false; this.surface.redraw(); });
     this.listenForClicks(canvas);
     for (const button of document.querySelectorAll("[data-mode]")) {
-      button.addEventListener("click", () => this.setMode(button.dataset.mode));
+      button.addEventListener("click", () => this.ask({ mode: button.dataset.mode }));
     }
-    this.setMode("estimate");
+    byId("image-side").addEventListener("click", () => this.switchSide());
+    byId("image-neighbours").addEventListener("click", () => this.toggleNeighbours());
+  }
+
+  commands() {
+    const show = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Image and matrix" });
+    return [
+      show("1", "Map with the estimate", () => this.ask({ mode: "estimate" })),
+      show("2", "Map with the truth", () => this.ask({ mode: "truth" })),
+      show("3", "Pairs with outliers", () => this.ask({ mode: "pairs" })),
+      show("4", "Error: the map from truth to estimate", () => this.ask({ mode: "error" })),
+      show("r", "Residuals", () => this.toggleResiduals()),
+      show("k", "Left or right image", () => this.switchSide()),
+      show("k", "Images before and after", () => this.toggleNeighbours(), true),
+      show("z", "Zoom to the selection", () => this.zoomToSelection()),
+      show("0", "Whole image", () => this.fit()),
+    ];
   }
 
   listenForClicks(canvas) {
@@ -53,51 +55,91 @@ export class ImagePanel {
     canvas.addEventListener("dblclick", () => this.fit());
   }
 
+  /* What the server says */
+
   showRun(run) {
     this.run = run;
     this.frame = null;
     this.coming = null;
+    this.right = null;
     this.classes = new Map(run.classes.map((one) => [one.id, one]));
-    const panel = byId("image");
-    panel.style.setProperty("--image-width", run.image.width);
-    panel.style.setProperty("--image-height", run.image.height);
+    byId("image-side").hidden = !run.imageRight;
     this.pictures.open(run);
-    this.fit();
+    this.takeSize();
   }
 
-  async showFrame(frame) {
+  showFrame(frame) {
     this.coming = frame;
-    const picture = frame.hasImage ? await this.pictures.get(frame.position) : null;
-    if (this.coming !== frame) return; // a later frame was asked for meanwhile
-    this.frame = frame;
-    this.picture = picture;
-    this.pairOf = new Map(frame.pairs.map((pair) => [pair.observed, pair]));
-    this.tellAbout();
-    this.surface.redraw();
-    this.pictures.prefetch(frame.position);
+    this.show();
+  }
+
+  showRight(right) {
+    this.right = right;
+    this.show();
   }
 
   showState(state) {
+    const turned = state.side !== this.state.side;
     this.state = state;
-    if (this.coming === this.frame) this.surface.redraw();
+    if (turned && this.run) this.takeSize();
+    byId("image-title").textContent = TITLES[state.side];
+    byId("image-neighbours").setAttribute("aria-pressed", state.neighbours);
+    for (const button of document.querySelectorAll("[data-mode]")) {
+      button.setAttribute("aria-pressed", button.dataset.mode === state.mode);
+    }
+    if (turned) this.show();
+    else if (this.coming === this.frame) this.see();
   }
 
-  setMode(mode) {
-    this.mode = mode;
-    for (const button of document.querySelectorAll("[data-mode]")) {
-      button.setAttribute("aria-pressed", button.dataset.mode === mode);
-    }
-    this.tellAbout();
+  /** Draws the frame that is coming as soon as its picture is there and, in the right image, where
+   * its map is. */
+  async show() {
+    const { coming, state: { side } } = this;
+    if (!coming || (side === "right" && this.right?.position !== coming.position)) return;
+    const { picture, why } = await this.pictures.get(coming.position, side);
+    if (this.coming !== coming || this.state.side !== side) return; // something later was asked for
+    this.frame = coming;
+    this.picture = picture;
+    this.whyNoPicture = why;
+    this.see();
+    this.pictures.prefetch(coming.position, side);
+  }
+
+  see() {
+    if (!this.frame) return;
+    const { mode, side, element } = this.state;
+    this.sight = new Sight(this.frame, mode, this.size, side === "right" ? this.right : null);
+    const absent = element === null ? "" : this.sight.whyAbsent(element);
+    const about = [absent, this.whyNoPicture, this.sight.about].filter(Boolean).join(" · ");
+    byId("image-about").textContent = about;
+    byId("image-about").title = about;
     this.surface.redraw();
   }
 
-  /** What is drawn, and why some of it is not there. */
-  tellAbout() {
-    const projected = this.mode === "truth" ? this.frame?.hasTruth : this.frame?.status !== "cannot";
-    const map = this.frame && !projected ? NO_MAP[this.mode] : ABOUT[this.mode];
-    const recorded = this.frame && !this.frame.hasImage ? "; this run has no images" : "";
-    byId("image-about").textContent = map + recorded;
-    byId("image-about").title = map + recorded;
+  get size() {
+    return this.state.side === "right" ? this.run.imageRight : this.run.image;
+  }
+
+  takeSize() {
+    const panel = byId("image");
+    panel.style.setProperty("--image-width", this.size.width);
+    panel.style.setProperty("--image-height", this.size.height);
+    this.fit();
+  }
+
+  /* What people ask for */
+
+  /** `{mode, side, neighbours}`, or some of them. */
+  ask(wish) {
+    this.page.socket.send({ verb: "image", ...wish });
+  }
+
+  switchSide() {
+    this.ask({ side: this.state.side === "left" ? "right" : "left" });
+  }
+
+  toggleNeighbours() {
+    this.ask({ neighbours: !this.state.neighbours });
   }
 
   toggleResiduals() {
@@ -106,158 +148,57 @@ export class ImagePanel {
   }
 
   fit() {
-    const { width, height } = this.run.image;
-    this.view.fit(width, height, this.surface.width, this.surface.height);
+    this.view.fit(this.size.width, this.size.height, this.surface.width, this.surface.height);
     this.fitted = true;
     this.surface.redraw();
   }
 
   zoomToSelection() {
-    const seen = this.frame?.observed[this.state.observed];
-    if (!seen) return;
-    const [u, v] = middle(seen);
-    this.view.scale = 4 * Math.min(this.surface.width / this.run.image.width, this.surface.height / this.run.image.height);
-    this.view.x = this.surface.width / 2 - this.view.scale * (u + 0.5);
-    this.view.y = this.surface.height / 2 - this.view.scale * (v + 0.5);
+    const place = this.placeOfSelection();
+    if (!place) return;
+    const [u, v] = middle(...place);
+    const { width, height } = this.surface;
+    this.view.fit(this.size.width, this.size.height, width, height);
+    this.view.scale *= 4;
+    this.view.x = width / 2 - this.view.scale * (u + 0.5);
+    this.view.y = height / 2 - this.view.scale * (v + 0.5);
     this.fitted = false;
     this.surface.redraw();
   }
 
-  /* Selection */
+  placeOfSelection() {
+    if (!this.sight) return null;
+    const seen = this.sight.observed[this.state.observed];
+    const row = this.frame.mapped.findIndex((one) => one.id === this.state.element);
+    if (seen) return placeOf(seen);
+    return row < 0 ? null : this.sight.place(row);
+  }
 
   pick(at) {
-    if (!this.frame) return;
-    const near = (anchor, end) => distance(at, this.view.toScreen(anchor), end && this.view.toScreen(end));
-    const observed = nearest(this.frame.observed, (one) => near(one.anchor, one.end));
-    if (observed !== null) {
-      this.page.select({ observed });
+    if (!this.sight) return;
+    const far = ([anchor, end]) => distance(at, this.view.toScreen(anchor), end && this.view.toScreen(end));
+    const { observed, mapped } = this.sight;
+    const seen = nearest(observed.map((one) => far(placeOf(one))));
+    if (seen !== null) {
+      this.page.select({ observed: seen });
       return;
     }
-    const mapped = nearest(this.frame.mapped, (one) => {
-      const place = this.placeOf(one);
-      return place ? near(...place) : Infinity;
-    });
-    this.page.select(mapped === null ? {} : { element: this.frame.mapped[mapped].id });
-  }
-
-  placeOf(mapped) {
-    return this.mode === "truth" ? mapped.truth : mapped.estimate;
-  }
-
-  pairs() {
-    return this.mode === "truth" ? this.frame.truePairs : this.frame.pairs;
+    const place = nearest(mapped.map((row) => far(this.sight.place(row))));
+    this.page.select(place === null ? {} : { element: this.frame.mapped[mapped[place]].id });
   }
 
   /* Drawing */
 
   draw(context, width, height) {
-    if (!this.run || !this.frame) return;
-    this.drawPicture(context);
-    const labels = new Labels(context, width, height);
-    this.drawMap(context, labels);
-    this.drawObserved(context, labels);
-    if (this.residuals) this.drawResiduals(context);
-    this.drawSelection(context, labels);
-    labels.draw();
-    drawLegend(context, height, this.view.scale * MAGNIFICATION, MAGNIFICATION, this.mode);
+    if (!this.sight) return;
+    drawPhoto(context, this.picture, this.view, this.size);
+    drawSight(context, this.sight, this.view, width, height, this.look());
   }
 
-  drawPicture(context) {
-    const { width, height } = this.run.image;
-    const { scale, x, y } = this.view;
-    context.imageSmoothingEnabled = scale < 3;
-    context.imageSmoothingQuality = "high";
-    if (this.picture) {
-      context.drawImage(this.picture, x, y, scale * width, scale * height);
-    } else {
-      context.fillStyle = "#3A3D42";
-      context.fillRect(x, y, scale * width, scale * height);
-    }
-  }
-
-  drawMap(context, labels) {
-    const color = this.mode === "truth" ? ON_IMAGE.truth : ON_IMAGE.estimate;
-    const matched = new Set(this.pairs().map((pair) => pair.mapped));
-    this.frame.mapped.forEach((one, row) => {
-      const place = this.placeOf(one);
-      if (!place || (this.mode === "pairs" && !matched.has(row))) return;
-      const width = matched.has(row) ? 1.6 : 1;
-      const dash = matched.has(row) ? [] : [5, 4];
-      const [anchor, end] = place.map((point) => point && this.view.toScreen(point));
-      if (end) drawLine(context, anchor, end, color, width, dash);
-      else drawGlyph(context, this.classes.get(one.class).shape, ...anchor, 7, color, width, dash);
-      const chosen = one.id === this.state.element;
-      if (!matched.has(row) && (chosen || this.mode === "truth")) labels.add(one.name, anchor, { color, weight: 400, first: chosen });
-    });
-  }
-
-  drawObserved(context, labels) {
-    this.frame.observed.forEach((one, row) => {
-      const { shape, color } = this.classes.get(one.class);
-      const [anchor, end] = [one.anchor, one.end].map((point) => point && this.view.toScreen(point));
-      if (end) {
-        drawLine(context, anchor, end, color, 2);
-        drawHandle(context, "peak", ...anchor, color, one.anchorKnown);
-        drawHandle(context, "bottom", ...end, color, one.endKnown);
-      } else {
-        drawGlyph(context, shape, ...anchor, 7, color, 2);
-      }
-      const pair = this.pairOf.get(row);
-      const name = pair ? this.frame.mapped[pair.mapped].name : `#${row}`;
-      if (row !== this.state.observed) labels.add(name, anchor, { color: "#FFFFFF", weight: pair ? 600 : 400 });
-    });
-  }
-
-  drawResiduals(context) {
-    for (const pair of this.pairs()) {
-      if (pair.vector.includes(null) || pair.start.includes(null)) continue;
-      const start = this.view.toScreen(pair.start);
-      const length = this.view.scale * (this.mode === "pairs" ? 1 : MAGNIFICATION);
-      const end = [start[0] + length * pair.vector[0], start[1] + length * pair.vector[1]];
-      const color = pair.inlier ? residualColor(pair.residualPx) : ON_IMAGE.cannot;
-      if (!pair.inlier) drawLine(context, start, end, color, 1.6, [3, 3]);
-      else if (Math.hypot(end[0] - start[0], end[1] - start[1]) > 1) drawArrow(context, start, end, color, 2.6);
-    }
-  }
-
-  drawSelection(context, labels) {
+  look() {
     const { observed, element } = this.state;
-    const seen = this.frame.observed[observed];
-    const mapped = this.frame.mapped.find((one) => one.id === element);
-    const place = mapped && this.placeOf(mapped);
-    if (!seen) {
-      if (place) this.ring(context, ...place);
-      return;
-    }
-    this.ring(context, seen.anchor, seen.end);
-    const pair = this.pairOf.get(observed);
-    const probability = this.probability(observed, pair);
-    const name = mapped ? `#${observed} × ${mapped.name}` : `#${observed}, no pair`;
-    const value = pair ? `${pair.residualPx.toFixed(1)} px${pair.inlier ? "" : ", outlier"}` : "";
-    labels.add(name, this.view.toScreen(seen.anchor), { first: true, second: [value, probability].filter(Boolean).join(", ") });
+    return { classes: this.classes, observed, element, vectors: this.residuals, legend: true };
   }
-
-  probability(observed, pair) {
-    const matrix = this.frame.matrix?.probability;
-    return pair && matrix ? `p ${matrix[observed][pair.mapped].toFixed(2)}` : "";
-  }
-
-  ring(context, anchor, end) {
-    context.strokeStyle = ON_IMAGE.accent;
-    const from = this.view.toScreen(anchor);
-    const to = end ? this.view.toScreen(end) : from;
-    const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
-    context.beginPath();
-    context.arc(...from, 12, angle + Math.PI / 2, angle - Math.PI / 2);
-    context.arc(...to, 12, angle - Math.PI / 2, angle + Math.PI / 2);
-    context.closePath();
-    context.lineWidth = 2.2;
-    context.stroke();
-  }
-}
-
-function middle({ anchor, end }) {
-  return end ? [(anchor[0] + end[0]) / 2, (anchor[1] + end[1]) / 2] : anchor;
 }
 
 /** Distance of a point from a segment, or from a point where there is no second end. */
@@ -268,13 +209,8 @@ function distance([x, y], [ax, ay], end) {
   return Math.hypot(x - ax - share * dx, y - ay - share * dy);
 }
 
-/** The index with the least distance under HIT_PX; null where there is none. */
-function nearest(items, distanceOf) {
-  let best = null;
-  let least = HIT_PX;
-  items.forEach((item, index) => {
-    const far = distanceOf(item);
-    if (far < least) [best, least] = [index, far];
-  });
-  return best;
+/** The index of the least of `distances` under HIT_PX; null where there is none. */
+function nearest(distances) {
+  const least = Math.min(...distances);
+  return least < HIT_PX ? distances.indexOf(least) : null;
 }

@@ -1,60 +1,92 @@
-/* The legend on the image: what the residual colours and lengths mean. */
+/* The legend on the image: what its lines, marks, and the residual colours and lengths mean. */
 
-import { ON_IMAGE, RESIDUAL_LIMITS_PX } from "/static/glyphs.js";
+import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawHandle } from "/static/glyphs.js";
+import { endState } from "./image_model.js";
 
 const WIDTH = 268;
-const HEIGHT = 44;
+const ROW = 18;
+const SEEN = "#EFE154";
+const TITLES = {
+  estimate: "residual, drawn 8×",
+  truth: "residual, drawn 8×",
+  pairs: "pairs, true length",
+  error: "error, true length",
+};
 
-/** `pxLength` is how long one pixel of residual is drawn, in CSS pixels. */
-export function drawLegend(context, height, pxLength, magnification, mode) {
-  const [x, y] = [8, height - HEIGHT - 8];
+/** `scale` is how long one pixel of the image is drawn, in CSS pixels. */
+export function drawLegend(context, height, sight, scale) {
+  const marks = unknownEnds(sight);
+  const tall = 44 + (marks.size ? ROW : 0);
+  const [x, y] = [8, height - tall - 8];
   if (y < 60) return; // a picture this small is not covered
   context.fillStyle = "rgba(20,21,23,.82)";
   context.beginPath();
-  context.roundRect(x, y, WIDTH, HEIGHT, 4);
+  context.roundRect(x, y, WIDTH, tall, 4);
   context.fill();
-  const text = (words, left, top, size = 11, align = "left") => {
-    context.font = `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
-    context.fillStyle = "#E6E7E9";
-    context.textAlign = align;
-    context.textBaseline = "middle";
-    context.fillText(words, left, top);
-  };
-  text(mode === "pairs" ? "offset, true length" : `residual, drawn ${magnification}×`, x + 8, y + 12);
-  drawBar(context, x + 124, y + 12, mode === "pairs" ? pxLength / magnification : pxLength, text);
-  drawScale(context, x + 8, y + 22, text);
-  drawKey(context, x + 136, y + 30, mode, text);
+  write(context, TITLES[sight.mode], x + 8, y + 12);
+  drawBar(context, x + 124, y + 12, sight.magnification * scale);
+  drawScale(context, x + 8, y + 22);
+  drawKey(context, x + 132, y + 30, sight);
+  drawMarks(context, x + 8, y + 52, marks);
 }
 
-function drawBar(context, x, y, pxLength, text) {
+function write(context, words, left, top, size = 11, align = "left") {
+  context.font = `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
+  context.fillStyle = "#E6E7E9";
+  context.textAlign = align;
+  context.textBaseline = "middle";
+  context.fillText(words, left, top);
+}
+
+function drawBar(context, x, y, pxLength) {
   const px = [50, 20, 10, 5, 2, 1, 0.5].find((size) => size * pxLength <= 60) ?? 0.2;
   const length = px * pxLength;
   context.fillStyle = "#FFFFFF";
   context.fillRect(x, y - 1, length, 2);
   context.fillRect(x, y - 4, 1.5, 8);
   context.fillRect(x + length - 1.5, y - 4, 1.5, 8);
-  text(`${px} px`, x + length + 7, y);
+  write(context, `${px} px`, x + length + 7, y);
 }
 
-function drawScale(context, x, y, text) {
+function drawScale(context, x, y) {
   const step = 22;
   ON_IMAGE.residual.forEach((color, level) => {
     context.fillStyle = color;
     context.fillRect(x + level * step, y, step, 7);
   });
-  [0, ...RESIDUAL_LIMITS_PX].forEach((limit, level) => text(limit, x + level * step, y + 14, 9.5, level ? "center" : "left"));
-  text("px", x + 5 * step, y + 14, 9.5, "right");
+  [0, ...RESIDUAL_LIMITS_PX].forEach((limit, level) => write(context, String(limit), x + level * step, y + 14, 9.5, level ? "center" : "left"));
+  write(context, "px", x + 5 * step, y + 14, 9.5, "right");
 }
 
-function drawKey(context, x, y, mode, text) {
-  const mapColor = mode === "truth" ? ON_IMAGE.truth : ON_IMAGE.estimate;
-  const entries = [["#EFE154", "seen"], [mapColor, "map"]];
-  if (mode === "pairs") entries.push([ON_IMAGE.cannot, "outlier"]);
+function drawKey(context, x, y, sight) {
+  const entries = sight.observed.length ? [[SEEN, "seen"]] : [];
+  entries.push([ON_IMAGE[sight.pose], sight.mode === "error" ? "estimate" : "map"]);
+  if (sight.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
+  if (sight.mode === "pairs") entries.push([ON_IMAGE.cannot, "outlier"]);
   let left = x;
   for (const [color, words] of entries) {
     context.fillStyle = color;
     context.fillRect(left, y - 1, 9, 2);
-    text(words, left + 12, y);
+    write(context, words, left + 12, y);
     left += 20 + context.measureText(words).width;
   }
+}
+
+/** How the ends of poles are drawn that are not known. */
+function drawMarks(context, x, y, marks) {
+  let left = x;
+  if (marks.has("hidden")) {
+    drawHandle(context, "bottom", left + 5, y, SEEN, false);
+    write(context, "end hidden", left + 15, y);
+    left += 90;
+  }
+  if (!marks.has("cut")) return;
+  drawArrow(context, [left, y], [left + 13, y], SEEN, 2);
+  write(context, "cut by the border", left + 20, y);
+}
+
+function unknownEnds({ observed, size }) {
+  const lines = observed.filter((one) => one.end);
+  const states = lines.flatMap((one) => [endState(one.anchorKnown, one.anchor, size), endState(one.endKnown, one.end, size)]);
+  return new Set(states.filter((state) => state !== "known"));
 }

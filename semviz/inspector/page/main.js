@@ -13,6 +13,7 @@ import { Forecast } from "./forecast.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
+import { Neighbours } from "./neighbours.js";
 import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
@@ -38,6 +39,7 @@ class Page {
       new SpacePanel(this),
       new Forecast(this),
       this.image,
+      new Neighbours(this),
       new WhyCard(),
       new MatrixPanel(this),
       new Timeline(this),
@@ -161,7 +163,6 @@ class Page {
 
   commands() {
     const step = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Frames" });
-    const show = (key, title, run) => ({ key, title, run, group: "Image and matrix" });
     const from = (key, title, run) => ({ key, title, run, group: "3D" });
     return [
       step(",", "Frame before", () => this.step(-1)),
@@ -170,12 +171,6 @@ class Page {
       step(".", "Down in the worst-first list", () => this.list.step(1), true),
       step("j", "Go to a frame by number", () => this.askForFrame()),
       step(" ", "Play, stop", () => this.play()),
-      show("1", "Map with the estimate", () => this.image.setMode("estimate")),
-      show("2", "Map with the truth", () => this.image.setMode("truth")),
-      show("3", "Pairs with outliers", () => this.image.setMode("pairs")),
-      show("r", "Residuals", () => this.image.toggleResiduals()),
-      show("z", "Zoom to the selection", () => this.image.zoomToSelection()),
-      show("0", "Whole image", () => this.image.fit()),
       from("b", "From behind the vehicle", () => this.look("behind")),
       from("l", "Through the camera", () => this.look("camera")),
       from("u", "From above", () => this.look("above")),

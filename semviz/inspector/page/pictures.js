@@ -1,6 +1,6 @@
 /* The images of a run, decoded, with the neighbours of the current frame ahead of time. */
 
-const KEPT = 12;
+const KEPT = 24;
 
 export class Pictures {
   open(run) {
@@ -8,30 +8,33 @@ export class Pictures {
     this.kept = new Map();
   }
 
-  /** The decoded image at `position`, or null where it cannot be had. */
-  get(position) {
-    const known = this.kept.get(position);
-    if (known) {
-      this.kept.delete(position); // moves it to the end: the oldest is dropped first
-      this.kept.set(position, known);
-      return known;
+  prefetch(position, side) {
+    for (const near of [position + 1, position - 1, position + 2]) {
+      if (near >= 0 && near < this.run.frames.length) this.get(near, side);
     }
-    const coming = load(this.run, position);
-    this.kept.set(position, coming);
+  }
+
+  /** The decoded image of a camera at `position` and "", or null and why it cannot be had:
+   * `{picture, why}`. */
+  get(position, side) {
+    const name = `${position} ${side}`;
+    const known = this.kept.get(name);
+    if (known) this.kept.delete(name); // moves it to the end: the oldest is dropped first
+    const coming = known ?? load(this.run, position, side);
+    this.kept.set(name, coming);
     if (this.kept.size > KEPT) this.kept.delete(this.kept.keys().next().value);
     return coming;
   }
-
-  prefetch(position) {
-    for (const near of [position + 1, position - 1, position + 2]) {
-      if (near >= 0 && near < this.run.frames.length) this.get(near);
-    }
-  }
 }
 
-async function load(run, position) {
-  const query = new URLSearchParams({ run: run.name, position, made: run.created });
+async function load(run, position, side) {
+  const query = new URLSearchParams({ run: run.name, position, side, made: run.created });
   const answer = await fetch(`/image?${query}`);
-  if (!answer.ok) return null;
-  return createImageBitmap(await answer.blob());
+  const isImage = answer.headers.get("Content-Type").startsWith("image/");
+  if (!isImage) return { picture: null, why: await answer.text() };
+  try {
+    return { picture: await createImageBitmap(await answer.blob()), why: "" };
+  } catch {
+    return { picture: null, why: "The image of this frame is broken." };
+  }
 }
