@@ -1,12 +1,12 @@
-"""One frame's data for many rerun entities, as a single Arrow record batch.
+"""Data of many rerun entities, frame by frame, as a single Arrow record batch.
 
 rerun's archetypes take 0.1 to 0.7 ms a call and a frame needs some twenty of them; one batch with
-the same columns takes about a millisecond in all. The layouts below are those that the archetypes
-write, component by component.
+the same columns takes about a millisecond in all, and hardly more if it holds several frames. The
+layouts below are those that the archetypes write, component by component.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -50,37 +50,65 @@ class Strips:
         return cls(strips.reshape(k * p, d), np.full(k, p))
 
 
+@dataclass(eq=False)
+class _Column:
+    """One component of one entity."""
+
+    kind: str
+    rows: list[int] = field(default_factory=list)
+    """Frames, by their place in the batch, that say something of it; the others leave it as is."""
+    values: list[Any] = field(default_factory=list)
+    """An Arrow array for each of them."""
+
+    def array(self, rows: int) -> Any:
+        """A list array of so many rows."""
+        lengths, said = np.zeros(rows, np.int64), np.zeros(rows, bool)
+        lengths[self.rows], said[self.rows] = [len(one) for one in self.values], True
+        values = self.values[0] if len(self.values) == 1 else pa.concat_arrays(self.values)
+        mask = None if said.all() else pa.array(~said)
+        return pa.ListArray.from_arrays(pa.array(_offsets(lengths)), values, mask=mask)
+
+
 class Columns:
-    """Collects columns of many entities for one moment, or for all time.
+    """Collects columns of many entities: for all time, or for the frames that were begun.
 
     An empty component takes away what earlier frames showed.
     """
 
     def __init__(self) -> None:
-        self._index: list[str] | None = None
-        self._fields: list[Any] = []
-        self._arrays: list[Any] = []
+        self._frames: list[int] = []
+        self._nanoseconds: list[int] = []
+        self._columns: dict[tuple[str, str], _Column] = {}
 
-    @classmethod
-    def at(cls, frame: int, time_s: float) -> "Columns":
-        """Columns for one frame; without it they hold for all frames."""
-        nanoseconds = round(time_s * 1e9) if np.isfinite(time_s) else 0
-        columns = cls()
-        columns._index = [FRAME, TIME]
-        columns._fields = [pa.field(FRAME, pa.int64()), pa.field(TIME, pa.duration("ns"))]
-        columns._arrays = [pa.array([frame]), pa.array([nanoseconds], pa.duration("ns"))]
-        return columns
+    @property
+    def frames(self) -> int:
+        """How many frames were begun."""
+        return len(self._frames)
+
+    def begin(self, frame: int, time_s: float) -> None:
+        """What is added from now on is of this frame."""
+        self._frames.append(frame)
+        self._nanoseconds.append(round(time_s * 1e9) if np.isfinite(time_s) else 0)
 
     def send(self, stream: rr.RecordingStream) -> None:
         """Send everything collected, in one call."""
-        batch = pa.record_batch(self._arrays, schema=pa.schema(self._fields))
-        stream.send_record_batch(batch, index=self._index)
+        fields, arrays, index = [], [], None
+        if self._frames:
+            index = [FRAME, TIME]
+            arrays = [pa.array(self._frames), pa.array(self._nanoseconds, pa.duration("ns"))]
+            fields = [pa.field(name, one.type) for name, one in zip(index, arrays, strict=True)]
+        for (entity, component), column in self._columns.items():
+            array = column.array(max(self.frames, 1))
+            arrays.append(array)
+            fields.append(_field(entity, component, array.type, column.kind))
+        batch = pa.record_batch(arrays, schema=pa.schema(fields))
+        stream.send_record_batch(batch, index=index)
 
     def add(self, entity: str, component: str, values: Any, kind: str = "") -> None:
         """One component: an Arrow array, and rerun's component type unless it is our own."""
-        row = pa.ListArray.from_arrays(pa.array([0, len(values)], pa.int32()), values)
-        self._fields.append(_field(entity, component, row.type, kind))
-        self._arrays.append(row)
+        column = self._columns.setdefault((entity, component), _Column(kind))
+        column.rows.append(max(self.frames - 1, 0))
+        column.values.append(values)
 
     def text(self, entity: str, component: str, text: str, kind: str = "Text") -> None:
         self.add(entity, component, pa.array([text]), kind)
@@ -131,6 +159,7 @@ class Columns:
         self.add(entity, component, pa.array([meters], pa.float32()), "ImagePlaneDistance")
 
     def jpeg(self, entity: str, image: bytes | None) -> None:
+        """An image; None takes it away."""
         data = np.frombuffer(image or b"", np.uint8)
         blob = _list([len(data)] if image is not None else [], pa.array(data), nullable=False)
         self.add(entity, "EncodedImage:blob", blob, "Blob")
@@ -164,7 +193,11 @@ def _vectors(vectors: NDArray[np.float64]) -> Any:
 
 def _list(lengths: Sequence[int] | IntArray, values: Any, *, nullable: bool = True) -> Any:
     """Consecutive pieces of ``values`` as the rows of a list array."""
+    kind = pa.list_(pa.field("item", values.type, nullable=nullable))
+    return pa.ListArray.from_arrays(pa.array(_offsets(lengths)), values, type=kind)
+
+
+def _offsets(lengths: Sequence[int] | IntArray) -> NDArray[np.int32]:
     offsets = np.zeros(len(lengths) + 1, np.int32)
     np.cumsum(lengths, out=offsets[1:])
-    kind = pa.list_(pa.field("item", values.type, nullable=nullable))
-    return pa.ListArray.from_arrays(pa.array(offsets), values, type=kind)
+    return offsets

@@ -45,11 +45,8 @@ def draw_styles(stream: rr.RecordingStream) -> None:
 
 
 def draw(columns: Columns, record: FrameRecord, classes: ClassSet) -> None:
-    """The image with everything that lies on it."""
+    """What lies on the image."""
     result, truth = record.localization, record.frame.T_map_camera
-    columns.jpeg(layout.IMAGE, record.image)
-    if record.image_right is not None:
-        columns.jpeg(layout.IMAGE_RIGHT, record.image_right)
     _draw_observed(columns, record, classes)
     _draw_projected(
         columns, TRUE, result, truth and truth.inverse(), rgba(TRUTH.dark, 0.75), classes

@@ -93,8 +93,9 @@ class Summary:
 def pose_error(T_est_camera_map: Pose, T_true_camera_map: Pose) -> tuple[float, float]:
     """RTE: distance between the camera centres (m). RRE: angle between the rotations (deg)."""
     centers = [one.inverse().translation for one in (T_est_camera_map, T_true_camera_map)]
-    turn = T_est_camera_map @ T_true_camera_map.inverse()
-    angle = np.linalg.norm(turn.log()[3:])
+    # Rotations that are an angle a apart differ by sqrt(8) sin(a/2), in the Frobenius norm.
+    chord = np.linalg.norm(T_est_camera_map.rotation - T_true_camera_map.rotation)
+    angle = 2.0 * np.arcsin(min(chord / np.sqrt(8.0), 1.0))
     return float(np.linalg.norm(centers[0] - centers[1])), float(np.rad2deg(angle))
 
 
