@@ -18,7 +18,8 @@ from weakref import WeakSet
 from aiohttp import web
 
 from semviz.web.guard import Guard, add_headers, is_loopback
-from semviz.web.scenes import Proxy, Scenes
+from semviz.web.proxy import Proxy
+from semviz.web.scenes import Scenes
 from semviz.web.sockets import OPEN_SOCKETS, close_sockets
 from semviz_core.errors import SemvizError
 
@@ -95,7 +96,8 @@ class Door:
         guard = Guard(is_loopback(self._host), self._token, cookie=f"semviz-{port}")
         app = web.Application(middlewares=[guard.middleware()], client_max_size=16 * 2**20)
         app.add_routes(self._tool.routes())
-        app.add_routes(Proxy(self._tool.scenes).routes())
+        closed = "this page's 3D scene has been closed; reload the page"
+        app.add_routes(Proxy("view", self._tool.scenes.address, closed).routes())
         app.router.add_static("/static/", STATIC)
         app.on_response_prepare.append(add_headers)
         app[OPEN_SOCKETS] = WeakSet()

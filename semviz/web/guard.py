@@ -104,7 +104,7 @@ class Guard:
 
 async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
     """aiohttp ``on_response_prepare`` signal: nothing of ours runs or shows in another site."""
-    policy = VIEW_POLICY if request.path.startswith("/view/") else PAGE_POLICY
+    policy = VIEW_POLICY if "view" in request.path.split("/") else PAGE_POLICY
     response.headers["Content-Security-Policy"] = policy
     response.headers["X-Content-Type-Options"] = "nosniff"
     response.headers["Cross-Origin-Resource-Policy"] = "same-origin"

@@ -1,24 +1,16 @@
-"""A viser server of its own for every opened page, and the way to it through the door."""
+"""A viser server of its own for every opened page."""
 
-import asyncio
 import contextlib
 import secrets
 import sys
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import rich
-from aiohttp import ClientError, ClientSession, ClientWebSocketResponse, WSMsgType, web
-
-from semviz.web.sockets import accept_socket
 
 if TYPE_CHECKING:
     import viser
-
-FORWARDED = ("Content-Type", "Content-Encoding")
-
-Socket: TypeAlias = web.WebSocketResponse | ClientWebSocketResponse
 
 _console_lock = threading.Lock()
 
@@ -58,68 +50,6 @@ class Scenes:
     def close_all(self) -> None:
         for session in tuple(self._servers):
             self.close(session)
-
-
-class Proxy:
-    """Hands ``/view/SESSION/...``, HTTP and websocket, to that session's viser server."""
-
-    def __init__(self, scenes: Scenes) -> None:
-        self._scenes = scenes
-
-    def routes(self) -> list[web.AbstractRouteDef]:
-        # viser's client asks for its websocket at its page's path without the slash
-        return [
-            web.get("/view/{session}", self._handle),
-            web.get("/view/{session}/{path:.*}", self._handle),
-        ]
-
-    async def _handle(self, request: web.Request) -> web.StreamResponse:
-        address = self._scenes.address(request.match_info["session"])
-        if address is None:
-            raise web.HTTPNotFound(text="this page's 3D scene has been closed; reload the page\n")
-        target = f"{address}/{request.match_info.get('path', '')}"
-        try:
-            async with ClientSession(auto_decompress=False) as client:
-                if request.headers.get("Upgrade", "").lower() == "websocket":
-                    return await _forward_socket(request, client, f"ws://{target}")
-                if "path" not in request.match_info:
-                    raise web.HTTPFound(request.path + "/")
-                return await _forward_page(request, client, f"http://{target}")
-        except ClientError as error:
-            raise web.HTTPBadGateway(text=f"the 3D scene does not answer: {error}\n") from None
-
-
-async def _forward_page(request: web.Request, client: ClientSession, url: str) -> web.Response:
-    accepted = {"Accept-Encoding": request.headers.get("Accept-Encoding", "")}
-    async with client.get(url, headers=accepted) as answer:
-        headers = {name: answer.headers[name] for name in FORWARDED if name in answer.headers}
-        return web.Response(status=answer.status, body=await answer.read(), headers=headers)
-
-
-async def _forward_socket(
-    request: web.Request, client: ClientSession, url: str
-) -> web.WebSocketResponse:
-    names = request.headers.get("Sec-WebSocket-Protocol", "")
-    protocols = [name.strip() for name in names.split(",") if name.strip()]
-    front = await accept_socket(request, protocols=protocols, max_msg_size=0)
-    async with client.ws_connect(url, protocols=protocols, max_msg_size=0, compress=0) as back:
-        pumps = {asyncio.create_task(_pump(front, back)), asyncio.create_task(_pump(back, front))}
-        try:
-            await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for pump in pumps:
-                pump.cancel()
-            await asyncio.gather(*pumps, return_exceptions=True)
-    await front.close()
-    return front
-
-
-async def _pump(source: Socket, target: Socket) -> None:
-    async for message in source:
-        if message.type is WSMsgType.BINARY:
-            await target.send_bytes(message.data)
-        elif message.type is WSMsgType.TEXT:
-            await target.send_str(message.data)
 
 
 def _start_server() -> "viser.ViserServer":

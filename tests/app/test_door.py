@@ -266,9 +266,12 @@ def test_run_prints_its_address_only_and_ends_when_told(how: signal.Signals) -> 
 def test_it_ends_where_the_signal_goes_to_another_thread() -> None:
     """Then nothing interrupts the waiting main thread, as where it comes just before the wait."""
     told = (
-        "import signal, sys, threading\n"
-        "def tell(): signal.pthread_kill(threading.get_ident(), signal.SIGTERM)\n"
-        "threading.Timer(1.5, tell).start()\n"
+        "import signal, sys, threading, time\n"
+        "def tell():\n"
+        "    while signal.getsignal(signal.SIGTERM) is signal.SIG_DFL: time.sleep(0.1)\n"
+        "    time.sleep(1.0)\n"
+        "    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)\n"
+        "threading.Thread(target=tell, daemon=True).start()\n"
     )
     command = [sys.executable, "-c", told + SERVE, str(Path(__file__).parent)]
     assert subprocess.run(command, capture_output=True, timeout=60).returncode == 0

@@ -19,7 +19,7 @@ export class Pictures {
 
   async #load(key) {
     try {
-      const answer = await fetch(`/image/${key}.png`);
+      const answer = await fetch(`image/${key}.png`);
       if (!answer.ok) return this.#failed(key, await answer.text());
       // colours as they are in the file: a label is made on pixels, not on a colour profile
       const options = { colorSpaceConversion: "none" };

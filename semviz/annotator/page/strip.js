@@ -64,7 +64,7 @@ export class Strip {
   #tile(place) {
     const { index } = this.frames[place];
     const tile = el("button", { class: "tile", data: { frame: index }, "aria-label": `Frame ${index}`, onclick: () => this.actions.go(index) },
-      el("img", { alt: "", draggable: "false", src: `/thumbnail/${index}.jpg` }), el("span", { class: "caption" }, el("b", { text: index })));
+      el("img", { alt: "", draggable: "false", src: `thumbnail/${index}.jpg` }), el("span", { class: "caption" }, el("b", { text: index })));
     tile.style.left = `calc(${place} * var(--pitch))`;
     this.rail.append(tile);
     return tile;

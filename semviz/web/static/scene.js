@@ -15,5 +15,5 @@ export function showScene(frame, session, keys) {
     keys.listen(frame.contentWindow, true);
     frame.classList.add("ready");
   }, { once: true });
-  frame.src = `/view/${encodeURIComponent(session)}/`;
+  frame.src = `view/${encodeURIComponent(session)}/`;
 }

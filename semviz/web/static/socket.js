@@ -2,7 +2,7 @@
 
 const LONGEST_WAIT_MS = 5000;
 
-/** Connects to `/socket`. `onmessage(object)` gets what the server sends, but for the session's id,
+/** Connects to `socket` beside the page. `onmessage(object)` gets what the server sends, but for the session's id,
  * which goes to `onsession(id, isNew)`; `onstate(connected)` tells when the line breaks and heals.
  * `send(object)` returns false, and sends nothing, while there is no line. */
 export class Socket {
@@ -20,9 +20,10 @@ export class Socket {
   }
 
   _open() {
-    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     const query = this._session ? `?session=${encodeURIComponent(this._session)}` : "";
-    this._socket = new WebSocket(`${scheme}//${location.host}/socket${query}`);
+    const address = new URL(`socket${query}`, location.href);
+    address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+    this._socket = new WebSocket(address);
     this._socket.addEventListener("message", (event) => this._receive(JSON.parse(event.data)));
     this._socket.addEventListener("close", () => {
       this._handlers.onstate(false);
