@@ -19,11 +19,12 @@ from semviz_core.matching.posterior import posterior_match
 from semviz_core.pose import Pose
 from semviz_core.request import check_request
 from semviz_core.solving.direct import pairs_by_class
+from semviz_core.solving.pairing import Pairing
 from semviz_core.solving.refine import Failure, refine
 from semviz_core.solving.scene import Scene
-from semviz_core.solving.search import Modes, search
+from semviz_core.solving.search import Modes, mode_near, search
 from semviz_core.solving.upright import assumed_upright
-from semviz_core.solving.verdict import judge
+from semviz_core.solving.verdict import Verdict, judge
 from semviz_core.threads import in_order
 
 METHODS = ("search", "direct")
@@ -32,6 +33,9 @@ NEEDED_ELEMENTS = 4
 poles from the next."""
 SHOWN_NATS = 30.0
 """Poses that are worse than the best by more are no alternatives."""
+
+FREE = Pairing()
+"""Nothing is supposed."""
 
 Result = TypeVar("Result")
 Request: TypeAlias = tuple[Elements2D, Elements3D, Camera, Prior]
@@ -57,13 +61,23 @@ class Localizer:
         self.detector.checked()
 
     def localize(
-        self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
+        self,
+        observed: Elements2D,
+        submap: Elements3D,
+        camera: Camera,
+        prior: Prior,
+        *,
+        pairing: Pairing = FREE,
+        start: Pose | None = None,
     ) -> Localization:
         """The camera's pose in the map, or the reason for none; never a made-up pose.
 
-        Raises SemvizError where these cannot be meant (``semviz_core.request``).
+        ``pairing`` says what is supposed of who is who; ``start`` (T_camera_map) takes the place of
+        the search: the answer is the optimum near it. Raises SemvizError where these cannot be
+        meant (``semviz_core.request``).
         """
         check_request(observed, submap, camera, prior, self.classes)
+        pairing.check(observed, submap)
         watch = _Stopwatch({})
         work = Localization(
             self.method, camera, prior, observed, submap,
@@ -71,13 +85,13 @@ class Localizer:
         )  # fmt: skip
         if reason := _too_few(observed, submap):
             return replace(work, reason=reason)
-        pairs = pairs_by_class(observed, submap) if self.method == "direct" else None
+        scene = pairing.applied(Scene.of(camera, observed, submap, self.detector))
+        pairs = pairs_by_class(observed, scene) if self.method == "direct" else None
         if isinstance(pairs, Failure):
             return replace(work, reason=pairs.reason)
 
-        scene = Scene.of(camera, observed, submap, self.detector)
         prior = assumed_upright(prior)  # the result keeps the prior as given
-        modes = watch.time("search", lambda: search(scene, prior))
+        modes = watch.time("search", lambda: _modes(scene, prior, start))
         poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
         found = Search(modes.tried, poses, modes.score, modes.passed, modes.match)
         work = replace(work, search=found)
@@ -92,6 +106,8 @@ class Localizer:
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
         verdict = judge(modes, refined, observed, submap, prior)
+        if unmet := pairing.unmet(refined.refinement, submap):
+            verdict = Verdict("cannot", unmet)
         answered = verdict.status != "cannot"
         return replace(
             work,
@@ -130,6 +146,10 @@ def _too_few(observed: Elements2D, submap: Elements3D) -> str:
     if len(submap) == 0:
         return "Nothing is mapped around the prior: the submap is empty."
     return ""
+
+
+def _modes(scene: Scene, prior: Prior, start: Pose | None) -> Modes:
+    return search(scene, prior) if start is None else mode_near(scene, prior, start)
 
 
 def _nothing_fits(prior: Prior) -> str:

@@ -13,12 +13,9 @@ from semviz_core.explaining.faults import sound_pairs
 from semviz_core.explaining.told import Evidence, Fault, Kind
 from semviz_core.localize import NEEDED_ELEMENTS
 from semviz_core.pose import Pose
-from semviz_core.solving.association import associate, log_likelihood
-from semviz_core.solving.least_squares import fit
-from semviz_core.solving.linear import inverse
-from semviz_core.solving.residuals import SURE, scene_residuals
-from semviz_core.solving.scene import Known, Scene
-from semviz_core.solving.search import APART_M, APART_RAD, BASIN_M, FINE
+from semviz_core.solving.residuals import scene_residuals
+from semviz_core.solving.scene import Scene
+from semviz_core.solving.search import APART_M, APART_RAD, BASIN_M, mode_near
 from semviz_core.solving.upright import assumed_upright
 from semviz_core.solving.verdict import AMBIGUOUS_NATS
 
@@ -198,15 +195,7 @@ def score_near(case: Case, T_camera_map: Pose) -> float:
     """Log-likelihood (nats) of the best pose near one, as the search would have scored it."""
     one = case.localization
     scene = Scene.of(one.camera, one.observed, one.submap, case.detector)
-    known = Known.of(assumed_upright(one.prior))
-    R, t = T_camera_map.rotation, T_camera_map.translation
-    match, _ = associate(scene, R, t, FINE)
-    for _ in range(3):
-        R, t, information, _ = fit(scene, known, R, t, match, 5)
-        match, _ = associate(scene, R, t, inverse(information))
-    R, t, _, _ = fit(scene, known, R, t, match, 5)
-    match, gain = associate(scene, R, t, SURE)
-    return float(log_likelihood(scene, known, R, t, match, gain))
+    return float(mode_near(scene, assumed_upright(one.prior), T_camera_map).score[0])
 
 
 def _too_few(case: Case, seen: int) -> Fault:

@@ -100,7 +100,7 @@ class Scene(NamedTuple):
     seen: RecordArray  # (m,) SEEN
     mapped: RecordArray  # (n,) MAPPED
     candidate: IntArray
-    compatible: BoolArray  # (m, n) same class and kind
+    compatible: BoolArray  # (m, n) can be one thing: same class and kind, unless said otherwise
 
     @classmethod
     def of(
@@ -113,12 +113,18 @@ class Scene(NamedTuple):
         compatible = (observed.class_id[:, None] == elements.class_id) & (
             observed.is_line[:, None] == elements.is_line
         )
-        owner, candidate = np.nonzero(compatible)
-        seen = _seen(camera, observed)
-        first = np.searchsorted(owner, np.arange(len(observed) + 1))
-        seen["first"], seen["last"] = first[:-1], first[1:]
         setting = _setting(camera, detector or DetectorModel())
-        return cls(setting, seen, _mapped(elements), candidate.copy(), compatible)
+        nothing = np.empty(0, dtype=np.int64)
+        scene = cls(setting, _seen(camera, observed), _mapped(elements), nothing, compatible)
+        return scene.only(compatible)
+
+    def only(self, possible: BoolArray) -> "Scene":
+        """The scene in which the pairs ``possible`` (m, n), and no others, can be."""
+        owner, candidate = np.nonzero(possible)
+        first = np.searchsorted(owner, np.arange(len(possible) + 1))
+        seen = self.seen.copy()
+        seen["first"], seen["last"] = first[:-1], first[1:]
+        return self._replace(seen=seen, candidate=candidate.copy(), compatible=possible)
 
 
 class Known(NamedTuple):

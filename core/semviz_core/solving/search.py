@@ -13,6 +13,7 @@ import numpy as np
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.compiled import compiled
 from semviz_core.frame import Prior
+from semviz_core.pose import Pose
 from semviz_core.solving.association import associate, log_likelihood, one_to_one
 from semviz_core.solving.hypotheses import upright_hypotheses
 from semviz_core.solving.least_squares import fit
@@ -89,6 +90,14 @@ def search(scene: Scene, prior: Prior) -> Modes:
         found.append(candidates)
     together = Candidates(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
     return Modes(tried, passed, *_settle(scene, known, together))
+
+
+def mode_near(scene: Scene, prior: Prior, T_camera_map: Pose) -> Modes:
+    """The one mode that a pose leads to, settled and scored as the search would have done."""
+    R, t = T_camera_map.rotation.copy(), T_camera_map.translation.copy()
+    match, _ = associate(scene, R, t, FINE)
+    R, t, match, gain, score = _fitted(scene, Known.of(prior), R, t, match)
+    return Modes(1, 1, R[None], t[None], np.array([score]), match[None], gain[None])
 
 
 @compiled

@@ -82,7 +82,10 @@ class Matches:
         """The scene in which only these pairs are possible, detections blurred by ``sigma_px``."""
         sigma = np.hypot(self.observed.sigma_px, sigma_px)
         blurred = replace(self.observed, sigma_px=sigma)
-        return _only(Scene.of(self.camera, blurred, self.submap, self.detector), self.pairs)
+        scene = Scene.of(self.camera, blurred, self.submap, self.detector)
+        possible = np.zeros_like(scene.compatible)
+        possible[tuple(self.pairs.T)] = True
+        return scene.only(possible)
 
     @property
     def is_line(self) -> BoolArray:
@@ -124,14 +127,3 @@ def why_unsolvable(matches: Matches) -> str:
             f"{NEEDED_PAIRS} of each are needed."
         )
     return why_degenerate(*matches.points_m(), matches.known())
-
-
-def _only(scene: Scene, pairs: IntArray) -> Scene:
-    """The scene with ``pairs`` as the only ones possible."""
-    compatible = np.zeros_like(scene.compatible)
-    compatible[pairs[:, 0], pairs[:, 1]] = True
-    owner, candidate = np.nonzero(compatible)
-    first = np.searchsorted(owner, np.arange(len(compatible) + 1))
-    seen = scene.seen.copy()
-    seen["first"], seen["last"] = first[:-1], first[1:]
-    return scene._replace(seen=seen, candidate=candidate, compatible=compatible)
