@@ -119,7 +119,7 @@ def compare_runs(base: Run, other: Run) -> Comparison:
     notes = list(_truth_notes(pairs))  # first: it refuses what is not one drive
     same_map = base.semantic_map.digest == other.semantic_map.digest
     return Comparison(
-        frames=tuple(_change(*pair) for pair in pairs),
+        frames=tuple(frame_change(*pair) for pair in pairs),
         base=metrics_of(one),
         other=metrics_of(two),
         only_base=tuple(sorted(numbers[0] - common)),
@@ -172,7 +172,8 @@ def _truth_notes(pairs: list[tuple[FrameRecord, FrameRecord]]) -> Iterator[str]:
         yield f"{unknown} of {len(pairs)} frames have no true pose: judged by their status alone"
 
 
-def _change(base: FrameRecord, other: FrameRecord) -> FrameChange:
+def frame_change(base: FrameRecord, other: FrameRecord) -> FrameChange:
+    """What became of one frame."""
     errors = errors_of(base), errors_of(other)
     known = base.frame.T_map_camera is not None and other.frame.T_map_camera is not None
     good = [
