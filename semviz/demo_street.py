@@ -13,11 +13,10 @@ from semviz.drive import (
     Drive,
     DriveOptions,
     Know,
-    detector_model,
-    observe_simulated,
     record,
     simulated_prior,
 )
+from semviz.observing import detector_model, observe_simulated
 from semviz.workspace import Workspace
 from semviz_core.frame import Frame, Prior
 from semviz_core.localize import Localizer
@@ -60,7 +59,7 @@ def _drive(workspace: Workspace, semantic_map: SemanticMap) -> Drive:
     options = DriveOptions(
         observations="simulated", crop_radius_m=CROP_RADIUS_M["simulated"], seed=SEED
     )
-    observe = observe_simulated(workspace, options)
+    observe = observe_simulated(workspace, options.noise, options.seed)
     know = _sometimes_far_off(simulated_prior(options))
     street = workspace.street
     localizer = Localizer(detector=detector_model(options.observations))

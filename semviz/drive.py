@@ -6,18 +6,23 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from semviz import follow
+from semviz.observing import (
+    Noise,
+    Observations,
+    Observe,
+    detector_model,
+    observe_labels,
+    observe_simulated,
+)
 from semviz.progress import tell_of_compiling, track
 from semviz.recording.pictures import check_offered, with_pictures
 from semviz.recording.run import FrameRecord, Images, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz.workspace import Workspace
-from semviz_core.arrays import IntArray
-from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
 from semviz_core.files import check_replaceable
@@ -28,11 +33,8 @@ from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
 from semviz_core.sources.source import Source
 
-Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
-"""What is seen in a frame's left image, and the true map element (m,) of each, or -1."""
 Know = Callable[[Frame], Prior]
 """What is known of a frame's pose beforehand."""
-Observations = Literal["labels", "simulated"]
 CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "simulated": 50.0}
 """The simulated detector sees 40 m far; people label as far as they can see."""
 ROAD_RADIUS_M = 60.0
@@ -47,7 +49,7 @@ class DriveOptions:
     track: bool = False
     """Follow the camera from frame to frame; ``method`` is then for frames by themselves."""
     observations: Observations = "labels"
-    noise: Literal["paper", "low"] = "low"
+    noise: Noise = "low"
     prior_distance_m: tuple[float, float] = (5.0, 10.0)
     heading_sigma_deg: float | None = None
     crop_radius_m: float = CROP_RADIUS_M["labels"]
@@ -132,39 +134,9 @@ def drive_workspace(
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)
     else:
-        observe = observe_simulated(workspace, options)
+        observe = observe_simulated(workspace, options.noise, options.seed)
     know = simulated_prior(options)
     return Drive(source, semantic_map, chosen, observe, know, localizer, options)
-
-
-def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
-    """What people labelled in the left image."""
-    from semviz_annotation.observe import observe
-
-    labels = workspace.read_labels()
-    return lambda frame: observe(labels, frame.index, "left", semantic_map)
-
-
-def observe_simulated(workspace: Workspace, options: DriveOptions) -> Observe:
-    """What a detector as good as the paper's (or better) would see of a simulated street."""
-    from semviz_core.sources.street.detector import SimulatedDetector
-
-    detector = SimulatedDetector(workspace.street, options.noise, options.seed)
-
-    def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
-        detection = detector.detect(frame.index)
-        return detection.observed, detection.element_id
-
-    return observe
-
-
-def detector_model(observations: Observations) -> DetectorModel:
-    """What is true of whoever, or whatever, sees."""
-    if observations == "labels":
-        return DetectorModel()
-    from semviz_core.sources.street.detector import DETECTOR_MODEL
-
-    return DETECTOR_MODEL
 
 
 def prior_options(options: DriveOptions) -> PriorOptions:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from semviz.drive import DriveOptions, detector_model, prior_options
+from semviz.drive import DriveOptions, prior_options
+from semviz.observing import detector_model
 from semviz_core.arrays import IntArray
 from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError

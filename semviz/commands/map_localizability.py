@@ -64,8 +64,9 @@ def _conditions(
     workspace: "Workspace", semantic_map: "SemanticMap", frames: "Sequence[Frame]"
 ) -> "Conditions":
     """As ``semviz localize`` has them; labels tell how much of the map is seen."""
-    from semviz.drive import CROP_RADIUS_M, DriveOptions, observe_labels
+    from semviz.drive import CROP_RADIUS_M, DriveOptions
     from semviz.localizability import conditions_of, with_measured_recall
+    from semviz.observing import observe_labels
 
     kind = workspace.default_observations
     stated = conditions_of(DriveOptions(observations=kind, crop_radius_m=CROP_RADIUS_M[kind]))

@@ -10,8 +10,8 @@ from semviz.inspector.matrix import candidates_of_column, candidates_of_row
 from semviz.inspector.origins import Origins, map_row
 from semviz.inspector.session import Selection, State
 from semviz.inspector.topic import Topic, Verbs
-from semviz.inspector.why import detector_of, truth_of
 from semviz.recording.run import FrameRecord, Run
+from semviz.verdicts import detector_of, truth_of
 from semviz.web.sessions import Message
 from semviz_core.explaining.told import FALSE, UNKNOWN
 from semviz_core.pose import Pose

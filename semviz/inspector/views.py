@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 
 from semviz.inspector.projection import Projected, offsets, project_elements
 from semviz.inspector.session import State
-from semviz.inspector.why import errors_of, sure_and_wrong, verdict, why_card
+from semviz.inspector.why import errors_of, sure_and_wrong, why_card
 from semviz.recording.run import FrameRecord, Run
+from semviz.verdicts import verdict
 from semviz_core.arrays import IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet
@@ -74,6 +75,8 @@ def state_view(state: State) -> Json:
         "view": state.view,
         "alternatives": state.alternatives,
         "forecast": state.forecast,
+        "colors": state.colors,
+        "ellipsoids": state.ellipsoids,
         "base": state.base,
         "comparing": state.comparing,
         "mode": state.mode,

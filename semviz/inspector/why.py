@@ -2,19 +2,14 @@
 
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from semviz import follow
-from semviz.drive import detector_model
 from semviz.recording.run import FrameRecord, Run
+from semviz.verdicts import explained, verdict
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
-from semviz_core.detector_model import DetectorModel
-from semviz_core.explaining.case import is_healthy
-from semviz_core.explaining.explain import explain
-from semviz_core.explaining.told import UNKNOWN, Truth, Verdict
+from semviz_core.explaining.told import Verdict
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 from semviz_core.solving.residuals import pair_residuals
@@ -51,43 +46,6 @@ def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:
     """The worst kind: status ok, and yet more than a metre off."""
     off_m = 0.0 if errors is None else errors.distance_m
     return localization.status == "ok" and off_m > SURE_AND_WRONG_M
-
-
-def verdict(run: Run, record: FrameRecord) -> str:
-    """A name for what happened; neighbouring frames of one name are one row in lists."""
-    truth = truth_of(run, record)
-    if record.localization.method == follow.METHOD and record.localization.status == "cannot":
-        return "starting or lost"
-    if is_healthy(record.localization, None if truth is None else truth.T_camera_map):
-        return "healthy"
-    return explained(run, record).kind
-
-
-_EXPLAINED: WeakKeyDictionary[FrameRecord, Verdict] = WeakKeyDictionary()
-
-
-def explained(run: Run, record: FrameRecord) -> Verdict:
-    """The verdict on one frame, with all that the run knows of it."""
-    if record not in _EXPLAINED:
-        _EXPLAINED[record] = explain(
-            record.localization, run.semantic_map, truth_of(run, record), detector_of(run)
-        )
-    return _EXPLAINED[record]
-
-
-def detector_of(run: Run) -> DetectorModel:
-    """What is true of whoever, or whatever, saw what was observed."""
-    return detector_model("labels" if run.info.observations == "labels" else "simulated")
-
-
-def truth_of(run: Run, record: FrameRecord) -> Truth | None:
-    """What is known of a frame. Labels without an element in the map may be of anything."""
-    pose, ids = record.frame.T_map_camera, record.element_id
-    if pose is None:
-        return None
-    if run.info.observations == "labels":
-        ids = np.where(ids < 0, UNKNOWN, ids)
-    return Truth(pose.inverse(), ids if (ids >= 0).any() else None)
 
 
 def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:

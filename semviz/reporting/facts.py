@@ -9,9 +9,10 @@ import numpy as np
 
 from semviz.comparing.metrics import Metrics, metrics_of
 from semviz.inspector.shelf import run_names
-from semviz.inspector.why import errors_of, sure_and_wrong, verdict
+from semviz.inspector.why import errors_of, sure_and_wrong
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
+from semviz.verdicts import verdict
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.outcomes import Facts, Outcome, visible_rows
 

@@ -20,7 +20,6 @@ from small_runs import FRAMES, off_by, saved, small_run, spoiled, unanswered, wi
 
 from semviz.cli import main
 from semviz.commands.serve import Serve
-from semviz.inspector.why import verdict
 from semviz.measure import summarize_run
 from semviz.recording.run import Run
 from semviz.reporting.facts import Reported, load_reported
@@ -30,6 +29,7 @@ from semviz.reporting.pictures import picture
 from semviz.reporting.plots import histograms
 from semviz.reporting.summary import tables
 from semviz.tables import Table, figure, in_latex, in_markdown
+from semviz.verdicts import verdict
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -1,0 +1,53 @@
+"""The verdict on each frame of a run: what the run knows of a frame, handed to explaining."""
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from semviz import follow
+from semviz.observing import detector_model
+from semviz.recording.run import FrameRecord, Run
+from semviz_core.detector_model import DetectorModel
+from semviz_core.explaining.case import is_healthy
+from semviz_core.explaining.explain import explain
+from semviz_core.explaining.told import UNKNOWN, Truth, Verdict
+
+STARTING_OR_LOST = "starting or lost"
+"""Of a followed frame without an answer."""
+
+
+def verdict(run: Run, record: FrameRecord) -> str:
+    """A name for what happened; neighbouring frames of one name are one row in lists."""
+    truth = truth_of(run, record)
+    if record.localization.method == follow.METHOD and record.localization.status == "cannot":
+        return STARTING_OR_LOST
+    if is_healthy(record.localization, None if truth is None else truth.T_camera_map):
+        return "healthy"
+    return explained(run, record).kind
+
+
+_EXPLAINED: WeakKeyDictionary[FrameRecord, Verdict] = WeakKeyDictionary()
+
+
+def explained(run: Run, record: FrameRecord) -> Verdict:
+    """The verdict on one frame, with all that the run knows of it."""
+    if record not in _EXPLAINED:
+        _EXPLAINED[record] = explain(
+            record.localization, run.semantic_map, truth_of(run, record), detector_of(run)
+        )
+    return _EXPLAINED[record]
+
+
+def detector_of(run: Run) -> DetectorModel:
+    """What is true of whoever, or whatever, saw what was observed."""
+    return detector_model("labels" if run.info.observations == "labels" else "simulated")
+
+
+def truth_of(run: Run, record: FrameRecord) -> Truth | None:
+    """What is known of a frame. Labels without an element in the map may be of anything."""
+    pose, ids = record.frame.T_map_camera, record.element_id
+    if pose is None:
+        return None
+    if run.info.observations == "labels":
+        ids = np.where(ids < 0, UNKNOWN, ids)
+    return Truth(pose.inverse(), ids if (ids >= 0).any() else None)
