@@ -2,13 +2,18 @@
 
 import csv
 import io
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
+from aiohttp import web
 
+from semviz.inspector.shelf import Shelf
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ClassSet
+from semviz_core.errors import SemvizError
 from semviz_core.localization import Localization
 
 NOT_MAPPED = "not in the map"
@@ -62,12 +67,12 @@ def _listed(probability: FloatArray, cells: dict[int, Json], true: list[int]) ->
     ]
 
 
-def matrix_csv(run: Run, position: int) -> str:
+def matrix_csv(run: Run, record: FrameRecord) -> str:
     """Probabilities as recorded, to the last digit; empty where the frame has none.
 
     Columns are mapped elements by name, rows are detections by number; the dustbins come last.
     """
-    one = run.frames[position].localization
+    one = record.localization
     if one.match is None:
         return ""
     text = io.StringIO()
@@ -83,3 +88,23 @@ def element_names(one: Localization, classes: ClassSet) -> list[str]:
     """(n) names of the submap's elements, such as ``P-04``."""
     pairs = zip(one.submap.class_id.tolist(), one.submap.id.tolist(), strict=True)
     return [classes.element_name(class_id, id) for class_id, id in pairs]
+
+
+def matrix_route(shelf: Shelf) -> web.AbstractRouteDef:
+    """``/matrix.csv?run=NAME&position=K``: the matrix of a frame."""
+
+    async def answer(request: web.Request) -> web.Response:
+        name, position = request.query.get("run", ""), request.query.get("position", "")
+        try:
+            run = shelf.run(name)
+            record = run.frames[range(len(run.frames)).index(int(position))]
+        except (SemvizError, ValueError):
+            raise web.HTTPNotFound(text="no such frame\n") from None
+        table = matrix_csv(run, record)
+        if not table:
+            raise web.HTTPNotFound(text="this frame has no probabilities\n")
+        file = f"{Path(name).name}-{record.frame.index}-matrix.csv"
+        said = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(file)}"}
+        return web.Response(text=table, content_type="text/csv", headers=said)
+
+    return web.get("/matrix.csv", answer)

@@ -9,15 +9,17 @@ from semviz.inspector.decisions import DecisionTopic
 from semviz.inspector.desk import Desk
 from semviz.inspector.forecast import ForecastTopic
 from semviz.inspector.image_view import ImageTopic
+from semviz.inspector.matrix import matrix_route
 from semviz.inspector.navigation import Navigation
 from semviz.inspector.pictures import picture_route
+from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
-TOPICS = (Navigation, ImageTopic, ForecastTopic, DecisionTopic)
+TOPICS = (Navigation, ImageTopic, SelectedTopic, ForecastTopic, DecisionTopic)
 
 
 class Inspector:
@@ -36,6 +38,7 @@ class Inspector:
         return [
             web.get("/", self._page),
             picture_route(self._shelf),
+            matrix_route(self._shelf),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
         ]
