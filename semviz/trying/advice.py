@@ -47,9 +47,7 @@ def most_telling(run: Run, record: FrameRecord, verdict: Verdict) -> Change | No
 
 def _suggested(asked: Asked, fault: Fault) -> Iterator[Change]:
     frame = asked.record.frame.index
-    if fault.kind in TOO_FEW: tuple[Kind, ...] = ("too few elements", "missed detection")
-"""Nothing that is left out or moved helps."""
-MAPPED_WRONG:
+    if fault.kind in MAPPED_WRONG:
         yield from map(DropElement, fault.elements)
     elif fault.kind in SEEN_WRONG:
         yield from (DropDetection(frame, row) for row in fault.rows)
