@@ -15,7 +15,8 @@ import numpy as np
 from semviz.drive import DriveOptions, drive_workspace
 from semviz.workspace import Workspace
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.options import BuildOptions
 from semviz_annotation.mapping.placing.place import place, place_linearly
 from semviz_annotation.mapping.placing.refine import Problem, Refined, RefineOptions, refine
 from semviz_annotation.mapping.placing.residuals import residuals

@@ -26,7 +26,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.options import BuildOptions
 from semviz_annotation.mapping.paper import PaperOptions
 from semviz_annotation.mapping.placing.refine import RefineOptions
 from semviz_annotation.mapping.placing.residuals import residuals

@@ -109,6 +109,7 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         provenance=provenance if any(one.label_ids for one in provenance) else (),
         decisions=tuple(_decision(one) for one in _unpacked(metadata.get("decisions"))),
         made_by=str(metadata["made_by"]),
+        settings=dict(metadata.get("settings", {})),
         operation=int(metadata["operation"]),
     )
 
@@ -124,6 +125,7 @@ def _metadata(semantic_map: SemanticMap) -> str:
             "trajectory_m": _encode_points(semantic_map.trajectory_m),
             "decisions": _packed([asdict(one) for one in semantic_map.decisions]),
             "made_by": semantic_map.made_by,
+            "settings": dict(semantic_map.settings),
             "operation": semantic_map.operation,
         }
     )

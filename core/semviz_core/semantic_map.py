@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,6 +78,8 @@ class SemanticMap:
     """What was decided on the way from labels to elements."""
     made_by: str = ""
     """Method, version and settings, for people."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """JSON values: the same for programs, to build it again; empty where it was not built here."""
     operation: int = 0
     """Number of the last label operation that the map knows; 0 without labels."""
 

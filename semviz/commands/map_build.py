@@ -11,7 +11,7 @@ from semviz.commands.parsing import OptionalFloat, OptionalInt, OptionalText, pa
 from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz_annotation.mapping.build import BuildOptions
+    from semviz_annotation.mapping.options import BuildOptions
     from semviz_annotation.mapping.paper import PaperOptions
 
 _ONLY = {
@@ -74,7 +74,7 @@ class MapBuild:
         return 0
 
     def _options(self) -> "BuildOptions | PaperOptions":
-        from semviz_annotation.mapping.build import BuildOptions
+        from semviz_annotation.mapping.options import BuildOptions
         from semviz_annotation.mapping.paper import PaperOptions
         from semviz_annotation.mapping.placing.refine import RefineOptions
 

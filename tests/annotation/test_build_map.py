@@ -8,8 +8,10 @@ import pytest
 
 from semviz_annotation.edits import DeleteObservation, Link
 from semviz_annotation.labels import LabelElement, Labels, Observation, Row, new_id
-from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.build import build_map, rebuild_map
+from semviz_annotation.mapping.options import BuildOptions
 from semviz_annotation.mapping.paper import PaperOptions
+from semviz_annotation.mapping.placing.refine import RefineOptions
 from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
 from semviz_annotation.observe import UNKNOWN, observe
 from semviz_annotation.rules import Rules
@@ -350,6 +352,39 @@ def test_bad_input_is_one_line(world):
         build_map(labels, world, BuildOptions(sigma_px=0.0))
     with pytest.raises(SemvizError, match="min_frames 1 or more"):
         build_map(labels, world, BuildOptions(min_frames=0))
+
+
+WAYS = (
+    BuildOptions(sigma_px=0.5, min_angle_deg=0.4, min_frames=2),
+    BuildOptions(refine=RefineOptions(pose_sigma_m=0.02)),
+    PaperOptions(eps_m=0.5),
+)
+
+
+@pytest.mark.parametrize("options", WAYS)
+def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options):
+    """From its file; labels that are another way now make another map."""
+    labels = world.labels()
+    path = tmp_path / "main.parquet"
+    built, _ = build_map(labels, world, options, frames=range(1, 4))
+    save_map(built, path)
+    again, _ = rebuild_map(load_map(path), labels, world)
+    assert again.digest == built.digest
+    assert again.made_by == built.made_by
+    assert again.settings == built.settings
+    fewer = labels
+    (nine,) = (one for one in labels.elements.values() if one.number == 9)
+    for row in labels.of_element(nine.id):
+        fewer = fewer.changed(DeleteObservation(row.id).changes(fewer, Rules()))
+    assert 9 not in rebuild_map(built, fewer, world)[0].elements.id
+
+
+def test_a_map_of_unknown_origin_is_not_built_again(world):
+    built, _ = build_map(world.labels(), world)
+    with pytest.raises(SemvizError, match="does not say how it was built"):
+        rebuild_map(replace(built, settings={}), world.labels(), world)
+    with pytest.raises(SemvizError, match="another version"):
+        rebuild_map(replace(built, settings={"method": "joint", "x": 1}), world.labels(), world)
 
 
 def test_observing_labels_gives_elements_and_the_ids_they_should_match(world):

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from semviz_annotation.edits import Judge
 from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
 from semviz_annotation.mapping.assemble import PART_ID
-from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.linking.agreement import Places, agreement
 from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
+from semviz_annotation.mapping.options import BuildOptions
 from semviz_annotation.mapping.placing.place import PlaceOptions, place
 from semviz_annotation.mapping.placing.sightings import gather
 from semviz_annotation.observe import observe

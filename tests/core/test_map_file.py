@@ -56,6 +56,7 @@ def maps(draw: st.DrawFn) -> SemanticMap:
         trajectory_m=draw(hnp.arrays(np.float64, (draw(st.integers(0, 4)), 3), elements=FINITE)),
         provenance=draw(st.just(()) | st.tuples(*[provenance] * n)),
         made_by=draw(WORDS),
+        settings=draw(st.dictionaries(WORDS, st.none() | FINITE | WORDS, max_size=3)),
         operation=draw(st.integers(0, 2**53)),
     )
 
@@ -76,7 +77,7 @@ def test_a_map_comes_back_bit_for_bit(semantic_map: SemanticMap) -> None:
         assert before.dtype == after.dtype
         assert before.tobytes() == after.tobytes()
     assert semantic_map.trajectory_m.tobytes() == back.trajectory_m.tobytes()
-    for name in ("frame", "classes", "provenance", "made_by", "operation", "digest"):
+    for name in ("frame", "classes", "provenance", "made_by", "settings", "operation", "digest"):
         assert getattr(back, name) == getattr(semantic_map, name)
 
 
