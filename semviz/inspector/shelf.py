@@ -37,6 +37,10 @@ class Shelf:
                 self._runs[name] = load_run(self._paths[name])
             return self._runs[name]
 
+    def path(self, name: str) -> Path:
+        """The file of the run called ``name``."""
+        return self._paths[name]
+
     def kept(self, name: str, make: Callable[[Run, Path], Made]) -> Made:
         """What ``make`` makes of the run called ``name`` and its file: made once, then kept."""
         run = self.run(name)
