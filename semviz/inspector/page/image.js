@@ -195,9 +195,26 @@ export class ImagePanel {
     drawSight(context, this.sight, this.view, width, height, this.look());
   }
 
-  look() {
+  look(legend = true) {
     const { observed, element } = this.state;
-    return { classes: this.classes, observed, element, vectors: this.residuals, legend: true };
+    return { classes: this.classes, observed, element, vectors: this.residuals, legend };
+  }
+
+  /** What is shown, without the free room around a whole image. */
+  figures() {
+    if (!this.sight) return [];
+    const { mode, side } = this.state;
+    const parts = ["image", mode === "estimate" ? "" : mode, side === "left" ? "" : side];
+    const view = new View();
+    view.copyFrom(this.view);
+    if (this.fitted) [view.x, view.y] = [0, 0];
+    const width = this.fitted ? view.scale * this.size.width : this.surface.width;
+    const height = this.fitted ? view.scale * this.size.height : this.surface.height;
+    const draw = (context, { photo, legend }) => {
+      if (photo) drawPhoto(context, this.picture, view, this.size);
+      drawSight(context, this.sight, view, width, height, this.look(legend));
+    };
+    return [{ name: parts.filter(Boolean).join("-"), title: "Image", width, height, draw, hasPhoto: Boolean(this.picture), hasLegend: true }];
   }
 }
 

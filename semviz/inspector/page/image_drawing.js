@@ -88,7 +88,7 @@ class Painter {
       if (!place) continue;
       const isMatched = sight.matched.has(row);
       drawMapped(this.context, look.classes.get(one.class), place, this.at, color, isMatched);
-      const chosen = one.id === look.element;
+      const chosen = one.id === look.element && !sight.observed[look.observed];
       const isNamed = !sight.observed.length || (!isMatched && sight.mode === "truth");
       if (pose === sight.pose && (chosen || isNamed)) this.labels.add(one.name, this.at(place[0]), { color, weight: isMatched ? 600 : 400, first: chosen });
     }

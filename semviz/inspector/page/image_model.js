@@ -1,10 +1,10 @@
 /* What there is to draw on an image: which elements, where, and what joins them. No drawing here. */
 
-export const MODES = {
-  estimate: { title: "map projected with the estimate", poses: ["estimate"], magnification: 8 },
-  truth: { title: "map projected with the truth", poses: ["truth"], magnification: 8 },
-  pairs: { title: "what was matched with what", poses: ["truth", "estimate"], magnification: 1 },
-  error: { title: "map from truth to estimate", poses: ["estimate", "truth"], magnification: 1 },
+const MODES = {
+  estimate: { title: "map projected with the estimate", pose: "estimate", magnification: 8 },
+  truth: { title: "map projected with the truth", pose: "truth", magnification: 8 },
+  pairs: { pose: "truth", magnification: 1 },
+  error: { title: "map from truth to estimate", pose: "estimate", magnification: 1 },
 };
 const MISSING = {
   estimate: "no pose: no map here; 2 shows it with the truth",
@@ -28,7 +28,7 @@ export class Sight {
     this.pairOf = new Map(frame.pairs.map((pair) => [pair.observed, pair]));
     const pairs = mode === "truth" ? frame.truePairs : frame.pairs;
     this.matched = new Set(pairs.map((pair) => pair.mapped));
-    this.pose = mode === "pairs" && !frame.hasTruth ? "estimate" : MODES[mode].poses[0];
+    this.pose = mode === "pairs" && !frame.hasTruth ? "estimate" : MODES[mode].pose;
   }
 
   /** Whether the poses that the mode needs are known. */
@@ -103,8 +103,8 @@ export class Sight {
   /** One line on what is drawn or why it is not. */
   get about() {
     if (!this.isPossible) return MISSING[this.mode];
-    if (this.right && this.mode !== "error") return `${MODES[this.mode].title}; detections are of the left image`;
-    return this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
+    const title = this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
+    return this.right && this.mode !== "error" ? `detections are of the left image; ${title}` : title;
   }
 
   #countPairs() {

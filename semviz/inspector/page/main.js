@@ -9,6 +9,7 @@ import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
 import { Bar } from "./bar.js";
 import { DecisionList } from "./decisions.js";
+import { Exporter } from "./exporting/export.js";
 import { Forecast } from "./forecast.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
@@ -43,6 +44,7 @@ class Page {
       new WhyCard(),
       new MatrixPanel(this),
       new Timeline(this),
+      new Exporter(this),
     ];
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);

@@ -45,6 +45,10 @@ export class Neighbours {
     this.surface.redraw();
   }
 
+  figures() {
+    return this.shown.length && !byId("neighbours").hidden ? [this.surface.figure("around", "Around")] : [];
+  }
+
   at([x]) {
     const width = this.surface.width / Math.max(1, this.shown.length);
     return this.shown[Math.floor(x / width)];
@@ -98,17 +102,26 @@ export class Neighbours {
     if (one.mapped) drawMapped(context, this.classes.get(one.mapped.class), one.mapped.place, at, ON_IMAGE.estimate, one.seen);
     if (one.seen) drawSeen(context, this.classes.get(one.seen.class), one.seen.place, at);
     context.restore();
+    if (!this.isHere(one)) return;
+    context.strokeStyle = cssColor("--text");
+    context.lineWidth = 2;
+    context.strokeRect(left + 1, 1, width - 2, height - 2);
   }
 
-  drawCaption(context, { position, row }, left, y) {
-    const isHere = position === this.page.frame?.position;
+  isHere({ position }) {
+    return position === this.page.frame?.position;
+  }
+
+  drawCaption(context, one, left, y) {
+    const { row } = one;
+    const isHere = this.isHere(one);
     drawMark(context, row.status, left + 8, y, 4, cssColor(`--${row.sureAndWrong ? "cannot" : row.status}`));
     context.font = `${isHere ? 600 : 400} 11px Inter, "Liberation Sans", Arial, sans-serif`;
     context.textAlign = "left";
     context.textBaseline = "middle";
     context.fillStyle = cssColor(isHere ? "--text" : "--dim");
     const error = row.errorM === null ? (row.status === "cannot" ? "no pose" : "") : `${fixed(row.errorM, 2)} m`;
-    context.fillText(`${isHere ? "here, " : ""}frame ${row.index}   ${error}`, left + 18, y);
+    context.fillText(`frame ${row.index}   ${error}`, left + 18, y);
   }
 }
 

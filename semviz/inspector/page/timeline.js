@@ -36,6 +36,10 @@ export class Timeline {
     this.surface.redraw();
   }
 
+  figures() {
+    return this.run ? [this.surface.figure("timeline", "Timeline")] : [];
+  }
+
   showFrame(frame) {
     this.pointAt(frame.position);
   }

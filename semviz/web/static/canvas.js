@@ -60,6 +60,12 @@ export class Surface {
     this._resize();
   }
 
+  /** What is on it, as a figure that can be saved. */
+  figure(name, title) {
+    const { width, height } = this;
+    return { name, title, width, height, draw: (context) => this._draw(context, width, height) };
+  }
+
   redraw() {
     if (this._pending) return;
     this._pending = true;

@@ -22,3 +22,14 @@ export function switchTheme() {
   localStorage.setItem(STORED, theme);
   return theme;
 }
+
+/** Runs `draw` as if the page had another theme; nothing of it is shown. */
+export function inTheme(theme, draw) {
+  const shown = currentTheme();
+  apply(theme);
+  try {
+    draw();
+  } finally {
+    apply(shown);
+  }
+}

@@ -5,7 +5,7 @@
  *   textAlign, textBaseline, imageSmoothingEnabled, imageSmoothingQuality (which say nothing here)
  *   beginPath, moveTo, lineTo, arc, rect, roundRect, closePath, fill, stroke, setLineDash
  *   fillRect, strokeRect, fillText, strokeText, measureText
- *   drawImage(image, x, y, width, height), save, clip, restore
+ *   drawImage(image, x, y, width, height), save, clip, translate, rotate, restore
  * Text stays text, images are embedded. Paths are made by calls, not by Path2D, which cannot be read. */
 
 import { svg } from "/static/dom.js";
@@ -138,7 +138,7 @@ export class SvgContext {
     this.#add("image", { href, x: short(x), y: short(y), width: short(width), height: short(height), preserveAspectRatio: "none" });
   }
 
-  /* Clipping */
+  /* Clipping and turning, until `restore` */
 
   save() {
     const style = Object.fromEntries(Object.keys(STYLE).map((name) => [name, this[name]]));
@@ -150,6 +150,14 @@ export class SvgContext {
     const id = `clip-${(this.#clips += 1)}`;
     this.#add("clipPath", { id }).append(svg("path", { d: this.#path }));
     this.#group = this.#add("g", { "clip-path": `url(#${id})` });
+  }
+
+  translate(x, y) {
+    this.#group = this.#add("g", { transform: `translate(${short(x)} ${short(y)})` });
+  }
+
+  rotate(angle) {
+    this.#group = this.#add("g", { transform: `rotate(${short((180 * angle) / Math.PI)})` });
   }
 
   restore() {
