@@ -37,6 +37,17 @@ RESIDUAL = (
     Tone("#E0402A", "#A81C1C"),
 )
 
+USED_LIMITS = (2, 5, 10, 20)
+"""Upper limits, in frames, of the colours of how often an element was used, but the last."""
+USED = (
+    Tone("#3F659F", "#96B2D6"),
+    Tone("#6896C4", "#6989BF"),
+    Tone("#99B4C2", "#3C60A8"),
+    Tone("#C9D2C0", "#2A4183"),
+    Tone("#FAF0BE", "#18225E"),
+)
+"""Of probability's ramp what stands out from the scene's ground."""
+
 
 def residual_level(residual_px: FloatArray) -> IntArray:
     """(k,) index into RESIDUAL of lengths (k,) in pixels."""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from semviz.web.colors import Theme
-from semviz.web.scene import TRUTH, Scene
+from semviz.web.picking import Offer, Picker
+from semviz.web.scene import TRUTH, Scene, class_rows, elements_ends
 from semviz.web.shapes import facing
 from semviz.web.viewpoint import Viewer, behind
 from semviz_core.arrays import FloatArray
@@ -51,7 +52,7 @@ class SceneView:
         self._trajectory_m = trajectory_m
         self._camera = camera
         self._classes = classes
-        self._on_click = on_click
+        self._picker = Picker(server, lambda _, number: on_click(number))
         self._before: Shown | None = None
 
     def show(self, shown: Shown) -> None:
@@ -102,10 +103,11 @@ class SceneView:
             self._scene.clear("/camera")
 
     def _draw_elements(self, shown: Shown) -> None:
-        turned = facing(shown.elements.anchor_m, self._trajectory_m)
-        self._scene.draw_elements("/map", shown.elements, self._classes, turned)
-        around = (shown.T_map_camera or NOWHERE).translation
-        self._scene.make_clickable(shown.elements, around, self._on_click)
+        elements, classes = shown.elements, self._classes
+        turned = facing(elements.anchor_m, self._trajectory_m)
+        looks, rows = self._scene.class_looks(classes), class_rows(elements.class_id, classes)
+        self._scene.draw_elements("/map", elements, classes, turned, looks, rows)
+        self._picker.offer("element", Offer(elements.id, *elements_ends(elements)))
 
 
 def _same(one: Elements3D, two: Elements3D) -> bool:

@@ -117,7 +117,12 @@ class Desk:
         for topic in self.topics:
             topic.on_drawn()
 
-    def _clicked(self, element: int) -> None:
-        """Called in a thread of viser's."""
+    def _clicked(self, kind: str, number: int) -> None:
+        """Called in a thread of viser's, for an element's id or a frame's position."""
         with self.lock:
-            self.select(None, element)
+            if kind == "frame":
+                self.state = self.state.at(number, self.run)
+                self.tell_frame()
+                self.draw_frame()
+            else:
+                self.select(None, number)

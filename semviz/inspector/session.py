@@ -8,7 +8,8 @@ from semviz.web.colors import Theme
 from semviz_core.errors import SemvizError
 from semviz_core.sources.source import Side
 
-View = Literal["behind", "above", "camera"]
+View = Literal["behind", "above", "camera", "free"]
+MapColors = Literal["class", "residual", "times"]
 ImageMode = Literal["estimate", "truth", "pairs", "error"]
 
 
@@ -31,6 +32,10 @@ class State:
     theme: Theme = "dark"
     alternatives: bool = True
     forecast: bool = False
+    colors: MapColors = "class"
+    """What the colours of the map in 3D say."""
+    ellipsoids: bool = False
+    """Whether the submap's covariances are drawn."""
     base: str = ""
     """The run to compare with, by name; empty for none."""
     comparing: bool = False
@@ -76,6 +81,13 @@ class State:
         if view not in known:
             raise SemvizError(f"no viewpoint '{view}'; there are {', '.join(known)}")
         return replace(self, view=known[view])
+
+    def coloring(self, colors: str, ellipsoids: bool) -> "State":
+        """With other colours of the map in 3D, with or without ellipsoids."""
+        known: dict[str, MapColors] = {one: one for one in get_args(MapColors)}
+        if colors not in known:
+            raise SemvizError(f"the map has no colours by '{colors}'; by {', '.join(known)}")
+        return replace(self, colors=known[colors], ellipsoids=ellipsoids)
 
     def picturing(self, mode: str, side: str, neighbours: bool) -> "State":
         """With something else drawn on the image, or on another image."""

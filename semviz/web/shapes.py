@@ -4,6 +4,7 @@ import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.camera import Camera
+from semviz_core.classes import ClassSet
 from semviz_core.elements import Elements3D
 from semviz_core.pose import Pose
 
@@ -36,6 +37,28 @@ def sign_segments(signs: Elements3D, shape: str, facing_rad: FloatArray) -> Floa
     outline = np.cos(angles)[:, None] * right[:, None, :] + np.sin(angles)[:, None] * up
     corners = signs.anchor_m[:, None, :] + GLYPH_RADIUS_M * outline
     return np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+
+def element_segments(elements: Elements3D, classes: ClassSet, facing_rad: FloatArray) -> FloatArray:
+    """Each element as its class is drawn: poles, and signs turned by ``facing_rad`` (n,)."""
+    pieces = [np.zeros((0, 2, 3))]
+    for one in classes:
+        rows = np.flatnonzero(elements.class_id == one.id)
+        if len(rows) and one.kind == "line":
+            pieces.append(pole_segments(elements[rows]))
+        elif len(rows):
+            pieces.append(sign_segments(elements[rows], one.shape, facing_rad[rows]))
+    return np.concatenate(pieces)
+
+
+def ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Half axes (k, 3) of 1 sigma, and rotations (k, 4) as w, x, y, z, of covariances (k, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    variances, directions = np.linalg.eigh(covariances)
+    directions[:, :, 2] *= np.sign(np.linalg.det(directions))[:, None]  # right-handed
+    xyzw = Rotation.from_matrix(directions).as_quat() if len(directions) else np.zeros((0, 4))
+    return np.sqrt(np.maximum(variances, 0.0)), np.roll(xyzw, 1, axis=1)
 
 
 def facing(positions_m: FloatArray, trajectory_m: FloatArray) -> FloatArray:

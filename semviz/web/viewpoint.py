@@ -70,6 +70,13 @@ class Viewer:
         for client in self._server.get_clients().values():
             self._turn(client)
 
+    def now(self) -> Viewpoint:
+        """Where the scene is looked at from at present; as last shown while nobody looks."""
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            return Viewpoint(np.array(camera.position), np.array(camera.look_at))
+        return self._view
+
     def move_along(self, before: Pose, after: Pose) -> None:
         """Carries the cameras along with the vehicle: each one's view relative to it stays."""
         self._view = _carried(self._view, before, after)

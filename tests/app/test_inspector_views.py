@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz.inspector.projection import offsets, project_elements
-from semviz.inspector.scene_view import together
+from semviz.inspector.scene.poses import together
 from semviz.inspector.session import State
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.views import frame_view, run_view

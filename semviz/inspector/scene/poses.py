@@ -1,0 +1,118 @@
+"""Camera poses in 3D: truth, estimate, alternatives, and the rays to what was matched."""
+
+import numpy as np
+
+from semviz.inspector.session import State
+from semviz.palette import residual_level
+from semviz.recording.run import FrameRecord
+from semviz.web.colors import mix
+from semviz.web.scene import ALTERNATIVE, ESTIMATE, TRUTH, Scene
+from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.errors import SemvizError
+from semviz_core.localization import Localization
+from semviz_core.pose import Pose
+
+ALTERNATIVES = tuple(f"/{letter}" for letter in "BCDEFGH")
+POSES = {"/truth": TRUTH, "/estimate": ESTIMATE, **dict.fromkeys(ALTERNATIVES, ALTERNATIVE)}
+LABELLED = ("/estimate", "/truth", *ALTERNATIVES[:2])
+"""As many alternatives as the card lists: more labels would cover each other."""
+COINCIDE_M = 1.0
+UP_M = np.array([0.0, 0.0, 1.2])
+FACING_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def draw_poses(scene: Scene, record: FrameRecord, state: State) -> None:
+    """From the camera itself its image is all there is; frusta would be in the way."""
+    camera = record.localization.camera
+    if state.view == "camera":
+        for name in POSES:
+            scene.clear(name)
+        if record.image is not None:
+            scene.draw_backdrop("/backdrop", vehicle(record), camera, _decoded(record.image))
+        return
+    scene.clear("/backdrop")
+    shown = _poses(record, state)
+    image = None if record.image is None else _decoded(record.image, half=True)
+    framed = "/estimate" if "/estimate" in shown else "/truth"
+    for name, look in POSES.items():
+        if name in shown:
+            scene.draw_camera(name, shown[name], camera, look, image if name == framed else None)
+        else:
+            scene.clear(name)
+
+
+def label_poses(scene: Scene, record: FrameRecord, state: State) -> None:
+    """Names above the cameras; those that nearly coincide share a label."""
+    shown = {} if state.view == "camera" else _poses(record, state)
+    labels = together({name: shown[name].translation for name in LABELLED if name in shown})
+    for name in LABELLED:
+        label = f"{name}-label"
+        if name in labels:
+            scene.draw_label(label, labels[name], shown[name].translation + UP_M)
+        else:
+            scene.clear(label)
+
+
+def draw_pairs(scene: Scene, one: Localization) -> None:
+    """Rays to the matched elements, in the colour of their residual."""
+    pose, fine = estimate(one), one.refinement
+    if pose is None or fine is None:
+        scene.clear_under("/pairs")
+        return
+    levels = residual_level(np.sqrt(np.nansum(fine.residual_px**2, axis=1)))
+    targets = _middles(one)[fine.pairs[:, 1]]
+    for level, color in enumerate(scene.palette.residual):
+        ends = targets[levels == level]
+        starts = np.broadcast_to(pose.translation, ends.shape)
+        soft = mix(color, scene.palette.scene, 0.7)
+        scene.draw_lines(f"/pairs/{level}", np.stack([starts, ends], axis=1), soft, 1.0)
+
+
+def together(places_m: dict[str, FloatArray]) -> dict[str, str]:
+    """Labels by the first of the names whose places (3,) lie within a metre of it."""
+    groups: dict[str, list[str]] = {}
+    for name, place in places_m.items():
+        near = (one for one in groups if np.linalg.norm(places_m[one] - place) < COINCIDE_M)
+        groups.setdefault(next(near, name), []).append(name.rpartition("/")[2])
+    return {first: " + ".join(names) for first, names in groups.items()}
+
+
+def estimate(localization: Localization) -> Pose | None:
+    """T_map_camera; None where there is no answer."""
+    pose = localization.T_camera_map
+    return None if pose is None else pose.inverse()
+
+
+def vehicle(record: FrameRecord) -> Pose:
+    """Where the viewer goes: the estimate, else the truth, else the prior facing along x."""
+    pose = estimate(record.localization) or record.frame.T_map_camera
+    return Pose(FACING_X, record.localization.prior.position_m) if pose is None else pose
+
+
+def _poses(record: FrameRecord, state: State) -> dict[str, Pose]:
+    """T_map_camera of what is drawn of a frame, by name in the scene."""
+    one = record.localization
+    known = {"/truth": record.frame.T_map_camera, "/estimate": estimate(one)}
+    if state.alternatives:
+        others = [other.T_camera_map.inverse() for other in one.alternatives]
+        known |= dict(zip(ALTERNATIVES, others, strict=False))
+    return {name: pose for name, pose in known.items() if pose is not None}
+
+
+def _middles(localization: Localization) -> FloatArray:
+    submap = localization.submap
+    poles = (submap.anchor_m + submap.end_m) / 2
+    return np.where(submap.is_line[:, None], poles, submap.anchor_m)
+
+
+def _decoded(jpeg: bytes, half: bool = False) -> ByteImage:
+    """A frustum shows its image small: half the size is enough there, and quicker."""
+    import cv2
+
+    image = cv2.imdecode(
+        np.frombuffer(jpeg, dtype=np.uint8),
+        cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_COLOR,
+    )
+    if image is None:
+        raise SemvizError("the image of this frame is broken; localize again")
+    return np.asarray(image[:, :, ::-1], dtype=np.uint8)

@@ -1,0 +1,36 @@
+"""Around a frame in 3D: what was known beforehand, and how far the submap reaches."""
+
+import numpy as np
+
+from semviz.inspector.scene.poses import vehicle
+from semviz.recording.run import FrameRecord, Run
+from semviz.web.scene import CAMERA_HEIGHT_M, Scene
+from semviz_core.arrays import FloatArray
+
+
+def draw_prior(scene: Scene, run: Run, record: FrameRecord) -> None:
+    """The fix with its uncertainty, and the circle within which the submap lies."""
+    prior = record.localization.prior
+    center, color = _on_road(prior.position_m), scene.palette.prior
+    scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
+    cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
+    scene.draw_lines("/prior-cross", cross, color, 1.5)
+    sigma_m, right = prior.horizontal_sigma_m, vehicle(record).rotation[:, 0]
+    # beside the road, on the circle: the poses lie along the road
+    scene.draw_label("/prior-label", f"prior ± {sigma_m:.1f} m", center - sigma_m * right)
+    radius = run.info.options.get("crop_radius_m")
+    scene.clear("/crop")
+    if isinstance(radius, int | float):
+        scene.draw_circle("/crop", center, float(radius), scene.palette.faint)
+
+
+def route(run: Run) -> FloatArray:
+    """(k, 3) camera centres: of the run where true poses are known, else of the map."""
+    known = [one.frame.T_map_camera for one in run.frames if one.frame.T_map_camera is not None]
+    if len(run.semantic_map.trajectory_m) > len(known):
+        return run.semantic_map.trajectory_m
+    return np.array([pose.translation for pose in known]).reshape(-1, 3)
+
+
+def _on_road(position_m: FloatArray) -> FloatArray:
+    return position_m - [0.0, 0.0, CAMERA_HEIGHT_M - 0.05]
