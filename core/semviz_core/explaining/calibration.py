@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.explaining.case import Case
+from semviz_core.explaining.case import Case, Watch, unwatched
 from semviz_core.explaining.told import Evidence, Fault
 from semviz_core.solving.association import associate
 from semviz_core.solving.known import MOST_ROWS, known_rows
@@ -37,9 +37,10 @@ _SCALES = (30.0, 15.0, 8.0, 4.0, 4.0)
 _STEP = np.array([1e-4, 0.1, 0.1])
 
 
-def calibration_fault(cases: Sequence[Case]) -> Fault | None:
+def calibration_fault(cases: Sequence[Case], watch: Watch = unwatched) -> Fault | None:
     """The strongest pattern, where there is one."""
-    blocks = [one for case in cases for one in _blocks(case)]
+    watched = watch(cases, "looking for a pattern over the image", len(cases))
+    blocks = [one for case in watched for one in _blocks(case)]
     if sum(len(own) // 2 for own, _, _ in blocks) < NEEDED_PAIRS:
         return None
     value, sigma = _estimate(blocks)

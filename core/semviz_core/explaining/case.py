@@ -1,5 +1,6 @@
 """A frame beside a pose to compare it with: the true one, or else the answer."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -120,6 +121,15 @@ class Case:
     def is_true(self, T_camera_map: Pose) -> bool:
         """Whether a pose is the true answer; another one is further away."""
         return self.truth is not None and is_near(T_camera_map, self.truth)
+
+
+Watch = Callable[[Iterable[Case], str, int], Iterable[Case]]
+"""Passes cases through, and tells people what is done with them and how many there are."""
+
+
+def unwatched(cases: Iterable[Case], what: str, total: int) -> Iterable[Case]:
+    """The ``Watch`` that tells nobody."""
+    return cases
 
 
 def is_healthy(localization: Localization, truth: Pose | None) -> bool:
