@@ -161,6 +161,10 @@ def test_a_run_names_the_element_that_is_wrong_in_its_map(fault: Kind, blind: Bl
     elements = verdict.elements[0].elements
     assert set(elements) & set(run.elements) or (fault == "missing in the map" and not elements)
     assert verdict.elements[0].evidence[0].value >= 3
+    sights = list(zip(verdict.elements[0].frames, verdict.elements[0].rows, strict=True))
+    assert len({frame for frame, _ in sights}) == verdict.elements[0].evidence[0].value
+    seen = {int(run.frames[frame][1].element_id[row]) for frame, row in sights}
+    assert seen & {*run.elements, *elements}
 
 
 def test_a_run_in_which_nothing_is_wrong_names_nothing() -> None:
