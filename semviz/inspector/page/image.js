@@ -21,8 +21,7 @@ export class ImagePanel {
     this.surface = new Surface(canvas, (...size) => this.draw(...size));
     this.surface.onpainted = painted;
     this.surface.onresize = () => this.fitted && this.run && this.fit();
-    enableZoomAndPan(canvas, this.view, () => { this.fitted = false; this.surface.redraw(); });
-    this.listenForClicks(canvas);
+    this.listen(canvas, (at) => this.pick(at));
     for (const button of document.querySelectorAll("[data-mode]")) {
       button.addEventListener("click", () => this.ask({ mode: button.dataset.mode }));
     }
@@ -45,12 +44,15 @@ export class ImagePanel {
     ];
   }
 
-  listenForClicks(canvas) {
+  /** Zoom, pan and clicks on a canvas that is drawn through this panel's view; `pick(at)` is called
+   * with what was clicked, in CSS pixels. */
+  listen(canvas, pick) {
+    enableZoomAndPan(canvas, this.view, () => { this.fitted = false; this.surface.redraw(); });
     let down = null;
     canvas.addEventListener("pointerdown", (event) => { down = pointerAt(event); });
     canvas.addEventListener("pointerup", (event) => {
       const at = pointerAt(event);
-      if (event.button === 0 && down && Math.hypot(at[0] - down[0], at[1] - down[1]) < 4) this.pick(at);
+      if (event.button === 0 && down && Math.hypot(at[0] - down[0], at[1] - down[1]) < 4) pick(at);
     });
     canvas.addEventListener("dblclick", () => this.fit());
   }
@@ -175,16 +177,7 @@ export class ImagePanel {
   }
 
   pick(at) {
-    if (!this.sight) return;
-    const far = ([anchor, end]) => distance(at, this.view.toScreen(anchor), end && this.view.toScreen(end));
-    const { observed, mapped } = this.sight;
-    const seen = nearest(observed.map((one) => far(placeOf(one))));
-    if (seen !== null) {
-      this.page.select({ observed: seen });
-      return;
-    }
-    const place = nearest(mapped.map((row) => far(this.sight.place(row))));
-    this.page.select(place === null ? {} : { element: this.frame.mapped[mapped[place]].id });
+    if (this.sight) this.page.select(found(this.sight, this.view, at));
   }
 
   /* Drawing */
@@ -216,6 +209,16 @@ export class ImagePanel {
     };
     return [{ name: parts.filter(Boolean).join("-"), title: "Image", width, height, draw, hasPhoto: Boolean(this.picture), hasLegend: true }];
   }
+}
+
+/** What is drawn at a point of the canvas: `{observed}`, or `{element}`, or neither. */
+export function found(sight, view, at) {
+  const far = ([anchor, end]) => distance(at, view.toScreen(anchor), end && view.toScreen(end));
+  const seen = nearest(sight.observed.map((one) => far(placeOf(one))));
+  if (seen !== null) return { observed: seen };
+  const { mapped } = sight;
+  const place = nearest(mapped.map((row) => far(sight.place(row))));
+  return place === null ? {} : { element: sight.frame.mapped[mapped[place]].id };
 }
 
 /** Distance of a point from a segment, or from a point where there is no second end. */
