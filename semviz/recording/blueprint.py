@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
-from semviz.recording import layout, scene
+from semviz.recording import layout, plots, scene
 from semviz.recording.columns import FRAME
 from semviz.recording.run import RunInfo
 from semviz_core.arrays import FloatArray
@@ -45,7 +45,7 @@ def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
                 ),
                 rrb.Vertical(
                     rrb.Tabs(
-                        rrb.TextDocumentView(name="Why", origin=scene.WHY),
+                        rrb.TextDocumentView(name="Why", origin=plots.WHY),
                         rrb.TextDocumentView(name="How to read this", origin=scene.README),
                     ),
                     rrb.Spatial2DView(name="Match probability", origin=scene.MATRIX),
@@ -54,12 +54,14 @@ def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
             ),
             rrb.Horizontal(
                 rrb.Vertical(
-                    rrb.TimeSeriesView(name="Error", origin=scene.ERRORS),
-                    rrb.StateTimelineView(name="Status", origin=scene.STATE),
-                    row_shares=[3, 1],
+                    rrb.TimeSeriesView(name="Error", origin=plots.ERRORS),
+                    rrb.StateTimelineView(
+                        name="Status and verdict", contents=[plots.STATUSES, plots.VERDICTS]
+                    ),
+                    row_shares=[3, 2],
                 ),
-                rrb.TimeSeriesView(name="Elements", origin=scene.COUNTS),
-                rrb.TextLogView(name="Reasons", origin=scene.WHY, columns=columns),
+                rrb.TimeSeriesView(name="Elements", origin=plots.COUNTS),
+                rrb.TextLogView(name="Reasons", origin=plots.WHY, columns=columns),
                 column_shares=[3, 2, 2],
             ),
             row_shares=[5, 2],

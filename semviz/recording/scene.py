@@ -1,17 +1,15 @@
-"""What rerun shows of a run: map, poses, matrix, numbers. The entities mirror the frames."""
+"""What rerun shows of a run: map, poses, matrix. The entities mirror the frames."""
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from semviz.palette import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, residual_colors, rgba
-from semviz.recording import layout, picture
+from semviz.palette import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, residual_colors, rgba
+from semviz.recording import layout, picture, plots
 from semviz.recording.columns import Columns, Strips
-from semviz.recording.run import FrameRecord, RunInfo
-from semviz.recording.words import LEVELS, explain, readme
+from semviz.recording.run import FrameRecord, Run, RunInfo
+from semviz.recording.words import readme
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.camera import Camera, Rig
-from semviz_core.evaluation.metrics import pose_error
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
@@ -23,8 +21,7 @@ HERE = "/map/here"
 """Where the frame is, for the eye to follow: truth, else estimate, else prior."""
 PRIOR_CIRCLE, GHOSTS, RAYS = "/map/prior", "/map/alternatives", "/map/pairs"
 MATRIX = "/match/probability"
-ERRORS, COUNTS, TIME_MS = "/error", "/elements", "/time_ms"
-STATE, WHY, README = "/status", "/why", "/readme"
+README = "/readme"
 
 FRUSTUM_M = 4.0
 """Depth at which a camera's image is drawn."""
@@ -42,7 +39,7 @@ class Scene:
     def __init__(
         self, stream: rr.RecordingStream, info: RunInfo, semantic_map: SemanticMap
     ) -> None:
-        self._classes = semantic_map.classes
+        self._run = Run(info, semantic_map, ())
         self._true_center: FloatArray | None = None
         text = readme(info, semantic_map)
         stream.log(README, rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -51,6 +48,7 @@ class Scene:
         if info.images == "both":
             _draw_right_camera(stream, info.rig)
         picture.draw_styles(stream)
+        plots.draw_styles(stream)
 
     def draw(self, columns: Columns, record: FrameRecord) -> None:
         result, truth = record.localization, record.frame.T_map_camera
@@ -60,9 +58,9 @@ class Scene:
         _draw_prior(columns, result)
         _draw_alternatives(columns, result)
         _draw_rays(columns, result, estimate)
-        picture.draw(columns, record, self._classes)
+        picture.draw(columns, record, self._run.semantic_map.classes)
         _draw_matrix(columns, record)
-        _draw_numbers(columns, record)
+        plots.draw(columns, self._run, record)
 
     def _draw_paths(self, columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
         """Each frame adds its piece; the 3D view shows the pieces of all frames."""
@@ -121,14 +119,6 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     matrix = rr.DepthImage.from_fields(meter=1.0, colormap="viridis", depth_range=[0.0, 1.0])
     cells = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0))
     stream.log(MATRIX, matrix, cells, static=True)
-    names = ["translation error, m", "rotation error, deg"]
-    colors = _colors(ESTIMATE, ALTERNATIVE)
-    stream.log(ERRORS, rr.SeriesPoints(colors=colors, names=names, marker_sizes=3.0), static=True)
-    names, colors = ["seen", "paired", "inliers"], _colors(TRUTH, PRIOR, STATUS["ok"])
-    stream.log(COUNTS, rr.SeriesLines(colors=colors, names=names, widths=1.5), static=True)
-    stream.log(WHY, rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-    states = rr.StateConfiguration(values=list(STATUS), colors=_colors(*STATUS.values()))
-    stream.log(STATE, states, static=True)
 
 
 def _draw_right_camera(stream: rr.RecordingStream, rig: Rig) -> None:
@@ -141,10 +131,6 @@ def _draw_right_camera(stream: rr.RecordingStream, rig: Rig) -> None:
         image_from_camera=rig.right.K, resolution=[rig.right.width, rig.right.height]
     )
     stream.log(layout.IMAGE_RIGHT, pinhole, _JPEG, static=True)
-
-
-def _colors(*tones: Tone) -> NDArray[np.uint32]:
-    return np.array([rgba(one.dark) for one in tones], np.uint32)
 
 
 def _draw_cameras(
@@ -223,22 +209,3 @@ def _true_pairs(element_id: IntArray, submap_id: IntArray) -> IntArray:
     """(k, 2) rows of observed and submap that are the same element."""
     pairs: IntArray = np.argwhere(element_id[:, None] == submap_id[None, :])
     return pairs
-
-
-def _draw_numbers(columns: Columns, record: FrameRecord) -> None:
-    result, truth = record.localization, record.frame.T_map_camera
-    errors = (
-        None
-        if truth is None or result.T_camera_map is None
-        else pose_error(result.T_camera_map, truth.inverse())
-    )
-    pairs, inliers = np.nan, np.nan
-    if result.refinement is not None:
-        pairs, inliers = len(result.refinement.pairs), int(result.refinement.inlier.sum())
-    columns.scalars(ERRORS, *(errors or (np.nan, np.nan)))
-    columns.scalars(COUNTS, len(result.observed), pairs, inliers)
-    columns.scalars(TIME_MS, sum(result.time_ms.values()))
-    columns.text(STATE, "StateChange:state", result.status)
-    columns.text(WHY, "TextDocument:text", explain(record, errors))
-    columns.text(WHY, "TextLog:text", result.reason)
-    columns.text(WHY, "TextLog:level", LEVELS[result.status], "TextLogLevel")

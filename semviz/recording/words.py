@@ -3,6 +3,7 @@
 import numpy as np
 
 from semviz.recording.run import FrameRecord, RunInfo
+from semviz_core.explaining.told import Evidence, Verdict
 from semviz_core.localization import Localization, Status
 from semviz_core.semantic_map import SemanticMap
 
@@ -31,13 +32,20 @@ last row and column: not seen, not in the map. White dots: true pairs. Orange: p
 
 **Status.** ok; ambiguous: another pose explains the image as well; cannot: no answer, and why.
 
+**Verdict.** healthy, or what broke first. Orange: what was seen. Violet: the map. Grey: the prior.
+Yellow: the place itself. Red: the method.
+
 {options}"""
 
 
-def explain(record: FrameRecord, errors: tuple[float, float] | None) -> str:
-    """Markdown: status, reason and the numbers behind them; ``errors`` are RTE (m), RRE (deg)."""
+def explain(record: FrameRecord, errors: tuple[float, float] | None, told: Verdict | None) -> str:
+    """Markdown: status, reason and the numbers behind them.
+
+    ``errors`` are RTE (m) and RRE (deg); ``told`` is the verdict where something went wrong.
+    """
     result = record.localization
     rows = [_error_row(result, errors), ("Elements", _elements(record))]
+    rows += [] if told is None else [(one.name, _evidence(one)) for one in told.evidence]
     if result.refinement is not None:
         rows += [("Pairs", _pairs(result))]
     if result.covariance is not None:
@@ -48,7 +56,8 @@ def explain(record: FrameRecord, errors: tuple[float, float] | None) -> str:
     rows += [("Time", ", ".join(f"{name} {ms:.1f}" for name, ms in result.time_ms.items()) + " ms")]
     table = "\n".join(f"| {name} | {text} |" for name, text in rows)
     title = f"## Frame {record.frame.index}: {result.status}"
-    return f"{title}\n{result.reason}\n\n| | |\n|---|---|\n{table}\n"
+    why = "" if told is None else f"\n\n**{told.kind.capitalize()}.** {told.sentence}"
+    return f"{title}\n{result.reason}{why}\n\n| | |\n|---|---|\n{table}\n"
 
 
 def _error_row(result: Localization, errors: tuple[float, float] | None) -> tuple[str, str]:
@@ -63,6 +72,10 @@ def _elements(record: FrameRecord) -> str:
     result = record.localization
     reachable = int(np.isin(record.element_id, result.submap.id).sum())
     return f"{len(result.observed)} seen, {reachable} of them in the submap of {len(result.submap)}"
+
+
+def _evidence(one: Evidence) -> str:
+    return f"{one.value:.4g} {one.unit}".rstrip()
 
 
 def _pairs(result: Localization) -> str:
