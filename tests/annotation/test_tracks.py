@@ -329,3 +329,26 @@ def test_what_is_hardly_known_is_not_in_the_map(make_world):
     built, _ = build_map(far.labels(0.5), far, BuildOptions(0.5, min_angle_deg=1e-3))
     assert list(built.elements.id) == [2]
     assert [one.reason for one in built.decisions] == ["where it stands is not known to 20 m"]
+
+
+def test_a_bottom_that_only_a_mistaken_label_shows_is_held(make_world):
+    """The one label that knows it was drawn where the pole is behind the camera already."""
+    far = (np.array([60.0, -6.0, 5.0]), np.array([60.0, -6.0, 0.5]))
+    long = make_world({4: (0, *POLE), 5: (0, *far)}, count=13)
+    labels = long.labels(sigma_px=0.3)
+    own, others = (
+        [row for row in labels.observations.values() if row.element_id == id_of(labels, number)]
+        for number in (4, 5)
+    )
+    (mistake,) = (row for row in others if (row.frame_index, row.side) == (12, "left"))
+    rows = [replace(row, end_known=False) for row in own]
+    rows.append(replace(mistake, element_id=own[0].element_id))
+    mixed = Labels.from_rows([labels.element(own[0].element_id), *rows])
+    alone = place(*gather(mixed, long)[:2])
+    assert alone.ok.all()
+    assert np.linalg.eigvalsh(alone.covariance_m2[0])[-1] < 1.0
+    built, _ = build_map(mixed, long)
+    assert len(built) == 1
+    assert np.allclose(built.elements.anchor_m[0], POLE[0], atol=0.2)
+    (left_out,) = decided(built, "leave out")
+    assert left_out.observation_ids == (mistake.id,)

@@ -122,7 +122,7 @@ def _fill_lines(
         result.J[rows, which, 3:] = share * end_across
         result.by_u[rows, which] = across[:, 0]
         result.counts[rows, which] = True
-        seen_by_any = sightings.of(known[which])[things]
+        seen_by_any = sightings.of(known[which] & result.ahead)[things]
         counts = known[which][rows]
         result.by_u[rows, 2 + which] = np.where(counts, seen_along[:, 0], 0.0)
         result.counts[rows, 2 + which] = counts
