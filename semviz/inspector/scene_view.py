@@ -12,6 +12,7 @@ from semviz.inspector.scene.map_layer import MapLayer
 from semviz.inspector.scene.poses import draw_pairs, draw_poses, label_poses, vehicle
 from semviz.inspector.scene.surroundings import draw_prior, route
 from semviz.inspector.scene.trajectories import WAYS, draw_ways, offer_frames
+from semviz.inspector.scene.tried import draw_tried
 from semviz.inspector.scene.usage import Usage, usage_of
 from semviz.inspector.session import State, View
 from semviz.recording.run import FrameRecord, Run
@@ -20,6 +21,7 @@ from semviz.web.picking import Picker
 from semviz.web.scene import Scene
 from semviz.web.viewpoint import Viewpoint
 from semviz_core.localizability.predict import Localizability
+from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 
 if TYPE_CHECKING:
@@ -109,6 +111,11 @@ class SceneView:
                 self._scene.clear_under(FORECAST)
             else:
                 draw_forecast(self._scene, predicted, run.semantic_map.classes)
+
+    def show_tried(self, tried: Localization | None, state: State) -> None:
+        """The camera of an answer that is being tried; None takes it away."""
+        with self._scene.server.atomic():  # through the camera its frustum would be in the way
+            draw_tried(self._scene, None if state.view == "camera" else tried)
 
     def _recolor(self, run: Run, state: State) -> None:
         self._coloring = coloring(state.colors, run.semantic_map, self._usage, self._scene)
