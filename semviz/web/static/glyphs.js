@@ -14,10 +14,16 @@ function corners(shape, radius) {
   return angles.map((angle) => [radius * Math.cos(angle), radius * Math.sin(angle)]);
 }
 
-function tracePath(context, shape, x, y, radius) {
+/** A class glyph around (x, y) as the current path: a sign's outline, or a pole with its cap. */
+export function traceGlyph(context, shape, x, y, radius) {
   context.beginPath();
   if (shape === "circle") {
     context.arc(x, y, radius, 0, 2 * Math.PI);
+  } else if (shape === "line") {
+    context.moveTo(x, y + 1.25 * radius);
+    context.lineTo(x, y - 1.15 * radius);
+    context.moveTo(x - 0.6 * radius, y - 1.15 * radius);
+    context.lineTo(x + 0.6 * radius, y - 1.15 * radius);
   } else {
     corners(shape, radius * 1.15).forEach(([dx, dy], i) =>
       i ? context.lineTo(x + dx, y + dy) : context.moveTo(x + dx, y + dy));
@@ -40,7 +46,7 @@ export function strokeCased(context, color, width, dash = []) {
 
 /** A sign's outline around (x, y). */
 export function drawGlyph(context, shape, x, y, radius, color, width = 2, dash = []) {
-  tracePath(context, shape, x, y, radius);
+  traceGlyph(context, shape, x, y, radius);
   strokeCased(context, color, width, dash);
 }
 

@@ -1,0 +1,311 @@
+/* Draws the matrix of a frame, by calls that the export as SVG knows too. */
+
+import { cssColor } from "/static/canvas.js";
+import { traceGlyph } from "/static/glyphs.js";
+import { BIN, ENTROPY, SUM } from "./matrix_layout.js";
+
+const NAME = 11; // room of a name, across its direction
+const GLYPH = 13; // likewise of a class glyph
+const MOST_BITS = 4; // a full bar: as unsure as between 16 equal ones
+const WRONG_SUM = 0.01; // so far from 1 a sum is marked
+const VALUE = { width: 27, height: 14 }; // cells as large show their value
+const LEVELS = 64; // of colour
+const LOG_FLOOR = 3; // log colour goes down to 1e-3
+const FONT = '11px Inter, "Liberation Sans", Arial, sans-serif';
+
+/** Colours of probabilities: linear, or by their logarithm. */
+export class Ramp {
+  constructor(isLog) {
+    this.isLog = isLog;
+    const stops = [0, 1, 2, 3].map((stop) => bands(cssColor(`--ramp-${stop}`)));
+    this.levels = Array.from({ length: LEVELS }, (_, level) => mixed(stops, (3 * level) / (LEVELS - 1)));
+    this.colors = this.levels.map((level) => `rgb(${level})`);
+  }
+
+  level(value) {
+    const share = this.isLog ? 1 + Math.log10(Math.max(value, 1e-9)) / LOG_FLOOR : value;
+    return Math.round((LEVELS - 1) * Math.min(1, Math.max(0, share)));
+  }
+
+  color(value) {
+    return this.colors[this.level(value)];
+  }
+
+  /** What is read on a cell: dark on bright ones. */
+  ink(value) {
+    const [red, green, blue] = this.levels[this.level(value)];
+    return 0.3 * red + 0.6 * green + 0.1 * blue > 140 ? "#1B1C1E" : "#FFFFFF";
+  }
+}
+
+/** All of it; `selected` is {observed, mapped}, `hovered` a place or null, `classes` by id. */
+export function drawMatrix(context, model, layout, { ramp, classes, selected, hovered }) {
+  const rows = layout.rows.visible(layout.scroll.y);
+  const columns = layout.columns.visible(layout.scroll.x);
+  clipped(context, layout, "both", () => {
+    drawGround(context, layout, ramp);
+    drawCells(context, model, layout, ramp, rows, columns);
+    drawMarks(context, model, layout, ramp, rows, columns);
+    if (hovered?.of === "cell") outline(context, layout, hovered, "--text", 1);
+  });
+  drawBinFrames(context, layout);
+  clipped(context, layout, "rows", () => drawRowEnds(context, model, layout, ramp, rows, selected));
+  clipped(context, layout, "columns", () => drawColumnEnds(context, model, layout, ramp, columns, selected));
+  drawHeadings(context, layout);
+  clipped(context, layout, "columns", () => drawGlyphs(context, layout, classes));
+  drawSelection(context, layout, selected);
+}
+
+/* Blocks */
+
+/** What scrolls does not show beyond its zone: the blocks, or a strip with all beside or below. */
+function clipped(context, layout, zone, draw) {
+  const { left, top, end } = layout;
+  const [x, right] = zone === "rows" ? [0, layout.needs.width] : [left - 2, end.x + 2];
+  const [y, bottom] = zone === "columns" ? [0, layout.needs.height] : [top - 2, end.y + 2];
+  context.save();
+  context.beginPath();
+  context.rect(x, y, right - x, bottom - y);
+  context.clip();
+  draw();
+  context.restore();
+}
+
+/** Blocks in the colour of 0, so that only other cells need drawing. */
+function drawGround(context, layout, ramp) {
+  context.fillStyle = ramp.color(0);
+  for (const across of layout.columns.blocks) {
+    for (const down of layout.rows.blocks) {
+      const [x, y] = [layout.left + across.start - layout.scroll.x, layout.top + down.start - layout.scroll.y];
+      context.fillRect(x, y, across.end - across.start, down.end - down.start);
+    }
+  }
+}
+
+function drawCells(context, model, layout, ramp, rows, columns) {
+  const [width, height] = [layout.columns.size, layout.rows.size];
+  for (const i of rows) {
+    const y = layout.y(i);
+    for (const j of columns) {
+      const level = ramp.level(model.probability[i][j]);
+      if (!level) continue;
+      context.fillStyle = ramp.colors[level];
+      context.fillRect(layout.x(j), y, width, height);
+    }
+  }
+  drawSeams(context, layout, rows, columns);
+  if (width >= VALUE.width && height >= VALUE.height) drawValues(context, model, layout, ramp, rows, columns);
+}
+
+/** Lines between cells that are large enough for them. */
+function drawSeams(context, layout, rows, columns) {
+  context.fillStyle = cssColor("--hairline");
+  const [across, down] = [layout.columns, layout.rows];
+  if (down.size >= 8) for (const i of rows) context.fillRect(layout.left, layout.y(i) + down.size - 1, across.shown, 1);
+  if (across.size >= 6) for (const j of columns) context.fillRect(layout.x(j) + across.size - 1, layout.top, 1, down.shown);
+}
+
+function drawValues(context, model, layout, ramp, rows, columns) {
+  for (const i of rows) {
+    for (const j of columns) {
+      const value = model.probability[i][j];
+      if (value < 0.005) continue;
+      write(context, value.toFixed(2).replace(/^0/, ""), layout.x(j) + layout.columns.size - 4, layout.y(i) + 8, ramp.ink(value), "right");
+    }
+  }
+}
+
+/* Marks: a ring is the true pair; a dot is a pair of the answer that fits, a cross one that does not;
+ * one to three ticks are the likeliest of a row. */
+
+function drawMarks(context, model, layout, ramp, rows, columns) {
+  const shown = new Set(columns);
+  for (const i of rows) {
+    model.top.get(i).forEach((j, place) => shown.has(j) && drawTicks(context, model, layout, ramp, i, j, place + 1));
+    for (const j of columns) {
+      const [isTrue, fit] = [model.isTrue(i, j), model.fit(i, j)];
+      if (!isTrue && fit === undefined) continue;
+      const [x, y] = [layout.x(j) + layout.columns.size / 2, layout.y(i) + layout.rows.size / 2];
+      const size = Math.min(4, layout.columns.size / 2, layout.rows.size / 2);
+      const ink = ramp.ink(model.probability[i][j]);
+      if (isTrue) drawRing(context, x, y, size, ink);
+      if (fit) drawDot(context, x, y, isTrue ? size / 2.5 : size / 1.6, ink);
+      else if (fit === false) drawCross(context, x, y, size * 0.8, ink);
+    }
+  }
+}
+
+export function drawRing(context, x, y, radius, color) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.lineWidth = radius > 3 ? 1.4 : 1;
+  context.strokeStyle = color;
+  context.stroke();
+}
+
+export function drawDot(context, x, y, radius, color) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = color;
+  context.fill();
+}
+
+export function drawCross(context, x, y, size, color) {
+  context.beginPath();
+  for (const way of [1, -1]) {
+    context.moveTo(x - size, y - way * size);
+    context.lineTo(x + size, y + way * size);
+  }
+  context.lineWidth = 1.4;
+  context.strokeStyle = color;
+  context.stroke();
+}
+
+function drawTicks(context, model, layout, ramp, i, j, count) {
+  const { size } = layout.columns;
+  if (layout.rows.size < 14) return;
+  context.fillStyle = ramp.ink(model.probability[i][j]);
+  const width = Math.min(7, size - 2.5);
+  for (let tick = 0; tick < count; tick += 1) {
+    context.fillRect(layout.x(j) + (size - 1 - width) / 2, layout.y(i) + layout.rows.size - 4 - 2 * tick, width, 1);
+  }
+}
+
+/* Beside and below */
+
+/** A ground for the dustbins, which are as dark as the panel where they are 0. */
+function drawBinFrames(context, { left, top, end, bin }) {
+  const color = cssColor("--hairline");
+  fill(context, color, bin.x - 1, top - 1, BIN + 2, end.y - top + 1);
+  fill(context, color, left - 1, bin.y - 1, end.x - left + 1, BIN + 2);
+}
+
+function drawRowEnds(context, model, layout, ramp, rows, selected) {
+  const height = layout.rows.size;
+  let free = -Infinity; // names of thin rows would cover each other
+  for (const i of rows) {
+    const [y, chosen] = [layout.y(i), i === selected.observed];
+    fill(context, ramp.color(model.at(i, null)), layout.bin.x, y, BIN, Math.max(1, height - 1));
+    const middle = y + height / 2;
+    const thin = Math.min(6, height - 2);
+    drawBar(context, layout.entropy.x, middle - thin / 2, ENTROPY.across * shareOf(model.row[i].entropy), thin);
+    if (middle < free && !chosen) continue;
+    free = middle + NAME;
+    write(context, `#${i}`, layout.left - 5, middle, chosen ? cssColor("--text") : cssColor("--dim"), "right");
+    const { sum } = model.row[i];
+    write(context, sum.toFixed(2), layout.sum.x, middle, colorOfSum(sum), "left");
+  }
+}
+
+function drawColumnEnds(context, model, layout, ramp, columns, selected) {
+  const width = layout.columns.size;
+  const seam = width >= 6 ? 1 : 0;
+  for (const j of columns) {
+    const x = layout.x(j);
+    const { sum, entropy } = model.column[j];
+    fill(context, ramp.color(model.at(null, j)), x, layout.bin.y, width - seam, BIN);
+    const bar = SUM.down * Math.min(1, sum);
+    fill(context, colorOfSum(sum), x + seam, layout.sum.y + SUM.down - bar, width - 2 * seam - 0.5, bar);
+    drawBar(context, x + seam, layout.entropy.y, width - 2 * seam - 0.5, ENTROPY.down * shareOf(entropy));
+  }
+  if (layout.hasColumnNames) drawColumnNames(context, model, layout, columns, selected);
+}
+
+/** Upright, as many as there is room for: first the selected one, then those that are of a pair. */
+function drawColumnNames(context, model, layout, columns, selected) {
+  const paired = new Set([...model.fits.keys()].map((key) => Number(key.split(" ")[1])));
+  const true_ = new Set(model.observed.map((one) => one.truth));
+  const weight = (j) => 4 * (j === selected.mapped) + 2 * paired.has(j) + true_.has(j);
+  const taken = [];
+  for (const j of [...columns].sort((a, b) => weight(b) - weight(a))) {
+    const x = layout.x(j) + layout.columns.size / 2;
+    if (taken.some((other) => Math.abs(other - x) < NAME)) continue;
+    taken.push(x);
+    context.save();
+    context.translate(x, layout.top - 4);
+    context.rotate(-Math.PI / 2);
+    write(context, model.mapped[j].name, 0, 0, cssColor(j === selected.mapped ? "--text" : "--dim"), "left");
+    context.restore();
+  }
+}
+
+/** A glyph over each block of columns, pushed on where blocks are narrower than glyphs. */
+function drawGlyphs(context, layout, classes) {
+  let free = -Infinity;
+  for (const { class: id, start, end } of layout.columns.blocks) {
+    const middle = layout.left + (start + end) / 2 - layout.scroll.x;
+    const x = Math.max(middle, free);
+    free = x + GLYPH;
+    const { shape, color } = classes.get(id);
+    traceGlyph(context, shape, x, layout.glyphY, 4.6);
+    context.strokeStyle = color;
+    context.lineWidth = 1.6;
+    context.stroke();
+  }
+}
+
+function drawHeadings(context, { bin, sum, entropy, left, glyphY }) {
+  const color = cssColor("--dim");
+  write(context, "∅", bin.x + BIN / 2, glyphY, color, "center");
+  write(context, "Σ", sum.x + 2, glyphY, color, "left");
+  write(context, "H", entropy.x, glyphY, color, "left");
+  write(context, "∅", left - 5, bin.y + BIN / 2, color, "right");
+  write(context, "Σ", left - 5, sum.y + SUM.down / 2, color, "right");
+  write(context, "H", left - 5, entropy.y + ENTROPY.down / 2, color, "right");
+}
+
+function drawSelection(context, layout, { observed, mapped }) {
+  const hasRow = layout.rows.at.has(observed);
+  const hasColumn = layout.columns.at.has(mapped);
+  context.strokeStyle = cssColor("--accent");
+  context.lineWidth = 1;
+  const { left, top, end, bin } = layout;
+  if (hasRow) {
+    clipped(context, layout, "rows", () =>
+      context.strokeRect(left - 1.5, layout.y(observed) - 0.5, bin.x + BIN - left + 3, layout.rows.size));
+  }
+  if (hasColumn) {
+    clipped(context, layout, "columns", () =>
+      context.strokeRect(layout.x(mapped) - 0.5, top - 1.5, layout.columns.size, bin.y + BIN - top + 3));
+  }
+  if (hasRow && hasColumn) clipped(context, layout, "both", () => outline(context, layout, { observed, mapped }, "--accent", 2.2));
+}
+
+function outline(context, layout, { observed, mapped }, color, width) {
+  if (observed === null || mapped === null) return;
+  context.strokeStyle = cssColor(color);
+  context.lineWidth = width;
+  context.strokeRect(layout.x(mapped) - 0.5, layout.y(observed) - 0.5, layout.columns.size, layout.rows.size);
+}
+
+/* Small things */
+
+const shareOf = (bits) => Math.min(1, bits / MOST_BITS);
+const colorOfSum = (sum) => cssColor(Math.abs(sum - 1) > WRONG_SUM ? "--cannot" : "--faint");
+
+function drawBar(context, x, y, width, height) {
+  fill(context, cssColor("--dim"), x, y, width, height);
+}
+
+function fill(context, color, x, y, width, height) {
+  context.fillStyle = color;
+  context.fillRect(x, y, width, height);
+}
+
+function write(context, text, x, y, color, align) {
+  context.font = FONT;
+  context.textAlign = align;
+  context.textBaseline = "middle";
+  context.fillStyle = color;
+  context.fillText(text, x, y);
+}
+
+function bands(hex) {
+  return [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16));
+}
+
+/** Bands at `place` along stops, as whole numbers. */
+function mixed(stops, place) {
+  const low = Math.min(stops.length - 2, Math.floor(place));
+  return stops[low].map((one, band) => Math.round(one + (place - low) * (stops[low + 1][band] - one)));
+}
