@@ -70,7 +70,7 @@ class CompareTopic(Topic):
             if made is None:
                 desk.state = desk.state.against("", False)
                 desk.tell_state()
-                desk.say("comparison", {"refused": refused})
+                desk.say("refusedComparison", refused)
                 return
             self._shown = made
             desk.say("comparison", made.view())

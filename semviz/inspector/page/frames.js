@@ -6,7 +6,7 @@ import { statusMark } from "/static/glyphs.js";
 const STATUSES = ["ok", "ambiguous", "cannot"];
 
 /** Sure and wrong is the worst kind, then wrong, then no answer, then doubt, then by error. */
-function badness(row) {
+export function badness(row) {
   if (row.sureAndWrong) return 3e6 + row.errorM;
   if (row.errorM > 1) return 2e6 + row.errorM;
   if (row.status === "cannot") return 1e6;

@@ -1,0 +1,79 @@
+/* The panel of the scatter: a mark opens its frame. */
+
+import { Surface, pointerAt } from "/static/canvas.js";
+import { byId, el } from "/static/dom.js";
+import { changeMark } from "./marks.js";
+import { Scatter, drawScatter } from "./scatter_drawing.js";
+
+const HIT_PX = 12;
+const NO_ERRORS = "No true poses, so no errors: fixed and broken go by the status alone.";
+
+export class ScatterPanel {
+  constructor(page) {
+    this.page = page;
+    this.scatter = null;
+    this.pointed = null;
+    this.position = 0;
+    const canvas = byId("scatter-canvas");
+    this.surface = new Surface(canvas, (...size) => this.draw(...size));
+    canvas.addEventListener("click", (event) => this.open(this.frameAt(pointerAt(event))));
+    canvas.addEventListener("pointermove", (event) => this.point(this.frameAt(pointerAt(event))));
+    canvas.addEventListener("pointerleave", () => this.point(null));
+  }
+
+  showComparison({ frames }) {
+    this.scatter = new Scatter(frames);
+    this.pointed = null;
+    const count = (change) => frames.filter((one) => one.change === change).length;
+    byId("scatter-legend").replaceChildren(...["broken", "fixed", "same"].flatMap((change) =>
+      [changeMark(change), el("span", { text: `${count(change)} ${change}` })]));
+    byId("scatter-none").textContent = this.scatter.hasErrors ? "" : NO_ERRORS;
+    this.surface.redraw();
+  }
+
+  showFrame(frame) {
+    this.pointAt(frame.position);
+  }
+
+  pointAt(position) {
+    this.position = position;
+    this.surface.redraw();
+  }
+
+  showTheme() {
+    this.surface.redraw();
+  }
+
+  open(frame) {
+    if (frame) this.page.go(frame.position);
+  }
+
+  point(frame) {
+    if (frame === this.pointed) return;
+    this.pointed = frame;
+    this.surface.canvas.style.cursor = frame ? "pointer" : "default";
+    this.surface.redraw();
+  }
+
+  /** The frame whose mark is nearest, the one on top where several are. Of those without a pose in
+   * both, which are one mark, the one after the current frame. */
+  frameAt([x, y]) {
+    if (!this.scatter?.hasErrors) return null;
+    const layout = this.scatter.layout(this.surface.width, this.surface.height);
+    let best = null;
+    let least = HIT_PX;
+    for (const frame of this.scatter.frames) {
+      const [u, v] = layout.at(frame);
+      const far = Math.hypot(u - x, v - y);
+      if (far > least || (far === least && best && best.position > this.position)) continue;
+      [best, least] = [frame, far];
+    }
+    return best;
+  }
+
+  draw(context, width, height) {
+    if (!this.scatter?.hasErrors) return;
+    const current = this.scatter.frames.find((one) => one.position === this.position) ?? null;
+    drawScatter(context, this.scatter, width, height, { current, pointed: this.pointed });
+  }
+}
