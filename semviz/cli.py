@@ -23,6 +23,7 @@ from semviz.commands.map_import import MapImport
 from semviz.commands.map_localizability import MapLocalizability
 from semviz.commands.new import New
 from semviz.commands.open_run import OpenRun
+from semviz.commands.repair import Repair
 from semviz.commands.report import Report
 from semviz.commands.serve import Serve
 from semviz.commands.trajectory import Trajectory
@@ -56,6 +57,7 @@ Command = (
     | Annotated[Compare, subcommand("compare")]
     | Annotated[Report, subcommand("report")]
     | Annotated[OpenRun, subcommand("open")]
+    | Annotated[Repair, subcommand("repair")]
     | Annotated[Trajectory, subcommand("trajectory")]
     | LabelCommands
     | Annotated[Benchmark, subcommand("benchmark")]

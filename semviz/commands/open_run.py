@@ -19,5 +19,5 @@ class OpenRun:
         from semviz.recording.reader import check_run_file
 
         check_run_file(self.run_file)
-        viewer = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1"]
+        viewer = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1"]
         return subprocess.call([*viewer, str(self.run_file)])

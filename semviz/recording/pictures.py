@@ -72,6 +72,15 @@ def why_no_picture(run: Run, path: Path, position: int, side: Side) -> str:
     return f"{file}: the run names this image, but it is not there any more."
 
 
+def seen_from(folder: Path, record: FrameRecord, before: Path) -> FrameRecord:
+    """The frame of a run that was in the folder ``before``, with its images' names seen anew."""
+    names = [
+        _named(before.resolve() / name, folder) if name else ""
+        for name in (record.image_file, record.image_right_file)
+    ]
+    return replace(record, image_file=names[0], image_right_file=names[1])
+
+
 def _file(record: FrameRecord, path: Path, side: Side) -> Path | None:
     """Where the run in ``path`` says that an image is."""
     name = record.image_file if side == "left" else record.image_right_file

@@ -75,7 +75,9 @@ def _read_repaired(path: Path) -> dict[str, list[Row]]:
         whole = Path(folder, "whole.rrd")
         repair = ["rrd", "merge", "--continue-on-error", str(path), "-o", str(whole)]
         done = subprocess.run(
-            [sys.executable, "-m", "rerun", *repair], capture_output=True, timeout=_REPAIR_LIMIT_S
+            [sys.executable, "-m", "rerun_cli", *repair],
+            capture_output=True,
+            timeout=_REPAIR_LIMIT_S,
         )
         if done.returncode or not whole.is_file():
             raise SemvizError(f"{path}: broken, and rerun cannot repair it; localize again")

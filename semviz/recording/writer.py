@@ -31,14 +31,18 @@ class RunWriter:
     """Writes a run, frame by frame, at its final path.
 
     Every frame is in the operating system's hands when ``write`` returns, so a killed run keeps
-    all frames written; leaving the context without an exception marks the run as complete.
+    all frames written; leaving the context without an exception marks the run as
+    complete, if it ``completes``.
     A run that was at ``path`` before is replaced at once. Raises SemvizError where ``path``
     cannot be written, also when the disk is full in the middle.
     """
 
-    def __init__(self, path: Path, info: RunInfo, semantic_map: SemanticMap) -> None:
+    def __init__(
+        self, path: Path, info: RunInfo, semantic_map: SemanticMap, *, completes: bool = True
+    ) -> None:
         _check_writable(path)
         self._path = path
+        self._completes = completes
         self._lost = False
         self._frames = 0
         self._last_index: int | None = None
@@ -88,7 +92,7 @@ class RunWriter:
             return
         if self._drawn.frames:
             self._send_drawn()
-        if kind is None:
+        if kind is None and self._completes:
             columns = Columns()
             columns.add(layout.END, "frames", pa.array([self._frames]))
             columns.send(self._stream)
