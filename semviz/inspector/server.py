@@ -14,12 +14,13 @@ from semviz.inspector.navigation import Navigation
 from semviz.inspector.pictures import picture_route
 from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
+from semviz.inspector.what_if.topic import WhatIf
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
-TOPICS = (Navigation, ImageTopic, SelectedTopic, ForecastTopic, DecisionTopic)
+TOPICS = (Navigation, ImageTopic, SelectedTopic, ForecastTopic, DecisionTopic, WhatIf)
 
 
 class Inspector:

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from semviz.drive import ROAD_RADIUS_M
-from semviz.observing import detector_model
 from semviz.recording.run import FrameRecord, Run
+from semviz.verdicts import detector_of
 from semviz_core.arrays import IntArray
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Prior
@@ -46,7 +46,6 @@ class Asked:
         """As the run asked; of a run that followed the camera, as of a frame by itself."""
         one, info = record.localization, run.info
         method = info.method if info.method in METHODS else METHODS[0]
-        detector = detector_model("labels" if info.observations == "labels" else "simulated")
         return cls(
             record,
             run.semantic_map,
@@ -56,7 +55,7 @@ class Asked:
             one.submap,
             float(info.options.get("crop_radius_m") or _reach_m(one.submap, one.prior)),
             one.prior,
-            Localizer(method, info.seed, run.semantic_map.classes, detector),
+            Localizer(method, info.seed, run.semantic_map.classes, detector_of(run)),
         )
 
     @property

@@ -66,9 +66,9 @@ def as_text(changes: Iterable[Change]) -> str:
 
 
 def in_words(changes: Sequence[Change], semantic_map: SemanticMap) -> str:
-    """As it follows 'Trying'."""
-    said = [one.words(semantic_map) for one in changes]
-    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+    """As it follows 'Trying'; empty without changes."""
+    *most, last = [one.words(semantic_map) for one in changes] or [""]
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _value(name: str, kind: object, value: object) -> object:

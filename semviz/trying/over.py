@@ -28,13 +28,15 @@ class Tried:
     """Against the frame as it was asked."""
 
 
+def matter(run: Run, record: FrameRecord, changes: Sequence[Change]) -> bool:
+    """Whether changes make anything otherwise in a frame."""
+    asked = Asked.of(run, record)
+    return any(one.concerns(asked) for one in changes)
+
+
 def concerned(run: Run, changes: Sequence[Change]) -> tuple[FrameRecord, ...]:
     """The frames in which changes matter."""
-    return tuple(
-        record
-        for record in run.frames
-        if any(one.concerns(Asked.of(run, record)) for one in changes)
-    )
+    return tuple(record for record in run.frames if matter(run, record, changes))
 
 
 def tried(run: Run, record: FrameRecord, changes: Sequence[Change]) -> Tried:

@@ -2,7 +2,7 @@
 
 import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
-import { drawPhoto, drawSight } from "./image_drawing.js";
+import { drawPhoto, drawSight, drawTried } from "./image_drawing.js";
 import { Sight, middle, placeOf } from "./image_model.js";
 import { Pictures } from "./pictures.js";
 
@@ -93,6 +93,11 @@ export class ImagePanel {
     else if (this.coming === this.frame) this.see();
   }
 
+  showWhatIf({ result }) {
+    this.tried = result;
+    this.see();
+  }
+
   /** Draws the frame that is coming as soon as its picture is there and, in the right image, where
    * its map is. */
   async show() {
@@ -112,10 +117,17 @@ export class ImagePanel {
     const { mode, side, element } = this.state;
     this.sight = new Sight(this.frame, mode, this.size, side === "right" ? this.right : null);
     const absent = element === null ? "" : this.sight.whyAbsent(element);
-    const about = [absent, this.whyNoPicture, this.sight.about].filter(Boolean).join(" · ");
+    const tried = this.triedHere.length ? "dashed: tried" : "";
+    const about = [absent, this.whyNoPicture, this.sight.about, tried].filter(Boolean).join(" · ");
     byId("image-about").textContent = about;
     byId("image-about").title = about;
     this.surface.redraw();
+  }
+
+  /** The map under a pose that is being tried, where this image shows it. */
+  get triedHere() {
+    const isHere = this.tried?.position === this.frame.position && this.state.side === "left";
+    return isHere ? (this.tried.mapped ?? []) : [];
   }
 
   get size() {
@@ -186,6 +198,7 @@ export class ImagePanel {
     if (!this.sight) return;
     drawPhoto(context, this.picture, this.view, this.size);
     drawSight(context, this.sight, this.view, width, height, this.look());
+    drawTried(context, this.triedHere, this.view, this.classes);
   }
 
   look(legend = true) {
@@ -206,6 +219,7 @@ export class ImagePanel {
     const draw = (context, { photo, legend }) => {
       if (photo) drawPhoto(context, this.picture, view, this.size);
       drawSight(context, this.sight, view, width, height, this.look(legend));
+      drawTried(context, this.triedHere, view, this.classes);
     };
     return [{ name: parts.filter(Boolean).join("-"), title: "Image", width, height, draw, hasPhoto: Boolean(this.picture), hasLegend: true }];
   }

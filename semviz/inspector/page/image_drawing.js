@@ -66,6 +66,15 @@ export function drawMapped(context, { shape }, place, at, color, isMatched) {
   else drawGlyph(context, shape, ...anchor, 7, color, width, dash);
 }
 
+/** The map under a pose that is being tried, `mapped` as `{class, place}`: dashed over all else. */
+export function drawTried(context, mapped, view, classes) {
+  for (const { class: id, place } of mapped) {
+    const [anchor, end] = place.map((point) => point && view.toScreen(point));
+    if (end) drawLine(context, anchor, end, ON_IMAGE.estimate, 2.2, [9, 5]);
+    else drawGlyph(context, classes.get(id).shape, ...anchor, 10, ON_IMAGE.estimate, 2, [5, 3]);
+  }
+}
+
 class Painter {
   constructor(context, sight, view, look, labels) {
     Object.assign(this, { context, sight, look, labels });

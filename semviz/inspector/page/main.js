@@ -18,6 +18,7 @@ import { Neighbours } from "./neighbours.js";
 import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
+import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
 class Page {
@@ -42,6 +43,7 @@ class Page {
       this.image,
       new Neighbours(this),
       new WhyCard(),
+      new WhatIf(this),
       new MatrixPanel(this),
       new Timeline(this),
       new Exporter(this),
