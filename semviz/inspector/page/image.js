@@ -117,8 +117,8 @@ export class ImagePanel {
     const { mode, side, element } = this.state;
     this.sight = new Sight(this.frame, mode, this.size, side === "right" ? this.right : null);
     const absent = element === null ? "" : this.sight.whyAbsent(element);
-    const tried = this.triedHere.length ? "dashed: tried" : "";
-    const about = [absent, this.whyNoPicture, this.sight.about, tried].filter(Boolean).join(" · ");
+    const tried = this.triedHere.length ? "thick dashes: tried" : "";
+    const about = [absent, tried, this.whyNoPicture, this.sight.about].filter(Boolean).join(" · ");
     byId("image-about").textContent = about;
     byId("image-about").title = about;
     this.surface.redraw();
