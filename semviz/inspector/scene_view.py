@@ -20,6 +20,7 @@ from semviz.web import viewpoint
 from semviz.web.picking import Picker
 from semviz.web.scene import Scene
 from semviz.web.viewpoint import Viewpoint
+from semviz_core.arrays import ByteImage
 from semviz_core.localizability.predict import Localizability
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
@@ -102,6 +103,10 @@ class SceneView:
     def viewpoint(self) -> Viewpoint:
         """Where the person looks from at present."""
         return self._viewer.now()
+
+    def picture(self, width: int, height: int) -> ByteImage:
+        """(height, width, 4) What the person looks at, drawn by their browser; see ``Viewer``."""
+        return self._viewer.picture(width, height)
 
     def show_forecast(self, predicted: Localizability | None, run: Run, state: State) -> None:
         """What the map lets a camera know along the route; None takes it away."""

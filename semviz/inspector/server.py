@@ -12,6 +12,7 @@ from semviz.inspector.image_view import ImageTopic
 from semviz.inspector.matrix import matrix_route
 from semviz.inspector.navigation import Navigation
 from semviz.inspector.pictures import picture_route
+from semviz.inspector.rendering import RenderTopic
 from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.what_if.topic import WhatIf
@@ -20,7 +21,15 @@ from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
-TOPICS = (Navigation, ImageTopic, SelectedTopic, ForecastTopic, DecisionTopic, WhatIf)
+TOPICS = (
+    Navigation,
+    ImageTopic,
+    SelectedTopic,
+    ForecastTopic,
+    DecisionTopic,
+    WhatIf,
+    RenderTopic,
+)
 
 
 class Inspector:

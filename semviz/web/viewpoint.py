@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from semviz.web.scene import FIELD_OF_VIEW_DEG
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera
+from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
 
 if TYPE_CHECKING:
     import viser
 
 UP = np.array([0.0, 0.0, 1.0])
+PICTURE_S = 60.0
+"""So long the browser may take to draw a picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,18 @@ class Viewer:
             camera = client.camera
             return Viewpoint(np.array(camera.position), np.array(camera.look_at))
         return self._view
+
+    def picture(self, width: int, height: int) -> ByteImage:
+        """(height, width, 4) The scene as it is looked at, drawn by the browser; where nothing is,
+        it is transparent. Takes a second. SemvizError while nobody looks."""
+        for client in self._server.get_clients().values():
+            try:
+                return np.asarray(
+                    client.get_render(height, width, transport_format="png", timeout=PICTURE_S)
+                )
+            except (TimeoutError, RuntimeError):
+                break
+        raise SemvizError("the 3D pane does not answer; wait until it is drawn, then try again")
 
     def move_along(self, before: Pose, after: Pose) -> None:
         """Carries the cameras along with the vehicle: each one's view relative to it stays."""

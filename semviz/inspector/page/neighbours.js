@@ -121,7 +121,7 @@ export class Neighbours {
     context.textBaseline = "middle";
     context.fillStyle = cssColor(isHere ? "--text" : "--dim");
     const error = row.errorM === null ? (row.status === "cannot" ? "no pose" : "") : `${fixed(row.errorM, 2)} m`;
-    context.fillText(`frame ${row.index}   ${error}`, left + 18, y);
+    context.fillText(["frame " + row.index, error].filter(Boolean).join(" · "), left + 18, y);
   }
 }
 

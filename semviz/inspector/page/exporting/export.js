@@ -18,6 +18,22 @@ export class Exporter {
     return [{ key: "p", group: "Page", title: "Save a view as PNG or SVG", run: () => this.open() }];
   }
 
+  /** The 3D pane, which viser draws: as PNG only. */
+  figures() {
+    const { width, height } = byId("scene").getBoundingClientRect();
+    return byId("scene").matches(".ready") ? [{ name: "3d", title: "3D", width, height, render: (scale) => this.render(width, height, scale) }] : [];
+  }
+
+  render(width, height, scale) {
+    this.page.socket.send({ verb: "render", width: round(scale * width), height: round(scale * height) });
+    return new Promise((done, failed) => { this.awaited = { done, failed }; });
+  }
+
+  showRender({ png, why }) {
+    if (why) this.awaited?.failed(new Error(why));
+    else this.awaited?.done(new Blob([Uint8Array.from(atob(png), (one) => one.charCodeAt(0))], { type: "image/png" }));
+  }
+
   open() {
     const figures = figuresOf(this.page.panels);
     if (!figures.length) return;
