@@ -5,7 +5,7 @@ import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 
 // a finding's kind is its rule, in words
-const SAID = { merge: "taken as one", apart: "kept apart", split: "split in two", "leave out": "left out" };
+export const SAID = { merge: "taken as one", apart: "kept apart", split: "split in two", "leave out": "left out" };
 
 export class DecisionList {
   constructor(page) {

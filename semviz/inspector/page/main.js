@@ -15,6 +15,7 @@ import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
 import { Neighbours } from "./neighbours.js";
+import { SelectedCard } from "./selected.js";
 import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
@@ -43,6 +44,7 @@ class Page {
       this.image,
       new Neighbours(this),
       new WhyCard(),
+      new SelectedCard(this),
       new WhatIf(this),
       new MatrixPanel(this),
       new Timeline(this),
