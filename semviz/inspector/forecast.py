@@ -1,60 +1,43 @@
 """What the map lets a camera know along a run's route, worked out when first asked for."""
 
-import threading
-from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from semviz.inspector.background import Background
 from semviz.inspector.topic import Topic, Verbs
 from semviz.localizability import conditions_of, options_of, positions, with_measured_recall
 from semviz.localizability_report import change, new_element
 from semviz.recording.run import Run
 from semviz.web.sessions import Message
-from semviz_core.errors import SemvizError
 from semviz_core.localizability.conditions import Conditions
 from semviz_core.localizability.effects import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
 from semviz_core.pose import Pose
 
-TOLD_EVERY = 20
-"""Progress is told so many times in each pass along the route."""
 NEAR_M = 3.0
 """A frame takes the forecast of the nearest position, if it is no further."""
-Tell = Callable[[], None]
 Json = dict[str, Any]
 
 
-class Forecast:
-    """One run's localizability. Thread-safe; a thread of its own works while the page goes on."""
+class Forecast(Background[Localizability]):
+    """One run's localizability."""
 
     def __init__(self, run: Run, _: Path) -> None:
+        super().__init__()
         self._run = run
-        self._lock = threading.Lock()
-        self._told: list[Tell] = []
-        self._started = False
-        self._doing = "waiting to begin"
-        self._failure = ""
-        self.predicted: Localizability | None = None
-        """None until it is worked out."""
 
-    def ask(self, tell: Tell) -> None:
-        """Have ``tell`` called now, as the work gets on, and when it is done."""
-        with self._lock:
-            is_over = self.predicted is not None or bool(self._failure)
-            if not is_over:
-                self._told.append(tell)
-            start, self._started = not self._started, True
-        if start:
-            threading.Thread(target=self._work, name="forecast", daemon=True).start()
-        tell()
+    def work(self) -> Localizability:
+        run = self._run
+        route = positions((one.frame for one in run.frames), run.semantic_map)
+        return predict(run.semantic_map, run.info.rig.left, route, _conditions(run), self.watch)
 
     def view(self) -> Json:
         """What the page shows: the values by frame, or how far the work has come."""
-        run, predicted = self._run, self.predicted
+        run, predicted = self._run, self.value
         if predicted is None:
-            return {"ready": False, "doing": self._failure or self._doing}
+            return {"ready": False, "doing": self.doing}
         rows = [_nearest(predicted, one.frame.T_map_camera) for one in run.frames]
         classes = run.semantic_map.classes
         expected, ambiguous = predicted.expected_m.tolist(), predicted.ambiguous.tolist()
@@ -72,35 +55,6 @@ class Forecast:
                 for one in predicted.suggested
             ],
         }
-
-    def _work(self) -> None:
-        run = self._run
-        try:
-            route = positions((one.frame for one in run.frames), run.semantic_map)
-            conditions = _conditions(run)
-            self.predicted = predict(
-                run.semantic_map, run.info.rig.left, route, conditions, self._watch
-            )
-        except SemvizError as error:
-            self._failure = str(error)
-        self._tell()
-        with self._lock:
-            self._told.clear()
-
-    def _watch(self, poses: Iterable[Pose], what: str, total: int) -> Iterator[Pose]:
-        every = max(total // TOLD_EVERY, 1)
-        for number, pose in enumerate(poses):
-            if number % every == 0:
-                first = "" if number else "; on a new machine, up to a minute of compiling first"
-                self._doing = f"{what}: {number} of {total}{first}"
-                self._tell()
-            yield pose
-
-    def _tell(self) -> None:
-        with self._lock:
-            told = tuple(self._told)
-        for tell in told:
-            tell()
 
 
 class ForecastTopic(Topic):
@@ -139,8 +93,8 @@ class ForecastTopic(Topic):
                 return
             forecast = desk.kept(Forecast)
             desk.say("forecast", forecast.view())
-            if forecast.predicted is not None:
-                desk.scene.show_forecast(forecast.predicted, run, desk.state)
+            if forecast.value is not None:
+                desk.scene.show_forecast(forecast.value, run, desk.state)
 
 
 def _conditions(run: Run) -> Conditions:

@@ -125,7 +125,7 @@ def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> 
     seen: list[str] = []
     forecast.ask(lambda: seen.append(str(forecast.view().get("doing", "ready"))))
     for _ in range(1200):
-        if forecast.predicted is not None and seen[-1] == "ready":
+        if forecast.value is not None and seen[-1] == "ready":
             break
         time.sleep(0.05)
     assert any("looking along the route" in one for one in seen)
@@ -133,10 +133,10 @@ def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> 
     view = forecast.view()
     assert len(view["expectedM"]) == len(view["ambiguous"]) == FRAMES
     assert all(0.0 < one <= 1.0 for one in view["expectedM"])
-    first = forecast.predicted
+    first = forecast.value
     forecast.ask(lambda: seen.append("again"))
     assert seen[-1] == "again"
-    assert forecast.predicted is first
+    assert forecast.value is first
 
 
 # --- the page ---
