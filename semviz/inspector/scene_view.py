@@ -8,6 +8,7 @@ import numpy as np
 from semviz.inspector.scene.coloring import Coloring, coloring, legend
 from semviz.inspector.scene.ellipsoids import ELLIPSOIDS, draw_ellipsoids
 from semviz.inspector.scene.forecast_band import FORECAST, draw_forecast
+from semviz.inspector.scene.hypothesis import Hypothesis, draw_hypothesis
 from semviz.inspector.scene.map_layer import MapLayer
 from semviz.inspector.scene.poses import draw_pairs, draw_poses, label_poses, vehicle
 from semviz.inspector.scene.surroundings import draw_prior, route
@@ -116,6 +117,11 @@ class SceneView:
                 self._scene.clear_under(FORECAST)
             else:
                 draw_forecast(self._scene, predicted, run.semantic_map.classes)
+
+    def show_hypothesis(self, shown: Hypothesis | None, state: State) -> None:
+        """The camera of a pose of the search; None takes it away."""
+        with self._scene.server.atomic():
+            draw_hypothesis(self._scene, None if state.view == "camera" else shown)
 
     def show_tried(self, tried: Localization | None, state: State) -> None:
         """The camera of an answer that is being tried; None takes it away."""

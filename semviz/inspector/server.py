@@ -7,6 +7,7 @@ from aiohttp import web
 
 from semviz.inspector.decisions import DecisionTopic
 from semviz.inspector.desk import Desk
+from semviz.inspector.elements import ElementTopic
 from semviz.inspector.forecast import ForecastTopic
 from semviz.inspector.image_view import ImageTopic
 from semviz.inspector.matrix import matrix_route
@@ -15,6 +16,7 @@ from semviz.inspector.pictures import picture_route
 from semviz.inspector.rendering import RenderTopic
 from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
+from semviz.inspector.solver import SolverTopic
 from semviz.inspector.what_if.topic import WhatIf
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
@@ -25,6 +27,8 @@ TOPICS = (
     Navigation,
     ImageTopic,
     SelectedTopic,
+    SolverTopic,
+    ElementTopic,
     ForecastTopic,
     DecisionTopic,
     WhatIf,
