@@ -18,13 +18,13 @@ class Setup(NamedTuple):
 def setups(base: Run, other: Run) -> tuple[Setup, ...]:
     """Map, labels, method and settings, images, version; of settings those that differ."""
     mine, theirs = settings_of(base), settings_of(other)
-    named = ("method", "observations", "seed", "semviz")
+    named = ("method", "observations", "seed")
     return (
-        Setup("map", *_maps(base, other)),
-        Setup("labels", _labels(base), _labels(other)),
-        *(Setup(what, mine[what], theirs[what]) for what in named[:-1]),
+        Setup("Map", *_maps(base, other)),
+        Setup("Labels", _labels(base), _labels(other)),
+        *(Setup(what.capitalize(), mine[what], theirs[what]) for what in named),
         *_options(base, other),
-        Setup("images", *_images(base, other)),
+        Setup("Images", *_images(base, other)),
         Setup("semviz", mine["semviz"], theirs["semviz"]),
     )
 
@@ -52,7 +52,7 @@ def _options(base: Run, other: Run) -> Iterator[Setup]:
     for name in differ:
         yield Setup(name, str(mine.get(name, "-")), str(theirs.get(name, "-")))
     if not differ:
-        yield Setup("settings", "", "")
+        yield Setup("Settings", "", "")
 
 
 def _images(base: Run, other: Run) -> tuple[str, str]:

@@ -149,11 +149,11 @@ def test_what_runs_were_made_with_side_by_side() -> None:
     other = replace(base, info=info, semantic_map=fewer, frames=(again, *base.frames[1:]))
     told = {one.what: one[1:] for one in setups(pictured, other) if one.base != one.other}
     assert told == {
-        "map": ("street", "newer"),
-        "labels": ("none", "operation 9"),
-        "method": ("search", "direct"),
+        "Map": ("street", "newer"),
+        "Labels": ("none", "operation 9"),
+        "Method": ("search", "direct"),
         "noise": ("-", "paper"),
-        "images": ("1 frame", "1 frame, 1 of them otherwise"),
+        "Images": ("1 frame", "1 frame, 1 of them otherwise"),
     }
 
 

@@ -47,7 +47,7 @@ export class BaseImage {
 
   async show() {
     const { coming, page: { state: { side } } } = this;
-    const picture = coming.frame && (await this.pictures.get(coming.frame.position, side));
+    const { picture } = coming.frame ? await this.pictures.get(coming.frame.position, side) : { picture: null };
     if (this.coming !== coming || this.page.state.side !== side) return; // something later was asked for
     this.shown = { ...coming, picture };
     this.see();

@@ -51,8 +51,8 @@ export class Gates {
   row({ text, fails, said }, place) {
     const mark = statusMark(fails === null ? "ambiguous" : fails ? "cannot" : "ok");
     mark.setAttribute("aria-label", fails === null ? "cannot be told" : fails ? "fails" : "passes");
-    return el("li", { title: said }, mark, el("code", { text }), el("span", { class: fails === null ? "warning" : "dim", text: said }),
-      el("button", { class: "plain", "aria-label": `Remove ${text}`, title: "Remove", text: "×", onclick: () => this.keep(this.texts.filter((_, other) => other !== place)) }));
+    return el("li", { title: said }, mark, el("code", { text }), el("button", { class: "plain", "aria-label": `Remove ${text}`, title: "Remove", text: "×", onclick: () => this.keep(this.texts.filter((_, other) => other !== place)) }),
+      el("span", { class: fails === null ? "warning" : "dim", text: said }));
   }
 
   /** A metric's name, where the cursor is. */

@@ -31,5 +31,5 @@ export class Numbers {
 function setupRow({ what, base, other }) {
   const isSame = base === other;
   const text = isSame ? (other ? `same (${other})` : "same") : `${base} → ${other}`;
-  return [el("dt", { text: `${what[0].toUpperCase()}${what.slice(1)}` }), el("dd", { class: isSame ? "dim" : "strong", title: text, text })];
+  return [el("dt", { text: what }), el("dd", { class: isSame ? "dim" : "strong", title: text, text })];
 }

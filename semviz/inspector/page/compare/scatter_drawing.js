@@ -8,7 +8,9 @@ const FONT = 'Inter, "Liberation Sans", Arial, sans-serif';
 const LEFT = 54; // room for the scale of B
 const BOTTOM = 36; // and of A
 const EDGE = 12;
-const MARGIN = 46; // for frames without a pose
+const MARGIN = 60; // for frames without a pose in A
+const NO_POSE = 44; // of it, the strip itself
+const ABOVE = 32; // and in B
 const GOOD_BELOW_M = 1;
 const LEAST_M = 1e-4;
 const ORDER = { same: 0, fixed: 1, broken: 2 }; // the last drawn is on top
@@ -30,7 +32,7 @@ export class Scatter {
   /** Where things are in an area of `width` x `height`. */
   layout(width, height) {
     const right = width - EDGE - (this.lacks.a ? MARGIN : 0);
-    const top = EDGE + (this.lacks.b ? MARGIN / 2 : 0);
+    const top = EDGE + (this.lacks.b ? ABOVE : 0);
     return new Layout(this, { left: LEFT, right, top, bottom: height - BOTTOM, width });
   }
 }
@@ -42,12 +44,12 @@ class Layout {
 
   /** Pixels of an error in A; in the margin for none. */
   x(error) {
-    return error === null ? this.width - EDGE - MARGIN / 2 : this.left + this.#share(error) * (this.right - this.left);
+    return error === null ? this.width - EDGE - NO_POSE / 2 : this.left + this.#share(error) * (this.right - this.left);
   }
 
   /** Pixels of an error in B. */
   y(error) {
-    return error === null ? EDGE + MARGIN / 4 - 2 : this.bottom - this.#share(error) * (this.bottom - this.top);
+    return error === null ? EDGE : this.bottom - this.#share(error) * (this.bottom - this.top);
   }
 
   at({ a, b }) {
@@ -89,16 +91,18 @@ function drawGround(context, layout) {
   write(context, "B, m", left - 7, (layout.y(10 ** high) + layout.y(10 ** (high - 1))) / 2, { align: "right" });
 }
 
-function drawMargins(context, { lacks }, { left, right, top, bottom, width }) {
+function drawMargins(context, { lacks }, { left, top, bottom, width }) {
   if (lacks.a) {
-    line(context, [right + EDGE / 2, EDGE], [right + EDGE / 2, bottom], "--hairline");
-    write(context, "no pose", width - EDGE - MARGIN / 2, bottom + 11, { align: "center" });
-    write(context, "in A", width - EDGE - MARGIN / 2, bottom + 24, { align: "center" });
+    const x = width - EDGE - NO_POSE;
+    line(context, [x, EDGE / 2], [x, bottom], "--hairline");
+    write(context, "no pose", width - EDGE - NO_POSE / 2, bottom + 11, { align: "center" });
+    write(context, "in A", width - EDGE - NO_POSE / 2, bottom + 24, { align: "center" });
   }
   if (lacks.b) {
-    line(context, [left, top - 4], [width - EDGE, top - 4], "--hairline");
-    write(context, "no pose", left - 7, EDGE + 4, { align: "right" });
-    write(context, "in B", left - 7, EDGE + 16, { align: "right" });
+    const y = top - 0.4 * ABOVE;
+    line(context, [left, y], [width - EDGE, y], "--hairline");
+    write(context, "no pose", left - 7, EDGE - 4, { align: "right" });
+    write(context, "in B", left - 7, EDGE + 9, { align: "right" });
   }
 }
 
