@@ -79,7 +79,14 @@ def test_the_viewer_shows_a_run_without_complaint(viewer: Any, run_file: Path) -
     assert orange_pixels(viewer, 9) < 20, "a frame without a pose shows an estimate"
     state = viewer.get_state()
     names = {one.name for one in state.views if one.visible}
-    assert {"Map and poses", "Image", "Match probability", "Error", "Status and verdict", "Why"} <= names
+    assert {
+        "Map and poses",
+        "Image",
+        "Match probability",
+        "Error",
+        "Status and verdict",
+        "Why",
+    } <= names
     assert [report for one in state.views for report in one.reports] == []
     bad = [one for one in viewer.get_logs() if one.level in ("WARN", "ERROR")]
     assert [one.message for one in bad if "Software rasterizer" not in one.message] == []
