@@ -5,6 +5,7 @@ import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
 const FOLLOWED = 12; // so many frames that are fixed or broken are named
+const REST_MS = 300; // a frame that is passed over is not asked about
 
 export class WhatIf {
   constructor(page) {
@@ -47,8 +48,10 @@ export class WhatIf {
     this.run = run;
   }
 
-  showFrame() {
+  showFrame(frame) {
     this.showBestTried("");
+    clearTimeout(this.resting);
+    if (frame.verdict !== "healthy") this.resting = setTimeout(() => this.send("advise"), REST_MS);
   }
 
   showState() {
@@ -65,6 +68,17 @@ export class WhatIf {
 
   showBestTried(note) {
     this.noteLine.textContent = note;
+  }
+
+  /** On the card that says why: what would mend the frame, tried already. */
+  showAdvice({ position, text, before, after }) {
+    if (!text || position !== this.page.frame.position) return;
+    const row = el("div", { class: "advice" },
+      el("span", { class: "dim", text: `What if: ${text}` }),
+      el("span", {}, error(before), el("span", { class: "dim", text: " → " }), el("b", { text: error(after) })),
+      el("button", { class: "small", onclick: () => this.tryBest() }, "Try it live", el("kbd", { text: "X" })));
+    document.querySelector("#why-body .advice")?.remove();
+    document.querySelector("#why-body dl").after(row);
   }
 
   showOffers(groups) {
