@@ -68,7 +68,7 @@ class SceneView:
         with self._scene.server.atomic():
             self._draw_around(run, record, state)
             self._draw_map(record, state)
-            draw_prior(self._scene, run, record)
+            draw_prior(self._scene, run, record, state.view)
             draw_poses(self._scene, record, state)
             label_poses(self._scene, record, state)
             draw_pairs(self._scene, record.localization)

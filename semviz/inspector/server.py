@@ -18,6 +18,7 @@ from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.solver import SolverTopic
 from semviz.inspector.what_if.topic import WhatIf
+from semviz.inspector.space import SpaceTopic
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
@@ -26,6 +27,7 @@ PAGE = Path(__file__).parent / "page"
 TOPICS = (
     Navigation,
     ImageTopic,
+    SpaceTopic,
     SelectedTopic,
     SolverTopic,
     ElementTopic,

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from semviz.inspector.scene.ellipsoids import MAGNIFIED
 from semviz.inspector.topic import Topic, Verbs
 from semviz.web.sessions import Message
 from semviz.web.viewpoint import Viewpoint
@@ -33,7 +34,9 @@ class SpaceTopic(Topic):
         self._tell_legend()
 
     def _tell_legend(self) -> None:
-        self.desk.say("coloring", self.desk.scene.legend(self.desk.state))
+        desk = self.desk
+        magnified = MAGNIFIED if desk.state.ellipsoids else None
+        desk.say("coloring", {**desk.scene.legend(desk.state), "magnified": magnified})
 
     def _viewpoint(self, _: Message) -> None:
         """Where the person looks from, for the page to keep under a name."""

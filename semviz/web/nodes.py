@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     Held = dict[str, viser.SceneNodeHandle]
 
+Anchor = Literal["bottom-center", "center-left", "center-right"]
 PointShape = Literal["square", "diamond", "circle", "sparkle"]
 
 
@@ -186,12 +187,12 @@ class Drawing:
             **place,
         )
 
-    def label(self, part: str, text: str, position_m: FloatArray) -> None:
-        """Text at a point. Keep them under 100: each costs a draw call."""
+    def label(self, part: str, text: str, position_m: FloatArray, anchor: Anchor) -> None:
+        """Text whose ``anchor`` is at a point. Keep them under 100: each costs a draw call."""
         self._put(
             part,
             lambda path: self._api.add_label(
-                path, text, position=position_m, anchor="bottom-center", font_screen_scale=0.8
+                path, text, position=position_m, anchor=anchor, font_screen_scale=0.8
             ),
             text=text,
             position=position_m,

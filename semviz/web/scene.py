@@ -12,7 +12,7 @@ import numpy as np
 
 from semviz.web import shapes
 from semviz.web.colors import PALETTES, Palette, Theme, mix, rgb
-from semviz.web.nodes import Nodes, PointShape
+from semviz.web.nodes import Anchor, Nodes, PointShape
 from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet
@@ -30,6 +30,10 @@ BACKDROP_DEPTH_M = 150.0
 FIELD_OF_VIEW_DEG = 55.0
 AMBIENT = float(np.pi)
 """Intensity at which three.js shows a surface in its own colour."""
+
+
+UP_M = np.array([0.0, 0.0, 1.2])
+"""From the top of an element to its label."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,7 @@ class Scene:
         with self._nodes.drawing("/selection") as drawing:
             drawing.lines("rings", segments, self.palette.accent, 2.4)
             if label and len(elements):
-                drawing.label("label", label, elements.anchor_m[0] + [0.0, 0.0, 1.2])
+                drawing.label("label", label, elements.anchor_m[0] + UP_M, "bottom-center")
 
     def draw_lines(
         self,
@@ -223,10 +227,12 @@ class Scene:
         with self._nodes.drawing(name) as drawing:
             drawing.image("", T_map_camera, corners, image)
 
-    def draw_label(self, name: str, text: str, position_m: FloatArray) -> None:
-        """Text at a point. Keep them under 100: each costs a draw call."""
+    def draw_label(
+        self, name: str, text: str, position_m: FloatArray, anchor: Anchor = "bottom-center"
+    ) -> None:
+        """Text at a point, which is its ``anchor``. Keep them under 100: each costs a draw call."""
         with self._nodes.drawing(name) as drawing:
-            drawing.label("", text, position_m)
+            drawing.label("", text, position_m, anchor)
 
 
 def class_rows(class_id: IntArray, classes: ClassSet) -> IntArray:

@@ -20,6 +20,7 @@ import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
 import { WhatIf } from "./what_if.js";
+import { Viewpoints } from "./viewpoints.js";
 import { WhyCard } from "./why.js";
 
 class Page {
@@ -42,6 +43,7 @@ class Page {
       new SpacePanel(this),
       new Forecast(this),
       this.image,
+      new Viewpoints(this),
       new Neighbours(this),
       new WhyCard(),
       new SelectedCard(this),

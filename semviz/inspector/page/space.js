@@ -1,7 +1,7 @@
-/* The 3D panel around viser's iframe: viewpoints and legend. */
+/* The 3D panel around viser's iframe: viewpoints, colours of the map, and what they mean. */
 
 import { byId, el } from "/static/dom.js";
-import { classGlyph } from "/static/glyphs.js";
+import { classGlyph, statusMark } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 
 const POSES = [
@@ -10,39 +10,91 @@ const POSES = [
   ["prior", "dashed"],
   ["alternative", "dotted"],
 ];
+const STATUS = ["ok", "ambiguous", "cannot"];
+const COLORS = { class: "Class", residual: "Residual", times: "Times used" };
+const NAMES = Object.keys(COLORS);
+const TITLES = {
+  residual: "Median residual, px: elements",
+  times: "Times used: elements",
+};
 
 export class SpacePanel {
   constructor(page) {
     this.page = page;
+    this.coloring = null;
     for (const button of document.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => page.look(button.dataset.view));
     }
+    byId("map-colors").addEventListener("click", () => this.nextColors());
+    byId("ellipsoids").addEventListener("click", () => this.toggleEllipsoids());
+  }
+
+  commands() {
+    const own = (key, title, run, shift = false) => ({ key, shift, title, run, group: "3D" });
+    return [
+      own("v", "Map by class, residual, times used", () => this.nextColors()),
+      own("v", "Covariance of the elements", () => this.toggleEllipsoids(), true),
+    ];
+  }
+
+  nextColors() {
+    const next = NAMES[(NAMES.indexOf(this.state.colors) + 1) % NAMES.length];
+    this.ask(next, this.state.ellipsoids);
+  }
+
+  toggleEllipsoids() {
+    this.ask(this.state.colors, !this.state.ellipsoids);
+  }
+
+  ask(colors, ellipsoids) {
+    this.page.socket.send({ verb: "colors", colors, ellipsoids });
   }
 
   showRun(run) {
     this.run = run;
-    this.showTheme();
   }
 
   showFrame(frame) {
-    byId("space-about").textContent = `${frame.mapped.length} of ${this.run.elements} elements near the prior`;
+    const about = byId("space-about");
+    about.textContent = `${frame.mapped.length} of ${this.run.elements} elements`;
+    about.title = "In the submap: near the prior, given to the solver";
   }
 
   showState(state) {
+    this.state = state;
     for (const button of document.querySelectorAll("[data-view]")) {
       button.setAttribute("aria-pressed", button.dataset.view === state.view);
     }
+    byId("map-colors").firstChild.textContent = `${COLORS[state.colors]} `;
+    byId("ellipsoids").setAttribute("aria-pressed", state.ellipsoids);
   }
 
-  showTheme() {
-    const light = currentTheme() === "light";
-    const classes = this.run.classes.map((one) =>
-      el("span", {}, classGlyph(one, light ? one.colorLight : one.color), one.name));
-    const poses = POSES.map(([role, style]) => {
-      const line = el("i", { class: `line ${style}` });
-      line.style.borderColor = `var(--${role})`;
-      return el("span", {}, line, role);
-    });
-    byId("space-legend").replaceChildren(...classes, ...poses);
+  showColoring(coloring) {
+    byId("space-legend").replaceChildren(
+      el("div", {}, ...(coloring.steps.length ? this.steps(coloring) : this.classes())),
+      el("div", {}, ...POSES.map(([role, style]) => el("span", {}, poseLine(role, style), role)),
+        ...STATUS.map((status) => el("span", {}, statusMark(status), status)), "frames: click to go",
+        coloring.magnified && el("span", {}, el("i", { class: "ball" }), `1σ × ${coloring.magnified}`)),
+    );
   }
+
+  classes() {
+    const light = currentTheme() === "light";
+    return this.run.classes.map((one) => el("span", {}, classGlyph(one, light ? one.colorLight : one.color), one.name));
+  }
+
+  steps({ by, steps }) {
+    const shown = steps.map(({ color, width, name, elements }) => {
+      const line = el("i", { class: "line" });
+      line.style.borderTop = `${width}px solid ${color}`;
+      return el("span", {}, line, el("b", { text: name }), String(elements));
+    });
+    return [el("span", { text: TITLES[by] }), ...shown];
+  }
+}
+
+function poseLine(role, style) {
+  const line = el("i", { class: `line ${style}` });
+  line.style.borderColor = `var(--${role})`;
+  return line;
 }

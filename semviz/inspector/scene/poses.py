@@ -17,7 +17,8 @@ POSES = {"/truth": TRUTH, "/estimate": ESTIMATE, **dict.fromkeys(ALTERNATIVES, A
 LABELLED = ("/estimate", "/truth", *ALTERNATIVES[:2])
 """As many alternatives as the card lists: more labels would cover each other."""
 COINCIDE_M = 1.0
-UP_M = np.array([0.0, 0.0, 1.2])
+BESIDE_M = 2.0
+"""From a camera's centre to its label: just beyond the frustum."""
 FACING_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -42,13 +43,21 @@ def draw_poses(scene: Scene, record: FrameRecord, state: State) -> None:
 
 
 def label_poses(scene: Scene, record: FrameRecord, state: State) -> None:
-    """Names above the cameras; those that nearly coincide share a label."""
+    """Names beside the cameras; those that nearly coincide share one.
+
+    The truth's is on the right, all others on the left: truth and estimate, or truth and an
+    alternative, may be close to each other; estimate and alternatives are not.
+    """
     shown = {} if state.view == "camera" else _poses(record, state)
     labels = together({name: shown[name].translation for name in LABELLED if name in shown})
     for name in LABELLED:
         label = f"{name}-label"
         if name in labels:
-            scene.draw_label(label, labels[name], shown[name].translation + UP_M)
+            center, beside = shown[name].translation, BESIDE_M * shown[name].rotation[:, 0]
+            if name == "/truth":
+                scene.draw_label(label, labels[name], center + beside, "center-left")
+            else:
+                scene.draw_label(label, labels[name], center - beside, "center-right")
         else:
             scene.clear(label)
 
@@ -93,7 +102,7 @@ def _poses(record: FrameRecord, state: State) -> dict[str, Pose]:
     """T_map_camera of what is drawn of a frame, by name in the scene."""
     one = record.localization
     known = {"/truth": record.frame.T_map_camera, "/estimate": estimate(one)}
-    if state.alternatives:
+    if state.alternatives and not state.comparing:  # their letters would be taken for runs
         others = [other.T_camera_map.inverse() for other in one.alternatives]
         known |= dict(zip(ALTERNATIVES, others, strict=False))
     return {name: pose for name, pose in known.items() if pose is not None}

@@ -3,25 +3,35 @@
 import numpy as np
 
 from semviz.inspector.scene.poses import vehicle
+from semviz.inspector.session import View
 from semviz.recording.run import FrameRecord, Run
 from semviz.web.scene import CAMERA_HEIGHT_M, Scene
 from semviz_core.arrays import FloatArray
+from semviz_core.pose import Pose
 
 
-def draw_prior(scene: Scene, run: Run, record: FrameRecord) -> None:
+def draw_prior(scene: Scene, run: Run, record: FrameRecord, view: View) -> None:
     """The fix with its uncertainty, and the circle within which the submap lies."""
     prior = record.localization.prior
     center, color = _on_road(prior.position_m), scene.palette.prior
     scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
     cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
     scene.draw_lines("/prior-cross", cross, color, 1.5)
-    sigma_m, right = prior.horizontal_sigma_m, vehicle(record).rotation[:, 0]
-    # beside the road, on the circle: the poses lie along the road
-    scene.draw_label("/prior-label", f"prior ± {sigma_m:.1f} m", center - sigma_m * right)
+    place = center + prior.horizontal_sigma_m * _label_side(vehicle(record), center, view)
+    text = f"prior ± {prior.horizontal_sigma_m:.1f} m"
+    scene.draw_label("/prior-label", text, place, "center-right")
     radius = run.info.options.get("crop_radius_m")
     scene.clear("/crop")
     if isinstance(radius, int | float):
         scene.draw_circle("/crop", center, float(radius), scene.palette.faint)
+
+
+def _label_side(T_map_camera: Pose, center_m: FloatArray, view: View) -> FloatArray:
+    """Where on the prior's circle (3,) its label is: left, or away from the vehicle's own label."""
+    if view != "above":
+        return -T_map_camera.rotation[:, 0]
+    ahead = T_map_camera.rotation[:, 2]
+    return ahead if ahead @ (center_m - T_map_camera.translation) > 0.0 else -ahead
 
 
 def route(run: Run) -> FloatArray:

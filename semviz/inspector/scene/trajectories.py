@@ -1,14 +1,16 @@
 """The ways of a run in 3D, and a mark at each frame, which leads to it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from semviz.inspector.scene.poses import estimate, vehicle
 from semviz.palette import STATUS
-from semviz.recording.run import FrameRecord, Run
+from semviz.recording.run import Run
 from semviz.web.colors import mix
 from semviz.web.nodes import PointShape
 from semviz.web.picking import Offer, Picker
-from semviz.web.scene import Scene
+from semviz.web.scene import CAMERA_HEIGHT_M, Scene
 from semviz_core.arrays import FloatArray
 from semviz_core.localization import Status
 from semviz_core.pose import Pose
@@ -17,14 +19,16 @@ WAYS = "/ways"
 """All names of them in the scene begin so."""
 MARKS: dict[Status, PointShape] = {"ok": "circle", "ambiguous": "diamond", "cannot": "sparkle"}
 """As near as viser comes to the status marks: disc, diamond, cross."""
-MARK_M = 0.6
+MARK_M = 0.2
+BELOW_M = np.array([0.0, 0.0, CAMERA_HEIGHT_M - 0.3])
+"""Ways and marks lie so far below the cameras, above the road, where they hide no frustum."""
 
 
 def draw_ways(scene: Scene, run: Run) -> None:
     """True and estimated camera centres, with gaps where there is none, and the frames' marks."""
     palette = scene.palette
-    truth = _centers([one.frame.T_map_camera for one in run.frames])
-    found = _centers([estimate(one) for one in run.localizations])
+    truth = _below([one.frame.T_map_camera for one in run.frames])
+    found = _below([estimate(one) for one in run.localizations])
     scene.draw_path(f"{WAYS}/truth", truth, mix(palette.truth, palette.scene, 0.5), 1.0)
     scene.draw_path(f"{WAYS}/estimate", found, mix(palette.estimate, palette.scene, 0.8), 1.2)
     places = mark_places(run)
@@ -42,15 +46,14 @@ def offer_frames(picker: Picker, run: Run) -> None:
 
 
 def mark_places(run: Run) -> FloatArray:
-    """(frames, 3) where each frame's mark is: the estimate, else the truth, else the prior."""
-    return np.array([_mark(one) for one in run.frames]).reshape(-1, 3)
+    """(frames, 3) below the estimate, else the truth, else the prior of each frame."""
+    return _below([vehicle(one) for one in run.frames])
 
 
-def _mark(record: FrameRecord) -> FloatArray:
-    return vehicle(record).translation
-
-
-def _centers(poses: list[Pose | None]) -> FloatArray:
-    """(k, 3), NaN where there is no pose."""
-    nowhere = np.full(3, np.nan)
-    return np.array([nowhere if one is None else one.translation for one in poses]).reshape(-1, 3)
+def _below(poses: Sequence[Pose | None]) -> FloatArray:
+    """(k, 3) below the cameras, NaN where there is no pose."""
+    places = np.full((len(poses), 3), np.nan)
+    for row, pose in enumerate(poses):
+        if pose is not None:
+            places[row] = pose.translation - BELOW_M
+    return places
