@@ -68,6 +68,8 @@ class State:
         rows = len(record.localization.observed)
         if observed is not None and not 0 <= observed < rows:
             raise SemvizError(f"observation {observed} does not exist; this frame has {rows}")
+        if element is not None and element not in run.semantic_map.elements.id:
+            raise SemvizError(f"the map of this run has no element {element}; choose another")
         partners = matched_elements(run, self.position)
         if observed is not None and element is None:
             element = partners.get(observed)

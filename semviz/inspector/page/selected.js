@@ -12,7 +12,8 @@ export class SelectedCard {
     this.page = page;
     this.shown = null; // what the server said of the selection
     this.asked = ""; // for what it was asked
-    byId("selected-body").replaceChildren(el("div", { id: "selected-card" }), el("span", { id: "selected-actions" }));
+    const parts = ["selected-head", "selected-actions", "selected-rest"];
+    byId("selected-body").replaceChildren(...parts.map((id) => el("span", { id })));
   }
 
   showRun(run) {
@@ -57,17 +58,22 @@ export class SelectedCard {
 
   fill() {
     byId("selected-actions").hidden = !this.shown;
-    byId("selected-card").replaceChildren(...(this.shown ? this.parts(this.shown) : [el("p", { class: "dim", text: HINT })]));
+    byId("selected-head").replaceChildren(...(this.shown ? this.headParts(this.shown) : [el("p", { class: "dim", text: HINT })]));
+    byId("selected-rest").replaceChildren(...(this.shown ? this.restParts(this.shown) : []));
   }
 
-  parts({ name, class: id, said, residuals, ofRow = [], ofColumn = [], place = [], meaning, inRun = [], decisions = [], observed, element }) {
-    const parts = [
-      el("h3", {}, this.glyph(id), name),
-      el("p", { class: "sentence", text: said.filter(Boolean).join(" ") }),
-    ];
-    if (residuals.length) parts.push(group(`Residual, ${residuals[0].pair}`, el("dl", {}, ...residuals.flatMap(residualRow))));
-    if (ofRow.length) parts.push(group(`#${observed} may be`, this.candidates(ofRow, { observed, element })));
-    if (ofColumn.length) parts.push(group(`${name} may be`, this.candidates(ofColumn, { observed, element })));
+  headParts({ name, class: id, said }) {
+    const sentence = said.filter(Boolean).join(" ");
+    return [el("h3", {}, this.glyph(id), name), el("p", { class: "sentence", text: sentence })];
+  }
+
+  restParts({ name, observed, element, residuals, ofRow = [], ofColumn = [], place, meaning, inRun, decisions }) {
+    const parts = [];
+    if (residuals.length) parts.push(group(`Residual of ${residuals[0].pair}`, el("dl", {}, ...residuals.flatMap(residualRow))));
+    const lists = [];
+    if (ofRow.length) lists.push(group(`#${observed} may be`, this.candidates(ofRow)));
+    if (ofColumn.length) lists.push(group(`${name} may be`, this.candidates(ofColumn)));
+    if (lists.length) parts.push(el("div", { class: "lists" }, ...lists));
     if (element === null) return parts;
     parts.push(group("Its place", placeTable(place), el("p", { class: "faint", text: meaning })));
     parts.push(group("In this run", rows(inRun)));
@@ -81,15 +87,15 @@ export class SelectedCard {
     return one ? classGlyph(one, currentTheme() === "light" ? one.colorLight : one.color) : null;
   }
 
-  /** Candidates with their probability as a bar; a click selects the pair. */
-  candidates(listed, selected) {
+  /** Candidates with their probability, in numbers and as a bar; a click selects the pair. */
+  candidates(listed) {
     return el("ol", { class: "candidates" }, ...listed.map(({ name, observed, element, probability, rank, isTrue }) => {
-      const isSelected = observed === selected.observed && element === selected.element;
-      const bar = el("i");
-      bar.style.width = `${100 * probability}%`;
-      return el("li", { tabindex: 0, "aria-current": isSelected, title: `Number ${rank} of its row or column`, onclick: () => this.page.select({ observed, element }) },
-        el("span", { class: "faint", text: rank }), el("span", { text: name }), el("span", { class: "bar" }, bar),
-        el("b", { text: fixed(probability, 3) }), el("span", { class: "true", text: isTrue ? "true" : "" }));
+      const isSelected = observed === this.shown.observed && element === this.shown.element;
+      const row = el("li", { "aria-current": isSelected, title: rank === 1 ? "The likeliest" : `${rank - 1} are likelier`, onclick: () => this.page.select({ observed, element }) },
+        el("span", { class: "faint", text: rank }), el("span", { text: name }), el("span", { class: "faint", text: isTrue ? "true" : "" }),
+        el("b", { text: fixed(probability, 3) }));
+      row.style.setProperty("--share", `${100 * probability}%`);
+      return row;
     }));
   }
 
@@ -119,14 +125,14 @@ function rows(values) {
   return el("dl", {}, ...values.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })]));
 }
 
-/** "2.3 px (0.4 across, 2.2 along)" and chi2 with its limit; or why there is none. */
+/** Size of the residual, and chi2 with its limit; or why there is none. */
 function residualRow({ at, reason, px, acrossPx, alongPx, chi2, limit, fits }) {
   const name = el("dt", { text: at === "truth" ? "At the true pose" : "At the estimate" });
   if (reason) return [name, el("dd", { class: "faint", text: reason })];
-  const along = alongPx === null ? "" : `, ${fixed(Math.abs(alongPx), 1)} along`;
-  const verdict = `χ² ${fixed(chi2, 1)} of ${fixed(limit, 1)}`;
-  return [name, el("dd", { title: fits ? "Within the inlier test" : "Fails the inlier test" },
-    `${fixed(px, 1)} px (${fixed(Math.abs(acrossPx), 1)} across${along}) · `, el("span", { class: fits ? "" : "wrong", text: verdict }))];
+  const along = alongPx === null ? "along the pole nothing is known" : `${fixed(Math.abs(alongPx), 1)} px along`;
+  const verdict = `χ² ${fixed(chi2, 1)}, limit ${fixed(limit, 1)}`;
+  return [name, el("dd", { title: `${fixed(Math.abs(acrossPx), 1)} px across, ${along}` },
+    `${fixed(px, 1)} px · `, el("span", { class: fits ? "" : "wrong", text: verdict }))];
 }
 
 function placeTable(place) {
