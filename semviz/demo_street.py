@@ -1,13 +1,14 @@
 """The street of the demo: localized, with some frames that fail for known reasons.
 
-Along the drive: an ordinary street; one of its poles stands elsewhere in the map, which matters
-where few others are in view; a stretch with too little to see; an ordinary street with a few GPS
-fixes that are far off; a row of equal poles, where one place looks like the next; and an ordinary
-street again.
+Along the drive: an ordinary street; one of its poles is labelled wrongly and so stands elsewhere in
+the map, which matters where few others are in view; a stretch with too little to see; an ordinary
+street with a few GPS fixes that are far off; a row of equal poles, where one place looks like the
+next; and an ordinary street again.
 """
 
 from pathlib import Path
 
+from semviz.demo_labels import AUTHOR, SIGMA_PX, demo_labels
 from semviz.drive import (
     CROP_RADIUS_M,
     Drive,
@@ -18,13 +19,14 @@ from semviz.drive import (
 )
 from semviz.observing import detector_model, observe_simulated
 from semviz.workspace import Workspace
+from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.options import BuildOptions
 from semviz_core.frame import Frame, Prior
 from semviz_core.localize import Localizer
 from semviz_core.map_file import save_map
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
 from semviz_core.sources.street.layout import Section
-from semviz_core.sources.street.map_errors import moved
 from semviz_core.sources.street.street import Street
 
 SEED = 7
@@ -38,7 +40,7 @@ SECTIONS = (
     Section("normal", 60.0),
 )
 MOVED_IN_FRAMES = range(20, 29)
-MOVED_BY_M = (1.5, 0.8, 0.0)
+SLIP_FRAME = 24
 FAR_OFF_FRAMES = range(72, 76)
 FAR_OFF_M = (70.0, 75.0)
 MAP = "demo"
@@ -46,12 +48,16 @@ RUN = "demo"
 
 
 def make_demo(folder: Path) -> None:
-    """A new workspace in ``folder`` with street, map and run."""
+    """A new workspace in ``folder`` with street, labels, map and run."""
     workspace = Workspace.create_street(folder, SEED, range(FRAMES), SPACING_M, SECTIONS)
     street = workspace.street
-    faulty = moved(street.truth_map, _often_seen(street, MOVED_IN_FRAMES), MOVED_BY_M)
-    save_map(faulty, workspace.map_path(MAP))
-    drive = _drive(workspace, faulty)
+    with workspace.open_labels() as store:
+        slipped = _often_seen(street, MOVED_IN_FRAMES)
+        store.apply(demo_labels(street, slipped, SLIP_FRAME), AUTHOR)
+        labels = store.labels
+    built, _ = build_map(labels, street, BuildOptions(sigma_px=SIGMA_PX))
+    save_map(built, workspace.map_path(MAP))
+    drive = _drive(workspace, built)
     record(drive, workspace.run_path(RUN), workspace="", map_name=MAP)
 
 
