@@ -2,7 +2,10 @@
 
 import shlex
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from semviz.comparing.comparison import Comparison, compare_runs
 from semviz.comparing.conditions import check_whole, parse_condition
@@ -10,9 +13,14 @@ from semviz.comparing.map_changes import MapChange, map_changes, renumbered
 from semviz.comparing.metrics import trend
 from semviz.comparing.setups import setups
 from semviz.inspector.image_view import right_view
+from semviz.inspector.scene.base_run import BaseFrame
+from semviz.inspector.scene.surroundings import route
 from semviz.inspector.views import Json, frame_view, run_head
 from semviz.inspector.why import SURE_AND_WRONG_M, Errors
 from semviz.recording.run import Run
+from semviz.web import shapes
+from semviz_core.arrays import FloatArray
+from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.localization import Status
 
@@ -59,6 +67,28 @@ class SideBySide:
             return {"index": index, "frame": None, "right": None}
         right = None if run.info.rig.right is None else right_view(run, position)
         return {"index": index, "frame": frame_view(run, position), "right": right}
+
+    def base_in_3d(self, index: int) -> BaseFrame | None:
+        """The frame numbered ``index`` as the base has it; None where it does not have it."""
+        position, run = self._positions.get(index), self.base.run
+        if position is None:
+            return None
+        elements, facing_rad = self._changed
+        return BaseFrame(
+            self.base.name,
+            run.frames[position],
+            elements,
+            facing_rad,
+            run.semantic_map.classes,
+        )
+
+    @cached_property
+    def _changed(self) -> tuple[Elements3D, FloatArray]:
+        """What the base's map has and the other one has not there, and how signs are turned."""
+        elements = self.base.run.semantic_map.elements
+        ids = [id for one in self.changes for id in one.base_ids]
+        changed = elements[np.flatnonzero(np.isin(elements.id, ids))]
+        return changed, shapes.facing(changed.anchor_m, route(self.base.run))
 
     def view(self) -> Json:
         """All but what is asked for frame by frame."""

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from semviz.inspector.scene.base_run import BaseFrame, draw_base
 from semviz.inspector.scene.coloring import Coloring, coloring, legend
 from semviz.inspector.scene.ellipsoids import ELLIPSOIDS, draw_ellipsoids
 from semviz.inspector.scene.forecast_band import FORECAST, draw_forecast
@@ -118,15 +119,20 @@ class SceneView:
             else:
                 draw_forecast(self._scene, predicted, run.semantic_map.classes)
 
+    def show_tried(self, tried: Localization | None, state: State) -> None:
+        """The camera of an answer that is being tried; None takes it away."""
+        with self._scene.server.atomic():  # through the camera its frustum would be in the way
+            draw_tried(self._scene, None if state.view == "camera" else tried)
+
     def show_hypothesis(self, shown: Hypothesis | None, state: State) -> None:
         """The camera of a pose of the search; None takes it away."""
         with self._scene.server.atomic():
             draw_hypothesis(self._scene, None if state.view == "camera" else shown)
 
-    def show_tried(self, tried: Localization | None, state: State) -> None:
-        """The camera of an answer that is being tried; None takes it away."""
-        with self._scene.server.atomic():  # through the camera its frustum would be in the way
-            draw_tried(self._scene, None if state.view == "camera" else tried)
+    def show_base(self, base: BaseFrame | None, state: State) -> None:
+        """The frame as another run has it; None takes it away."""
+        with self._scene.server.atomic():
+            draw_base(self._scene, None if state.view == "camera" else base)
 
     def _recolor(self, run: Run, state: State) -> None:
         self._coloring = coloring(state.colors, run.semantic_map, self._usage, self._scene)

@@ -16,9 +16,10 @@ from semviz.inspector.pictures import picture_route
 from semviz.inspector.rendering import RenderTopic
 from semviz.inspector.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
+from semviz.inspector.side_by_side import CompareTopic
 from semviz.inspector.solver import SolverTopic
-from semviz.inspector.what_if.topic import WhatIf
 from semviz.inspector.space import SpaceTopic
+from semviz.inspector.what_if.topic import WhatIf
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
@@ -26,14 +27,15 @@ from semviz_core.errors import SemvizError
 PAGE = Path(__file__).parent / "page"
 TOPICS = (
     Navigation,
-    ImageTopic,
     SpaceTopic,
+    ImageTopic,
     SelectedTopic,
     SolverTopic,
     ElementTopic,
     ForecastTopic,
     DecisionTopic,
     WhatIf,
+    CompareTopic,
     RenderTopic,
 )
 

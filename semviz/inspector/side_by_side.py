@@ -24,6 +24,13 @@ class CompareTopic(Topic):
     def on_frame(self) -> None:
         self._tell_frame()
 
+    def on_drawn(self) -> None:
+        self._draw()
+
+    def on_state(self) -> None:
+        if self.desk.has_scene:  # through the camera nothing of the base is shown
+            self._draw()
+
     def _compare(self, message: Message) -> None:
         """With the run ``base``, side by side if ``comparing``; with none where that is empty."""
         desk, base = self.desk, str(message.get("base") or "")
@@ -32,6 +39,7 @@ class CompareTopic(Topic):
         desk.state = desk.state.against(base, bool(message.get("comparing")))
         desk.tell_state()
         self._show()
+        desk.draw_frame()
 
     def _gates(self, message: Message) -> None:
         """``texts``: what is to be told of each."""
@@ -75,14 +83,24 @@ class CompareTopic(Topic):
             self._shown = made
             desk.say("comparison", made.view())
             self._tell_frame()
+            self._draw()
 
     def _tell_frame(self) -> None:
         """The frame as the base has it."""
+        shown = self._current()
+        if shown is not None and self.desk.state.comparing:
+            self.desk.say("baseFrame", shown.base_frame(self._index))
+
+    def _draw(self) -> None:
+        """The same in 3D, or taken away from there."""
         shown, state = self._current(), self.desk.state
-        if shown is None or not state.comparing:
-            return
-        index = self.desk.run.frames[state.position].frame.index
-        self.desk.say("baseFrame", shown.base_frame(index))
+        base = shown.base_in_3d(self._index) if shown is not None and state.comparing else None
+        self.desk.scene.show_base(base, state)
+
+    @property
+    def _index(self) -> int:
+        """Number of the frame that is shown."""
+        return self.desk.run.frames[self.desk.state.position].frame.index
 
 
 def _side(shelf: Shelf, name: str) -> Side:

@@ -5,6 +5,7 @@ import { endState } from "./image_model.js";
 
 const WIDTH = 268;
 const ROW = 18;
+const SMALL = 180; // of a picture, in CSS pixels
 const SEEN = "#EFE154";
 const TITLES = {
   estimate: "residual, drawn 8×",
@@ -13,21 +14,36 @@ const TITLES = {
   error: "error, true length",
 };
 
-/** `scale` is how long one pixel of the image is drawn, in CSS pixels. */
+/** `scale` is how long one pixel of the image is drawn, in CSS pixels. On a small picture there is
+ * room for lengths and colours only. */
 export function drawLegend(context, height, sight, scale) {
+  if (height < SMALL) {
+    drawSmall(context, height, sight);
+    return;
+  }
   const marks = unknownEnds(sight);
   const tall = 44 + (marks.size ? ROW : 0);
   const [x, y] = [8, height - tall - 8];
-  if (y < 60) return; // a picture this small is not covered
-  context.fillStyle = "rgba(20,21,23,.82)";
-  context.beginPath();
-  context.roundRect(x, y, WIDTH, tall, 4);
-  context.fill();
+  drawGround(context, x, y, WIDTH, tall);
   write(context, TITLES[sight.mode], x + 8, y + 12);
   drawBar(context, x + 124, y + 12, sight.magnification * scale);
   drawScale(context, x + 8, y + 22);
   drawKey(context, x + 132, y + 30, sight);
   drawMarks(context, x + 8, y + 52, marks);
+}
+
+function drawSmall(context, height, sight) {
+  const [x, y] = [4, height - 28];
+  drawGround(context, x, y, 152, 24);
+  write(context, `${sight.magnification}×`, x + 6, y + 12);
+  drawScale(context, x + 28, y + 3);
+}
+
+function drawGround(context, x, y, width, height) {
+  context.fillStyle = "rgba(20,21,23,.82)";
+  context.beginPath();
+  context.roundRect(x, y, width, height, 4);
+  context.fill();
 }
 
 function write(context, words, left, top, size = 11, align = "left") {

@@ -8,6 +8,7 @@ import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
 import { Bar } from "./bar.js";
+import { Compare } from "./compare/compare.js";
 import { DecisionList } from "./decisions.js";
 import { Exporter } from "./exporting/export.js";
 import { Forecast } from "./forecast.js";
@@ -19,8 +20,8 @@ import { SelectedCard } from "./selected.js";
 import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
-import { WhatIf } from "./what_if.js";
 import { Viewpoints } from "./viewpoints.js";
+import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
 class Page {
@@ -34,6 +35,7 @@ class Page {
     this.playing = false;
     this.image = new ImagePanel(this, () => this.painted());
     this.list = new FrameList(this);
+    this.compare = new Compare(this);
     this.left = new Tabs(byId("frames"), () => this.each("showTabs"));
     this.right = new Tabs(byId("why"), () => this.each("showTabs"));
     this.panels = [
@@ -41,15 +43,17 @@ class Page {
       this.list,
       new DecisionList(this),
       new SpacePanel(this),
+      new Viewpoints(this),
       new Forecast(this),
       this.image,
-      new Viewpoints(this),
       new Neighbours(this),
       new WhyCard(),
-      new SelectedCard(this),
       new WhatIf(this),
+      new SelectedCard(this),
       new MatrixPanel(this),
       new Timeline(this),
+      this.compare,
+      ...this.compare.panels,
       new Exporter(this),
     ];
     this.keys = new Keys("inspect", this.commands());
@@ -73,6 +77,8 @@ class Page {
     this.open(run, Number.isNaN(frame) ? null : frame);
     const element = Number.parseInt(wanted.get("element"), 10);
     if (!Number.isNaN(element)) this.select({ element });
+    const base = wanted.get("base");
+    if (base) this.compare.ask(base, wanted.has("beside"));
   }
 
   receive(message) {
@@ -129,6 +135,7 @@ class Page {
   }
 
   painted() {
+    this.each("imagePainted");
     if (this.stepping === undefined || this.frame?.position !== this.wanted) return;
     if (this.image.frame !== this.frame) return; // its picture is still to come
     performance.measure("frame switch", { start: this.stepping, end: performance.now() });
@@ -175,8 +182,8 @@ class Page {
     return [
       step(",", "Frame before", () => this.step(-1)),
       step(".", "Frame after", () => this.step(1)),
-      step(",", "Up in the worst-first list", () => this.list.step(-1), true),
-      step(".", "Down in the worst-first list", () => this.list.step(1), true),
+      step(",", "Up in the worst-first list", () => this.shownList().step(-1), true),
+      step(".", "Down in the worst-first list", () => this.shownList().step(1), true),
       step("j", "Go to a frame by number", () => this.askForFrame()),
       step(" ", "Play, stop", () => this.play()),
       from("b", "From behind the vehicle", () => this.look("behind")),
@@ -185,7 +192,7 @@ class Page {
       from("g", "Other poses that fit", () => this.socket.send({ verb: "alternatives", shown: !this.state.alternatives })),
       { key: "Tab", group: "Selection", title: "Next element", run: () => this.selectNext(1) },
       { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
-      { key: "Escape", group: "Selection", title: "Clear the selection", run: () => this.select() },
+      { key: "Escape", group: "Selection", title: "Clear the selection; close the comparison", run: () => this.leave() },
       ...this.panels.flatMap((panel) => panel.commands?.() ?? []),
       { key: "h", group: "Page", title: "Frames, elements, map", run: () => this.left.next() },
       { key: "i", group: "Page", title: "Why, selected, solver, what if", run: () => this.right.next() },
@@ -219,6 +226,15 @@ class Page {
     this.select({ observed: next });
   }
 
+  shownList() {
+    return this.compare.isOpen ? this.compare.frames : this.list;
+  }
+
+  leave() {
+    if (this.compare.isOpen) this.compare.close();
+    else this.select();
+  }
+
   switchTheme() {
     const theme = switchTheme();
     this.socket.send({ verb: "theme", theme });
@@ -247,6 +263,8 @@ class Page {
   writeUrl() {
     const query = new URLSearchParams({ run: this.run.name, frame: this.frame.index });
     if (this.state.element !== null) query.set("element", this.state.element);
+    if (this.state.base) query.set("base", this.state.base);
+    if (this.state.comparing) query.set("beside", "yes");
     history.replaceState(null, "", `?${query}`);
     document.title = `Frame ${this.frame.index} · ${this.run.name} · semviz inspect`;
   }

@@ -16,7 +16,8 @@ export class Numbers {
     byId("numbers-about").textContent = `${frames.length} frames in both`;
     byId("metric-table").replaceChildren(el("span"), el("span", { class: "dim", text: "A" }), el("span", { class: "dim", text: "B" }), el("span"),
       ...metrics.flatMap((one) => this.metric(one)));
-    byId("setup-table").replaceChildren(...setups.flatMap(setupRow));
+    const differ = setups.filter(({ base: a, other: b }) => a !== b);
+    byId("setup-table").replaceChildren(...[...differ, ...setups.filter((one) => !differ.includes(one))].flatMap(setupRow));
     byId("compare-notes").replaceChildren(...notes.map((text) => el("p", { text: `${text[0].toUpperCase()}${text.slice(1)}.` })));
   }
 
