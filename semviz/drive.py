@@ -21,11 +21,10 @@ from semviz.observing import (
 from semviz.progress import tell_of_compiling, track
 from semviz.recording.pictures import check_offered, with_pictures
 from semviz.recording.run import FrameRecord, Images, RunInfo
-from semviz.recording.writer import RunWriter
+from semviz.recording.writer import write_run
 from semviz.workspace import Workspace
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
-from semviz_core.files import check_replaceable
 from semviz_core.frame import Frame, Prior
 from semviz_core.localization import Localization
 from semviz_core.localize import Localizer
@@ -163,15 +162,9 @@ def simulated_prior(options: DriveOptions) -> Know:
 def record(
     drive: Drive, path: Path, *, workspace: str, map_name: str, images: Images = "embedded"
 ) -> Counter[str]:
-    """Write the run to ``path`` with a progress bar; how many frames got which status.
-
-    An interrupted run stays beside it as ``NAME.partial.rrd``, readable up to its last frame; an
-    earlier run at ``path`` is only replaced by a complete one. Raises SemvizError where ``path``
-    cannot be written.
-    """
+    """Write the run to ``path`` with a progress bar, as ``write_run`` does."""
     if path.suffix != ".rrd":
         raise SemvizError(f"{path}: name a file that ends in .rrd, such as runs/first.rrd")
-    check_replaceable(path)
     check_offered(drive.source, images)
     tell_of_compiling()
     options = drive.options
@@ -189,16 +182,6 @@ def record(
         options=asdict(options),
         images=images,
     )
-    counts: Counter[str] = Counter()
-    unfinished = path.with_name(f"{path.stem}.partial.rrd")
-    try:
-        with RunWriter(unfinished, info, drive.semantic_map) as writer:
-            for one in track(drive, "localizing", len(drive.frames)):
-                writer.write(with_pictures(one, drive.source, images, path.parent))
-                counts[one.localization.status] += 1
-    except BaseException:
-        if not counts:  # nothing in it to read
-            unfinished.unlink(missing_ok=True)
-        raise
-    unfinished.replace(path)
-    return counts
+    records = track(drive, "localizing", len(drive.frames))
+    pictured = (with_pictures(one, drive.source, images, path.parent) for one in records)
+    return write_run(pictured, path, info, drive.semantic_map)

@@ -2,6 +2,8 @@
 
 import atexit
 import json
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +18,7 @@ from semviz.recording.columns import Columns
 from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.scene import Scene
 from semviz_core.errors import SemvizError
+from semviz_core.files import check_replaceable
 from semviz_core.semantic_map import SemanticMap
 
 FLUSH_LIMIT_S = 30.0
@@ -113,6 +116,31 @@ class RunWriter:
             raise SemvizError(
                 f"{self._path}: cannot be written ({error}); is the disk full?"
             ) from None
+
+
+def write_run(
+    records: Iterable[FrameRecord], path: Path, info: RunInfo, semantic_map: SemanticMap
+) -> Counter[str]:
+    """Write a whole run to ``path``; how many frames got which status.
+
+    An interrupted one stays beside it as ``NAME.partial.rrd``, readable up to its last frame; an
+    earlier run at ``path`` is only replaced by a complete one. Raises SemvizError where ``path``
+    cannot be written.
+    """
+    check_replaceable(path)
+    counts: Counter[str] = Counter()
+    unfinished = path.with_name(f"{path.stem}.partial.rrd")
+    try:
+        with RunWriter(unfinished, info, semantic_map) as writer:
+            for one in records:
+                writer.write(one)
+                counts[one.localization.status] += 1
+    except BaseException:
+        if not counts:  # nothing in it to read
+            unfinished.unlink(missing_ok=True)
+        raise
+    unfinished.replace(path)
+    return counts
 
 
 def _add_exact(columns: Columns, entity: str, value: object) -> None:
