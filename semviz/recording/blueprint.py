@@ -54,17 +54,20 @@ def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
             ),
             rrb.Horizontal(
                 rrb.Vertical(
-                    rrb.TimeSeriesView(name="Error", origin=plots.ERRORS),
+                    rrb.Tabs(
+                        _error_view("Error, m", plots.OFF_M),
+                        _error_view("Error, deg", plots.OFF_DEG),
+                    ),
                     rrb.StateTimelineView(
                         name="Status and verdict", contents=[plots.STATUSES, plots.VERDICTS]
                     ),
-                    row_shares=[3, 2],
+                    row_shares=[1, 1],
                 ),
                 rrb.TimeSeriesView(name="Elements", origin=plots.COUNTS),
                 rrb.TextLogView(name="Reasons", origin=plots.WHY, columns=columns),
                 column_shares=[3, 2, 2],
             ),
-            row_shares=[5, 2],
+            row_shares=[7, 4],
         ),
         rrb.TimePanel(timeline=FRAME, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -72,6 +75,10 @@ def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
         auto_layout=False,
         auto_views=False,
     )
+
+
+def _error_view(name: str, origin: str) -> Any:
+    return rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.PlotLegend(visible=False))
 
 
 def _behind(road_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,8 @@ from semviz.recording.words import LEVELS, explain
 from semviz.verdicts import STARTING_OR_LOST, explained, verdict
 from semviz_core.evaluation.metrics import pose_error
 
-ERRORS, COUNTS, TIME_MS = "/error", "/elements", "/time_ms"
+OFF_M, OFF_DEG = "/error/translation_m", "/error/rotation_deg"
+COUNTS, TIME_MS = "/elements", "/time_ms"
 STATUSES, VERDICTS, WHY = "/status", "/verdict", "/why"
 
 VERDICT = {
@@ -42,9 +43,9 @@ VERDICT = {
 
 def draw_styles(stream: rr.RecordingStream) -> None:
     """What stays the same for all frames: names and colours."""
-    names = ["translation error, m", "rotation error, deg"]
-    colors = _colors(ESTIMATE, ALTERNATIVE)
-    stream.log(ERRORS, rr.SeriesPoints(colors=colors, names=names, marker_sizes=3.0), static=True)
+    for entity, name in ((OFF_M, "translation error, m"), (OFF_DEG, "rotation error, deg")):
+        dots = rr.SeriesPoints(colors=_colors(ESTIMATE), names=name, marker_sizes=3.0)
+        stream.log(entity, dots, static=True)
     names, colors = ["seen", "paired", "inliers"], _colors(TRUTH, PRIOR, STATUS["ok"])
     stream.log(COUNTS, rr.SeriesLines(colors=colors, names=names, widths=1.5), static=True)
     stream.log(WHY, rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
@@ -62,7 +63,9 @@ def draw(columns: Columns, run: Run, record: FrameRecord) -> None:
     pairs, inliers = np.nan, np.nan
     if result.refinement is not None:
         pairs, inliers = len(result.refinement.pairs), int(result.refinement.inlier.sum())
-    columns.scalars(ERRORS, *(errors or (np.nan, np.nan)))
+    off_m, off_deg = errors or (np.nan, np.nan)
+    columns.scalars(OFF_M, off_m)
+    columns.scalars(OFF_DEG, off_deg)
     columns.scalars(COUNTS, len(result.observed), pairs, inliers)
     columns.scalars(TIME_MS, sum(result.time_ms.values()))
     _draw_words(columns, run, record, errors)
@@ -76,7 +79,8 @@ def _draw_words(
     columns.text(STATUSES, "StateChange:state", result.status)
     columns.text(VERDICTS, "StateChange:state", name)
     columns.text(WHY, "TextDocument:text", explain(record, errors, told))
-    columns.text(WHY, "TextLog:text", result.reason if told is None else told.sentence)
+    line = result.reason if told is None else f"{told.kind}: {told.sentence}"
+    columns.text(WHY, "TextLog:text", line)
     columns.text(WHY, "TextLog:level", LEVELS[result.status], "TextLogLevel")
 
 

@@ -45,7 +45,7 @@ def explain(record: FrameRecord, errors: tuple[float, float] | None, told: Verdi
     """
     result = record.localization
     rows = [_error_row(result, errors), ("Elements", _elements(record))]
-    rows += [] if told is None else [(one.name, _evidence(one)) for one in told.evidence]
+    rows += [] if told is None else [("Evidence", ", ".join(map(_evidence, told.evidence)))]
     if result.refinement is not None:
         rows += [("Pairs", _pairs(result))]
     if result.covariance is not None:
@@ -75,7 +75,7 @@ def _elements(record: FrameRecord) -> str:
 
 
 def _evidence(one: Evidence) -> str:
-    return f"{one.value:.4g} {one.unit}".rstrip()
+    return f"{one.name} {one.value:.3g} {one.unit}".rstrip()
 
 
 def _pairs(result: Localization) -> str:

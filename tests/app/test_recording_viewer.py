@@ -5,6 +5,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,15 @@ WAIT_S = 60.0
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve frames; 6 is ambiguous, 9 has no pose."""
+    """Twelve frames with the images of both cameras; 6 is ambiguous, 9 has no pose."""
     made_up = runpy.run_path(str(BENCH))
     path = tmp_path_factory.mktemp("runs") / "run.rrd"
     semantic_map = made_up["make_map"](length_m=80.0)
-    with RunWriter(path, made_up["make_info"]("a run"), semantic_map) as writer:
-        for record in made_up["make_records"](semantic_map, 12, made_up["make_jpeg"]()):
-            writer.write(record)
+    jpeg = made_up["make_jpeg"]()
+    info = replace(made_up["make_info"]("a run"), images="both")
+    with RunWriter(path, info, semantic_map) as writer:
+        for record in made_up["make_records"](semantic_map, 12, jpeg):
+            writer.write(replace(record, image_right=jpeg))
     return path
 
 
@@ -79,14 +82,9 @@ def test_the_viewer_shows_a_run_without_complaint(viewer: Any, run_file: Path) -
     assert orange_pixels(viewer, 9) < 20, "a frame without a pose shows an estimate"
     state = viewer.get_state()
     names = {one.name for one in state.views if one.visible}
-    assert {
-        "Map and poses",
-        "Image",
-        "Match probability",
-        "Error",
-        "Status and verdict",
-        "Why",
-    } <= names
+    shown = {"Map and poses", "Image", "Right image", "Match probability", "Why"}
+    shown |= {"Error, m", "Error, deg", "Elements", "Status and verdict", "How to read this"}
+    assert shown <= names
     assert [report for one in state.views for report in one.reports] == []
     bad = [one for one in viewer.get_logs() if one.level in ("WARN", "ERROR")]
     assert [one.message for one in bad if "Software rasterizer" not in one.message] == []
