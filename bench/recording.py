@@ -1,19 +1,32 @@
-"""Time and size of recording a run: python bench/recording.py [FRAMES]
+"""Time and size of recording a run, part by part.
 
-Frames are made up but typical: 20 detections, a submap of some 120 elements, a 1241x376 image.
+    OMP_NUM_THREADS=1 taskset -c 0 python bench/recording.py [RUN.rrd]
+
+Without a run, frames are made up, and rather large: 20 detections, a submap of some 120 elements.
+Images are 1241x376. Times are means over the frames; CPU times are of all threads, and say more on
+a machine that is busy.
 """
 
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import wraps
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 
+from semviz.recording import plots, writer
+from semviz.recording.columns import Columns
+from semviz.recording.pictures import JPEG_QUALITY
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, RunInfo
 from semviz.recording.writer import RunWriter
+from semviz_core.arrays import ByteImage
 from semviz_core.camera import Camera, Rig
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Frame, Prior
@@ -119,38 +132,119 @@ def _localization(
     )
 
 
-def make_jpeg() -> bytes:
-    """A noisy picture that is as large as a real one: about 130 kB."""
+def make_image() -> ByteImage:
+    """A noisy picture whose JPEG is as large as a real one's: about 130 kB."""
     import cv2
 
     noise = np.random.default_rng(0).integers(60, 190, (94, 311, 3), dtype=np.uint8)
-    image = cv2.resize(noise, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_CUBIC)
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
+    size = (CAMERA.width, CAMERA.height)
+    return np.asarray(cv2.resize(noise, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+def make_jpeg() -> bytes:
+    import cv2
+
+    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    return cv2.imencode(".jpg", make_image(), quality)[1].tobytes()
+
+
+class Watch:
+    """Adds up the CPU time of parts of the work; a part within another counts only for itself."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, float] = {}
+        self._running: list[str] = []
+        self._since = 0.0
+
+    def of(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, watched."""
+
+        @wraps(function)
+        def watched(*arguments: Any, **named: Any) -> Any:
+            self._change(lambda: self._running.append(part))
+            try:
+                return function(*arguments, **named)
+            finally:
+                self._change(self._running.pop)
+
+        return watched
+
+    def _change(self, change: Callable[[], object]) -> None:
+        now = time.process_time()
+        if self._running:
+            part = self._running[-1]
+            self.ms[part] = self.ms.get(part, 0.0) + 1e3 * (now - self._since)
+        change()
+        self._since = time.process_time()
+
+
+def watched_parts(watch: Watch) -> ExitStack:
+    """The parts of ``RunWriter.write``, watched while the context lasts."""
+    parts: Sequence[tuple[str, object, str]] = (
+        ("verdict", plots, "verdict"),
+        ("verdict", plots, "explained"),
+        ("drawing", writer.Scene, "draw"),
+        ("exact numbers", writer, "_add_exact"),
+        ("to rerun", Columns, "send"),
+        ("to the system (flush)", RunWriter, "_flush"),
+        ("rest", RunWriter, "write"),
+    )
+    stack = ExitStack()
+    for part, owner, name in parts:
+        stack.enter_context(mock.patch.object(owner, name, watch.of(part, getattr(owner, name))))
+    return stack
+
+
+def record(info: RunInfo, semantic_map: SemanticMap, records: Sequence[FrameRecord]) -> None:
+    """Write the frames, the first few unmeasured, and print what it took."""
+    watch, took, first = Watch(), [], min(len(records) // 2, 10)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run.rrd")
+        with RunWriter(path, info, semantic_map) as run:
+            for one in records[:first]:
+                run.write(one)
+            with watched_parts(watch):
+                for one in records[first:]:
+                    start = time.perf_counter()
+                    run.write(one)
+                    took.append(1e3 * (time.perf_counter() - start))
+        start = time.perf_counter()
+        load_run(path)
+        opened_s = time.perf_counter() - start
+        kilobytes = path.stat().st_size / len(records) / 1e3
+    for part, ms in sorted(watch.ms.items(), key=lambda one: -one[1]):
+        print(f"  {part:24}{ms / len(took):6.2f} ms CPU")
+    mean, median, p95 = np.mean(took), *np.percentile(took, [50, 95])
+    print(f"  {'all':24}{sum(watch.ms.values()) / len(took):6.2f} ms CPU")
+    print(f"  wall: mean {mean:.2f} ms, median {median:.2f} ms, p95 {p95:.2f} ms")
+    print(f"  {kilobytes:.1f} kB a frame; {len(records)} frames open in {opened_s:.2f} s")
+
+
+def encode_images(count: int = 50) -> None:
+    """JPEG encoding by itself, which recording needs for embedded images."""
+    start = time.process_time()
+    for _ in range(count):
+        make_jpeg()
+    encoded = time.process_time() - start
+    start = time.process_time()
+    for _ in range(count):
+        make_image()
+    made = time.process_time() - start
+    print(f"JPEG encoding, a frame: {1e3 * (encoded - made) / count:.2f} ms CPU")
 
 
 def main() -> None:
-    frames = int(sys.argv[1]) if len(sys.argv) > 1 else 300
-    semantic_map = make_map()
-    print(f"{'':14}{'write':>10}{'p95':>10}{'CPU':>10}{'size':>14}{'open':>10}")
-    for name, image in (("without image", None), ("with image", make_jpeg())):
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "run.rrd")
-            took, cpu = [], 0.0
-            with RunWriter(path, make_info("bench"), semantic_map) as writer:
-                for record in make_records(semantic_map, frames, image):
-                    start, busy = time.perf_counter(), time.process_time()
-                    writer.write(record)
-                    cpu += 1e3 * (time.process_time() - busy)
-                    took.append(1e3 * (time.perf_counter() - start))
-            start = time.perf_counter()
-            load_run(path)
-            opened = time.perf_counter() - start
-            kilobytes = path.stat().st_size / frames / 1e3
-        median, p95 = np.percentile(took, [50, 95])
-        print(
-            f"{name:14}{median:7.2f} ms{p95:7.2f} ms{cpu / frames:7.2f} ms"
-            f"{kilobytes:8.1f} kB/fr{opened:8.2f} s"
-        )
+    if sys.argv[1:]:
+        run = load_run(sys.argv[1])
+        info, semantic_map, records = run.info, run.semantic_map, run.frames
+    else:
+        info, semantic_map = make_info("bench"), make_map()
+        records = tuple(make_records(semantic_map, 300, make_jpeg()))
+    encode_images()
+    print("without images, a frame:")
+    record(info, semantic_map, [replace(one, image=None, image_right=None) for one in records])
+    print("with the left image, a frame:")
+    record(info, semantic_map, [replace(one, image_right=None) for one in records])
 
 
 if __name__ == "__main__":
