@@ -34,12 +34,14 @@ export class Viewpoints {
     const name = byId("viewpoints-name").value.trim() || `Frame ${this.page.frame.index}`;
     this.keep([...this.kept().filter((one) => one.name !== name), { name, ...viewpoint }]);
     byId("viewpoints-name").value = "";
+    byId("viewpoints-name").blur(); // the page has its keys again
   }
 
   toggle(open = byId("viewpoints").hidden) {
     byId("viewpoints").hidden = !open;
     byId("viewpoints-open").setAttribute("aria-pressed", open);
     if (open) byId("viewpoints-name").focus();
+    else byId("viewpoints-name").blur();
   }
 
   kept() {
