@@ -38,6 +38,12 @@ def explained(run: Run, record: FrameRecord) -> Verdict:
     return _EXPLAINED[record]
 
 
+def blamed_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
+    """Ids of the map elements that the verdict on a frame is about; none where it is healthy."""
+    told = explained(run, record)
+    return told.fault.elements if verdict(run, record) == told.kind else ()
+
+
 def detector_of(run: Run) -> DetectorModel:
     """What is true of whoever, or whatever, saw what was observed."""
     return detector_model("labels" if run.info.observations == "labels" else "simulated")

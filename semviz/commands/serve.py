@@ -24,6 +24,8 @@ class Serve:
     """Open the page in the browser."""
 
     def run(self) -> int:
+        from contextlib import closing
+
         from semviz.demo import ensure_demo
         from semviz.inspector.server import Inspector
         from semviz.progress import tell_of_compiling
@@ -31,6 +33,6 @@ class Serve:
         from semviz.workspace import find_runs
 
         tell_of_compiling()
-        tool = Inspector(find_runs(self.paths or (ensure_demo(),)))
-        Door(tool, host=self.host, port=self.port, token=self.token).run(open_browser=self.open)
+        with closing(Inspector(find_runs(self.paths or (ensure_demo(),)))) as tool:
+            Door(tool, host=self.host, port=self.port, token=self.token).run(open_browser=self.open)
         return 0

@@ -49,9 +49,13 @@ class Background(ABC, Generic[Value]):
         for number, item in enumerate(items):
             if number % every == 0:
                 first = "" if number else "; on a new machine, up to a minute of compiling first"
-                self.doing = f"{what}: {number} of {total}{first}"
-                self._tell()
+                self.tell_doing(f"{what}: {number} of {total}{first}")
             yield item
+
+    def tell_doing(self, text: str) -> None:
+        """Says how far it has come."""
+        self.doing = text
+        self._tell()
 
     def _complete(self) -> None:
         try:

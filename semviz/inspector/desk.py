@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from semviz.inspector import views
+from semviz.inspector.labelling import LabellingTools
 from semviz.inspector.scene_view import SceneView
 from semviz.inspector.session import State
 from semviz.inspector.shelf import Shelf
@@ -21,8 +22,11 @@ Made = TypeVar("Made")
 class Desk:
     """Holds it for the topics, and tells page and topics of every change."""
 
-    def __init__(self, session_id: str, shelf: Shelf, scenes: Scenes, send: Send) -> None:
+    def __init__(
+        self, session_id: str, shelf: Shelf, tools: LabellingTools, scenes: Scenes, send: Send
+    ) -> None:
         self.shelf = shelf
+        self.tools = tools
         self.state = State()
         self.topics: Sequence[Topic] = ()
         self.lock = threading.RLock()

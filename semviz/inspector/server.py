@@ -10,7 +10,9 @@ from semviz.inspector.desk import Desk
 from semviz.inspector.elements import ElementTopic
 from semviz.inspector.forecast import ForecastTopic
 from semviz.inspector.image_view import ImageTopic
+from semviz.inspector.labelling import LabellingTools
 from semviz.inspector.matrix import matrix_route
+from semviz.inspector.mending import MendTopic
 from semviz.inspector.navigation import Navigation
 from semviz.inspector.pictures import picture_route
 from semviz.inspector.rendering import RenderTopic
@@ -20,6 +22,7 @@ from semviz.inspector.side_by_side import CompareTopic
 from semviz.inspector.solver import SolverTopic
 from semviz.inspector.space import SpaceTopic
 from semviz.inspector.what_if.topic import WhatIf
+from semviz.web.proxy import Proxy
 from semviz.web.scenes import Scenes
 from semviz.web.sessions import Message, Send, Sessions
 from semviz_core.errors import SemvizError
@@ -34,6 +37,7 @@ TOPICS = (
     ElementTopic,
     ForecastTopic,
     DecisionTopic,
+    MendTopic,
     WhatIf,
     CompareTopic,
     RenderTopic,
@@ -49,20 +53,27 @@ class Inspector:
         self._shelf = Shelf(paths)
         if len(paths) == 1:  # with nothing else to show, a broken run is an error at once
             self._shelf.run(self._shelf.names[0])
+        self._tools = LabellingTools()
         self.scenes = Scenes()
         self._sessions = Sessions(self._session)
 
     def routes(self) -> list[web.AbstractRouteDef]:
+        closed = "these labels are not open; select an element of a run, then press O"
         return [
             web.get("/", self._page),
             picture_route(self._shelf),
             matrix_route(self._shelf),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
+            *Proxy("annotate", self._tools.address, closed).routes(),
         ]
 
+    def close(self) -> None:
+        """Ends the labelling tools that were opened."""
+        self._tools.close()
+
     def _session(self, session_id: str, send: Send) -> "InspectorSession":
-        return InspectorSession(session_id, self._shelf, self.scenes, send)
+        return InspectorSession(session_id, self._shelf, self._tools, self.scenes, send)
 
     async def _page(self, _: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
@@ -71,8 +82,10 @@ class Inspector:
 class InspectorSession:
     """One opened page: hands its messages to the topic that knows their verb."""
 
-    def __init__(self, session_id: str, shelf: Shelf, scenes: Scenes, send: Send) -> None:
-        self._desk = Desk(session_id, shelf, scenes, send)
+    def __init__(
+        self, session_id: str, shelf: Shelf, tools: LabellingTools, scenes: Scenes, send: Send
+    ) -> None:
+        self._desk = Desk(session_id, shelf, tools, scenes, send)
         self._desk.topics = tuple(topic(self._desk) for topic in TOPICS)
         self._verbs = {
             name: verb for topic in self._desk.topics for name, verb in topic.verbs().items()

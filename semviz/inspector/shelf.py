@@ -41,6 +41,15 @@ class Shelf:
         """The file of the run called ``name``."""
         return self._paths[name]
 
+    def offer(self, path: Path) -> str:
+        """Puts a run on offer, where it is not yet; its name."""
+        with self._lock:
+            if path not in self._paths.values():
+                names = run_names([*self._paths.values(), path])
+                name = names[-1] if names[-1] not in self._paths else str(path)
+                self._paths[name] = path
+            return next(name for name, one in self._paths.items() if one == path)
+
     def kept(self, name: str, make: Callable[[Run, Path], Made]) -> Made:
         """What ``make`` makes of the run called ``name`` and its file: made once, then kept."""
         run = self.run(name)

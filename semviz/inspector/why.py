@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from semviz.inspector.element_card import name_of
 from semviz.recording.run import FrameRecord, Run
-from semviz.verdicts import explained, verdict
+from semviz.verdicts import blamed_elements, explained, verdict
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
 from semviz_core.explaining.told import Verdict
@@ -61,6 +62,7 @@ def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
         "title": title.capitalize(),
         "sentence": f"{one.reason} {told.sentence}" if adds else one.reason,
         "sure": told.sure if explains else None,
+        "blamed": [name_of(run, one) for one in blamed_elements(run, record)],
         "rows": [row for row in (("Noticed", _noticed(told)), *rows) if row[1]],
         "alternatives": _alternatives(one)[:listed],
         "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - listed),

@@ -168,7 +168,7 @@ export function neighbour(state, by) {
 }
 
 /** At the selection or, without one, at what an open question of the map is about. */
-function lookAt(state, images) {
+export function lookAt(state, images) {
   const asked = [...state.elements.map((one) => ({ ...one, ...one.observations })), ...state.offers].filter(({ id }) => state.isReviewed(id));
   const selected = state.selectedElement?.observations ?? state.selectedGhost;
   const all = selected ? [selected] : asked;

@@ -3,7 +3,7 @@ import { byId } from "/static/dom.js";
 import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
-import { commands, editing } from "./commands.js";
+import { commands, editing, lookAt } from "./commands.js";
 import { Cursor } from "./cursor.js";
 import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
@@ -26,6 +26,7 @@ import { showPalette } from "/static/palette.js";
 startTheme();
 const state = new State();
 const keys = new Keys("annotate");
+let sought = new URLSearchParams(location.search).get("element"); // a name, such as P-04
 const images = new Images(state, { left: byId("left-image"), right: byId("right-image") }, (name) => keys.shown(name));
 const pictures = new Pictures();
 const effort = new Effort();
@@ -165,6 +166,7 @@ const received = {
     state.set({ labels: { ...state.labels, frame } });
     if (!state.hasRight && frame.index === state.frame) showPictures(frame.index); // the companion is known now
     look();
+    findSought();
   },
   facts({ frames }) {
     state.set({ labels: { ...state.labels, frames: merged(frames) } });
@@ -245,6 +247,15 @@ function sendTheme() {
 }
 
 const isStep = (sent) => sent?.edit.kind === "undo" || sent?.edit.kind === "redo";
+
+/** Whoever comes from the inspector finds the element named in the address selected, and large. */
+function findSought() {
+  const found = sought && state.elements.find(({ name }) => name === sought);
+  if (!found) return;
+  sought = null;
+  select(found.id);
+  lookAt(state, images);
+}
 
 /** Selects an element on the side where it can be seen. */
 function select(element, side = null) {

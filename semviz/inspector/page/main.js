@@ -7,16 +7,20 @@ import { showPalette } from "/static/palette.js";
 import { showScene } from "/static/scene.js";
 import { Socket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
+import { Address, numberOf, oneOf, textOf, whole } from "./address.js";
 import { Bar } from "./bar.js";
 import { Compare } from "./compare/compare.js";
 import { DecisionList } from "./decisions.js";
+import { ElementList } from "./elements.js";
 import { Exporter } from "./exporting/export.js";
 import { Forecast } from "./forecast.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
 import { MatrixPanel } from "./matrix.js";
+import { Mending } from "./mending.js";
 import { Neighbours } from "./neighbours.js";
 import { SelectedCard } from "./selected.js";
+import { SolverCard } from "./solver.js";
 import { SpacePanel } from "./space.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
@@ -36,11 +40,12 @@ class Page {
     this.image = new ImagePanel(this, () => this.painted());
     this.list = new FrameList(this);
     this.compare = new Compare(this);
-    this.left = new Tabs(byId("frames"), () => this.each("showTabs"));
-    this.right = new Tabs(byId("why"), () => this.each("showTabs"));
+    this.left = new Tabs(byId("frames"), () => this.turned());
+    this.right = new Tabs(byId("why"), () => this.turned());
     this.panels = [
       new Bar(this),
       this.list,
+      new ElementList(this),
       new DecisionList(this),
       new SpacePanel(this),
       new Viewpoints(this),
@@ -50,12 +55,15 @@ class Page {
       new WhyCard(),
       new WhatIf(this),
       new SelectedCard(this),
+      new SolverCard(this),
+      new Mending(this),
       new MatrixPanel(this),
       new Timeline(this),
       this.compare,
       ...this.compare.panels,
       new Exporter(this),
     ];
+    this.address = new Address(this, [...this.ownAddress(), ...this.panels.flatMap((panel) => panel.address?.() ?? [])]);
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
     this.socket = new Socket({
@@ -69,21 +77,14 @@ class Page {
 
   begin(session, isNew) {
     this.session = session;
-    if (!isNew) return;
-    this.sceneShown = false;
-    const wanted = new URLSearchParams(location.search);
-    const frame = Number.parseInt(this.frame?.index ?? wanted.get("frame"), 10);
-    const run = this.run?.name ?? wanted.get("run");
-    this.open(run, Number.isNaN(frame) ? null : frame);
-    const element = Number.parseInt(wanted.get("element"), 10);
-    if (!Number.isNaN(element)) this.select({ element });
-    const base = wanted.get("base");
-    if (base) this.compare.ask(base, wanted.has("beside"));
+    this.isNew = isNew;
+    if (isNew) this.sceneShown = false;
   }
 
   receive(message) {
     const { type } = message;
     if (type === "error") this.refused(message.text);
+    else if (type === "runs") this.showRuns(message.runs);
     else if (type === "run") this.showRun(message.run);
     else if (type === "frame") this.showFrame(message.frame, message.state);
     else if (type === "state") this.showState(message.state);
@@ -91,8 +92,14 @@ class Page {
     else this.each(`show${type[0].toUpperCase()}${type.slice(1)}`, message[type]);
   }
 
+  showRuns(runs) {
+    this.each("showRuns", runs);
+    if (this.isNew) this.address.begin(runs);
+  }
+
   refused(text) {
     this.notice(text);
+    this.address.refused();
     this.waiting = false;
     this.wanted = this.frame?.position ?? 0;
     this.each("showRefusal");
@@ -125,13 +132,13 @@ class Page {
     }
     this.each("showFrame", frame);
     this.showState(state);
+    this.address.arrive();
   }
 
   showState(state) {
     this.state = state;
     this.each("showState", state);
-    clearTimeout(this.writing);
-    this.writing = setTimeout(() => this.writeUrl(), 60); // slow in browsers: not before painting
+    this.address.changed();
   }
 
   painted() {
@@ -175,6 +182,21 @@ class Page {
   }
 
   /* Alone */
+
+  /** What of the address is no panel's. */
+  ownAddress() {
+    const selected = () => ({ element: textOf(this.state.element), seen: textOf(this.state.observed) });
+    const tabs = (one) => oneOf(...one.names);
+    return [
+      { fields: { element: whole(), seen: whole() }, get: selected, set: ({ element, seen }) => this.select({ element: numberOf(element), observed: numberOf(seen) }) },
+      { fields: { list: tabs(this.left), card: tabs(this.right) }, get: () => ({ list: this.left.shown, card: this.right.shown }), set: ({ list, card }) => { this.left.show(list); this.right.show(card); } },
+    ];
+  }
+
+  turned() {
+    this.each("showTabs");
+    this.address.changed();
+  }
 
   commands() {
     const step = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Frames" });
@@ -258,15 +280,6 @@ class Page {
     document.body.append(dialog);
     dialog.showModal();
     input.select();
-  }
-
-  writeUrl() {
-    const query = new URLSearchParams({ run: this.run.name, frame: this.frame.index });
-    if (this.state.element !== null) query.set("element", this.state.element);
-    if (this.state.base) query.set("base", this.state.base);
-    if (this.state.comparing) query.set("beside", "yes");
-    history.replaceState(null, "", `?${query}`);
-    document.title = `Frame ${this.frame.index} · ${this.run.name} · semviz inspect`;
   }
 }
 

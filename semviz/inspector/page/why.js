@@ -18,6 +18,7 @@ export class WhyCard {
         el("span", { class: "about", id: "why-truth", text: surely })),
       el("p", { class: "sentence", text: sentence }),
       el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
+      el("div", { class: "actions", id: "why-actions" }),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
   }
 }
