@@ -50,7 +50,7 @@ def to_json(change: Change) -> dict[str, Any]:
 def from_json(value: object) -> Change:
     """The change that ``to_json`` made. SemvizError for anything else."""
     told = dict(value) if isinstance(value, dict) else {}
-    name = told.pop("change", None)
+    name = str(told.pop("change", None))
     if name not in KINDS:
         raise SemvizError(f"there is no change '{name}'; there are {', '.join(KINDS)}")
     kind = KINDS[name]

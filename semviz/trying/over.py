@@ -11,12 +11,11 @@ import numpy as np
 from semviz.comparing.comparison import FrameChange, frame_change
 from semviz.inspector.why import Errors
 from semviz.recording.run import FrameRecord, Run
-from semviz.recording.writer import RunWriter
+from semviz.recording.writer import write_run
 from semviz.trying.again import again, as_asked, changed_map
 from semviz.trying.asked import Asked
 from semviz.trying.change import Change
 from semviz.trying.changes import to_json
-from semviz_core.errors import SemvizError
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ def free_path(path: Path) -> Path:
 def save(run: Run, changes: Sequence[Change], found: Mapping[int, FrameRecord], path: Path) -> None:
     """A new run: the frames ``found``, by their numbers, and all others as they were.
 
-    Raises SemvizError where ``path`` cannot be written; then there is no file.
+    Raises SemvizError where ``path`` cannot be written.
     """
     info = replace(
         run.info,
@@ -79,16 +78,8 @@ def save(run: Run, changes: Sequence[Change], found: Mapping[int, FrameRecord], 
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         options={**run.info.options, "changes": [to_json(one) for one in changes]},
     )
-    unfinished = path.with_name(f"{path.stem}.partial.rrd")
-    try:
-        with RunWriter(unfinished, info, changed_map(run.semantic_map, changes)) as writer:
-            for record in run.frames:
-                writer.write(found.get(record.frame.index, record))
-        unfinished.replace(path)
-    except OSError as error:
-        raise SemvizError(f"{path}: cannot be written ({error.strerror})") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
+    records = (found.get(record.frame.index, record) for record in run.frames)
+    write_run(records, path, info, changed_map(run.semantic_map, changes))
 
 
 def _median(errors: Iterable[Errors | None]) -> str:

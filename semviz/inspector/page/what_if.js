@@ -118,10 +118,10 @@ export class WhatIf {
     const fitting = ({ fitting: number, seen }) => `${number} of ${seen}`;
     const angle = ({ errorDeg }) => (errorDeg === null ? "none" : `${fixed(errorDeg, 2)}°`);
     return [
-      el("p", { class: "change" }, statusMark(before.status), error(before), el("span", { class: "dim", text: "→" }), statusMark(after.status), el("b", { text: error(after) })),
+      el("p", { class: "change" }, statusMark(before.status), error(before), el("span", { class: "dim", text: "→" }), statusMark(after.status), el("b", { text: error(after) }),
+        el("small", { class: "dim", text: `in ${fixed(ms, 0)} ms` })),
       el("p", { class: "sentence", text: reason }),
-      el("dl", {}, ...row("Status", before.status, after.status), ...row("Fit", fitting(before), fitting(after)),
-        ...row("Rotation off by", angle(before), angle(after)), el("dt", { text: "Solved in" }), el("dd", { text: `${fixed(ms, 0)} ms` })),
+      el("dl", {}, ...row("Elements that fit", fitting(before), fitting(after)), ...row("Rotation off by", angle(before), angle(after))),
     ];
   }
 

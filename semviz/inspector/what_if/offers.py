@@ -55,7 +55,7 @@ def _of_element(run: Run, asked: Asked, element: int | None) -> Iterator[tuple[s
     if add.concerns(asked):
         offered.append(_button("Add to the submap", add))
     if drop.concerns(asked):
-        offered.append(_class_choice(run.semantic_map.classes, named))
+        offered.extend(_class_choice(run.semantic_map.classes, named))
     yield element_name(run.semantic_map, element), offered
 
 
@@ -64,13 +64,8 @@ def _of_detection(run: Run, asked: Asked, row: int | None) -> Iterator[tuple[str
         return
     frame = asked.record.frame.index
     named = DetectionClass(frame, row, int(asked.observed.class_id[row]))
-    yield (
-        f"Detection #{row}",
-        [
-            _button("Not seen", DropDetection(frame, row)),
-            _class_choice(run.semantic_map.classes, named),
-        ],
-    )
+    drop = _button("Not seen", DropDetection(frame, row))
+    yield f"Detection #{row}", [drop, *_class_choice(run.semantic_map.classes, named)]
 
 
 def _of_pair(
@@ -123,12 +118,13 @@ def _button(text: str, change: Change) -> Json:
     return {"text": text, "change": to_json(change)}
 
 
-def _class_choice(classes: ClassSet, change: ElementClass | DetectionClass) -> Json:
-    """Another class of the same kind: a pole cannot be a sign."""
+def _class_choice(classes: ClassSet, change: ElementClass | DetectionClass) -> Iterator[Json]:
+    """Another class of the same kind, if there is one: a pole cannot be a sign."""
     kind = classes[change.class_id].kind
     options = [{"value": one.id, "text": one.name} for one in classes if one.kind == kind]
-    choice = {"name": "class_id", "options": options}
-    return {"text": "Class", "change": to_json(change), "choice": choice}
+    if len(options) > 1:
+        choice = {"name": "class_id", "options": options}
+        yield {"text": "Class", "change": to_json(change), "choice": choice}
 
 
 def _fields(text: str, change: Change, *named: tuple[str, str]) -> Json:
