@@ -2,11 +2,14 @@
 
     python docs/make_screenshots.py
 
-Needs Chromium and the test extra. Everything shown is simulated; no data set is needed.
+Needs Chromium, the test extra and, for rerun's viewer, mesa-vulkan-drivers. Everything shown is
+simulated; no data set is needed.
 """
 
+import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from pathlib import Path
@@ -38,6 +41,8 @@ CHROMIUM = [
 SHOWN_FRAME = 97
 FORECAST_FRAME = 26
 LABELLED_FRAMES = range(3)
+RERUN_PORT = 19_876
+TITLE_PX = 36
 SETTLED_MS = 15_000
 """Software rendering takes its time."""
 
@@ -81,6 +86,28 @@ def take_report(page: Page) -> None:
         page.goto(Path("report.html").resolve().as_uri())
         page.screenshot(path=IMAGES / "report.png")
         page.goto("about:blank")
+
+
+def take_rerun() -> None:
+    """A run in rerun's own viewer, drawn on the processor; its title bar speaks of that only."""
+    import cv2
+    import numpy as np
+    from rerun.experimental import ViewerClient
+
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    os.environ["VK_DRIVER_FILES"] = "/usr/share/vulkan/icd.d/lvp_icd.x86_64.json"
+    viewer = ViewerClient.spawn(headless=True, port=RERUN_PORT, hide_welcome_screen=True)
+    try:
+        viewer.open(str(run))
+        time.sleep(SETTLED_MS / 1e3)  # it first follows the end of what it loads
+        viewer.set_time("frame", sequence=FORECAST_FRAME)
+        time.sleep(SETTLED_MS / 1e3)
+        shown = cv2.imdecode(np.frombuffer(viewer.take_screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        assert shown is not None
+        small = cv2.resize(shown[TITLE_PX:], None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(IMAGES / "rerun.png"), small)
+    finally:
+        viewer.quit()
 
 
 def draw_route() -> None:
@@ -154,6 +181,7 @@ def label(workspace: Workspace) -> None:
 def main() -> None:
     IMAGES.mkdir(exist_ok=True)
     draw_route()
+    take_rerun()
     with browser_page() as page:
         take_inspector(page)
         take_forecast(page)
