@@ -1,22 +1,19 @@
 """The inspector's page in a real browser: what people do, and what they then see."""
 
-import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from inspecting import in_url, near, open_page, pixels, record_street, wait_for
 
 from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.recording.writer import RunWriter
+from semviz.recording.run import FrameRecord, Run
 from semviz.web.door import Door
 from semviz_core.localize import Localizer
-from semviz_core.sources.priors import PriorOptions, simulate_prior
 from semviz_core.sources.street.street import Street
 
 if TYPE_CHECKING:
@@ -33,27 +30,18 @@ MARKUP = "<img src=x onerror=document.title='taken'>"
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run through the simulated street, with images, one failure and hostile words."""
-    import cv2
-
     street = Street(7)
-    info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", street.rig, "street")
-    path = tmp_path_factory.mktemp("runs") / "first.rrd"
-    with RunWriter(path, info, street.truth_map) as writer:
-        for index in FRAMES:
-            frame = street.frames[index]
-            observed, ids = street.labels(index, "left")
-            if index == FAILED:
-                observed, ids = observed[[0, 1]], ids[:2]
-            assert frame.T_map_camera is not None
-            prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
-            submap = street.truth_map.crop(prior.position_m, 50.0)
-            found = Localizer().localize(observed, submap, street.rig.left, prior)
-            if index == FAILED:
-                found = replace(found, reason=f"{found.reason} {MARKUP}")
-            picture = street.image(index, "left")[:, :, ::-1]
-            jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
-            writer.write(FrameRecord(frame, found, ids, jpeg))
-    return path
+
+    def spoil(record: FrameRecord) -> FrameRecord:
+        if record.frame.index != FAILED:
+            return record
+        one = record.localization
+        found = Localizer().localize(one.observed[[0, 1]], one.submap, street.rig.left, one.prior)
+        hostile = replace(found, reason=f"{found.reason} {MARKUP}")
+        return replace(record, localization=hostile, element_id=record.element_id[:2])
+
+    folder = tmp_path_factory.mktemp("runs")
+    return record_street(folder / "first.rrd", FRAMES, spoil=spoil)
 
 
 @pytest.fixture(scope="module")
@@ -72,39 +60,6 @@ def tool(recorded: Path) -> Inspector:
 def url(tool: Inspector) -> Iterator[str]:
     with Door(tool).running() as url:
         yield url
-
-
-def open_page(page: "Page", url: str, query: str = "") -> None:
-    page.goto(f"{url}?{query}")
-    page.wait_for_selector("#frame-list li")
-    number = page.locator("#frame-number")  # waiting in the page needs eval, which it forbids
-    wait_for(page, lambda: bool(number.text_content()), "the first frame")
-    page.wait_for_timeout(500)
-
-
-def wait_for(page: "Page", said: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
-    for _ in range(int(timeout_s * 20)):
-        if said():
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError(f"never came: {what}")
-
-
-def in_url(page: "Page", name: str) -> str | None:
-    return parse_qs(urlsplit(page.url).query).get(name, [None])[0]
-
-
-def pixels(page: "Page", selector: str) -> np.ndarray:
-    from PIL import Image
-
-    shot = page.locator(selector).screenshot()
-    return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
-
-
-def near(image: np.ndarray, color: str) -> int:
-    """How many pixels look like ``color``."""
-    wanted = [int(color[at : at + 2], 16) for at in (1, 3, 5)]
-    return int((np.abs(image - wanted).max(axis=2) < 24).sum())
 
 
 def test_page_shows_the_run_and_its_worst_frame_first(url: str, page: "Page", run: Run) -> None:

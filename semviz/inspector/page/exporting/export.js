@@ -2,7 +2,7 @@
 
 import { byId, el } from "/static/dom.js";
 import { currentTheme } from "/static/theme.js";
-import { canvasOf, download, figuresOf, fileName, fileOf, round } from "./figures.js";
+import { canvasOf, download, figuresOf, fileName, fileOf, whole } from "./figures.js";
 
 const PREVIEW_PX = [420, 200];
 const SCALES = [1, 2, 3, 4];
@@ -25,7 +25,7 @@ export class Exporter {
   }
 
   render(width, height, scale) {
-    this.page.socket.send({ verb: "render", width: round(scale * width), height: round(scale * height) });
+    this.page.socket.send({ verb: "render", width: whole(scale * width), height: whole(scale * height) });
     return new Promise((done, failed) => { this.awaited = { done, failed }; });
   }
 
@@ -111,7 +111,7 @@ class ExportDialog {
 
   sizes() {
     const { figure, chosen: { scale, format } } = this;
-    const size = `${round(figure.width * scale)} × ${round(figure.height * scale)} px`;
+    const size = `${whole(figure.width * scale)} × ${whole(figure.height * scale)} px`;
     if (figure.render) return `${size}, as the 3D pane shows it now; it cannot be drawn as SVG.`;
     return format === "svg" ? "SVG stays sharp at any size; text stays text." : size;
   }

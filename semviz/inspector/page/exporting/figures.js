@@ -22,17 +22,17 @@ export async function fileOf(figure, options) {
 }
 
 export function svgOf(figure, options) {
-  const context = new SvgContext(round(figure.width), round(figure.height));
+  const context = new SvgContext(whole(figure.width), whole(figure.height));
   paint(figure, context, options);
   return String(context);
 }
 
 export function canvasOf(figure, scale, options) {
   const canvas = document.createElement("canvas");
-  canvas.width = round(figure.width * scale);
-  canvas.height = round(figure.height * scale);
+  canvas.width = whole(figure.width * scale);
+  canvas.height = whole(figure.height * scale);
   const context = canvas.getContext("2d");
-  context.scale(canvas.width / figure.width, canvas.height / figure.height);
+  context.scale(scale, scale);
   paint(figure, context, options);
   return canvas;
 }
@@ -61,4 +61,5 @@ export function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may still read it
 }
 
-export const round = (size) => Math.max(1, Math.round(size));
+/** Whole pixels: a part of one at the edge is left out. */
+export const whole = (size) => Math.max(1, Math.floor(size));

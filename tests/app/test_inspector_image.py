@@ -1,0 +1,261 @@
+"""The image view: what is drawn in each mode, the right camera, frames around, and no images."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from inspecting import (
+    BOTH,
+    in_url,
+    near,
+    open_blank,
+    open_flat,
+    pixels,
+    record_street,
+    wait_for,
+)
+
+from semviz.inspector.image_view import neighbours_view, right_view
+from semviz.inspector.pictures import Pictures
+from semviz.inspector.server import Inspector
+from semviz.inspector.session import State
+from semviz.inspector.views import frame_view
+from semviz.recording.reader import load_run
+from semviz.recording.run import FrameRecord, Run
+from semviz.web.door import Door
+from semviz_core.camera import Rig
+from semviz_core.errors import SemvizError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+FRAMES = (10, 12, 14)
+MISTAKEN = 12
+"""The frame in which two true elements were told the other way round."""
+SEEN, ESTIMATE, CANNOT = "#EFE154", "#FF7A1A", "#F0532D"
+
+
+def mistake(record: FrameRecord) -> FrameRecord:
+    """Two of a kind are exchanged: their pairs fit, and join different things."""
+    if record.frame.index != MISTAKEN:
+        return record
+    ids = record.element_id.copy()
+    ids[[0, 1]] = ids[[1, 0]]
+    return replace(record, element_id=ids)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    record_street(folder / "bare.rrd", FRAMES[:2], sides=())
+    return record_street(folder / "first.rrd", FRAMES, sides=BOTH, spoil=mistake)
+
+
+@pytest.fixture(scope="module")
+def run(recorded: Path) -> Run:
+    return load_run(recorded)
+
+
+@pytest.fixture
+def url(recorded: Path) -> Iterator[str]:
+    with Door(Inspector([recorded, recorded.with_name("bare.rrd")])).running() as url:
+        yield url
+
+
+def sight(page: "Page", frame: Any, mode: str) -> Any:
+    """What the page's own model says of a frame."""
+    return page.evaluate(
+        """async ([frame, mode]) => {
+          const { Sight } = await import("/page/image_model.js");
+          const one = new Sight(frame, mode, { width: 1241, height: 376 });
+          const { about, isPossible, mapped, vectors, observed } = one;
+          return { about, isPossible, mapped, vectors, seen: observed.length };
+        }""",
+        [frame, mode],
+    )
+
+
+def test_right_image_differs_by_the_disparity_of_each_element(run: Run) -> None:
+    rig, one = run.info.rig, run.frames[0].localization
+    assert rig.T_right_left is not None
+    assert one.T_camera_map is not None
+    left = frame_view(run, 0)["mapped"]
+    right = right_view(run, 0)["mapped"]
+    depth = one.T_camera_map.apply(one.submap.anchor_m)[:, 2]
+    compared = 0
+    for row, (a, b) in enumerate(zip(left, right, strict=True)):
+        if a["estimate"] and b["estimate"] and depth[row] > 1.0:
+            shift = np.subtract(a["estimate"][0], b["estimate"][0])
+            expected = rig.left.K[0, 0] * rig.baseline_m / depth[row]
+            assert shift == pytest.approx([expected, 0.0], abs=0.05)
+            compared += 1
+    assert compared > 5
+
+
+def test_neighbours_show_the_selected_element_in_each_frame(run: Run) -> None:
+    element = int(run.frames[1].localization.submap.id[0])
+    seen_in = [element in one.element_id for one in run.frames]
+    state = State().opened("first", run, FRAMES[1]).selecting(None, element, run)
+    shown = neighbours_view(run, state)
+    assert [one["position"] for one in shown] == [0, 1, 2]
+    for one, is_seen in zip(shown, seen_in, strict=True):
+        if is_seen and one["seen"] and one["mapped"]:
+            assert one["seen"]["place"][0] == pytest.approx(one["mapped"]["place"][0], abs=60)
+    nothing = neighbours_view(run, State().opened("first", run, FRAMES[0]))
+    assert [(one["position"], one["seen"], one["mapped"]) for one in nothing] == [
+        (0, None, None), (1, None, None), (2, None, None),
+    ]  # fmt: skip
+
+
+def test_what_is_behind_the_camera_is_said_to_be_there(run: Run) -> None:
+    one = run.frames[0].localization
+    assert one.T_camera_map is not None
+    ends = (one.submap.anchor_m, one.submap.end_m)
+    depth = np.fmax(*(one.T_camera_map.apply(end)[:, 2] for end in ends))
+    behind = [row["behind"] for row in frame_view(run, 0)["mapped"]]
+    assert any(behind)
+    assert behind == (depth < 0.5).tolist()
+
+
+def test_wishes_for_images_that_are_not_there_are_refused(run: Run) -> None:
+    state = State().opened("first", run, None)
+    with pytest.raises(SemvizError, match="images do not show 'x-rays'"):
+        state.picturing("x-rays", "left", False)
+    with pytest.raises(SemvizError, match="no upper image"):
+        state.picturing("truth", "upper", False)
+    right = state.picturing("truth", "right", True)
+    one_eyed = replace(run, info=replace(run.info, rig=Rig(run.info.rig.left)))
+    assert right.opened("second", run, None).side == "right"
+    assert right.opened("second", one_eyed, None).side == "left"
+
+
+def test_images_come_as_they_were_recorded_or_with_a_reason(run: Run, recorded: Path) -> None:
+    here = Pictures(run, recorded)
+    assert here.response(1, "left").body == run.frames[1].image
+    assert here.response(1, "right").body == run.frames[1].image_right
+    assert here.response(1, "left").content_type == "image/jpeg"
+    bare = Pictures(load_run(recorded.with_name("bare.rrd")), recorded)
+    missing = bare.response(0, "left")
+    assert (missing.status, missing.content_type) == (200, "text/plain")
+    assert missing.text == "This run was recorded without images."
+    png = b"\x89PNG\r\n\x1a\n..."
+    (recorded.parent / "10.png").write_bytes(png)
+    named = replace(run.frames[0], image=None, image_file="10.png")
+    there = Pictures(replace(run, frames=(named,)), recorded).response(0, "left")
+    assert (there.content_type, there.body) == ("image/png", png)
+
+
+@pytest.mark.browser
+def test_the_three_pictures_of_the_paper(url: str, page: "Page", run: Run) -> None:
+    """Map under the truth; pairs with outliers; from the truth to the estimate."""
+    open_blank(page, url)
+    frame = frame_view(run, FRAMES.index(MISTAKEN))
+    truth = sight(page, frame, "truth")
+    assert truth["mapped"] == [row for row, one in enumerate(frame["mapped"]) if one["truth"]]
+    pairs = sight(page, frame, "pairs")
+    assert pairs["about"] == f"{len(frame['pairs'])} pairs, 2 outliers"
+    assert sum(not one["fits"] for one in pairs["vectors"]) == 2
+    error = sight(page, frame, "error")
+    assert error["seen"] == 0
+    ends = {tuple(point) for one in frame["mapped"] for point in one["estimate"] or () if point}
+    assert all(tuple(one["end"]) in ends for one in error["vectors"])
+    assert len(error["vectors"]) > 10
+    assert max(one["px"] for one in error["vectors"]) < 20
+
+
+@pytest.mark.browser
+def test_keys_change_what_is_drawn(url: str, page: "Page") -> None:
+    open_flat(page, url)
+    about = page.locator("#image-about")
+    counts = {}
+    for key, mode in zip("1234", ("estimate", "truth", "pairs", "error"), strict=True):
+        page.keyboard.press(key)
+        button = page.locator(f"[data-mode={mode}]")
+        wait_for(page, lambda: button.get_attribute("aria-pressed") == "true", mode)  # noqa: B023
+        page.wait_for_timeout(200)
+        picture = pixels(page, "#image-canvas")[:-80]  # without the legend
+        counts[mode] = (near(picture, SEEN), near(picture, ESTIMATE))
+    assert all(counts[mode][0] > 100 for mode in ("estimate", "truth", "pairs"))
+    assert counts["error"][0] < counts["estimate"][0] / 5
+    assert counts["estimate"][1] > counts["truth"][1] + 20
+    assert counts["error"][1] > counts["truth"][1] + 20
+    assert "from truth to estimate" in (about.text_content() or "")
+
+
+@pytest.mark.browser
+def test_modes_without_what_they_need_say_so(url: str, page: "Page", run: Run) -> None:
+    open_blank(page, url)
+    blind = replace(run.frames[0], frame=replace(run.frames[0].frame, T_map_camera=None))
+    frame = frame_view(replace(run, frames=(blind,)), 0)
+    assert sight(page, frame, "truth")["about"].startswith("no truth")
+    assert sight(page, frame, "error")["about"].startswith("no truth")
+    pairs = sight(page, frame, "pairs")
+    assert pairs["about"] == f"{len(frame['pairs'])} pairs, 0 outliers"
+
+
+@pytest.mark.browser
+def test_ends_are_hidden_or_cut_off_by_the_border(url: str, page: "Page") -> None:
+    open_blank(page, url)
+    states = page.evaluate(
+        """async () => {
+          const { endState } = await import("/page/image_model.js");
+          const size = { width: 100, height: 50 };
+          const unknown = [[50, 49], [-0.5, 20], [50, 30]].map((end) => endState(false, end, size));
+          return [endState(true, [50, 49], size), ...unknown];
+        }"""
+    )
+    assert states == ["known", "cut", "cut", "hidden"]
+
+
+@pytest.mark.browser
+def test_right_image_has_the_map_and_no_detections(url: str, page: "Page") -> None:
+    open_flat(page, url)
+    before = pixels(page, "#image-canvas")[:-80]
+    page.keyboard.press("k")
+    title = page.locator("#image-title")
+    wait_for(page, lambda: title.text_content() == "Right image", "the right image")
+    page.wait_for_timeout(400)
+    right = pixels(page, "#image-canvas")[:-80]
+    assert "detections are of the left" in (page.locator("#image-about").text_content() or "")
+    assert right.std() > 20
+    assert near(right, SEEN) < near(before, SEEN) / 5
+    assert near(right, ESTIMATE) > 50
+    page.keyboard.press(".")
+    wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
+    page.wait_for_timeout(400)
+    assert np.abs(pixels(page, "#image-canvas")[:-80] - right).mean() > 5
+
+
+@pytest.mark.browser
+def test_images_around_lead_to_their_frames(url: str, page: "Page") -> None:
+    open_flat(page, url)
+    assert not page.locator("#neighbours").is_visible()
+    page.keyboard.press("Shift+K")
+    wait_for(page, lambda: page.locator("#neighbours").is_visible(), "the strip")
+    page.wait_for_timeout(500)
+    strip = pixels(page, "#neighbours-canvas")
+    assert strip.std() > 20
+    page.keyboard.press("Tab")  # selects: the pictures are cut out around it
+    page.wait_for_timeout(500)
+    assert np.abs(pixels(page, "#neighbours-canvas") - strip).mean() > 5
+    box = page.locator("#neighbours-canvas").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] - 30, box["y"] + 20)
+    wait_for(page, lambda: in_url(page, "frame") == str(FRAMES[-1]), "the last frame")
+
+
+@pytest.mark.browser
+def test_a_run_without_images_is_drawn_and_asks_for_nothing_in_vain(url: str, page: "Page") -> None:
+    failed: list[str] = []
+    page.on("response", lambda one: failed.append(one.url) if one.status >= 400 else None)
+    open_flat(page, url, "run=bare")
+    wait_for(page, lambda: in_url(page, "run") == "bare", "the run")
+    assert "without images" in (page.locator("#image-about").text_content() or "")
+    assert near(pixels(page, "#image-canvas"), SEEN) > 50
+    page.keyboard.press(".")
+    wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
+    page.wait_for_timeout(300)
+    assert failed == []
