@@ -4,14 +4,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from semviz.inspector.background import Background
 from semviz.inspector.element_card import name_of
 from semviz.inspector.origins import map_row
-from semviz.inspector.topic import Topic, Verbs
+from semviz.inspector.session import matched_elements
+from semviz.inspector.topic import Topic, Verbs, whole
 from semviz.inspector.views import number
 from semviz.recording.run import Run
 from semviz.run_verdict import run_elements, run_verdict
 from semviz.web.sessions import Message
+from semviz_core.errors import SemvizError
 from semviz_core.explaining.per_element import ElementRecord
 from semviz_core.explaining.run_verdict import RunFault, RunVerdict
 from semviz_core.explaining.told import Evidence, Fault
@@ -49,7 +53,7 @@ class ElementTopic(Topic):
     """Tells what is found over the run where the page asks for it."""
 
     def verbs(self) -> Verbs:
-        return {"elements": self._elements}
+        return {"elements": self._elements, "frames of": self._frames_of}
 
     def _elements(self, _: Message) -> None:
         run = self.desk.run
@@ -60,6 +64,28 @@ class ElementTopic(Topic):
         with self.desk.lock:
             if self.desk.run is run:
                 self.desk.say("elements", self.desk.kept(OverTheRun).view())
+
+    def _frames_of(self, message: Message) -> None:
+        """Positions of the frames that see an element, or whose answer rests on it."""
+        run, element = self.desk.run, whole(message, "element")
+        if element is None:
+            raise SemvizError("frames are asked for by an element's number")
+        found = {
+            "element": element,
+            "name": name_of(run, element),
+            "positions": frames_of(run, element),
+        }
+        self.desk.say("framesOf", found)
+
+
+def frames_of(run: Run, element_id: int) -> list[int]:
+    """Positions of frames with a detection that is an element, or is taken for it by the answer."""
+    return [
+        position
+        for position, one in enumerate(run.frames)
+        if np.any(one.element_id == element_id)
+        or element_id in matched_elements(run, position).values()
+    ]
 
 
 def findings_view(run: Run, found: Findings) -> Json:
@@ -83,6 +109,7 @@ def _line(run: Run, fault: RunFault) -> Json:
     known = [id for id in fault.elements if _is_mapped(run, id)]
     return {
         **_told(fault),
+        "frames": [run.frames[position].frame.index for position in fault.frames],
         "element": known[0] if known else None,
         "observed": None if known else fault.rows[middle],
         "position": fault.frames[middle],
@@ -94,20 +121,24 @@ def _camera_line(run: Run, fault: Fault) -> Json:
     pairs = [
         0 if one.refinement is None else len(one.refinement.pairs) for one in run.localizations
     ]
-    return {**_told(fault), "element": None, "observed": None, "position": pairs.index(max(pairs))}
+    most = pairs.index(max(pairs))
+    return {**_told(fault), "frames": [], "element": None, "observed": None, "position": most}
 
 
 def _told(fault: Fault) -> Json:
     return {
         "kind": fault.kind,
         "sentence": fault.sentence,
-        "evidence": [[one.name, evidence_text(one)] for one in fault.evidence],
+        "evidence": [
+            [one.name, evidence_text(one)] for one in fault.evidence if one.name != "frames"
+        ],
     }
 
 
 def evidence_text(one: Evidence) -> str:
     """Its value with the unit."""
-    return f"{one.value:.{0 if float(one.value).is_integer() else 2}f} {one.unit}".strip()
+    decimals = {"m": 2, "%": 1, "deg": 1}.get(one.unit, 0)
+    return f"{one.value:.{decimals}f} {one.unit}".strip()
 
 
 def _row(run: Run, one: ElementRecord) -> Json:

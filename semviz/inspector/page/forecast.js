@@ -1,6 +1,7 @@
 /* The forecast: its button, and what the band along the route in the 3D pane means. */
 
 import { byId, el } from "/static/dom.js";
+import { flag, yes } from "./address.js";
 
 export class Forecast {
   constructor(page) {
@@ -13,8 +14,20 @@ export class Forecast {
     return [{ key: "f", group: "3D", title, run: () => this.toggle() }];
   }
 
+  address() {
+    return [{
+      fields: { forecast: flag() },
+      get: () => ({ forecast: yes(this.page.state.forecast) }),
+      set: ({ forecast }) => this.ask(forecast === "yes"),
+    }];
+  }
+
   toggle() {
-    this.page.socket.send({ verb: "forecast", shown: !this.page.state.forecast });
+    this.ask(!this.page.state.forecast);
+  }
+
+  ask(shown) {
+    this.page.socket.send({ verb: "forecast", shown });
   }
 
   showRun() {

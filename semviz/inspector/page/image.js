@@ -2,6 +2,7 @@
 
 import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
+import { flag, oneOf, yes } from "./address.js";
 import { drawPhoto, drawSight, drawTried } from "./image_drawing.js";
 import { Sight, middle, placeOf } from "./image_model.js";
 import { Pictures } from "./pictures.js";
@@ -44,6 +45,21 @@ export class ImagePanel {
     ];
   }
 
+  address() {
+    return [
+      {
+        fields: { image: oneOf("estimate", "truth", "pairs", "error"), side: oneOf("left", "right"), around: flag() },
+        get: () => ({ image: this.state.mode, side: this.state.side, around: yes(this.state.neighbours) }),
+        set: ({ image, side, around }) => this.ask({ mode: image, side, neighbours: around === "yes" }),
+      },
+      {
+        fields: { residuals: flag("yes") },
+        get: () => ({ residuals: yes(this.residuals) }),
+        set: ({ residuals }) => { if ((residuals === "yes") !== this.residuals) this.toggleResiduals(); },
+      },
+    ];
+  }
+
   /** Zoom, pan and clicks on a canvas that is drawn through this panel's view; `pick(at)` is called
    * with what was clicked, in CSS pixels. */
   listen(canvas, pick) {
@@ -62,6 +78,7 @@ export class ImagePanel {
   showRun(run) {
     this.run = run;
     this.frame = null;
+    this.sight = null;
     this.coming = null;
     this.right = null;
     this.classes = new Map(run.classes.map((one) => [one.id, one]));
@@ -158,6 +175,7 @@ export class ImagePanel {
 
   toggleResiduals() {
     this.residuals = !this.residuals;
+    this.page.address.changed();
     this.surface.redraw();
   }
 

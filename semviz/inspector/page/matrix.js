@@ -3,7 +3,9 @@
 import { Surface, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import { currentTheme } from "/static/theme.js";
-import { Ramp, drawMatrix } from "./matrix_drawing.js";
+import { flag, yes } from "./address.js";
+import { Ramp, bitmapOf } from "./matrix_cells.js";
+import { drawMatrix } from "./matrix_drawing.js";
 import { MatrixLayout } from "./matrix_layout.js";
 import { MatrixModel } from "./matrix_model.js";
 
@@ -33,6 +35,11 @@ export class MatrixPanel {
     return [{ key: "m", group: "Image and matrix", title: "Matrix linear, log", run: () => this.toggleLog() }];
   }
 
+  address() {
+    const turn = ({ log }) => { if ((log === "yes") !== this.isLog) this.toggleLog(); };
+    return [{ fields: { log: flag() }, get: () => ({ log: yes(this.isLog) }), set: turn }];
+  }
+
   showRun(run) {
     this.run = run;
     this.showTheme();
@@ -42,6 +49,7 @@ export class MatrixPanel {
     this.frame = frame;
     this.hovered = null;
     this.model = frame.matrix ? new MatrixModel(frame) : null;
+    this.bitmap = this.model && bitmapOf(this.model, this.look.ramp);
     const about = this.model ? `${this.model.m} seen × ${this.model.n} mapped` : "";
     byId("matrix-about").textContent = about;
     byId("matrix-about").title = about;
@@ -62,6 +70,7 @@ export class MatrixPanel {
 
   showTheme() {
     this.look = this.lookNow();
+    this.bitmap = this.model && bitmapOf(this.model, this.look.ramp);
     this.surface.redraw();
   }
 
@@ -74,6 +83,7 @@ export class MatrixPanel {
 
   toggleLog() {
     this.isLog = !this.isLog;
+    this.page.address.changed();
     byId("matrix-log").setAttribute("aria-pressed", this.isLog);
     byId("matrix-least").textContent = this.isLog ? "0.001" : "0";
     this.showTheme();
@@ -137,8 +147,8 @@ export class MatrixPanel {
   }
 
   draw(context) {
-    const { selected, hovered } = this;
-    if (this.layout) drawMatrix(context, this.model, this.layout, { ...this.look, selected, hovered });
+    const { bitmap, selected, hovered } = this;
+    if (this.layout) drawMatrix(context, this.model, this.layout, { ...this.look, bitmap, selected, hovered });
   }
 
   /** All of the matrix, also where the panel has to scroll. */
@@ -146,7 +156,7 @@ export class MatrixPanel {
     if (!this.layout) return [];
     const { width, height } = this.layout.needs;
     const layout = new MatrixLayout(this.model, width, height);
-    const draw = (context) => drawMatrix(context, this.model, layout, { ...this.lookNow(), selected: this.selected, hovered: null });
+    const draw = (context) => drawMatrix(context, this.model, layout, { ...this.lookNow(), bitmap: null, selected: this.selected, hovered: null });
     return [{ name: "matrix", title: "Match probability", width, height, draw }];
   }
 }

@@ -3,6 +3,7 @@
 import { byId, el } from "/static/dom.js";
 import { classGlyph, statusMark } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
+import { flag, oneOf, yes } from "./address.js";
 
 const POSES = [
   ["truth", ""],
@@ -34,6 +35,26 @@ export class SpacePanel {
     return [
       own("v", "Map by class, residual, times used", () => this.nextColors()),
       own("v", "Covariance of the elements", () => this.toggleEllipsoids(), true),
+    ];
+  }
+
+  address() {
+    return [
+      { // a viewpoint of one's own stays with who has it
+        fields: { view: oneOf("behind", "above", "camera") },
+        get: () => ({ view: this.state.view === "free" ? "behind" : this.state.view }),
+        set: ({ view }) => this.page.look(view),
+      },
+      {
+        fields: { colors: oneOf(...NAMES), sigma: flag() },
+        get: () => ({ colors: this.state.colors, sigma: yes(this.state.ellipsoids) }),
+        set: ({ colors, sigma }) => this.ask(colors, sigma === "yes"),
+      },
+      {
+        fields: { others: flag("yes") },
+        get: () => ({ others: yes(this.state.alternatives) }),
+        set: ({ others }) => this.page.socket.send({ verb: "alternatives", shown: others === "yes" }),
+      },
     ];
   }
 

@@ -3,6 +3,7 @@
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
+import { flag, known, yes } from "../address.js";
 import { BaseImage } from "./base_image.js";
 import { ErrorLines } from "./error_lines.js";
 import { ChangedFrames } from "./frames.js";
@@ -47,10 +48,19 @@ export class Compare {
     return [{ key: "c", group: "Page", title: "Compare with another run", run: () => this.toggle() }];
   }
 
+  address() {
+    return [{
+      fields: { base: known(() => this.names.filter((name) => name !== this.page.run.name)), beside: flag() },
+      get: () => ({ base: this.base || null, beside: yes(this.isOpen) }),
+      set: ({ base, beside }) => this.ask(base ?? "", beside === "yes"),
+    }];
+  }
+
   /* From the server */
 
   showRuns(names) {
     this.names = names;
+    this.fillChoice();
   }
 
   showRun() {
