@@ -42,6 +42,7 @@ export class MatrixPanel {
 
   showRun(run) {
     this.run = run;
+    [this.model, this.layout] = [null, null]; // of another run, with other classes
     this.showTheme();
   }
 

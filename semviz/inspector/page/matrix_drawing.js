@@ -2,49 +2,26 @@
 
 import { cssColor } from "/static/canvas.js";
 import { traceGlyph } from "/static/glyphs.js";
+import { drawBitmap, drawRectangles } from "./matrix_cells.js";
 import { BIN, ENTROPY, SUM } from "./matrix_layout.js";
 
 const NAME = 11; // room of a name, across its direction
 const GLYPH = 13; // likewise of a class glyph
 const MOST_BITS = 4; // a full bar: as unsure as between 16 equal ones
 const WRONG_SUM = 0.01; // so far from 1 a sum is marked
-const VALUE = { width: 27, height: 14 }; // cells as large show their value
-const LEVELS = 64; // of colour
-const LOG_FLOOR = 3; // log colour goes down to 1e-3
+const TICKED = 14; // rows as high have ticks
 const FONT = '11px Inter, "Liberation Sans", Arial, sans-serif';
 
-/** Colours of probabilities: linear, or by their logarithm. */
-export class Ramp {
-  constructor(isLog) {
-    this.isLog = isLog;
-    const stops = [0, 1, 2, 3].map((stop) => bands(cssColor(`--ramp-${stop}`)));
-    this.levels = Array.from({ length: LEVELS }, (_, level) => mixed(stops, (3 * level) / (LEVELS - 1)));
-    this.colors = this.levels.map((level) => `rgb(${level})`);
-  }
-
-  level(value) {
-    const share = this.isLog ? 1 + Math.log10(Math.max(value, 1e-9)) / LOG_FLOOR : value;
-    return Math.round((LEVELS - 1) * Math.min(1, Math.max(0, share)));
-  }
-
-  color(value) {
-    return this.colors[this.level(value)];
-  }
-
-  /** What is read on a cell: dark on bright ones. */
-  ink(value) {
-    const [red, green, blue] = this.levels[this.level(value)];
-    return 0.3 * red + 0.6 * green + 0.1 * blue > 140 ? "#1B1C1E" : "#FFFFFF";
-  }
-}
-
-/** All of it; `selected` is {observed, mapped}, `hovered` a place or null, `classes` by id. */
-export function drawMatrix(context, model, layout, { ramp, classes, selected, hovered }) {
+/** All of it; `selected` is {observed, mapped}, `hovered` a place or null, `classes` by id, `bitmap`
+ * null for figures. */
+export function drawMatrix(context, model, layout, { ramp, classes, bitmap, selected, hovered }) {
   const rows = layout.rows.visible(layout.scroll.y);
   const columns = layout.columns.visible(layout.scroll.x);
   clipped(context, layout, "both", () => {
-    drawGround(context, layout, ramp);
-    drawCells(context, model, layout, ramp, rows, columns);
+    if (bitmap) drawBitmap(context, layout, bitmap);
+    else drawRectangles(context, model, layout, ramp);
+    drawSeams(context, layout, rows, columns);
+    if (layout.hasValues) drawValues(context, model, layout, ramp, rows, columns);
     drawMarks(context, model, layout, ramp, rows, columns);
     if (hovered?.of === "cell") outline(context, layout, hovered, "--text", 1);
   });
@@ -71,32 +48,6 @@ function clipped(context, layout, zone, draw) {
   context.restore();
 }
 
-/** Blocks in the colour of 0, so that only other cells need drawing. */
-function drawGround(context, layout, ramp) {
-  context.fillStyle = ramp.color(0);
-  for (const across of layout.columns.blocks) {
-    for (const down of layout.rows.blocks) {
-      const [x, y] = [layout.left + across.start - layout.scroll.x, layout.top + down.start - layout.scroll.y];
-      context.fillRect(x, y, across.end - across.start, down.end - down.start);
-    }
-  }
-}
-
-function drawCells(context, model, layout, ramp, rows, columns) {
-  const [width, height] = [layout.columns.size, layout.rows.size];
-  for (const i of rows) {
-    const y = layout.y(i);
-    for (const j of columns) {
-      const level = ramp.level(model.probability[i][j]);
-      if (!level) continue;
-      context.fillStyle = ramp.colors[level];
-      context.fillRect(layout.x(j), y, width, height);
-    }
-  }
-  drawSeams(context, layout, rows, columns);
-  if (width >= VALUE.width && height >= VALUE.height) drawValues(context, model, layout, ramp, rows, columns);
-}
-
 /** Lines between cells that are large enough for them. */
 function drawSeams(context, layout, rows, columns) {
   context.fillStyle = cssColor("--hairline");
@@ -120,14 +71,13 @@ function drawValues(context, model, layout, ramp, rows, columns) {
 
 function drawMarks(context, model, layout, ramp, rows, columns) {
   const shown = new Set(columns);
+  const size = Math.min(4, layout.columns.size / 2, layout.rows.size / 2);
   for (const i of rows) {
-    model.top.get(i).forEach((j, place) => shown.has(j) && drawTicks(context, model, layout, ramp, i, j, place + 1));
-    for (const j of columns) {
-      const [isTrue, fit] = [model.isTrue(i, j), model.fit(i, j)];
-      if (!isTrue && fit === undefined) continue;
-      const [x, y] = [layout.x(j) + layout.columns.size / 2, layout.y(i) + layout.rows.size / 2];
-      const size = Math.min(4, layout.columns.size / 2, layout.rows.size / 2);
+    for (const { mapped: j, place, isTrue, fit } of model.marks.get(i)) {
+      if (!shown.has(j)) continue;
       const ink = ramp.ink(model.probability[i][j]);
+      const [x, y] = [layout.x(j) + layout.columns.size / 2, layout.y(i) + layout.rows.size / 2];
+      if (place) drawTicks(context, layout, i, j, place, ink);
       if (isTrue) drawRing(context, x, y, size, ink);
       if (fit) drawDot(context, x, y, isTrue ? size / 2.5 : size / 1.6, ink);
       else if (fit === false) drawCross(context, x, y, size * 0.8, ink);
@@ -135,7 +85,7 @@ function drawMarks(context, model, layout, ramp, rows, columns) {
   }
 }
 
-export function drawRing(context, x, y, radius, color) {
+function drawRing(context, x, y, radius, color) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.lineWidth = radius > 3 ? 1.4 : 1;
@@ -143,14 +93,14 @@ export function drawRing(context, x, y, radius, color) {
   context.stroke();
 }
 
-export function drawDot(context, x, y, radius, color) {
+function drawDot(context, x, y, radius, color) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.fillStyle = color;
   context.fill();
 }
 
-export function drawCross(context, x, y, size, color) {
+function drawCross(context, x, y, size, color) {
   context.beginPath();
   for (const way of [1, -1]) {
     context.moveTo(x - size, y - way * size);
@@ -161,10 +111,10 @@ export function drawCross(context, x, y, size, color) {
   context.stroke();
 }
 
-function drawTicks(context, model, layout, ramp, i, j, count) {
+function drawTicks(context, layout, i, j, count, ink) {
   const { size } = layout.columns;
-  if (layout.rows.size < 14) return;
-  context.fillStyle = ramp.ink(model.probability[i][j]);
+  if (layout.rows.size < TICKED) return;
+  context.fillStyle = ink;
   const width = Math.min(7, size - 2.5);
   for (let tick = 0; tick < count; tick += 1) {
     context.fillRect(layout.x(j) + (size - 1 - width) / 2, layout.y(i) + layout.rows.size - 4 - 2 * tick, width, 1);
@@ -213,9 +163,9 @@ function drawColumnEnds(context, model, layout, ramp, columns, selected) {
 
 /** Upright, as many as there is room for: first the selected one, then those that are of a pair. */
 function drawColumnNames(context, model, layout, columns, selected) {
-  const paired = new Set([...model.fits.keys()].map((key) => Number(key.split(" ")[1])));
-  const true_ = new Set(model.observed.map((one) => one.truth));
-  const weight = (j) => 4 * (j === selected.mapped) + 2 * paired.has(j) + true_.has(j);
+  const marked = (of) => new Set([...model.marks.values()].flat().filter(of).map((mark) => mark.mapped));
+  const [paired, known] = [marked(({ fit }) => fit !== undefined), marked(({ isTrue }) => isTrue)];
+  const weight = (j) => 4 * (j === selected.mapped) + 2 * paired.has(j) + known.has(j);
   const taken = [];
   for (const j of [...columns].sort((a, b) => weight(b) - weight(a))) {
     const x = layout.x(j) + layout.columns.size / 2;
@@ -298,14 +248,4 @@ function write(context, text, x, y, color, align) {
   context.textBaseline = "middle";
   context.fillStyle = color;
   context.fillText(text, x, y);
-}
-
-function bands(hex) {
-  return [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16));
-}
-
-/** Bands at `place` along stops, as whole numbers. */
-function mixed(stops, place) {
-  const low = Math.min(stops.length - 2, Math.floor(place));
-  return stops[low].map((one, band) => Math.round(one + (place - low) * (stops[low + 1][band] - one)));
 }

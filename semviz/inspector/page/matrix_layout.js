@@ -12,6 +12,7 @@ const ROW_NAMES = 30;
 const GLYPHS = 20;
 const COLUMN_NAMES = 36;
 const COMFORTABLE = 14; // rows give room to the columns' names, but not below this
+const VALUE = { width: 27, height: 14 }; // cells as large show their value
 const GAP = 5; // between class blocks, and before the dustbins
 const MEASURE = { sum: "sum", entropy: "entropy" }; // names have none
 
@@ -23,17 +24,18 @@ class Axis {
     this.order = order;
     this.size = Math.max(LEAST_CELL, Math.min(MOST_CELL, fair));
     this.at = new Map(); // start of each index
-    this.blocks = []; // {class, start, end}
+    this.blocks = []; // {class, start, end, first, count}
     let end = 0;
-    for (const one of order) {
+    for (const [k, one] of order.entries()) {
       const kind = classOf(one);
       if (this.blocks.at(-1)?.class !== kind) {
         if (this.blocks.length) end += GAP;
-        this.blocks.push({ class: kind, start: end });
+        this.blocks.push({ class: kind, start: end, first: k, count: 0 });
       }
       this.at.set(one, end);
       end += this.size;
       this.blocks.at(-1).end = end;
+      this.blocks.at(-1).count += 1;
     }
     this.length = end;
     this.shown = Math.min(room, end);
@@ -63,6 +65,7 @@ export class MatrixLayout {
     this.top = GLYPHS + (this.hasColumnNames ? COLUMN_NAMES : 0);
     this.rows = this.hasColumnNames ? named : new Axis(model.rows, row, height - this.top - this.below);
     this.glyphY = GLYPHS / 2;
+    this.hasValues = this.columns.size >= VALUE.width && this.rows.size >= VALUE.height;
     this.end = { x: this.left + this.columns.shown, y: this.top + this.rows.shown }; // of the blocks
     this.bin = { x: this.end.x + GAP, y: this.end.y + GAP };
     this.sum = { x: this.bin.x + BIN + 4, y: this.bin.y + BIN + 3 };

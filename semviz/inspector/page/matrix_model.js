@@ -10,8 +10,8 @@ export class MatrixModel {
     this.probability = matrix.probability; // (m + 1) x (n + 1)
     this.rows = matrix.rows; // in the order in which they are shown
     this.columns = matrix.columns;
-    this.fits = new Map(pairs.map((pair) => [`${pair.observed} ${pair.mapped}`, pair.inlier]));
-    this.top = new Map(this.rows.map((i) => [i, this.likeliest(i)]));
+    this.pairOf = new Map(pairs.map((pair) => [pair.observed, pair]));
+    this.marks = new Map(this.rows.map((i) => [i, this.marksOf(i)])); // by row
     this.row = this.probability.map(measured);
     this.column = this.probability[0].map((_, j) => measured(this.probability.map((values) => values[j])));
   }
@@ -35,7 +35,16 @@ export class MatrixModel {
 
   /** Whether a pair of the answer fits; undefined where it is none. */
   fit(observed, mapped) {
-    return this.fits.get(`${observed} ${mapped}`);
+    const pair = this.pairOf.get(observed);
+    return pair?.mapped === mapped ? pair.inlier : undefined;
+  }
+
+  /** The cells of a row that are marked, with `place` 1 for the likeliest. */
+  marksOf(i) {
+    const likeliest = this.likeliest(i);
+    const marked = new Set([...likeliest, this.observed[i].truth, this.pairOf.get(i)?.mapped]);
+    const known = [...marked].filter((j) => j !== null && j !== undefined);
+    return known.map((j) => ({ mapped: j, place: likeliest.indexOf(j) + 1, isTrue: this.isTrue(i, j), fit: this.fit(i, j) }));
   }
 
   /** Columns of the `TOP` likeliest mapped elements of a row, likeliest first. */
