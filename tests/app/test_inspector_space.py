@@ -1,0 +1,351 @@
+"""The 3D pane: what is clicked, what colours say, what is sent when something changes."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from small_runs import ambiguous, small_run, spoiled, unanswered
+
+from semviz.inspector.scene import map_layer
+from semviz.inspector.scene.coloring import legend, levels
+from semviz.inspector.scene.trajectories import mark_places
+from semviz.inspector.scene.usage import Usage, usage_of
+from semviz.inspector.scene_view import SceneView
+from semviz.inspector.server import Inspector
+from semviz.inspector.session import MapColors, State
+from semviz.inspector.space import SpaceTopic
+from semviz.palette import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
+from semviz.recording.run import Run
+from semviz.recording.writer import RunWriter
+from semviz.web.colors import PALETTES, rgb
+from semviz.web.door import Door
+from semviz.web.picking import Offer, apart, pick
+from semviz.web.scenes import Scenes
+from semviz.web.shapes import ellipsoids
+from semviz_core.elements import joined
+from semviz_core.errors import SemvizError
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+    from semviz.inspector.desk import Desk
+
+REACH_RAD = 0.02
+
+
+# What is clicked
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_distance_of_segments_from_a_ray_is_the_least_over_their_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low, high = rng.normal(size=(2, 5, 3))
+    high[0] = low[0]  # a point
+    origin, direction = rng.normal(size=(2, 3))
+    direction /= np.linalg.norm(direction)
+    found, _ = apart(Offer(np.arange(5), low, high), origin, direction)
+    share = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    points = low + share * (high - low) - origin
+    across = points - (points @ direction)[..., None] * direction
+    assert np.allclose(found, np.linalg.norm(across, axis=2).min(axis=0), atol=1e-3)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_click_on_a_thing_means_it_or_one_before_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform([5.0, -20.0, 0.0], [60.0, 20.0, 1.0], (40, 3))
+    offer = Offer(np.arange(40) + 100, low, low + np.array([0.0, 0.0, 4.0]))
+    row = int(rng.integers(40))
+    target = low[row] + [0.0, 0.0, rng.uniform(0.0, 4.0)]
+    origin = np.array([0.0, 0.0, 2.0])
+    found = pick({"element": offer}, origin, target - origin, REACH_RAD)
+    assert found is not None
+    assert found[0] == "element"
+    away = np.linalg.norm(low - origin, axis=1)
+    assert found[1] == row + 100 or away[found[1] - 100] < away[row] + 4.0
+
+
+def test_click_beside_everything_or_behind_the_eye_means_nothing() -> None:
+    pole = Offer(np.array([7]), np.array([[10.0, 0.0, 0.0]]), np.array([[10.0, 0.0, 5.0]]))
+    eye = np.array([0.0, 0.0, 2.0])
+    assert pick({"element": pole}, eye, np.array([1.0, 0.0, 0.0]), REACH_RAD) == ("element", 7)
+    assert pick({"element": pole}, eye, np.array([1.0, 0.1, 0.0]), REACH_RAD) is None
+    assert pick({"element": pole}, eye, np.array([-1.0, 0.0, 0.0]), REACH_RAD) is None
+
+
+def test_nearer_of_two_things_under_the_pointer_is_meant_whatever_its_kind() -> None:
+    far = Offer(np.array([7]), np.array([[10.0, 0.0, 0.0]]), np.array([[10.0, 0.0, 5.0]]))
+    near = Offer(np.array([3]), np.array([[5.0, 0.0, 2.0]]), np.array([[5.0, 0.0, 2.0]]))
+    eye, ahead = np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])
+    for offers in ({"element": far, "frame": near}, {"frame": near, "element": far}):
+        assert pick(offers, eye, ahead, REACH_RAD) == ("frame", 3)
+
+
+# What colours say
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_ellipsoids_are_those_of_the_covariances(seed: int) -> None:
+    roots = np.random.default_rng(seed).normal(size=(4, 3, 3))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    axes, wxyz = ellipsoids(covariances)
+    for size, (w, x, y, z), covariance in zip(axes, wxyz, covariances, strict=True):
+        turned = Rotation.from_quat([x, y, z, w]).as_matrix()
+        assert np.allclose(turned @ np.diag(size**2) @ turned.T, covariance, atol=1e-9)
+
+
+def test_usage_counts_the_pairs_that_fit() -> None:
+    run = spoiled(small_run(), {12: unanswered})
+    usage = usage_of(run)
+    for row, number in enumerate(run.semantic_map.elements.id):
+        sizes = []
+        for one in run.localizations:
+            fine = one.refinement
+            if fine is None:
+                continue
+            for (_, column), residual, fits in zip(
+                fine.pairs, fine.residual_px, fine.inlier, strict=True
+            ):
+                if fits and one.submap.id[column] == number:
+                    sizes.append(np.sqrt(np.nansum(residual**2)))
+        assert usage.times[row] == len(sizes)
+        if sizes:
+            assert usage.residual_px[row] == pytest.approx(np.median(sizes))
+        else:
+            assert np.isnan(usage.residual_px[row])
+
+
+@pytest.mark.parametrize("colors", ["residual", "times"])
+@given(times=st.lists(st.integers(0, 60), min_size=1, max_size=40))
+def test_legend_counts_every_element_once_within_limits_that_never_move(
+    times: list[int], colors: MapColors
+) -> None:
+    count = np.array(times)
+    residual_px = np.where(count > 0, 0.13 * count, np.nan)
+    level = levels(colors, Usage(count, residual_px))
+    told = legend(colors, Usage(count, residual_px), "dark")["steps"]
+    assert [one["elements"] for one in told] == [(level == row).sum() for row in range(len(told))]
+    assert ((level == len(told) - 1) == (count == 0)).all()
+    for row, one in enumerate(count):
+        limits = USED_LIMITS if colors == "times" else RESIDUAL_LIMITS_PX
+        value = one if colors == "times" else residual_px[row]
+        expected = sum(value > limit if colors == "times" else value >= limit for limit in limits)
+        if one:
+            assert level[row] == expected
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_more_often_used_stands_out_more(theme: str) -> None:
+    ground = luminance(PALETTES["dark" if theme == "dark" else "light"].scene)
+    tones = [luminance(getattr(one, theme)) for one in USED]
+    contrast = [max(one, ground) / min(one, ground) for one in tones]
+    assert contrast == sorted(contrast)
+    assert contrast[0] > 1.7
+
+
+def luminance(color: str) -> float:
+    """Relative luminance as WCAG has it, with its 0.05."""
+    share = np.array(rgb(color)) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722]) + 0.05
+
+
+# What is sent
+
+
+@pytest.fixture
+def sent() -> Iterator[tuple[SceneView, list[tuple[str, str, int]]]]:
+    """A view, and what it sends: kind of message, node, bytes."""
+    scenes = Scenes()
+    try:
+        server = scenes.scene("one")
+        messages: list[tuple[str, str, int]] = []
+        interface = server.scene._websock_interface
+        queue = interface.queue_message
+
+        def note(message: Any) -> None:
+            props = getattr(message, "props", None)
+            values = getattr(message, "updates", {}) if props is None else vars(props)
+            size = sum(one.nbytes for one in values.values() if isinstance(one, np.ndarray))
+            messages.append((type(message).__name__, getattr(message, "name", ""), size))
+            queue(message)
+
+        interface.queue_message = note  # type: ignore[method-assign]
+        yield SceneView(server, lambda _, __: None), messages
+    finally:
+        scenes.close_all()
+
+
+def city(copies: int) -> Run:
+    """The small run in a map with copies of its street beside it."""
+    run = small_run()
+    whole = one = run.semantic_map.elements
+    for number in range(1, copies):
+        away = Pose(np.eye(3), np.array([0.0, 300.0 * number, 0.0]))
+        moved = replace(one.transformed(away), id=one.id + 1000 * number)
+        whole = joined(whole, moved)
+    road = run.semantic_map.trajectory_m
+    return replace(run, semantic_map=SemanticMap(whole, run.semantic_map.frame, trajectory_m=road))
+
+
+def test_next_frame_sends_nothing_of_the_map(
+    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
+    view, messages = sent
+    run, state = city(20), State(run="city")
+    view.show_run(run, state)
+    assert {"/far", "/map/0"} <= {name for _, name, _ in messages}
+    messages.clear()
+    view.show_frame(run, replace(state, position=1))
+    assert messages
+    assert not [name for _, name, _ in messages if name.startswith(("/map", "/far", "/ways"))]
+    assert sum(size for *_, size in messages) < 60_000
+
+
+def test_other_colours_send_no_places_of_what_is_far(
+    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
+    view, messages = sent
+    run, state = city(20), State(run="city")
+    view.show_run(run, state)
+    messages.clear()
+    view.recolor(run, replace(state, colors="times"))
+    far = len(run.semantic_map) - 50
+    assert [size for _, name, size in messages if name == "/far"] == [3 * far]
+
+
+def test_all_elements_are_drawn_and_the_nearest_as_lines(
+    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
+    view, messages = sent
+    run = city(20)
+    view.show_run(run, State(run="city"))
+    (dots,) = (size for _, name, size in messages if name == "/far" and size)
+    assert dots == (len(run.semantic_map) - 50) * (3 * 4 + 3)
+    layer = view._map
+    center = run.frames[0].localization.prior.position_m
+    away = np.linalg.norm(layer.middles_m[:, :2] - center[:2], axis=1)
+    near = layer._near(center)
+    assert len(near) == 50
+    assert away[near].max() <= np.delete(away, near).min()
+
+
+def test_marks_are_where_frames_are_and_ways_have_gaps(
+    sent: tuple[SceneView, list[tuple[str, str, int]]],
+) -> None:
+    run = spoiled(small_run(), {14: unanswered, 18: ambiguous})
+    places = mark_places(run)
+    for place, one in zip(places, run.frames, strict=True):
+        assert one.frame.T_map_camera is not None
+        assert np.linalg.norm((place - one.frame.T_map_camera.translation)[:2]) < 1.0
+    view, messages = sent
+    view.show_run(run, State(run="first"))
+    size = {name: bytes_ for _, name, bytes_ in messages if bytes_}
+    segment = 2 * 3 * 4
+    assert size["/ways/truth"] == 5 * segment + 3
+    assert size["/ways/estimate"] == 3 * segment + 3  # neither to 14 nor from it
+    assert {name for name in size if name in ("/ways/ok", "/ways/ambiguous", "/ways/cannot")} == {
+        "/ways/ok",
+        "/ways/ambiguous",
+        "/ways/cannot",
+    }
+
+
+# What people do
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("runs") / "first.rrd"
+    run = small_run()
+    with RunWriter(path, run.info, run.semantic_map) as writer:
+        for record in run.frames:
+            writer.write(record)
+    return path
+
+
+@pytest.fixture
+def tool(recorded: Path) -> Inspector:
+    return Inspector([recorded])
+
+
+@pytest.fixture
+def url(tool: Inspector) -> Iterator[str]:
+    with Door(tool).running() as url:
+        yield url
+
+
+def wait_for(page: "Page", happened: Callable[[], bool], what: str) -> None:
+    for _ in range(600):
+        if happened():
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never came: {what}")
+
+
+@pytest.mark.browser
+def test_marks_colours_and_viewpoints(url: str, page: "Page", tool: Inspector) -> None:
+    mark = mark_places(small_run())[3]
+    eye = mark + np.array([0.0, -0.02, 10.0])
+    page.goto(f"{url}?eye={','.join(str(one) for one in (*eye, *mark))}")
+    page.wait_for_selector("#scene.ready")
+    (server,) = tool.scenes._servers.values()
+    wait_for(page, lambda: bool(server.get_clients()), "the 3D client")
+    (client,) = server.get_clients().values()
+    wait_for(page, lambda: np.allclose(client.camera.position, eye, atol=0.05), "the link's view")
+
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def gone_by_click() -> bool:  # the pane may still be loading when it is clicked first
+        page.mouse.click(*middle)
+        page.wait_for_timeout(500)
+        return page.locator("#frame-number").text_content() == "Frame 16 of 20"
+
+    wait_for(page, gone_by_click, "the frame of the mark")
+
+    legend_line = page.locator("#space-legend")
+    page.keyboard.press("v")
+    wait_for(page, lambda: "Median residual" in (legend_line.text_content() or ""), "residuals")
+    page.keyboard.press("Shift+V")
+    wait_for(page, lambda: "1σ × 10" in (legend_line.text_content() or ""), "ellipsoids")
+
+    page.keyboard.press("y")
+    page.keyboard.type("over the road")
+    page.keyboard.press("Enter")
+    row = page.locator("#viewpoints-list .name")
+    wait_for(page, lambda: row.text_content() == "over the road", "the viewpoint kept")
+    kept = np.array(client.camera.position)
+    page.keyboard.press("u")
+    wait_for(page, lambda: client.camera.position[2] > 50.0, "the view from above")
+    row.click()
+    wait_for(page, lambda: np.allclose(client.camera.position, kept, atol=0.01), "the viewpoint")
+    assert page.locator("[data-view][aria-pressed=true]").count() == 0
+    page.click("#viewpoints-list button[title=Delete]")
+    wait_for(page, lambda: row.count() == 0, "the viewpoint gone")
+
+
+@pytest.mark.parametrize("eye", [[0, 0], "there", None, [0, 0, float("nan")], [1, 2, 3]])
+def test_viewpoint_that_is_none_is_refused_in_one_line(eye: Any) -> None:
+    topic = SpaceTopic(cast("Desk", SimpleNamespace(state=State())))
+    with pytest.raises(SemvizError, match="viewpoint"):
+        topic.verbs()["stand"]({"eye": eye, "target": [1, 2, 3]})
+
+
+def test_colours_that_do_not_exist_are_refused_with_those_that_do() -> None:
+    topic = SpaceTopic(cast("Desk", SimpleNamespace(state=State())))
+    with pytest.raises(SemvizError, match="class, residual, times"):
+        topic.verbs()["colors"]({"colors": "taste"})
