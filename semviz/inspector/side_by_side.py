@@ -1,19 +1,37 @@
 """The open run against another one: what changed, and each frame as the other run has it."""
 
-import threading
-
+from semviz.inspector.background import Background
 from semviz.inspector.comparison_view import Side, SideBySide
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.topic import Topic, Verbs
+from semviz.recording.run import Run
 from semviz.web.sessions import Message
 from semviz_core.errors import SemvizError
 
 
-class CompareTopic(Topic):
-    """Compares in a thread of its own; of the base's frames tells only while both are shown."""
+class Comparing(Background[SideBySide]):
+    """Reads the base, which takes seconds, and compares."""
 
-    _shown: SideBySide | None = None
-    """The last comparison, which may be of runs that are shown no more."""
+    def __init__(self, shelf: Shelf, base: str, other: str, run: Run) -> None:
+        """``run`` is the one called ``other``."""
+        super().__init__()
+        self._shelf, self._base = shelf, base
+        self._other = Side(other, run, shelf.path(other))
+
+    def is_of(self, base: str, run: Run) -> bool:
+        """Whether it compares a run with the one called ``base``."""
+        return self._base == base and self._other.run is run
+
+    def work(self) -> SideBySide:
+        run = self._shelf.run(self._base)
+        return SideBySide(Side(self._base, run, self._shelf.path(self._base)), self._other)
+
+
+class CompareTopic(Topic):
+    """Of the base's frames it tells only while both runs are shown."""
+
+    _comparing: Comparing | None = None
+    """The last one, which may be of runs that are shown no more."""
 
     def verbs(self) -> Verbs:
         return {"compare": self._compare, "gates": self._gates}
@@ -49,39 +67,37 @@ class CompareTopic(Topic):
 
     def _current(self) -> SideBySide | None:
         """The comparison of the two runs that are chosen now, if it is made."""
-        state, shown = self.desk.state, self._shown
-        wanted = state.base, state.run
-        return shown if shown and (shown.base.name, shown.other.name) == wanted else None
+        return (
+            self._comparing.value if self._comparing and self._is_wanted(self._comparing) else None
+        )
+
+    def _is_wanted(self, comparing: Comparing) -> bool:
+        return comparing.is_of(self.desk.state.base, self.desk.run)
 
     def _show(self) -> None:
         """The comparison; made first where it is not."""
-        if not self.desk.state.base:
+        desk = self.desk
+        if not desk.state.base:
             return
-        if self._current() is None:
-            threading.Thread(target=self._work, name="compare", daemon=True).start()
+        if self._comparing is None or not self._is_wanted(self._comparing):
+            made = Comparing(desk.shelf, desk.state.base, desk.state.run, desk.run)
+            self._comparing = made
+            made.ask(lambda: self._got_on(made))
         else:
             self._tell_frame()
 
-    def _work(self) -> None:
-        """In a thread of its own: reading a run takes seconds."""
+    def _got_on(self, comparing: Comparing) -> None:
+        """Called in its thread; other runs may have been chosen by then."""
         desk = self.desk
         with desk.lock:
-            base, other = desk.state.base, desk.state.run
-        try:
-            made = SideBySide(*(_side(desk.shelf, name) for name in (base, other)))
-            refused = ""
-        except SemvizError as error:
-            made, refused = None, str(error)
-        with desk.lock:
-            if (base, other) != (desk.state.base, desk.state.run):
-                return  # others were chosen meanwhile
-            if made is None:
+            if not comparing.is_over or not self._is_wanted(comparing):
+                return
+            if comparing.value is None:
                 desk.state = desk.state.against("", False)
                 desk.tell_state()
-                desk.say("refusedComparison", refused)
+                desk.say("refusedComparison", comparing.doing)
                 return
-            self._shown = made
-            desk.say("comparison", made.view())
+            desk.say("comparison", comparing.value.view())
             self._tell_frame()
             self._draw()
 
@@ -101,7 +117,3 @@ class CompareTopic(Topic):
     def _index(self) -> int:
         """Number of the frame that is shown."""
         return self.desk.run.frames[self.desk.state.position].frame.index
-
-
-def _side(shelf: Shelf, name: str) -> Side:
-    return Side(name, shelf.run(name), shelf.path(name))

@@ -39,7 +39,7 @@ export class Timeline {
   }
 
   figures() {
-    return this.run ? [this.surface.figure("timeline", "Timeline")] : [];
+    return this.run && this.surface.width ? [this.surface.figure("timeline", "Timeline")] : [];
   }
 
   showFrame(frame) {

@@ -34,6 +34,10 @@ export class BaseImage {
     this.surface.redraw();
   }
 
+  figures() {
+    return this.surface.width && this.sight ? [this.surface.figure("image-of-A", "Image of A")] : [];
+  }
+
   showBaseFrame(message) {
     this.coming = message;
     this.show();

@@ -36,8 +36,13 @@ export class ErrorLines {
     const errors = frames.flatMap(({ a, b }) => [a.errorM ?? 0, b.errorM ?? 0]);
     this.mostM = errors.reduce((a, b) => Math.max(a, b), 1);
     const entry = (name, run) => el("span", {}, el("i", { class: `line run-${name}` }), el("span", { text: `${name.toUpperCase()} ${run}`, title: run }));
-    byId("error-lines-legend").replaceChildren(entry("a", base.name), entry("b", other));
+    byId("error-lines-legend").replaceChildren(entry("a", base.name), entry("b", other),
+      el("span", {}, el("i", { class: "no-pose" }), el("span", { text: "no pose" })));
     this.surface.redraw();
+  }
+
+  figures() {
+    return this.surface.width && this.rows ? [this.surface.figure("errors", "Errors of A and B")] : [];
   }
 
   showFrame(frame) {

@@ -31,6 +31,10 @@ export class ScatterPanel {
     this.surface.redraw();
   }
 
+  figures() {
+    return this.surface.width && this.scatter?.hasErrors ? [this.surface.figure("scatter", "Error, A against B")] : [];
+  }
+
   showFrame(frame) {
     this.pointAt(frame.position);
   }
