@@ -43,7 +43,7 @@ MOVED_IN_FRAMES = range(20, 29)
 SLIP_FRAME = 24
 FAR_OFF_FRAMES = range(72, 76)
 FAR_OFF_M = (70.0, 75.0)
-MAP = "demo"
+MAP = "main"
 RUN = "demo"
 
 

@@ -41,7 +41,10 @@ def explained(run: Run, record: FrameRecord) -> Verdict:
 def blamed_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
     """Ids of the map elements that the verdict on a frame is about; none where it is healthy."""
     told = explained(run, record)
-    return told.fault.elements if verdict(run, record) == told.kind else ()
+    if verdict(run, record) != told.kind:
+        return ()
+    mapped = set(run.semantic_map.elements.id.tolist())
+    return tuple(one for one in told.fault.elements if one in mapped)  # some are missing there
 
 
 def detector_of(run: Run) -> DetectorModel:
