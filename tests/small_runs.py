@@ -11,7 +11,9 @@ from semviz.recording.run import FrameRecord, Run, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz_core.localize import Localizer
 from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.sources.street.map_errors import moved
 from semviz_core.sources.street.street import Street
 
 FRAMES = (10, 12, 14, 16, 18, 20)
@@ -23,15 +25,31 @@ def small_run() -> Run:
     """What is labelled in a few frames, localized in the true map; all ok, and without images."""
     street = Street(7)
     info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", street.rig, "street")
-    return Run(info, street.truth_map, tuple(_record(street, index) for index in FRAMES))
+    return _localized(info, street, street.truth_map)
 
 
-def _record(street: Street, index: int) -> FrameRecord:
+@lru_cache
+def run_with_a_moved_pole() -> tuple[Run, int]:
+    """The same in a map where the pole that most frames see stands elsewhere, and its id."""
+    street = Street(7)
+    poles = street.truth_map.elements.id[street.truth_map.elements.is_line]
+    seen = np.concatenate([one.element_id for one in small_run().frames])
+    pole = int(np.bincount(seen[np.isin(seen, poles)]).argmax())
+    info = replace(small_run().info, name="moved", map_name="moved")
+    return _localized(info, street, moved(street.truth_map, pole, (1.5, 0.8, 0.0))), pole
+
+
+def _localized(info: RunInfo, street: Street, semantic_map: SemanticMap) -> Run:
+    frames = tuple(_record(street, index, semantic_map) for index in FRAMES)
+    return Run(info, semantic_map, frames)
+
+
+def _record(street: Street, index: int, semantic_map: SemanticMap) -> FrameRecord:
     frame = street.frames[index]
     observed, ids = street.labels(index, "left")
     assert frame.T_map_camera is not None
     prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
-    submap = street.truth_map.crop(prior.position_m, 50.0)
+    submap = semantic_map.crop(prior.position_m, 50.0)
     return FrameRecord(frame, Localizer().localize(observed, submap, street.rig.left, prior), ids)
 
 

@@ -12,9 +12,12 @@ from semviz.inspector.shelf import run_names
 from semviz.inspector.why import errors_of, sure_and_wrong
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
+from semviz.run_verdict import run_elements, run_verdict
 from semviz.verdicts import verdict
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.outcomes import Facts, Outcome, visible_rows
+from semviz_core.explaining.per_element import ElementRecord
+from semviz_core.explaining.run_verdict import RunVerdict
 
 FAR_M = 1.0
 
@@ -36,6 +39,16 @@ class Reported:
     def verdicts(self) -> tuple[str, ...]:
         """On each frame."""
         return tuple(verdict(self.run, one) for one in self.run.frames)
+
+    @cached_property
+    def over_the_run(self) -> RunVerdict:
+        """On its map and camera."""
+        return run_verdict(self.run)
+
+    @cached_property
+    def elements(self) -> tuple[ElementRecord, ...]:
+        """Of the map, as the frames saw them; outliers in most frames first."""
+        return run_elements(self.run)
 
     @cached_property
     def outcomes(self) -> list[Outcome]:

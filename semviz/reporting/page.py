@@ -13,7 +13,13 @@ from semviz.reporting.facts import Reported
 from semviz.reporting.html import Html, element, table_element, void_element
 from semviz.reporting.pictures import picture
 from semviz.reporting.plots import as_svg, comparing_plots, over_the_drive
-from semviz.reporting.summary import notes, tables, worst_table
+from semviz.reporting.summary import (
+    elements_table,
+    faults_table,
+    notes,
+    tables,
+    worst_table,
+)
 from semviz.tables import Table
 
 INSPECTOR = "http://127.0.0.1:8080/"
@@ -23,6 +29,12 @@ DEFINITIONS = (
     "RTE: distance of the camera centres. RRE: angle between the rotations. Means and quartiles "
     "are of the frames with a pose and a true one; shares below 1 m and 1 deg, and sure and wrong "
     "(ok, and more than 1 m off), of all frames with a true pose; other shares of all frames."
+)
+ELEMENTS = (
+    "Outlier: frames whose detection of it does not fit it, at the true pose where that is known, "
+    "else under the answer; residual: the median. Error cost: how much larger the error is with it "
+    "than without, on average over the frames that use it (fitted again to their other pairs, not "
+    "searched again); below 0 it helps."
 )
 DARK_SERIES = ("#4BA3E3", "#F08A4B", "#35C79B", "#E39BC4", "#8ACBF2", "#F2B84B", "#E6E7E9")
 """Of the same hues as the colours of plots on light ground."""
@@ -119,8 +131,20 @@ def _run_section(one: Reported, pictures: int) -> Html:
         _plot("Error and status over the drive", as_svg(over_the_drive(one), f"drive-{one.name}")),
         element("h3", "Worst frames"),
         table_element(table, links),
+        *_over_the_run(one),
         *_pictures(one, pictures),
     )
+
+
+def _over_the_run(one: Reported) -> list[Html]:
+    """Map and camera, as all frames together say."""
+    return [
+        element("h3", "Wrong over the run"),
+        table_element(faults_table(one)),
+        element("h3", "Elements that fit worst"),
+        table_element(elements_table(one)),
+        element("p", ELEMENTS, class_="dim"),
+    ]
 
 
 def _link(one: Reported, frame: int) -> Html:

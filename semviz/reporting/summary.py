@@ -3,12 +3,15 @@
 from collections import Counter
 from collections.abc import Sequence
 
+import numpy as np
+
 from semviz.comparing.comparison import compare_runs
 from semviz.inspector.why import errors_of
 from semviz.measure import settings_of
 from semviz.reporting.facts import Reported
 from semviz.tables import Table, figure, percent
 from semviz_core.errors import SemvizError
+from semviz_core.explaining.per_element import ElementRecord
 
 LISTED = 10
 """So many of the worst frames of a run."""
@@ -133,6 +136,38 @@ def _frame_row(one: Reported, row: int) -> tuple[str, ...]:
         str(len(result.observed)),
         str(fit),
     )
+
+
+def faults_table(one: Reported) -> Table:
+    """What its frames say together of map and camera."""
+    verdict = one.over_the_run
+    camera = [] if verdict.calibration is None else [verdict.calibration]
+    rows = [(str(fault.kind), fault.sentence) for fault in (*camera, *verdict.elements)]
+    if not rows:
+        compared = f"in {verdict.frames} frames with a pose to compare with"
+        rows = [("nothing", f"No fault of map or camera comes back {compared}.")]
+    return Table(f"{one.name}: wrong over the run", ("what", "as frames say"), tuple(rows), words=2)
+
+
+def elements_table(one: Reported) -> Table:
+    """Map elements that do not fit in most frames, the worst first."""
+    header = ("element", "in view", "seen", "used", "outlier", "residual (px)", "error cost (m)")
+    worst = [record for record in one.elements if record.outlier][:LISTED]
+    rows = [_element_row(one, record) for record in worst] or [("none", *"-" * (len(header) - 1))]
+    return Table(f"{one.name}: elements that fit worst", header, tuple(rows), words=1)
+
+
+def _element_row(one: Reported, record: ElementRecord) -> tuple[str, ...]:
+    semantic_map = one.run.semantic_map
+    (rows,) = np.nonzero(semantic_map.elements.id == record.id)
+    name = f"{record.id}, not mapped"
+    if len(rows):
+        class_id = int(semantic_map.elements.class_id[rows[0]])
+        name = semantic_map.classes.element_name(class_id, record.id)
+    counts = (len(record.in_view), len(record.seen), len(record.used), len(record.outlier))
+    cost_m = None if np.isnan(record.mean_cost_m) else record.mean_cost_m
+    off_px = None if np.isnan(record.median_px) else record.median_px
+    return (name, *map(str, counts), figure(off_px), figure(cost_m))
 
 
 def notes(reported: Sequence[Reported]) -> list[str]:

@@ -3,7 +3,13 @@
 from collections.abc import Sequence
 
 from semviz.reporting.facts import Reported
-from semviz.reporting.summary import notes, tables, worst_table
+from semviz.reporting.summary import (
+    elements_table,
+    faults_table,
+    notes,
+    tables,
+    worst_table,
+)
 from semviz.tables import Table, in_latex, in_markdown
 
 
@@ -29,4 +35,5 @@ def as_latex(reported: Sequence[Reported]) -> str:
 
 
 def _all_tables(reported: Sequence[Reported]) -> list[Table]:
-    return [*tables(reported), *(worst_table(one) for one in reported)]
+    of_each = (worst_table, faults_table, elements_table)
+    return [*tables(reported), *(table(one) for one in reported for table in of_each)]

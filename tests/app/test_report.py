@@ -16,7 +16,16 @@ import pytest
 from calling import Call, call
 from hypothesis import given
 from hypothesis import strategies as st
-from small_runs import FRAMES, off_by, saved, small_run, spoiled, unanswered, without_truth
+from small_runs import (
+    FRAMES,
+    off_by,
+    run_with_a_moved_pole,
+    saved,
+    small_run,
+    spoiled,
+    unanswered,
+    without_truth,
+)
 
 from semviz.cli import main
 from semviz.commands.serve import Serve
@@ -117,6 +126,16 @@ def test_tables_hold_the_numbers_of_evaluate(runs: tuple[Path, Path]) -> None:
     assert changes.cells == (("spoiled", "6", "0", "2", "4", "same"),)
     assert ("method", "search", "search") in made_with.cells
     assert ("map elements", *[str(len(small_run().semantic_map))] * 2) in made_with.cells
+
+
+def test_an_element_that_moved_in_the_map_is_named(tmp_path: Path, command: Call) -> None:
+    run, element = run_with_a_moved_pole()
+    out = tmp_path / "r.md"
+    assert command(saved(run, tmp_path / "moved.rrd"), "--out", out)[0] == 0
+    name = f"P-{element:02d}"
+    wrong, worst = (part.splitlines()[4] for part in out.read_text().split("\n## ")[-2:])
+    assert re.match(rf"\| moved in the map \| In \d frames: {name} is mapped", wrong)
+    assert worst.startswith(f"| {name} |")
 
 
 def test_the_worst_frames_come_first_and_each_verdict_once(runs: tuple[Path, Path]) -> None:
@@ -239,7 +258,8 @@ def test_markdown_and_latex_hold_the_same_tables(
     markdown, latex = tmp_path / "r.md", tmp_path / "r.txt"
     assert command(*runs, "--out", markdown)[0] == 0
     assert command(*runs, "--out", latex, "--format", "latex")[0] == 0
-    count = len(tables(load_reported(runs))) + 2
+    of_each = 3  # worst frames, what is wrong over the run, elements that fit worst
+    count = len(tables(load_reported(runs))) + of_each * len(runs)
     assert markdown.read_text().count("\n## ") == count
     assert latex.read_text().count(r"\begin{tabular}") == count
     assert r"share\_below" not in latex.read_text()
