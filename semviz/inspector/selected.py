@@ -33,7 +33,10 @@ class SelectedTopic(Topic):
         element = state.selection.element
         if element is not None:
             ask = (run, self.desk.kept(Origins), element)
-            threading.Thread(target=self._tell_origins, args=ask, daemon=True).start()
+            work = threading.Thread(
+                target=self._tell_origins, args=ask, name="origins", daemon=True
+            )
+            work.start()
 
     def _tell_origins(self, run: Run, origins: Origins, element: int) -> None:
         """In a thread of its own: a large label file takes a second to read."""
