@@ -159,7 +159,7 @@ def refined(case: Case) -> Fault | None:
 def _lost_pairs(case: Case) -> Fault | None:
     """Where pairs fit the pose that refinement started from, and no longer the one it ended at."""
     one = case.localization
-    if one.search is None or one.refinement is None:
+    if one.search is None or not one.search.T_camera_map or one.refinement is None:
         return None
     pairs, after = one.refinement.pairs, int(one.refinement.inlier.sum())
     scene = Scene.of(one.camera, one.observed, one.submap, case.detector)
