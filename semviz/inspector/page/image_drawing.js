@@ -141,7 +141,8 @@ class Painter {
     const probability = pair && sight.frame.matrix?.probability[look.observed][pair.mapped];
     const value = pair && `${pair.residualPx.toFixed(1)} px${pair.inlier ? "" : ", outlier"}`;
     const second = [value, probability === undefined ? "" : `p ${probability.toFixed(2)}`].filter(Boolean).join(", ");
-    const name = mapped ? `#${look.observed} × ${mapped.name}` : `#${look.observed}, no pair`;
+    const isPair = mapped && sight.frame.mapped[pair?.mapped] === mapped;
+    const name = mapped ? `#${look.observed} × ${isPair ? sight.nameOf(look.observed) : mapped.name}` : `#${look.observed}, no pair`;
     this.labels.add(name, this.at(seen.anchor), { first: true, second });
   }
 

@@ -49,10 +49,15 @@ export class Sight {
     return this.mode === "pairs" ? rows.filter((row) => this.matched.has(row)) : rows;
   }
 
+  /** In the right image only poses can be compared. */
+  get hasVectors() {
+    return !this.right || this.mode === "error";
+  }
+
   /** How far the map is off, each as `{start, end, px, fits}`; pixels, and not magnified yet. */
   get vectors() {
     if (this.mode === "error") return this.#errors();
-    if (this.right) return [];
+    if (!this.hasVectors) return [];
     return this.mode === "pairs" ? this.#correspondences() : this.#residuals();
   }
 
@@ -104,7 +109,7 @@ export class Sight {
   get about() {
     if (!this.isPossible) return MISSING[this.mode];
     const title = this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
-    return this.right && this.mode !== "error" ? `detections are of the left image; ${title}` : title;
+    return this.hasVectors ? title : `detections are of the left image; ${title}`;
   }
 
   #countPairs() {

@@ -78,7 +78,7 @@ function drawKey(context, x, y, sight) {
   const entries = sight.observed.length ? [[SEEN, "seen"]] : [];
   entries.push([ON_IMAGE[sight.pose], sight.mode === "error" ? "estimate" : "map"]);
   if (sight.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
-  if (sight.mode === "pairs") entries.push([ON_IMAGE.cannot, "outlier"]);
+  if (sight.mode === "pairs" && sight.hasVectors) entries.push([ON_IMAGE.cannot, "outlier"]);
   let left = x;
   for (const [color, words] of entries) {
     context.fillStyle = color;
