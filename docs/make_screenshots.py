@@ -40,6 +40,7 @@ CHROMIUM = [
 ]
 SHOWN_FRAME = 97
 FORECAST_FRAME = 26
+TRIED_FRAME = 28
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
@@ -75,6 +76,18 @@ def take_forecast(page: Page) -> None:
         page.wait_for_selector("#forecast-legend .scale", timeout=120_000)
         page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=IMAGES / "serve-forecast.png")
+        page.goto("about:blank")
+
+
+def take_what_if(page: Page) -> None:
+    """The frame that a moved pole harms, without it."""
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={TRIED_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        page.keyboard.press("x")
+        page.wait_for_timeout(SETTLED_MS)
+        page.screenshot(path=IMAGES / "serve-what-if.png")
         page.goto("about:blank")
 
 
@@ -185,6 +198,7 @@ def main() -> None:
     with browser_page() as page:
         take_inspector(page)
         take_forecast(page)
+        take_what_if(page)
         take_report(page)
         take_annotator(page)
         take_review(page)
