@@ -17,6 +17,9 @@ from semviz.trying.asked import Asked
 from semviz.trying.change import Change
 from semviz.trying.changes import to_json
 
+SAME_M = 1e-3
+"""Answers whose errors differ by less are the same."""
+
 
 @dataclass(frozen=True, eq=False)
 class Tried:
@@ -45,17 +48,18 @@ def tried(run: Run, record: FrameRecord, changes: Sequence[Change]) -> Tried:
 
 
 def in_words(frames: Sequence[FrameChange]) -> str:
-    """What changes did to frames, such as ``19 frames: median 1.88 -> 0.06 m, 17 fixed``."""
-    if not frames:
-        return "They change nothing in any frame."
-    number = "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
-    counts = [sum(one.change == kind for one in frames) for kind in ("fixed", "broken")]
-    ok = [sum(one.status[side] == "ok" for one in frames) for side in (0, 1)]
-    medians = [_median([one.errors[side] for one in frames]) for side in (0, 1)]
+    """What changes did, such as ``9 of 47 frames change: median 0.31 m → 0.06 m, ok 5 → 8, 3 fixed,
+    0 broken.``"""
+    changed = [one for one in frames if _differs(one)]
+    if not changed:
+        return f"No answer changes in {_number(len(frames))}."
+    counts = [sum(one.change == kind for one in changed) for kind in ("fixed", "broken")]
+    ok = [sum(one.status[side] == "ok" for one in changed) for side in (0, 1)]
+    medians = [_median([one.errors[side] for one in changed]) for side in (0, 1)]
     said = [f"ok {ok[0]} → {ok[1]}", f"{counts[0]} fixed", f"{counts[1]} broken"]
     if any(medians):
         said.insert(0, f"median {medians[0] or 'none'} → {medians[1] or 'none'}")
-    return f"Over {number}: {', '.join(said)}."
+    return f"{len(changed)} of {_number(len(frames))} change: {', '.join(said)}."
 
 
 def free_path(path: Path) -> Path:
@@ -80,6 +84,17 @@ def save(run: Run, changes: Sequence[Change], found: Mapping[int, FrameRecord], 
     )
     records = (found.get(record.frame.index, record) for record in run.frames)
     write_run(records, path, info, changed_map(run.semantic_map, changes))
+
+
+def _differs(one: FrameChange) -> bool:
+    before, after = one.errors
+    if before is None or after is None:
+        return one.status[0] != one.status[1]
+    return one.status[0] != one.status[1] or abs(after.distance_m - before.distance_m) > SAME_M
+
+
+def _number(frames: int) -> str:
+    return "1 frame" if frames == 1 else f"{frames} frames"
 
 
 def _median(errors: Iterable[Errors | None]) -> str:

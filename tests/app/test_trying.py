@@ -348,7 +348,7 @@ def test_dropping_the_element_that_is_moved_mends_the_frame() -> None:
         assert error_m(one.record) < 0.1
         assert one.change.change == "fixed" or one.change.status[0] == "ok"
     said = outcome([one.change for one in frames])
-    assert said.startswith(f"Over {len(frames)} frames: median ")
+    assert said.startswith(f"{len(frames)} of {len(frames)} frames change: median ")
     assert f"→ {len(frames)}," in said
     assert said.endswith(" 0 broken.")
 
@@ -380,7 +380,9 @@ def test_frames_that_changes_do_not_concern_are_left_alone() -> None:
     index = run.frames[2].frame.index
     assert [one.frame.index for one in concerned(run, (DropDetection(index, 0),))] == [index]
     assert concerned(run, ()) == ()
-    assert outcome([]) == "They change nothing in any frame."
+    assert outcome([]) == "No answer changes in 0 frames."
+    alike = [tried(run, one, ()).change for one in run.frames]
+    assert outcome(alike) == f"No answer changes in {len(alike)} frames."
 
 
 def test_a_saved_run_is_read_by_compare_and_says_its_changes(tmp_path: Path) -> None:
