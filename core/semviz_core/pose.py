@@ -1,6 +1,8 @@
 """Rigid transforms, named T_target_source: they take source coordinates to target ones."""
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,6 +70,11 @@ class Pose:
         return Pose(nearest_rotation(self.rotation @ other.rotation), self.apply(other.translation))
 
     def inverse(self) -> "Pose":
+        return self._inverse
+
+    @cached_property
+    def _inverse(self) -> "Pose":
+        """Kept, since frames' poses are turned round again and again."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation)
 
     def apply(self, points_m: FloatArray) -> FloatArray:
@@ -120,6 +127,12 @@ def so3_log(rotation: FloatArray) -> FloatArray:
 
     rotvec: FloatArray = Rotation.from_matrix(rotation).as_rotvec()
     return rotvec
+
+
+def angle_between(one: FloatArray, other: FloatArray) -> float:
+    """Angle (rad) between two rotations (3, 3): a apart, they differ by sqrt(8) sin(a / 2)."""
+    chord = float(np.linalg.norm(one - other))
+    return 2.0 * math.asin(min(chord / math.sqrt(8.0), 1.0))
 
 
 def so3_left_jacobian(rotvec_rad: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
 from semviz_core.explaining.told import Verdict
 from semviz_core.localization import Localization
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, angle_between
 from semviz_core.solving.residuals import pair_residuals
 
 SURE_AND_WRONG_M = 1.0
@@ -38,9 +38,8 @@ def errors_of(record: FrameRecord) -> Errors | None:
 
 def difference(a: Pose, b: Pose) -> Errors:
     """Between two poses T_map_camera."""
-    apart = a.inverse() @ b
-    angle = float(np.linalg.norm(apart.log()[3:]))
-    return Errors(float(np.linalg.norm(a.translation - b.translation)), float(np.rad2deg(angle)))
+    angle_deg = float(np.rad2deg(angle_between(a.rotation, b.rotation)))
+    return Errors(float(np.linalg.norm(a.translation - b.translation)), angle_deg)
 
 
 def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:

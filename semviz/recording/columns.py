@@ -121,18 +121,20 @@ class Columns:
         """One colour 0xRRGGBBAA (k,) for each thing of the entity."""
         self.add(entity, f"{archetype}:colors", pa.array(colors.astype(np.uint32)), "Color")
 
-    def points(self, entity: str, points: FloatArray, colors: IntArray) -> None:
-        """Points (k, 2) or (k, 3), with their colours (k,)."""
+    def points(self, entity: str, points: FloatArray, colors: IntArray | None = None) -> None:
+        """Points (k, 2) or (k, 3), with their colours (k,) or in that of the entity's style."""
         d = points.shape[1]
         self.add(entity, f"Points{d}D:positions", _vectors(points), f"Position{d}D")
-        self.colors(entity, f"Points{d}D", colors)
+        if colors is not None:
+            self.colors(entity, f"Points{d}D", colors)
 
-    def strips(self, entity: str, strips: Strips, colors: IntArray) -> None:
-        """Line strips with their colours, one each."""
+    def strips(self, entity: str, strips: Strips, colors: IntArray | None = None) -> None:
+        """Line strips with their colours, one each, or in that of the entity's style."""
         d = strips.points.shape[1]
         values = _list(strips.lengths, _vectors(strips.points), nullable=False)
         self.add(entity, f"LineStrips{d}D:strips", values, f"LineStrip{d}D")
-        self.colors(entity, f"LineStrips{d}D", colors)
+        if colors is not None:
+            self.colors(entity, f"LineStrips{d}D", colors)
 
     def labels(
         self, entity: str, archetype: str, labels: Sequence[str], *, show: bool | None = None

@@ -33,11 +33,16 @@ _GLYPHS: dict[str, FloatArray] = {
 
 def draw_styles(stream: rr.RecordingStream) -> None:
     """What stays the same for all frames: line widths, which lies over which."""
-    for order, (entity, width) in enumerate(
-        ((TRUE, 1.2), (PROJECTED, 1.6), (OBSERVED, 2.2), (RESIDUALS, 2.6)), start=1
-    ):
+    styles = (
+        (TRUE, 1.2, rgba(TRUTH.dark, 0.75)),
+        (PROJECTED, 1.6, rgba(ESTIMATE.dark)),
+        (OBSERVED, 2.2, None),
+        (RESIDUALS, 2.6, None),
+    )
+    for order, (entity, width, of_all) in enumerate(styles, start=1):
         style = rr.LineStrips2D.from_fields(
             radii=rr.Radius.ui_points(width / 2),
+            colors=of_all,
             draw_order=10.0 * order,
             show_labels=entity == OBSERVED,
         )
@@ -48,10 +53,8 @@ def draw(columns: Columns, record: FrameRecord, classes: ClassSet) -> None:
     """What lies on the image."""
     result, truth = record.localization, record.frame.T_map_camera
     _draw_observed(columns, record, classes)
-    _draw_projected(
-        columns, TRUE, result, truth and truth.inverse(), rgba(TRUTH.dark, 0.75), classes
-    )
-    _draw_projected(columns, PROJECTED, result, result.T_camera_map, rgba(ESTIMATE.dark), classes)
+    _draw_projected(columns, TRUE, result, truth and truth.inverse(), classes)
+    _draw_projected(columns, PROJECTED, result, result.T_camera_map, classes)
     _draw_residuals(columns, result)
 
 
@@ -94,7 +97,6 @@ def _draw_projected(
     entity: str,
     result: Localization,
     T_camera_map: Pose | None,
-    color: int,
     classes: ClassSet,
 ) -> None:
     """The elements of the submap that the image can show, seen from one pose."""
@@ -106,8 +108,7 @@ def _draw_projected(
         shown &= np.isfinite(anchor).all(axis=1)
         shown &= np.isfinite(end).all(axis=1) | ~result.submap.is_line
         anchor, end, class_id = anchor[shown], end[shown], result.submap.class_id[shown]
-    outlines, row = _outlines(anchor, end, class_id, classes)
-    columns.strips(entity, outlines, np.full(len(row), color))
+    columns.strips(entity, _outlines(anchor, end, class_id, classes)[0])
 
 
 def _project(
@@ -126,9 +127,12 @@ def _outlines(
 
     Also the row (k,) of each strip's element: the strips are in the order of the classes.
     """
-    points, lengths, rows = [np.zeros((0, 2))], [], []
+    none = np.zeros(0, np.int64)
+    points, lengths, rows = [np.zeros((0, 2))], [none], [none]
     for one in classes:
         row = np.flatnonzero(class_id == one.id)
+        if not len(row):
+            continue
         if one.kind == "line":
             peak = anchor_px[row]
             shape = np.stack([peak - _CAP, peak + _CAP, peak, end_px[row]], axis=1)

@@ -30,7 +30,8 @@ HIDDEN_M = 1e-4
 LABELLED = 60
 """Maps with more elements than this show names only where the pointer is."""
 _JPEG = rr.EncodedImage.from_fields(media_type="image/jpeg")
-_CIRCLE = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 49)), np.sin(turn)], axis=1)
+_TURN = np.linspace(0, 2 * np.pi, 49)
+_CIRCLE = np.stack([np.cos(_TURN), np.sin(_TURN), np.zeros(49)], axis=1)
 
 
 class Scene:
@@ -67,7 +68,7 @@ class Scene:
         before, truth = self._true_center, record.frame.T_map_camera
         self._true_center = now = None if truth is None else truth.translation
         if before is not None and now is not None:
-            columns.strips(TRUE_PATH, _line(before, now), np.array([rgba(TRUTH.dark)]))
+            columns.strips(TRUE_PATH, _line(before, now))
         if estimate is not None:
             color = np.array([rgba(STATUS[record.localization.status].dark)])
             columns.points(PATH, estimate.translation[None], color)
@@ -111,11 +112,15 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
         )
         stream.log(entity, pinhole, static=True)
     stream.log(layout.IMAGE, _JPEG, static=True)
-    widths = {TRUE_PATH: 1.5, PATH: 1.5, PRIOR_CIRCLE: 1.0, GHOSTS: 1.0, RAYS: 1.0}
-    for entity, width in widths.items():
+    lines = ((TRUE_PATH, 1.5, TRUTH), (PRIOR_CIRCLE, 1.0, PRIOR), (GHOSTS, 1.0, ALTERNATIVE))
+    for entity, width, tone in lines:
+        radius, of_all = rr.Radius.ui_points(width / 2), rgba(tone.dark)
+        stream.log(entity, rr.LineStrips3D.from_fields(radii=radius, colors=of_all), static=True)
+    for entity, width in ((PATH, 1.5), (RAYS, 1.0)):
         thin = rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width / 2))
         stream.log(entity, thin, static=True)
     stream.log(PATH, rr.Points3D.from_fields(radii=rr.Radius.ui_points(3.0)), static=True)
+    stream.log(HERE, rr.Points3D.from_fields(colors=rgba(TRUTH.dark, 0.0)), static=True)
     matrix = rr.DepthImage.from_fields(meter=1.0, colormap="viridis", depth_range=[0.0, 1.0])
     cells = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0))
     stream.log(MATRIX, matrix, cells, static=True)
@@ -138,7 +143,7 @@ def _draw_cameras(
 ) -> None:
     known = truth or estimate
     here = result.prior.position_m if known is None else known.translation
-    columns.points(HERE, here[None], np.array([rgba(TRUTH.dark, 0.0)]))
+    columns.points(HERE, here[None])
     for camera, picture_entity, pose in (
         (TRUE_CAMERA, TRUE_CAMERA, truth),
         (layout.CAMERA, layout.IMAGE, estimate),
@@ -149,9 +154,8 @@ def _draw_cameras(
 
 def _draw_prior(columns: Columns, result: Localization) -> None:
     prior = result.prior
-    ring = np.concatenate([_CIRCLE * prior.horizontal_sigma_m, np.zeros((len(_CIRCLE), 1))], axis=1)
-    circle = Strips.of((prior.position_m + ring)[None])
-    columns.strips(PRIOR_CIRCLE, circle, np.array([rgba(PRIOR.dark)]))
+    circle = Strips.of((prior.position_m + prior.horizontal_sigma_m * _CIRCLE)[None])
+    columns.strips(PRIOR_CIRCLE, circle)
 
 
 def _draw_alternatives(columns: Columns, result: Localization) -> None:
@@ -160,7 +164,7 @@ def _draw_alternatives(columns: Columns, result: Localization) -> None:
         outline = _frustum(result.camera, FRUSTUM_M / 2)
         poses = [one.T_camera_map.inverse() for one in result.alternatives]
         ghosts = np.stack([pose.apply(outline) for pose in poses])
-    columns.strips(GHOSTS, Strips.of(ghosts), np.full(len(ghosts), rgba(ALTERNATIVE.dark)))
+    columns.strips(GHOSTS, Strips.of(ghosts))
 
 
 def _frustum(camera: Camera, depth_m: float) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.errors import SemvizError
 from semviz_core.localization import Localization, Status
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, angle_between
 
 STATUSES: tuple[Status, ...] = ("ok", "ambiguous", "cannot")
 
@@ -93,9 +93,7 @@ class Summary:
 def pose_error(T_est_camera_map: Pose, T_true_camera_map: Pose) -> tuple[float, float]:
     """RTE: distance between the camera centres (m). RRE: angle between the rotations (deg)."""
     centers = [one.inverse().translation for one in (T_est_camera_map, T_true_camera_map)]
-    # Rotations that are an angle a apart differ by sqrt(8) sin(a/2), in the Frobenius norm.
-    chord = np.linalg.norm(T_est_camera_map.rotation - T_true_camera_map.rotation)
-    angle = 2.0 * np.arcsin(min(chord / np.sqrt(8.0), 1.0))
+    angle = angle_between(T_est_camera_map.rotation, T_true_camera_map.rotation)
     return float(np.linalg.norm(centers[0] - centers[1])), float(np.rad2deg(angle))
 
 

@@ -11,7 +11,7 @@ from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements3D
 from semviz_core.explaining.told import Truth
 from semviz_core.localization import Localization
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, angle_between
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.solving.association import NEAREST_M, associate
 from semviz_core.solving.residuals import SURE, PairResiduals, scene_residuals
@@ -148,6 +148,5 @@ def is_near(one: Pose, other: Pose) -> bool:
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
     """Distance of the camera centres (m) and angle (rad) between two poses T_camera_map."""
-    between = one @ other.inverse()
     offset_m = one.inverse().translation - other.inverse().translation
-    return float(np.linalg.norm(offset_m)), float(np.linalg.norm(between.log()[3:]))
+    return float(np.linalg.norm(offset_m)), angle_between(one.rotation, other.rotation)
