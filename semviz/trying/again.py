@@ -8,7 +8,9 @@ import numpy as np
 from semviz.recording.run import FrameRecord, Run
 from semviz.trying.asked import Asked
 from semviz.trying.change import Change
+from semviz.trying.own_matches import from_own_matches
 from semviz.trying.pair_changes import pairing_of
+from semviz_core.localization import Localization
 from semviz_core.localize import METHODS
 from semviz_core.semantic_map import SemanticMap
 
@@ -23,15 +25,19 @@ def again(run: Run, record: FrameRecord, changes: Sequence[Change] = ()) -> Fram
     for one in sorted(changes, key=lambda one: one.stage):
         if one.concerns(asked):
             asked = one.applied(asked)
-    found = asked.localizer.localize(
+    found = _localized(asked) if asked.matched is None else from_own_matches(asked)
+    return replace(record, localization=found, element_id=asked.element_id)
+
+
+def _localized(asked: Asked) -> Localization:
+    return asked.localizer.localize(
         asked.observed,
         asked.submap,
-        record.localization.camera,
+        asked.record.localization.camera,
         asked.prior,
         pairing=pairing_of(asked),
         start=asked.start,
     )
-    return replace(record, localization=found, element_id=asked.element_id)
 
 
 def as_asked(run: Run, record: FrameRecord) -> FrameRecord:

@@ -14,6 +14,7 @@ from semviz_core.frame import Prior
 from semviz_core.localize import METHODS, Localizer
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
+from semviz_core.solving.matched import MatchedMethodName
 
 NamedPair = tuple[int, int]
 """A row of what was observed, as recorded, and the id of a map element."""
@@ -36,6 +37,8 @@ class Asked:
     """Of the submap, about the prior."""
     prior: Prior
     localizer: Localizer
+    matched: MatchedMethodName | None = None
+    """A solver that takes the matches which the frame brought, in place of the localizer."""
     start: Pose | None = None
     """T_camera_map in place of a search."""
     forced: tuple[NamedPair, ...] = ()
@@ -57,6 +60,11 @@ class Asked:
             one.prior,
             Localizer(method, info.seed, run.semantic_map.classes, detector_of(run)),
         )
+
+    @property
+    def method(self) -> str:
+        """How it is solved."""
+        return self.matched or self.localizer.method
 
     @property
     def truth(self) -> Pose | None:

@@ -6,23 +6,30 @@ from typing import ClassVar
 from semviz.trying.asked import Asked
 from semviz.trying.change import Change, Stage
 from semviz_core.semantic_map import SemanticMap
+from semviz_core.solving.matched import METHODS, MatchedMethodName
+
+MATCHED: dict[str, MatchedMethodName] = {one: one for one in METHODS}
 
 
 @dataclass(frozen=True)
 class UseMethod(Change):
-    """Another method: ``search`` or ``direct``."""
+    """Another method: ``search`` or ``direct``; ``minimal`` or ``p3p`` on the frame's matches."""
 
     stage: ClassVar[Stage] = Stage.SOLVER
     method: str
 
     def words(self, semantic_map: SemanticMap) -> str:
-        return f"with method {self.method}"
+        own = " on the frame's matches" if self.method in MATCHED else ""
+        return f"with method {self.method}{own}"
 
     def concerns(self, asked: Asked) -> bool:
-        return asked.localizer.method != self.method
+        return asked.method != self.method
 
     def applied(self, asked: Asked) -> Asked:
-        return replace(asked, localizer=replace(asked.localizer, method=self.method))
+        if self.method in MATCHED:
+            return replace(asked, matched=MATCHED[self.method])
+        localizer = replace(asked.localizer, method=self.method)
+        return replace(asked, localizer=localizer, matched=None)
 
 
 @dataclass(frozen=True)

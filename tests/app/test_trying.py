@@ -286,6 +286,28 @@ def test_method_start_noise_and_score_are_those_that_are_asked_for() -> None:
     assert len(again(run, record, (LeastScore(1.1),)).localization.observed) == 0
 
 
+@pytest.mark.parametrize("method", ["minimal", "p3p"])
+def test_solvers_that_take_matches_take_those_of_the_frame(method: str) -> None:
+    run, record = first()
+    found = again(run, record, (UseMethod(method),))
+    assert found.localization.method == method
+    assert error_m(found) < 0.1
+    (row, element), index = rows_and_ids(record)[0], record.frame.index
+    without = again(run, record, (UseMethod(method), ForbidPair(index, row, element)))
+    assert (row, element) not in rows_and_ids(without)
+    alike = record.localization.submap.class_id == record.localization.observed.class_id[row]
+    wrong = int(record.localization.submap.id[alike][-1])
+    assert wrong != element
+    forced = again(run, record, (UseMethod(method), ForcePair(index, row, wrong)))
+    assert "forced pairs fit no pose" in forced.localization.reason
+    fewer = again(run, record, (UseMethod(method), DropElement(element), DropDetection(index, 1)))
+    assert len(fewer.localization.observed) == len(record.localization.observed) - 1
+    bare = replace(record, localization=replace(record.localization, match=None))
+    with pytest.raises(SemvizError, match="without matches"):
+        again(run, bare, (UseMethod(method),))
+    assert same(again(run, record, (UseMethod("search"),)), record)
+
+
 def test_what_contradicts_itself_is_said_in_one_line() -> None:
     run, record = first()
     (row, element), (_, other) = rows_and_ids(record)[:2]

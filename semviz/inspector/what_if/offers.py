@@ -27,6 +27,7 @@ from semviz.trying.seen_changes import (
 from semviz.trying.solver_changes import StartAtTruth, UseMethod
 from semviz_core.classes import ClassSet
 from semviz_core.localize import METHODS
+from semviz_core.solving import matched
 
 
 def offers(run: Run, state: State) -> list[Json]:
@@ -109,8 +110,9 @@ def _of_all_seen(asked: Asked) -> Iterator[Json]:
 def _solver(asked: Asked) -> Iterator[Json]:
     if asked.truth is not None:
         yield _button("From the true pose", StartAtTruth())
-    for method in METHODS:
-        if method != asked.localizer.method:
+    own = () if asked.record.localization.match is None else matched.METHODS
+    for method in (*METHODS, *own):
+        if method != asked.method:
             yield _button(f"Method {method}", UseMethod(method))
 
 
