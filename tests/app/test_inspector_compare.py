@@ -109,7 +109,7 @@ def test_broken_frames_and_the_changed_element_come_out_by_name(
     page, wrong = compared, broken(runs)
     assert sorted(listed(page)) == wrong
     rows = page.locator("#map-change-list .map-change")
-    assert rows.all_text_contents() == [f"P-{SPOILED}moved {MOVED_M} mbroke {len(wrong)}"]
+    assert rows.all_text_contents() == [f"P-{SPOILED}moved {MOVED_M} m{len(wrong)} broken"]
     setups = page.locator("#setup-table dd").all_text_contents()
     assert setups[0] == "good → spoiled"
     assert page.locator("#compare-notes").text_content() == (

@@ -40,7 +40,7 @@ export class MapChanges {
     const name = change.names.join(", ");
     const kind = this.page.run.classes.find(({ letter }) => name.startsWith(`${letter}-`));
     const color = kind && (currentTheme() === "light" ? kind.colorLight : kind.color);
-    const seen = [change.broken.length && `broke ${change.broken.length}`, change.fixed.length && `fixed ${change.fixed.length}`];
+    const seen = ["broken", "fixed"].map((what) => change[what].length && `${change[what].length} ${what}`);
     const row = el("li", { class: "row map-change", tabindex: 0, title: titleOf(change), onclick: () => this.choose(change), onkeydown: (event) => { if (event.key === "Enter") this.choose(change); } },
       kind ? classGlyph(kind, color) : el("span"), el("b", { text: name }), el("span", { class: "dim", text: told(change) }),
       el("span", { class: "seen", text: seen.filter(Boolean).join(", ") }));
@@ -77,6 +77,6 @@ function told({ kind, was, movedM }) {
 }
 
 function titleOf({ broken, fixed }) {
-  const some = (frames, what) => (frames.length ? [`${what} and seen there: ${frames.slice(0, 12).join(", ")}${frames.length > 12 ? " ..." : ""}`] : []);
+  const some = (frames, what) => (frames.length ? [`${what} frames that saw it: ${frames.slice(0, 12).join(", ")}${frames.length > 12 ? " ..." : ""}`] : []);
   return [...some(broken, "Broken"), ...some(fixed, "Fixed")].join("\n") || "No broken or fixed frame saw it";
 }
