@@ -40,6 +40,7 @@ CHROMIUM = [
 ]
 SHOWN_FRAME = 97
 FORECAST_FRAME = 26
+MOVED_FRAME = 28
 TRIED_FRAME = 28
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
@@ -64,6 +65,27 @@ def take_inspector(page: Page) -> None:
         page.goto(f"{url}?frame={SHOWN_FRAME}")
         page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=IMAGES / "serve.png")
+        page.goto("about:blank")
+
+
+def take_image(page: Page) -> None:
+    """The image with the frames around, and a view as it is saved."""
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={MOVED_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        page.keyboard.press("4")
+        page.keyboard.press("p")
+        page.click('dialog [value="svg"] >> xpath=..')
+        with page.expect_download() as download:
+            page.click("dialog button.primary")
+        download.value.save_as(IMAGES / "serve-error.svg")
+        page.goto(f"{url}?frame={SHOWN_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        for key in ("3", "Tab", "Shift+K"):
+            page.keyboard.press(key)
+        page.wait_for_timeout(SETTLED_MS)
+        page.locator("#image").screenshot(path=IMAGES / "serve-image.png")
         page.goto("about:blank")
 
 
@@ -197,6 +219,7 @@ def main() -> None:
     take_rerun()
     with browser_page() as page:
         take_inspector(page)
+        take_image(page)
         take_forecast(page)
         take_what_if(page)
         take_report(page)

@@ -4,7 +4,7 @@ import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import { flag, oneOf, yes } from "./address.js";
 import { drawPhoto, drawSight, drawTried } from "./image_drawing.js";
-import { Sight, middle, placeOf } from "./image_model.js";
+import { Sight, gap, middle, nearestOn, placeOf } from "./image_model.js";
 import { Pictures } from "./pictures.js";
 
 const HIT_PX = 12;
@@ -245,20 +245,12 @@ export class ImagePanel {
 
 /** What is drawn at a point of the canvas: `{observed}`, or `{element}`, or neither. */
 export function found(sight, view, at) {
-  const far = ([anchor, end]) => distance(at, view.toScreen(anchor), end && view.toScreen(end));
+  const far = (place) => gap(at, nearestOn(place.map((point) => point && view.toScreen(point)), at));
   const seen = nearest(sight.observed.map((one) => far(placeOf(one))));
   if (seen !== null) return { observed: seen };
   const { mapped } = sight;
   const place = nearest(mapped.map((row) => far(sight.place(row))));
   return place === null ? {} : { element: sight.frame.mapped[mapped[place]].id };
-}
-
-/** Distance of a point from a segment, or from a point where there is no second end. */
-function distance([x, y], [ax, ay], end) {
-  if (!end) return Math.hypot(x - ax, y - ay);
-  const [dx, dy] = [end[0] - ax, end[1] - ay];
-  const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
-  return Math.hypot(x - ax - share * dx, y - ay - share * dy);
 }
 
 /** The index of the least of `distances` under HIT_PX; null where there is none. */

@@ -72,8 +72,9 @@ export class Sight {
   #correspondences() {
     const placed = this.frame.pairs.filter((pair) => this.place(pair.mapped));
     return placed.map((pair) => {
-      const [start, end] = [middle(...placeOf(this.frame.observed[pair.observed])), middle(...this.place(pair.mapped))];
-      return { start, end, px: pair.residualPx, fits: this.isFitting(pair) };
+      const start = middle(...placeOf(this.frame.observed[pair.observed]));
+      const end = nearestOn(this.place(pair.mapped), start);
+      return { start, end, px: gap(start, end), fits: this.isFitting(pair) };
     });
   }
 
@@ -143,5 +144,14 @@ export const placeOf = ({ anchor, end }) => [anchor, end];
 
 export const middle = (anchor, end) => (end ? [(anchor[0] + end[0]) / 2, (anchor[1] + end[1]) / 2] : anchor);
 
+/** The point of an element that is nearest to another point: ends of poles may be out of sight. */
+export function nearestOn([a, b], [x, y]) {
+  if (!b) return a;
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const share = ((x - a[0]) * dx + (y - a[1]) * dy) / (dx * dx + dy * dy || 1);
+  const within = Math.min(1, Math.max(0, share));
+  return [a[0] + within * dx, a[1] + within * dy];
+}
+
 const plus = ([x, y], [dx, dy]) => [x + dx, y + dy];
-const gap = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+export const gap = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);

@@ -78,11 +78,11 @@ function drawKey(context, x, y, sight) {
   const entries = sight.observed.length ? [[SEEN, "seen"]] : [];
   entries.push([ON_IMAGE[sight.pose], sight.mode === "error" ? "estimate" : "map"]);
   if (sight.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
-  if (sight.mode === "pairs" && sight.hasVectors) entries.push([ON_IMAGE.cannot, "outlier"]);
+  if (sight.mode === "pairs" && sight.hasVectors) entries.push([ON_IMAGE.cannot, "outlier", [0, 6]]);
   let left = x;
-  for (const [color, words] of entries) {
+  for (const [color, words, dashes = [0, 3, 6]] of entries) {
     context.fillStyle = color;
-    context.fillRect(left, y - 1, 9, 2);
+    for (const dash of dashes) context.fillRect(left + dash, y - 1, 3, 2);
     write(context, words, left + 12, y);
     left += 20 + context.measureText(words).width;
   }
