@@ -163,8 +163,8 @@ class SceneView:
             self._scene.clear(ELLIPSOIDS)
 
     def _select(self, run: Run, state: State) -> None:
-        elements = run.semantic_map.elements
-        chosen = elements[np.flatnonzero(elements.id == state.selection.element)]
+        elements, wanted = run.semantic_map.elements, state.selection.element
+        chosen = elements[[] if wanted is None else np.flatnonzero(elements.id == wanted)]
         name = ""
         if len(chosen):
             classes = run.semantic_map.classes

@@ -11,7 +11,7 @@ from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.elements import Elements3D
 from semviz_core.semantic_map import SemanticMap
 
-DRAWN_WHOLE = 2000
+DRAWN_WHOLE = 600
 """So many elements, those nearest to the frame, are drawn as lines: more are slow without a GPU."""
 MOVED_M = 50.0
 """The nearest are chosen anew when the frame is so far from where they were."""
