@@ -73,6 +73,7 @@ export class SolverCard {
       apart(withTruth ? one.fromTruth : one.fromAnswer),
     ], {
       "aria-current": this.shown.shown === row,
+      data: { row },
       title: `Log-likelihood ${fixed(one.score, 1)} nats. Click: show it in 3D`,
       onclick: () => this.page.socket.send({ verb: "hypothesis", row: this.shown.shown === row ? null : row }),
     }));

@@ -33,5 +33,5 @@ function length(metres) {
 }
 
 function angle(degrees) {
-  return degrees >= 0.001 ? `${fixed(degrees, 3)}°` : `${(degrees).toExponential(0)}°`;
+  return degrees >= 0.0005 ? `${fixed(degrees, 3)}°` : "<0.001°";
 }
