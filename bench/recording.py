@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 taskset -c 0 python bench/recording.py [RUN.rrd]
 
 Without a run, frames are made up, and rather large: 20 detections, a submap of some 120 elements.
-Images are 1241x376. Times are means over the 30 frames of the quietest round: whatever else the
-machine does disturbs the others. CPU times are of all threads.
+The image, 1241x376, is the same in all of them. Frames are written twelve times; of each frame the
+repetition that took least counts, since whatever else the machine does disturbs the others. Means
+over the frames; CPU times are of all threads.
 """
 
 import sys
@@ -24,7 +25,7 @@ from semviz.recording import plots, writer
 from semviz.recording.columns import Columns
 from semviz.recording.pictures import JPEG_QUALITY
 from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, RunInfo
+from semviz.recording.run import FrameRecord, Run, RunInfo
 from semviz.recording.writer import RunWriter
 from semviz_core.arrays import ByteImage
 from semviz_core.camera import Camera, Rig
@@ -37,8 +38,7 @@ from semviz_core.semantic_map import MapFrame, SemanticMap
 CAMERA = Camera(1241, 376, np.array([[718.9, 0, 607.2], [0, 718.9, 185.2], [0, 0, 1]]))
 LOOKING_ALONG_X = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Rotation of T_map_camera for a camera that looks along the map's x axis."""
-ROUND = 30
-"""Frames that are measured together."""
+REPETITIONS = 12
 
 
 def make_info(name: str) -> RunInfo:
@@ -143,11 +143,15 @@ def make_image() -> ByteImage:
     return np.asarray(cv2.resize(noise, size, interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
-def make_jpeg() -> bytes:
+def encode(image: ByteImage) -> bytes:
     import cv2
 
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    return cv2.imencode(".jpg", make_image(), quality)[1].tobytes()
+    return cv2.imencode(".jpg", image, quality)[1].tobytes()
+
+
+def make_jpeg() -> bytes:
+    return encode(make_image())
 
 
 class Watch:
@@ -198,71 +202,70 @@ def watched_parts(watch: Watch) -> ExitStack:
 
 
 @dataclass(frozen=True)
-class Round:
-    """Some frames written one after another."""
+class Written:
+    """One frame, written once."""
 
-    frames: int
     wall_ms: float
-    """Of all of them."""
     parts_ms: dict[str, float]
-    """CPU time of all of them, by part."""
+    """CPU time, by part."""
 
 
-def write_round(run: RunWriter, records: Sequence[FrameRecord]) -> Round:
-    watch = Watch()
-    with watched_parts(watch):
-        start = time.perf_counter()
-        for one in records:
-            run.write(one)
-        wall_ms = 1e3 * (time.perf_counter() - start)
-    return Round(len(records), wall_ms, watch.ms)
+def write_all(path: Path, run: Run) -> list[Written]:
+    """The run's frames, each measured."""
+    watch, measured = Watch(), []
+    with RunWriter(path, run.info, run.semantic_map) as writing, watched_parts(watch):
+        for one in run.frames:
+            watch.ms = {}
+            start = time.perf_counter()
+            writing.write(one)
+            measured.append(Written(1e3 * (time.perf_counter() - start), watch.ms))
+    return measured
 
 
-def record(info: RunInfo, semantic_map: SemanticMap, records: Sequence[FrameRecord]) -> None:
-    """Write the frames, round by round, and print what it took."""
+def measure(run: Run) -> None:
+    """Write the run again and again, and print what it took."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run.rrd")
-        with RunWriter(path, info, semantic_map) as run:
-            starts = range(0, len(records), ROUND)
-            rounds = [write_round(run, records[start : start + ROUND]) for start in starts]
+        repetitions = [write_all(path, run) for _ in range(REPETITIONS)]
         start = time.perf_counter()
         load_run(path)
         opened_s = time.perf_counter() - start
-        kilobytes = path.stat().st_size / len(records) / 1e3
-    best = min(rounds, key=lambda one: one.wall_ms / one.frames)
-    for part, ms in sorted(best.parts_ms.items(), key=lambda one: -one[1]):
-        print(f"  {part:24}{ms / best.frames:6.2f} ms CPU")
-    print(f"  {'all':24}{sum(best.parts_ms.values()) / best.frames:6.2f} ms CPU")
-    middle = np.median([one.wall_ms / one.frames for one in rounds])
-    print(f"  wall: {best.wall_ms / best.frames:.2f} ms; median of the rounds {middle:.2f} ms")
-    print(f"  {kilobytes:.1f} kB a frame; {len(records)} frames open in {opened_s:.2f} s")
+        kilobytes = path.stat().st_size / len(run.frames) / 1e3
+    frames = list(zip(*repetitions, strict=True))
+    least = [min(same, key=lambda one: one.wall_ms) for same in frames]
+    for part in sorted({part for one in least for part in one.parts_ms}):
+        print(f"  {part:24}{np.mean([one.parts_ms.get(part, 0.0) for one in least]):6.2f} ms CPU")
+    wall_ms = [one.wall_ms for one in least]
+    median, p95 = np.percentile(wall_ms, [50, 95])
+    print(f"  {'all':24}{np.mean(wall_ms):6.2f} ms; median {median:.2f} ms, p95 {p95:.2f} ms")
+    usual_ms = np.median([one.wall_ms for same in frames for one in same])
+    print(f"  with whatever else the machine did: median {usual_ms:.2f} ms")
+    print(f"  {kilobytes:.1f} kB a frame; {len(run.frames)} frames open in {opened_s:.2f} s")
 
 
 def encode_images(count: int = 50) -> None:
     """JPEG encoding by itself, which recording needs for embedded images."""
-    start = time.process_time()
+    took_ms = []
+    image = make_image()
     for _ in range(count):
-        make_jpeg()
-    encoded = time.process_time() - start
-    start = time.process_time()
-    for _ in range(count):
-        make_image()
-    made = time.process_time() - start
-    print(f"JPEG encoding, a frame: {1e3 * (encoded - made) / count:.2f} ms CPU")
+        start = time.perf_counter()
+        encode(image)
+        took_ms.append(1e3 * (time.perf_counter() - start))
+    print(f"JPEG encoding, the least of {count}: {min(took_ms):.2f} ms")
 
 
 def main() -> None:
     if sys.argv[1:]:
         run = load_run(sys.argv[1])
-        info, semantic_map, records = run.info, run.semantic_map, run.frames
     else:
-        info, semantic_map = make_info("bench"), make_map()
-        records = tuple(make_records(semantic_map, 300, make_jpeg()))
+        semantic_map = make_map()
+        frames = tuple(make_records(semantic_map, 60, make_jpeg()))
+        run = Run(make_info("bench"), semantic_map, frames)
     encode_images()
-    print("without images, a frame:")
-    record(info, semantic_map, [replace(one, image=None, image_right=None) for one in records])
-    print("with the left image, a frame:")
-    record(info, semantic_map, [replace(one, image_right=None) for one in records])
+    for title, image in (("without images", None), ("with the left image", make_jpeg())):
+        frames = tuple(replace(one, image=image, image_right=None) for one in run.frames)
+        print(f"{title}, a frame:")
+        measure(replace(run, frames=frames))
 
 
 if __name__ == "__main__":
