@@ -14,14 +14,17 @@ from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from pathlib import Path
 
+import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
+from semviz.commands.localize import Localize
 from semviz.commands.map_localizability import MapLocalizability
 from semviz.commands.report import Report
 from semviz.demo import ensure_demo
-from semviz.demo_street import MAP, RUN
+from semviz.demo_street import MAP, RUN, SEED
 from semviz.inspector.server import Inspector
+from semviz.recording.reader import load_run
 from semviz.web.door import Door
 from semviz.workspace import Workspace
 from semviz_annotation.edits import AddObservation
@@ -29,7 +32,9 @@ from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import new_id
 from semviz_annotation.storing.store import LabelStore
 from semviz_annotation.street_labels import careful, label_street
+from semviz_core.map_file import save_map
 from semviz_core.sources.source import Side
+from semviz_core.sources.street.map_errors import moved
 
 IMAGES = Path(__file__).resolve().parent / "images"
 CHROMIUM = [
@@ -42,6 +47,8 @@ SHOWN_FRAME = 97
 FORECAST_FRAME = 26
 MOVED_FRAME = 28
 TRIED_FRAME = 28
+COMPARED_FRAMES = range(100, 112)
+"""Between them a pole is moved that matters."""
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
@@ -87,6 +94,25 @@ def take_image(page: Page) -> None:
         page.wait_for_timeout(SETTLED_MS)
         page.locator("#image").screenshot(path=IMAGES / "serve-image.png")
         page.goto("about:blank")
+
+
+def take_compare(page: Page) -> None:
+    """The demo's run against one in a map in which a pole of the row was moved."""
+    with tempfile.TemporaryDirectory() as folder:
+        town = Path(shutil.copytree(ensure_demo(), Path(folder) / "town"))
+        workspace = Workspace.open(town)
+        run = load_run(workspace.run_path(RUN))
+        seen = np.concatenate([run.frames[index].element_id for index in COMPARED_FRAMES])
+        often = int(np.bincount(seen[seen >= 0]).argmax())
+        save_map(moved(run.semantic_map, often, (1.2, 1.9, 0.0)), workspace.map_path("newer"))
+        other = workspace.run_path("newer")
+        Localize(town, map="newer", out=other, observations="simulated", seed=SEED).run()
+        with Door(Inspector([workspace.run_path(RUN), other])).running() as url:
+            page.goto(f"{url}?run=newer&base={RUN}&beside=yes&frame=0")
+            page.click("#map-change-list li", timeout=60_000)
+            page.wait_for_timeout(SETTLED_MS)
+            page.screenshot(path=IMAGES / "serve-compare.png")
+            page.goto("about:blank")
 
 
 def take_forecast(page: Page) -> None:
@@ -220,6 +246,7 @@ def main() -> None:
     with browser_page() as page:
         take_inspector(page)
         take_image(page)
+        take_compare(page)
         take_forecast(page)
         take_what_if(page)
         take_report(page)

@@ -43,11 +43,10 @@ export class ChangedFrames {
   }
 
   pointAt(position) {
-    for (const row of byId("change-list").children) {
-      const isCurrent = row.dataset.position === String(position);
-      row.setAttribute("aria-current", isCurrent);
-      if (isCurrent) row.scrollIntoView({ block: "nearest" });
-    }
+    this.current?.setAttribute("aria-current", false);
+    this.current = byId("change-list").querySelector(`[data-position="${position}"]`);
+    this.current?.setAttribute("aria-current", true);
+    this.current?.scrollIntoView({ block: "nearest" });
   }
 
   step(by) {
