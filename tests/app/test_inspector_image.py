@@ -17,6 +17,7 @@ from inspecting import (
     record_street,
     wait_for,
 )
+from small_runs import saved
 
 from semviz.inspector.image_view import neighbours_view, right_view
 from semviz.inspector.pictures import Pictures
@@ -51,7 +52,15 @@ def mistake(record: FrameRecord) -> FrameRecord:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     record_street(folder / "bare.rrd", FRAMES[:2], sides=())
-    return record_street(folder / "first.rrd", FRAMES, sides=BOTH, spoil=mistake)
+    path = record_street(folder / "first.rrd", FRAMES, sides=BOTH, spoil=mistake)
+    run = load_run(path)
+    saved(one_eyed(run), folder / "one-eyed.rrd")
+    return path
+
+
+def one_eyed(run: Run) -> Run:
+    """As if there were no right camera."""
+    return replace(run, info=replace(run.info, rig=Rig(run.info.rig.left)))
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +70,8 @@ def run(recorded: Path) -> Run:
 
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
-    with Door(Inspector([recorded, recorded.with_name("bare.rrd")])).running() as url:
+    others = [recorded.with_name(name) for name in ("bare.rrd", "one-eyed.rrd")]
+    with Door(Inspector([recorded, *others])).running() as url:
         yield url
 
 
@@ -127,9 +137,8 @@ def test_wishes_for_images_that_are_not_there_are_refused(run: Run) -> None:
     with pytest.raises(SemvizError, match="no upper image"):
         state.picturing("truth", "upper", False)
     right = state.picturing("truth", "right", True)
-    one_eyed = replace(run, info=replace(run.info, rig=Rig(run.info.rig.left)))
     assert right.opened("second", run, None).side == "right"
-    assert right.opened("second", one_eyed, None).side == "left"
+    assert right.opened("second", one_eyed(run), None).side == "left"
 
 
 def test_images_come_as_they_were_recorded_or_with_a_reason(run: Run, recorded: Path) -> None:
@@ -227,6 +236,9 @@ def test_right_image_has_the_map_and_no_detections(url: str, page: "Page") -> No
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
     page.wait_for_timeout(400)
     assert np.abs(pixels(page, "#image-canvas")[:-80] - right).mean() > 5
+    page.select_option("#run", "one-eyed")
+    wait_for(page, lambda: title.text_content() == "Left image", "the only image")
+    assert not page.locator("#image-side").is_visible()
 
 
 @pytest.mark.browser

@@ -123,6 +123,7 @@ export class ImagePanel {
     const { picture, why } = await this.pictures.get(coming.position, side);
     if (this.coming !== coming || this.state.side !== side) return; // something later was asked for
     this.frame = coming;
+    this.rightShown = side === "right" ? this.right : null;
     this.picture = picture;
     this.whyNoPicture = why;
     this.see();
@@ -131,8 +132,8 @@ export class ImagePanel {
 
   see() {
     if (!this.frame) return;
-    const { mode, side, element } = this.state;
-    this.sight = new Sight(this.frame, mode, this.size, side === "right" ? this.right : null);
+    const { mode, element } = this.state;
+    this.sight = new Sight(this.frame, mode, this.size, this.rightShown);
     const absent = element === null ? "" : this.sight.whyAbsent(element);
     const tried = this.triedHere.length ? "thick dashes: tried" : "";
     const about = [absent, tried, this.whyNoPicture, this.sight.about].filter(Boolean).join(" · ");
@@ -148,7 +149,7 @@ export class ImagePanel {
   }
 
   get size() {
-    return this.state.side === "right" ? this.run.imageRight : this.run.image;
+    return (this.state.side === "right" && this.run.imageRight) || this.run.image;
   }
 
   takeSize() {

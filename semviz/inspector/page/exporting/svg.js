@@ -28,6 +28,7 @@ const STYLE = {
 
 export class SvgContext {
   #scratch = document.createElement("canvas").getContext("2d"); // reads colours, measures text
+  #group; // what is being drawn into
   #path = "";
   #dash = [];
   #saved = [];
@@ -39,8 +40,6 @@ export class SvgContext {
     Object.assign(this, STYLE);
     Object.seal(this); // setting what is not known throws, as calling it does
   }
-
-  #group;
 
   /** The file: an SVG document. */
   toString() {
