@@ -5,6 +5,7 @@ import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
 const FOLLOWED = 12; // so many frames that are fixed or broken are named
+const COMPILING = "; on a new machine, up to a minute of compiling first.";
 const REST_MS = 300; // a frame that is passed over is not asked about
 
 export class WhatIf {
@@ -39,6 +40,7 @@ export class WhatIf {
 
   tryBest() {
     this.page.right.show("what-if");
+    this.showBestTried(`Looking for it${COMPILING}`);
     this.send("try best");
   }
 
@@ -108,7 +110,7 @@ export class WhatIf {
     const { trying, kept, result, isSolving } = this.shown;
     if (!trying && !kept.length) return [];
     const title = trying ? `Trying ${trying}` : `With what is kept (${kept.length})`;
-    return [el("h3", { text: title }), ...(isSolving ? [el("p", { class: "dim", text: "Solving this frame; on a new machine, up to a minute of compiling first." })] : this.numbers(result))];
+    return [el("h3", { text: title }), ...(isSolving ? [el("p", { class: "dim", text: `Solving this frame${COMPILING}` })] : this.numbers(result))];
   }
 
   numbers({ failure, matters, before, after, reason, ms }) {

@@ -36,8 +36,7 @@ def offers(run: Run, state: State) -> list[Json]:
     asked = Asked.of(run, record)
     groups = [
         *_of_element(run, asked, state.selection.element),
-        *_of_detection(run, asked, state.selection.observed),
-        *_of_pair(run, asked, state.selection.observed, state.selection.element),
+        *_of_detection(run, asked, state.selection.observed, state.selection.element),
         ("Known beforehand", list(_beforehand(asked))),
         ("Seen", list(_of_all_seen(asked))),
         ("Solver", list(_solver(asked))),
@@ -60,31 +59,24 @@ def _of_element(run: Run, asked: Asked, element: int | None) -> Iterator[tuple[s
     yield element_name(run.semantic_map, element), offered
 
 
-def _of_detection(run: Run, asked: Asked, row: int | None) -> Iterator[tuple[str, list[Json]]]:
-    if row is None:
-        return
-    frame = asked.record.frame.index
-    named = DetectionClass(frame, row, int(asked.observed.class_id[row]))
-    drop = _button("Not seen", DropDetection(frame, row))
-    yield f"Detection #{row}", [drop, *_class_choice(run.semantic_map.classes, named)]
-
-
-def _of_pair(
+def _of_detection(
     run: Run, asked: Asked, row: int | None, element: int | None
 ) -> Iterator[tuple[str, list[Json]]]:
-    """The selected pair; and the true one of the selected detection, where that is another."""
+    """By itself; with the selected element; with the true one, where that is another."""
     if row is None:
         return
-    frame, name, offered = asked.record.frame.index, run.semantic_map, []
+    frame, semantic_map = asked.record.frame.index, run.semantic_map
+    offered = [_button("Not seen", DropDetection(frame, row))]
     if element is not None and element in asked.submap.id:
-        named = element_name(name, element)
-        offered.append(_button(f"Surely {named}", ForcePair(frame, row, element)))
-        offered.append(_button(f"Not {named}", ForbidPair(frame, row, element)))
+        name = element_name(semantic_map, element)
+        offered.append(_button(f"Surely {name}", ForcePair(frame, row, element)))
+        offered.append(_button(f"Not {name}", ForbidPair(frame, row, element)))
     true = int(asked.element_id[row])
     if true != element and true in asked.submap.id:
-        text = f"Surely {element_name(name, true)}, as it truly is"
+        text = f"Surely {element_name(semantic_map, true)}, as it truly is"
         offered.append(_button(text, ForcePair(frame, row, true)))
-    yield f"#{row} is", offered
+    named = DetectionClass(frame, row, int(asked.observed.class_id[row]))
+    yield f"Detection #{row}", [*offered, *_class_choice(semantic_map.classes, named)]
 
 
 def _beforehand(asked: Asked) -> Iterator[Json]:
