@@ -58,7 +58,9 @@ class Desk:
     def scene(self) -> SceneView:
         """The 3D pane, made when first drawn: viser takes a second to import."""
         if self._scene is None:
-            self._scene = SceneView(self._scenes.scene(self._session_id), self._clicked)
+            self._scene = SceneView(
+                self._scenes.scene(self._session_id), self._clicked, self.shelf.path
+            )
             self.say("scene", True)
         return self._scene
 

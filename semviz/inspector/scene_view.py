@@ -1,6 +1,7 @@
 """The 3D pane: what the state shows, drawn into the session's scene."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from semviz.inspector.scene.trajectories import WAYS, draw_ways, offer_frames
 from semviz.inspector.scene.tried import draw_tried
 from semviz.inspector.scene.usage import Usage, usage_of
 from semviz.inspector.session import State, View
+from semviz.recording.pictures import picture
 from semviz.recording.run import FrameRecord, Run
 from semviz.web import viewpoint
 from semviz.web.picking import Picker
@@ -37,14 +39,20 @@ class SceneView:
     """Draws a run's map once, and a frame's poses and pairs each time.
 
     ``on_click`` is told what was clicked, ``element`` and its id or ``frame`` and its position,
-    in a thread of viser's.
+    in a thread of viser's. ``path_of`` is asked for the file of a run, by name.
     """
 
     _map: MapLayer
     _usage: Usage
     _coloring: Coloring
 
-    def __init__(self, server: "viser.ViserServer", on_click: Callable[[str, int], None]) -> None:
+    def __init__(
+        self,
+        server: "viser.ViserServer",
+        on_click: Callable[[str, int], None],
+        path_of: Callable[[str], Path],
+    ) -> None:
+        self._path_of = path_of
         self._scene = Scene(server)
         self._viewer = viewpoint.Viewer(server)
         self._picker = Picker(server, on_click)
@@ -70,7 +78,8 @@ class SceneView:
             self._draw_around(run, record, state)
             self._draw_map(record, state)
             draw_prior(self._scene, run, record, state.view)
-            draw_poses(self._scene, record, state)
+            image = picture(run, self._path_of(state.run), state.position, "left")
+            draw_poses(self._scene, record, image, state)
             label_poses(self._scene, record, state)
             draw_pairs(self._scene, record.localization)
             self._select(run, state)

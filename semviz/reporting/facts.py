@@ -10,6 +10,7 @@ import numpy as np
 from semviz.comparing.metrics import Metrics, metrics_of
 from semviz.inspector.shelf import run_names
 from semviz.inspector.why import errors_of, sure_and_wrong
+from semviz.recording.pictures import picture
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
 from semviz.run_verdict import run_elements, run_verdict
@@ -39,6 +40,10 @@ class Reported:
     def verdicts(self) -> tuple[str, ...]:
         """On each frame."""
         return tuple(verdict(self.run, one) for one in self.run.frames)
+
+    def image(self, row: int) -> bytes | None:
+        """A frame's left image, JPEG or PNG, wherever it is."""
+        return picture(self.run, self.path, row, "left")
 
     @cached_property
     def over_the_run(self) -> RunVerdict:

@@ -183,7 +183,7 @@ def _pictured(one: Reported, row: int) -> Html:
             _link(one, record.frame.index),
             f"{_off(record)}. {why_card(one.run, record)['sentence']}",
         ),
-        picture(record, one.run.semantic_map.classes, about),
+        picture(record, one.image(row), one.run.semantic_map.classes, about),
     )
 
 

@@ -9,6 +9,7 @@ from semviz.palette import ESTIMATE, TRUTH
 from semviz.recording.run import FrameRecord
 from semviz.reporting.html import Html, element
 from semviz_core.arrays import FloatArray
+from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet, ElementClass
 from semviz_core.pose import Pose
 
@@ -29,8 +30,11 @@ CORNERS = {
 """Of a glyph: how many, and the direction of the first (deg, right and down)."""
 
 
-def picture(record: FrameRecord, classes: ClassSet, about: str) -> Html:
-    """An ``svg`` element as large as the image; ``about`` says what it shows to who cannot see."""
+def picture(record: FrameRecord, image: bytes | None, classes: ClassSet, about: str) -> Html:
+    """An ``svg`` element as large as the frame's image, which is JPEG or PNG.
+
+    ``about`` says what it shows to who cannot see.
+    """
     one, truth = record.localization, record.frame.T_map_camera
     width, height = one.camera.width, one.camera.height
     poses = (
@@ -40,7 +44,7 @@ def picture(record: FrameRecord, classes: ClassSet, about: str) -> Html:
     maps = [_map(record, pose, classes, color, thick) for pose, color, thick in poses if pose]
     return element(
         "svg",
-        _ground(record),
+        _ground(one.camera, image),
         *maps,
         *_seen(record, classes),
         viewBox=f"-0.5 -0.5 {width} {height}",
@@ -50,22 +54,21 @@ def picture(record: FrameRecord, classes: ClassSet, about: str) -> Html:
     )
 
 
-def _ground(record: FrameRecord) -> Html:
-    """The image, or grey where the run has none."""
-    camera = record.localization.camera
+def _ground(camera: Camera, image: bytes | None) -> Html:
+    """The image, or grey where there is none."""
     place = {"x": -0.5, "y": -0.5, "width": camera.width, "height": camera.height}
-    if record.image is None:
+    if image is None:
         return element("rect", fill="#3A3D42", **place)
-    encoded = base64.b64encode(_smaller(record.image)).decode()
+    encoded = base64.b64encode(_smaller(image)).decode()
     return element("image", href=f"data:image/jpeg;base64,{encoded}", **place)
 
 
-def _smaller(jpeg: bytes) -> bytes:
+def _smaller(encoded: bytes) -> bytes:
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        return jpeg  # what it is, the browser may know
+        return encoded  # what it is, the browser may know
     scale = min(WIDEST_PX / image.shape[1], 1.0)
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

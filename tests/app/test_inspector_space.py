@@ -180,7 +180,7 @@ def sent() -> Iterator[tuple[SceneView, list[tuple[str, str, int]]]]:
             queue(message)
 
         interface.queue_message = note  # type: ignore[method-assign]
-        yield SceneView(server, lambda _, __: None), messages
+        yield SceneView(server, lambda _, __: None, Path), messages
     finally:
         scenes.close_all()
 

@@ -159,7 +159,7 @@ def test_the_map_is_drawn_where_the_pose_has_it() -> None:
     """Exact labels in a true map: under the truth every detection lies on its element."""
     run = small_run()
     record = run.frames[0]
-    drawn = picture(record, run.semantic_map.classes, "")
+    drawn = picture(record, record.image, run.semantic_map.classes, "")
     lines = re.findall(r'<path d="([^"]*)" stroke="(#\w+)"', drawn)
     points = {color: re.findall(r"M(-?[\d.]+) (-?[\d.]+)", trace) for trace, color in lines}
     white = np.array(points["#FFFFFF"], dtype=float)

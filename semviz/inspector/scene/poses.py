@@ -22,22 +22,25 @@ BESIDE_M = 2.0
 FACING_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def draw_poses(scene: Scene, record: FrameRecord, state: State) -> None:
-    """From the camera itself its image is all there is; frusta would be in the way."""
+def draw_poses(scene: Scene, record: FrameRecord, image: bytes | None, state: State) -> None:
+    """The cameras, one of them with the frame's image, as JPEG or PNG.
+
+    From the camera itself its image is all there is; frusta would be in the way.
+    """
     camera = record.localization.camera
     if state.view == "camera":
         for name in POSES:
             scene.clear(name)
-        if record.image is not None:
-            scene.draw_backdrop("/backdrop", vehicle(record), camera, _decoded(record.image))
+        if image is not None:
+            scene.draw_backdrop("/backdrop", vehicle(record), camera, _decoded(image))
         return
     scene.clear("/backdrop")
     shown = _poses(record, state)
-    image = None if record.image is None else _decoded(record.image, half=True)
+    small = None if image is None else _decoded(image, half=True)
     framed = "/estimate" if "/estimate" in shown else "/truth"
     for name, look in POSES.items():
         if name in shown:
-            scene.draw_camera(name, shown[name], camera, look, image if name == framed else None)
+            scene.draw_camera(name, shown[name], camera, look, small if name == framed else None)
         else:
             scene.clear(name)
 
@@ -114,12 +117,12 @@ def _middles(localization: Localization) -> FloatArray:
     return np.where(submap.is_line[:, None], poles, submap.anchor_m)
 
 
-def _decoded(jpeg: bytes, half: bool = False) -> ByteImage:
+def _decoded(encoded: bytes, half: bool = False) -> ByteImage:
     """A frustum shows its image small: half the size is enough there, and quicker."""
     import cv2
 
     image = cv2.imdecode(
-        np.frombuffer(jpeg, dtype=np.uint8),
+        np.frombuffer(encoded, dtype=np.uint8),
         cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_COLOR,
     )
     if image is None:
