@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from semviz_core.sequence.tracker import Track, Tracker
     from semviz_core.solving.matched import localize_matches
     from semviz_core.solving.matched.matches import Estimate
+    from semviz_core.solving.pairing import Pairing
     from semviz_core.solving.refine import Failure
     from semviz_core.sources.kitti import KittiSequence
     from semviz_core.sources.street.street import Street
@@ -48,6 +49,7 @@ _HOMES = {
     "MapFrame": "semviz_core.semantic_map",
     "Odometry": "semviz_core.sequence.odometry",
     "OdometryNoise": "semviz_core.sequence.odometry",
+    "Pairing": "semviz_core.solving.pairing",
     "Pose": "semviz_core.pose",
     "Prior": "semviz_core.frame",
     "Rig": "semviz_core.camera",
@@ -81,6 +83,7 @@ __all__ = [
     "MapFrame",
     "Odometry",
     "OdometryNoise",
+    "Pairing",
     "Pose",
     "Prior",
     "Rig",

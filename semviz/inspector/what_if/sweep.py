@@ -51,13 +51,21 @@ class Sweep:
         }
 
     def save(self, beside: Path) -> None:
-        """A new run beside the run's file. SemvizError where it cannot be written."""
+        """A new run beside the run's file, in a thread. SemvizError where not all was tried."""
         if not self._is_whole:
             raise SemvizError("not all frames were tried; try them again, then save")
+        self._said = "Saving."
+        self._tell(self)
+        threading.Thread(target=lambda: self._write(beside), name="what-if save").start()
+
+    def _write(self, beside: Path) -> None:
         found: dict[int, FrameRecord] = {one.change.index: one.record for one in self._found}
         path = free_path(beside)
-        save(self._run, self._changes, found, path)
-        self._said = f"Saved as {path}. Compare: semviz compare {beside} {path}"
+        try:
+            save(self._run, self._changes, found, path)
+            self._said = f"Saved as {path}. Compare: semviz compare {beside} {path}"
+        except SemvizError as error:
+            self._said = f"Not saved: {error}"
         self._tell(self)
 
     @property
