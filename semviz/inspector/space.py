@@ -26,9 +26,10 @@ class SpaceTopic(Topic):
         self._tell_legend()
 
     def _colors(self, message: Message) -> None:
-        desk = self.desk
-        shown = message.get("ellipsoids") is True
-        desk.state = desk.state.coloring(str(message.get("colors")), shown)
+        """What is not told stays."""
+        desk, state = self.desk, self.desk.state
+        shown = bool(message.get("ellipsoids", state.ellipsoids))
+        desk.state = state.coloring(str(message.get("colors", state.colors)), shown)
         desk.tell_state()
         desk.scene.recolor(desk.run, desk.state)
         self._tell_legend()

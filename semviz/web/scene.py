@@ -164,7 +164,7 @@ class Scene:
         """Ellipsoids of 1 sigma around middles (k, 3) of covariances (k, 3, 3), ``magnified``."""
         axes_m, wxyz = shapes.ellipsoids(covariances_m2)
         with self._nodes.drawing(name) as drawing:
-            drawing.balls("", middles_m, magnified * axes_m, wxyz, color, opacity=0.35)
+            drawing.balls("", middles_m, magnified * axes_m, wxyz, color, opacity=0.5)
 
     def highlight(self, elements: Elements3D, label: str = "") -> None:
         """Rings around ``elements``, usually one or none, in the accent colour."""

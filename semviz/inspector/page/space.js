@@ -59,16 +59,16 @@ export class SpacePanel {
   }
 
   nextColors() {
-    const next = NAMES[(NAMES.indexOf(this.state.colors) + 1) % NAMES.length];
-    this.ask(next, this.state.ellipsoids);
+    this.ask({ colors: NAMES[(NAMES.indexOf(this.state.colors) + 1) % NAMES.length] });
   }
 
   toggleEllipsoids() {
-    this.ask(this.state.colors, !this.state.ellipsoids);
+    this.ask({ ellipsoids: !this.state.ellipsoids });
   }
 
-  ask(colors, ellipsoids) {
-    this.page.socket.send({ verb: "colors", colors, ellipsoids });
+  ask(wanted) {
+    this.state = { ...this.state, ...wanted }; // the next key may come before the answer
+    this.page.socket.send({ verb: "colors", ...wanted });
   }
 
   showRun(run) {

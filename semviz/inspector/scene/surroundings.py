@@ -7,6 +7,7 @@ from semviz.inspector.session import View
 from semviz.recording.run import FrameRecord, Run
 from semviz.web.scene import CAMERA_HEIGHT_M, Scene
 from semviz_core.arrays import FloatArray
+from semviz_core.frame import Prior
 from semviz_core.pose import Pose
 
 
@@ -17,21 +18,26 @@ def draw_prior(scene: Scene, run: Run, record: FrameRecord, view: View) -> None:
     scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
     cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
     scene.draw_lines("/prior-cross", cross, color, 1.5)
-    place = center + prior.horizontal_sigma_m * _label_side(vehicle(record), center, view)
-    text = f"prior ± {prior.horizontal_sigma_m:.1f} m"
-    scene.draw_label("/prior-label", text, place, "center-right")
+    _label_prior(scene, prior, center, vehicle(record), view)
     radius = run.info.options.get("crop_radius_m")
     scene.clear("/crop")
     if isinstance(radius, int | float):
         scene.draw_circle("/crop", center, float(radius), scene.palette.faint)
 
 
-def _label_side(T_map_camera: Pose, center_m: FloatArray, view: View) -> FloatArray:
-    """Where on the prior's circle (3,) its label is: left, or away from the vehicle's own label."""
-    if view != "above":
-        return -T_map_camera.rotation[:, 0]
-    ahead = T_map_camera.rotation[:, 2]
-    return ahead if ahead @ (center_m - T_map_camera.translation) > 0.0 else -ahead
+def _label_prior(
+    scene: Scene, prior: Prior, center_m: FloatArray, T_map_camera: Pose, view: View
+) -> None:
+    """On the prior's circle, on the side that is away from the vehicle and its labels."""
+    away, (right, _, ahead) = center_m - T_map_camera.translation, T_map_camera.rotation.T
+    is_right = bool(away @ right > 0.0)
+    if view == "above":
+        outwards = ahead if away @ ahead > 0.0 else -ahead
+    else:
+        outwards = right if is_right else -right
+    place = center_m + prior.horizontal_sigma_m * outwards
+    text = f"prior ± {prior.horizontal_sigma_m:.1f} m"
+    scene.draw_label("/prior-label", text, place, "center-left" if is_right else "center-right")
 
 
 def route(run: Run) -> FloatArray:

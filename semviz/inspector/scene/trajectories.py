@@ -19,7 +19,7 @@ WAYS = "/ways"
 """All names of them in the scene begin so."""
 MARKS: dict[Status, PointShape] = {"ok": "circle", "ambiguous": "diamond", "cannot": "sparkle"}
 """As near as viser comes to the status marks: disc, diamond, cross."""
-MARK_M = 0.2
+MARK_M = 0.3
 BELOW_M = np.array([0.0, 0.0, CAMERA_HEIGHT_M - 0.3])
 """Ways and marks lie so far below the cameras, above the road, where they hide no frustum."""
 
