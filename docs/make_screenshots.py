@@ -52,6 +52,7 @@ COMPARED_FRAMES = range(100, 112)
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
+MOVED_ELEMENT = 29
 SETTLED_MS = 15_000
 """Software rendering takes its time."""
 
@@ -93,6 +94,18 @@ def take_image(page: Page) -> None:
             page.keyboard.press(key)
         page.wait_for_timeout(SETTLED_MS)
         page.locator("#image").screenshot(path=IMAGES / "serve-image.png")
+        page.goto("about:blank")
+
+
+def take_solver(page: Page) -> None:
+    """The elements of the demo's run, and how the answer came about that one of them spoils."""
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&list=elements&card=solver")
+        page.wait_for_selector("#element-list li", timeout=120_000)
+        page.click("#solver-body .poses tbody tr:nth-child(2)")
+        page.wait_for_timeout(SETTLED_MS)
+        page.screenshot(path=IMAGES / "serve-solver.png")
         page.goto("about:blank")
 
 
@@ -246,6 +259,7 @@ def main() -> None:
     with browser_page() as page:
         take_inspector(page)
         take_image(page)
+        take_solver(page)
         take_compare(page)
         take_forecast(page)
         take_what_if(page)
