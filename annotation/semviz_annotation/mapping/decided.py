@@ -100,7 +100,8 @@ class _Book:
             who = ""
             if same:
                 who = f", which is number {tracks.gathered.elements[nodes.element[same[0]]].number}"
-            reason = f"{len(about)} of its labels are of another thing{where}{who}"
+            are = "is" if len(about) == 1 else "are"
+            reason = f"{len(about)} of its labels {are} of another thing{where}{who}"
             yield self.decision("split", [row], reason, {"distance_m": away}, about)
 
     def misfits(self) -> Iterator[Decision]:
@@ -114,11 +115,22 @@ class _Book:
             node = nodes.main.get(row)
             if node is None or not self._ok[tracks.thing[node]]:
                 continue
-            off = self._errors_px(about, int(tracks.thing[node])).max()
-            one = len(about) == 1
-            many = "a label is" if one else f"{len(about)} of its labels are"
-            why = tracks.unused or f"{'' if one else 'up to '}{off:.1f} px off"
-            yield self.decision("leave out", [row], f"{many} {why}", {"error_px": off}, about)
+            for unclear in (False, True):
+                some = about[tracks.unclear[about] == unclear]
+                if len(some):
+                    off = self._errors_px(some, int(tracks.thing[node])).max()
+                    why = self._why_unused(some, unclear, off)
+                    yield self.decision("leave out", [row], why, {"error_px": off}, some)
+
+    def _why_unused(self, rows: IntArray, unclear: bool, off_px: float) -> str:
+        one = len(rows) == 1
+        many = "a label is" if one else f"{len(rows)} of its labels are"
+        why = (
+            "not clearly of this thing"
+            if unclear
+            else f"{'' if one else 'up to '}{off_px:.1f} px off"
+        )
+        return f"{many} {self.tracks.unused or why}"
 
     def left_out(self) -> Iterator[Decision]:
         """Whole label elements."""

@@ -65,6 +65,7 @@ def paper_tracks(gathered: Gathered, options: PaperOptions) -> Tracks:
         sightings=sightings,
         placed=_means(gathered, sightings, places, cluster, options),
         apart=(),
+        unclear=np.zeros(len(gathered.sightings), dtype=bool),
         unused="in no stereo pair that has a place in the map",
     )
 

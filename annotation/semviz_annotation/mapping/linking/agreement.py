@@ -19,6 +19,8 @@ _UNEVEN = 0.5
 """Wrong poses move both ends of a pole alike, and each by this share of that by itself."""
 _LEAST_M = 1e-4
 """No place is known better."""
+AT_ONCE = 50_000
+"""Sightings to be tested, so that memory does not grow with their number."""
 _DIGITS = 1e-10
 """Of the largest information; less than that is rounding."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from semviz_annotation.mapping.linking.agreement import Agreement, Places, agreement
+from semviz_annotation.mapping.linking.agreement import AT_ONCE, Agreement, Places, agreement
 from semviz_annotation.mapping.linking.exclusion import Exclusion, spans
 from semviz_annotation.mapping.linking.nearby import Pairs, Spots
 from semviz_annotation.mapping.placing.least_squares import PlaceOptions, settled
@@ -20,8 +20,6 @@ from semviz_core.errors import SemvizError
 
 _LEVELS_M = (0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 """How well places must be known for their nodes to take part, level after level."""
-_AT_ONCE = 50_000
-"""Sightings, so that memory does not grow with their number."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +40,12 @@ class LinkOptions:
             raise SemvizError(
                 "pose_sigma_m must be 0 or more, chance between 0 and 1, min_frames 1 or more"
             )
+
+    def fits(self, result: Agreement) -> BoolArray:
+        """(p,) which pairs may be one thing."""
+        from scipy.special import chdtri
+
+        return np.asarray(result.chi2 <= chdtri(result.freedom, self.chance))
 
 
 class Linking:
@@ -87,7 +91,7 @@ class Linking:
         mark = self._exclusion.of_groups(self.group).shared(*pairs)
         pairs, mark = pairs.where(mark >= 0), mark[mark >= 0]
         result = self._test(pairs)
-        fits = self._fits(result)
+        fits = self._options.fits(result)
         return pairs.where(fits), mark[fits], result.where(fits)
 
     def _round(self, level_m: float, fresh: BoolArray) -> BoolArray:
@@ -96,7 +100,7 @@ class Linking:
         pairs = pairs.where(fresh[pairs.vague] | fresh[pairs.sharp])
         pairs = pairs.where(~self._exclusion.of_groups(self.group).forbids(*pairs))
         result = self._test(pairs)
-        fits = self._fits(result)
+        fits = self._options.fits(result)
         pairs, score = pairs.where(fits), result.log_likelihood[fits]
         best = _best_of_each(pairs, score)
         pairs, score = pairs.where(best), score[best]
@@ -151,7 +155,7 @@ class Linking:
         first, last = (
             np.searchsorted(groups[order], pairs.vague, side=side) for side in ("left", "right")
         )
-        parts = np.cumsum(last - first) // _AT_ONCE
+        parts = np.cumsum(last - first) // AT_ONCE
         results = []
         for number in np.unique(parts):
             some = parts == number
@@ -165,12 +169,6 @@ class Linking:
                 )
             )
         return Agreement.joined(results)
-
-    def _fits(self, result: Agreement) -> BoolArray:
-        """(p,)"""
-        from scipy.special import chdtri
-
-        return np.asarray(result.chi2 <= chdtri(result.freedom, self._options.chance))
 
 
 def _best_of_each(pairs: Pairs, score: FloatArray) -> IntArray:

@@ -1,20 +1,21 @@
 """Which labels are of one physical thing: label elements, or parts of them, linked."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, TypeAlias
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from semviz_annotation.labels import Labels
+from semviz_annotation.mapping.linking.contest import Contest
+from semviz_annotation.mapping.linking.enough import too_little
 from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
-from semviz_annotation.mapping.linking.misfits import misfits, parts
-from semviz_annotation.mapping.linking.nearby import HARDLY_KNOWN_M, stands
+from semviz_annotation.mapping.linking.misfits import main_first, misfits, parts
 from semviz_annotation.mapping.linking.nodes import LEFT_OUT, Judged, Nodes, exclusion_of
 from semviz_annotation.mapping.linking.rounds import Linking, LinkOptions, placed_near
 from semviz_annotation.mapping.placing.place import place, place_linearly
-from semviz_annotation.mapping.placing.placed import Placed
+from semviz_annotation.mapping.placing.placed import Placed, replaced
 from semviz_annotation.mapping.placing.refine import RefineOptions, refine
 from semviz_annotation.mapping.placing.sightings import Gathered, Sightings, Views
 from semviz_core.arrays import BoolArray, IntArray
@@ -51,6 +52,8 @@ class Tracks:
     placed: Placed
     """The things. Those that are not for the map have a failure, too."""
     apart: tuple[Apart, ...]
+    unclear: BoolArray
+    """(k,) gathered sightings that are not used because they may be of another thing as well"""
     unused: str = ""
     """Why labels of things in the map are not used, if it is not that they do not fit."""
 
@@ -58,13 +61,21 @@ class Tracks:
 def find_tracks(
     labels: Labels, gathered: Gathered, options: LinkOptions, on_progress: OnProgress
 ) -> Tracks:
-    """Parts of label elements are linked; each thing is then placed by all its labels that fit."""
+    """Parts of label elements are linked; each thing is then placed by all its labels that fit it,
+    and nothing else as well."""
+    tracks = _linked(labels, gathered, options, on_progress)
+    return _for_the_map(_contested(tracks, options), options)
+
+
+def _linked(
+    labels: Labels, gathered: Gathered, options: LinkOptions, on_progress: OnProgress
+) -> Tracks:
     views, sightings = gathered.views, gathered.sightings
     judged = Judged.of(labels, gathered.elements)
     whole = place(views, sightings, options.place, _named("placing labels", on_progress))
     nodes, alone = _parted(views, sightings, whole, judged, options)
     exclusion = exclusion_of(labels, gathered, nodes, judged)
-    kind = np.array([one.class_id for one in gathered.elements], dtype=np.int64)[nodes.element]
+    kind = _kinds(gathered)[nodes.element]
     linking = Linking(views, nodes.sightings, alone, kind, exclusion, options)
     linking.run(_named("linking", on_progress))
     group, misfit = _without_strangers(views, nodes, linking, options)
@@ -75,11 +86,6 @@ def find_tracks(
     placed = place(views, tracked, options.place, _named("placing things", on_progress))
     linked = np.bincount(thing, minlength=len(roots)) > 1
     placed = _linked_at_least_near(views, tracked, placed, linked, linking, roots, options)
-    kept = np.zeros(len(roots), dtype=bool)
-    kept[thing[judged.kept[nodes.element]]] = True
-    placed = _kept_at_any_price(views, tracked, placed, kept, options)
-    _refuse_rare(views, tracked, placed, ~kept, options)
-    _refuse_vague(placed, ~kept)
     return Tracks(
         gathered=gathered,
         judged=judged,
@@ -90,7 +96,87 @@ def find_tracks(
         sightings=tracked,
         placed=placed,
         apart=tuple(_apart(linking, exclusion)),
+        unclear=np.zeros(len(sightings), dtype=bool),
     )
+
+
+def _contested(tracks: Tracks, options: LinkOptions) -> Tracks:
+    """With sightings that several things explain given to the right one, or to none."""
+    views, sightings, judged = tracks.gathered.views, tracks.gathered.sightings, tracks.judged
+    kinds = _kinds(tracks.gathered)
+    kind = np.zeros(tracks.sightings.count, dtype=np.int64)
+    kind[tracks.thing] = kinds[tracks.nodes.element]
+    movable = ~(judged.kept | judged.left_out)
+    movable[judged.apart] = False
+    contest = Contest(
+        views,
+        sightings,
+        kinds[sightings.thing],
+        movable[sightings.thing],
+        kind,
+        _known_apart(tracks),
+        options,
+    )
+    owner = np.full(len(sightings), LEFT_OUT)
+    owner[tracks.sightings.observation] = tracks.sightings.thing
+    owners, placed = contest.settled(owner, tracks.placed)
+    if np.array_equal(owners.used, owner):
+        return tracks
+    before = np.append(tracks.thing, LEFT_OUT)[tracks.nodes.of_sighting]
+    thing_of = np.where(owners.used == LEFT_OUT, before, owners.used)
+    nodes = Nodes.of(sightings, main_first(sightings, thing_of))
+    thing = thing_of[nodes.sightings.observation[nodes.sightings.first]]
+    idle = np.isin(np.arange(len(nodes)), nodes.of_sighting[owners.used != LEFT_OUT], invert=True)
+    thing[idle] = len(kind) + np.arange(idle.sum())
+    nothing = place(views, sightings.regrouped(np.full(len(sightings), LEFT_OUT), int(idle.sum())))
+    nothing.failure[:] = "its labels are not clearly of one thing"
+    first = tracks.nodes.sightings.observation[tracks.nodes.sightings.first]
+    now = nodes.of_sighting[first]
+    return replace(
+        tracks,
+        nodes=nodes,
+        alone=place(views, nodes.sightings, options.place),
+        thing=thing,
+        sightings=sightings.regrouped(owners.used, len(kind) + len(nothing.failure)),
+        placed=Placed.joined([placed, nothing]),
+        apart=tuple(
+            one._replace(nodes=(int(now[one.nodes[0]]), int(now[one.nodes[1]])))
+            for one in tracks.apart
+        ),
+        unclear=owners.unclear,
+    )
+
+
+def _known_apart(tracks: Tracks) -> IntArray:
+    """(a, 2) things that fit one place and are two, as a person said, or an image that is not among
+    the chosen ones. (Of what these show, each has its own.)"""
+    images = [
+        set(tracks.sightings.view[tracks.sightings.thing == thing].tolist())
+        for pair in tracks.apart
+        for thing in tracks.thing[list(pair.nodes)]
+    ]
+    rows = [
+        tracks.thing[list(pair.nodes)]
+        for row, pair in enumerate(tracks.apart)
+        if pair.reason.by == "human" or not images[2 * row] & images[2 * row + 1]
+    ]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+def _for_the_map(tracks: Tracks, options: LinkOptions) -> Tracks:
+    """Without what is known too little of, but with all that people want to keep."""
+    views, sightings = tracks.gathered.views, tracks.sightings
+    kept = np.zeros(sightings.count, dtype=bool)
+    kept[tracks.thing[tracks.judged.kept[tracks.nodes.element]]] = True
+    placed = _kept_at_any_price(views, sightings, tracks.placed, kept, options)
+    failure = too_little(views, sightings, placed, options.min_frames)
+    placed = replace(placed, failure=np.where(kept, placed.failure, failure))
+    return replace(tracks, placed=placed)
+
+
+def _kinds(gathered: Gathered) -> IntArray:
+    """Classes of the label elements."""
+    return np.array([one.class_id for one in gathered.elements], dtype=np.int64)
 
 
 def _parted(
@@ -119,7 +205,7 @@ def _linked_at_least_near(
     """
     lost = ~placed.ok & linked
     near = placed_near(views, sightings.only(lost), linking.ends_m[roots[lost]], options.place)
-    return _with(placed, sightings, lost, near)
+    return replaced(placed, sightings, lost, near)
 
 
 def with_poses(tracks: Tracks, options: RefineOptions, on_progress: OnProgress) -> Tracks:
@@ -170,39 +256,10 @@ def _without_strangers(
     return group, misfit
 
 
-def _with(placed: Placed, sightings: Sightings, things: BoolArray, others: Placed) -> Placed:
-    """With other places of things (n,), of all of which there are ``sightings``."""
-
-    def put(name: str) -> Any:
-        values = getattr(placed, name).copy()
-        rows = things[sightings.thing] if name == "chi2_of" else things
-        values[rows] = getattr(others, name)
-        return values
-
-    return Placed(**{one.name: put(one.name) for one in fields(Placed)})
-
-
 def _kept_at_any_price(
     views: Views, sightings: Sightings, placed: Placed, kept: BoolArray, options: LinkOptions
 ) -> Placed:
     """With things (n,) that a person wants in the map, wherever they can be placed at all."""
     kept = kept & ~placed.ok
     narrow = replace(options.place, min_angle_rad=float(np.finfo(np.float64).tiny))
-    return _with(placed, sightings, kept, place_linearly(views, sightings.only(kept), narrow))
-
-
-def _refuse_rare(
-    views: Views, sightings: Sightings, placed: Placed, things: BoolArray, options: LinkOptions
-) -> None:
-    """Those of ``things`` (n,) that are seen in too few frames."""
-    seen = np.stack([sightings.thing, views.frame_index[sightings.view]])
-    frames = np.bincount(np.unique(seen, axis=1)[0], minlength=sightings.count)
-    rare = things & placed.ok & (frames < options.min_frames)
-    placed.failure[rare] = f"seen in fewer than {options.min_frames} frames"
-
-
-def _refuse_vague(placed: Placed, things: BoolArray) -> None:
-    """Those of ``things`` (n,) whose places are hardly known."""
-    _, _, sigma_m = stands(placed)
-    vague = things & placed.ok & ~(sigma_m < HARDLY_KNOWN_M)
-    placed.failure[vague] = f"where it stands is not known to {HARDLY_KNOWN_M:g} m"
+    return replaced(placed, sightings, kept, place_linearly(views, sightings.only(kept), narrow))

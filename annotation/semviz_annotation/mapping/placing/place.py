@@ -5,7 +5,7 @@ that most sightings agree with is looked for, from two sightings at a time.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,9 +41,7 @@ def place(
         parts.append(_place(views, part, options))
         done += part.count
         on_progress(done, sightings.count)
-    return Placed(
-        *(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Placed))
-    )
+    return Placed.joined(parts)
 
 
 def place_linearly(

@@ -1,6 +1,7 @@
 """Things in the map frame, with how certain their places are and how well they fit."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,11 @@ class Placed:
     chi2_of: FloatArray
     """(k,) share of each sighting in ``chi2``: infinite where the thing is behind the camera, NaN
     where it has no place."""
+
+    @classmethod
+    def joined(cls, parts: Sequence["Placed"]) -> "Placed":
+        """All of them, one after another."""
+        return cls(*(np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(cls)))
 
     @property
     def ok(self) -> BoolArray:
@@ -98,6 +104,18 @@ def _covariance(sightings: Sightings, at: Residuals, options: PlaceOptions) -> F
     covariance = np.linalg.inv(information(sightings, at, weights, options.sigma_px))
     covariance[~sightings.of(sightings.is_line), 3:, 3:] = 0.0
     return np.asarray(covariance)
+
+
+def replaced(placed: Placed, sightings: Sightings, things: BoolArray, others: Placed) -> Placed:
+    """With ``others``, the new places of things (n,), of all of which there are ``sightings``."""
+
+    def put(name: str) -> Any:
+        values = getattr(placed, name).copy()
+        rows = things[sightings.thing] if name == "chi2_of" else things
+        values[rows] = getattr(others, name)
+        return values
+
+    return Placed(**{one.name: put(one.name) for one in fields(Placed)})
 
 
 def rms_px(sightings: Sightings, at: Residuals) -> FloatArray:
