@@ -116,6 +116,7 @@ class SideBySide:
 
     def gate(self, text: str) -> Json:
         """A condition of ``--fail-if``: whether it holds, with its values, or why it is none."""
+        text = " ".join(text.split())
         try:
             condition = parse_condition(text)
             for side in (self.base, self.other):
@@ -123,8 +124,9 @@ class SideBySide:
             measured = self.comparison.measured
             fails, said = condition.holds(*measured), condition.values_text(*measured)
         except SemvizError as error:
-            return {"text": text, "fails": None, "said": str(error)}
-        return {"text": condition.text, "fails": fails, "said": said}
+            said = str(error).removeprefix(f"--fail-if '{text}': ")
+            return {"text": text, "fails": None, "said": said}
+        return {"text": text, "fails": fails, "said": said}
 
     def _frames(self) -> list[Json]:
         """Those in both, with their positions in the run that is judged."""

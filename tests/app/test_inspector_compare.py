@@ -220,6 +220,10 @@ def test_closing_leaves_a_line_of_broken_frames_on_the_timeline(
     wait_for(page, lambda: page.locator("#tab-alone").is_visible(), "what only B has")
     assert in_url(page, "run") == "good"
     assert page.locator("#count-fixed").text_content() == str(len(broken(runs)))
+    page.click("#tab-alone")
+    only = page.locator("#change-list li")
+    wait_for(page, lambda: only.all_text_contents() == [f"{FRAMES[-1]}only in B"], "that frame")
+    assert only.is_visible()
 
 
 def test_another_drive_is_refused_in_one_line(page: "Page", url: str) -> None:

@@ -75,10 +75,10 @@ export class ChangedFrames {
   alone() {
     const { onlyBase, onlyOther } = this.comparison;
     const inBase = onlyBase.map((index) =>
-      el("li", { class: "row alone", title: "Run B, which is open, does not have it" }, el("span", { class: "index", text: index }), el("span", { class: "dim", text: "only in A" })));
+      el("li", { class: "row one-sided", title: "Run B, which is open, does not have it" }, el("span", { class: "index", text: index }), el("span", { class: "dim", text: "only in A" })));
     const positions = new Map(this.page.run.frames.map((row, position) => [row.index, position]));
     const inOther = onlyOther.map((index) =>
-      el("li", { class: "row alone", data: { position: positions.get(index) } }, el("span", { class: "index", text: index }), el("span", { class: "dim", text: "only in B" })));
+      el("li", { class: "row one-sided", data: { position: positions.get(index) } }, el("span", { class: "index", text: index }), el("span", { class: "dim", text: "only in B" })));
     return [...inBase, ...inOther];
   }
 }

@@ -39,7 +39,9 @@ export class Gates {
   showGates(judged) {
     const kept = judged.slice(0, this.texts.length);
     const failed = kept.filter(({ fails }) => fails).length;
-    byId("gates-about").textContent = kept.length ? `${failed} of ${kept.length} failed` : "none yet";
+    const untold = kept.filter(({ fails }) => fails === null).length;
+    const told = `${failed} of ${kept.length} failed${untold ? `, ${untold} cannot be told` : ""}`;
+    byId("gates-about").textContent = kept.length ? told : "none yet";
     byId("gate-list").replaceChildren(...kept.map((one, place) => this.row(one, place)));
     const draft = judged[this.texts.length];
     const said = draft && (draft.fails === null ? draft.said : `${draft.said}: ${draft.fails ? "fails" : "passes"}; Enter keeps it`);

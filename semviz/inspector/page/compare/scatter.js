@@ -27,6 +27,8 @@ export class ScatterPanel {
     const count = (change) => frames.filter((one) => one.change === change).length;
     byId("scatter-legend").replaceChildren(...["broken", "fixed", "same"].flatMap((change) =>
       [changeMark(change), el("span", { text: `${count(change)} ${change}` })]));
+    const untold = frames.length - this.scatter.frames.length;
+    byId("scatter-about").textContent = untold ? `without ${untold} frames of unknown truth` : "click opens a frame";
     byId("scatter-none").textContent = this.scatter.hasErrors ? "" : NO_ERRORS;
     this.surface.redraw();
   }
