@@ -21,19 +21,23 @@ class RenderTopic(Topic):
         return {"render": self._render}
 
     def _render(self, message: Message) -> None:
-        width, height = whole(message, "width"), whole(message, "height")
-        if width is None or height is None or not 0 < min(width, height) <= LARGEST_PX:
-            raise SemvizError(f"a picture needs a width and a height from 1 to {LARGEST_PX} px")
-        threading.Thread(target=self._draw, args=(width, height), daemon=True).start()
+        size = whole(message, "width") or 0, whole(message, "height") or 0
+        threading.Thread(target=self._tell, args=size, daemon=True).start()
 
-    def _draw(self, width: int, height: int) -> None:
+    def _tell(self, width: int, height: int) -> None:
         """Tells the page of the picture, or why there is none."""
         try:
-            drawn = self.desk.scene.picture(width, height)
-            png = png_on(drawn, PALETTES[self.desk.state.theme].scene)
-            self.desk.say("render", {"png": base64.b64encode(png).decode(), "why": ""})
+            png = base64.b64encode(self._png(width, height)).decode()
+            self.desk.say("render", {"png": png, "why": ""})
         except SemvizError as error:
             self.desk.say("render", {"png": "", "why": str(error)})
+
+    def _png(self, width: int, height: int) -> bytes:
+        if not 0 < min(width, height) <= max(width, height) <= LARGEST_PX:
+            size = f"{width} × {height} px"
+            raise SemvizError(f"{size} is not from 1 to {LARGEST_PX} px; take it smaller")
+        drawn = self.desk.scene.picture(width, height)
+        return png_on(drawn, PALETTES[self.desk.state.theme].scene)
 
 
 def png_on(drawn: ByteImage, ground: str) -> bytes:

@@ -1,19 +1,21 @@
 """Views saved as files: an SVG and a PNG hold what the page shows, and look the same."""
 
+import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
 from inspecting import open_blank, open_flat, open_page, record_street, rgb_of, wait_for
 
-from semviz.inspector.rendering import png_on
+from semviz.inspector.rendering import RenderTopic, png_on
 from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
 from semviz.recording.run import Run
 from semviz.web.door import Door
+from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -205,6 +207,30 @@ def test_the_3d_pane_is_saved_as_png_only(url: str, page: "Page", tmp_path: Path
     assert image.shape == (int(scene["height"]), int(scene["width"]), 3)
     assert image.std() > 3
     assert np.abs(image[0, 0] - [0xF7, 0xF8, 0xF9]).max() <= 2
+
+
+def test_why_the_3d_pane_cannot_be_drawn_reaches_the_dialog() -> None:
+    told: list[dict[str, str]] = []
+
+    class Blind:
+        """A desk whose 3D pane nobody looks at."""
+
+        def say(self, _: str, value: dict[str, str]) -> None:
+            told.append(value)
+
+        @property
+        def scene(self) -> Any:
+            raise SemvizError("the 3D pane does not answer")
+
+    topic = RenderTopic(cast(Any, Blind()))
+    for count, width in enumerate((9000, 0, 100)):
+        topic.verbs()["render"]({"verb": "render", "width": width, "height": 100})
+        while len(told) <= count:
+            time.sleep(0.01)
+    assert all(one["png"] == "" for one in told)
+    assert "9000 × 100 px" in told[0]["why"]
+    assert "0 × 100 px" in told[1]["why"]
+    assert "does not answer" in told[2]["why"]
 
 
 def test_transparent_places_show_the_ground() -> None:
