@@ -245,7 +245,7 @@ def drawn_frames(path: Path, entity: str) -> list[int]:
     )
 
 
-@pytest.mark.parametrize("frames", [1, 10, 23])
+@pytest.mark.parametrize("frames", [1, 20, 23])
 def test_every_frame_is_drawn(tmp_path: Path, frames: int) -> None:
     path = write_run(tmp_path / "run.rrd", make_records(frames))
     for entity in (plots.VERDICTS, scene.HERE, f"{layout.IMAGE}/observed"):
