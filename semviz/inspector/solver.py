@@ -24,6 +24,8 @@ class SolverTopic(Topic):
 
     _shown: int | None = None
     """Row of the pose that is shown."""
+    _is_drawn: bool = False
+    """Whether one is in 3D, of this frame or of the one before."""
 
     def verbs(self) -> Verbs:
         return {"solver": self._tell, "hypothesis": self._show}
@@ -32,7 +34,8 @@ class SolverTopic(Topic):
         self._shown = None
 
     def on_drawn(self) -> None:
-        self._draw()
+        if self._is_drawn:  # else the 3D pane need not be asked with every frame
+            self._draw()
 
     def _tell(self, _: Message) -> None:
         desk = self.desk
@@ -55,6 +58,7 @@ class SolverTopic(Topic):
             camera = self._localization.camera
             shown = Hypothesis(letter(row), search.T_camera_map[row].inverse(), camera)
         desk.scene.show_hypothesis(shown, desk.state)
+        self._is_drawn = shown is not None
 
     @property
     def _localization(self) -> Localization:

@@ -40,6 +40,7 @@ export class Address {
   /** Back or forward: to the run and frame of the address that it is by now. */
   follow() {
     const { page } = this;
+    if (!page.run) return;
     this.wanted = new URLSearchParams(location.search);
     const frame = numberOf(this.numberIn("frame"));
     const position = page.run.frames.findIndex((row) => row.index === frame);

@@ -89,6 +89,11 @@ export class FrameList {
     this.fill();
   }
 
+  /** The element that was to be filtered by is not in the map. */
+  showRefusal() {
+    if (this.element !== null && !this.withElement) this.filter({ element: null });
+  }
+
   pointAt(position) {
     for (const row of byId("frame-list").children) {
       const current = row.members?.includes(position) ?? false;

@@ -48,7 +48,7 @@ export class SpacePanel {
       {
         fields: { colors: oneOf(...NAMES), sigma: flag() },
         get: () => ({ colors: this.state.colors, sigma: yes(this.state.ellipsoids) }),
-        set: ({ colors, sigma }) => this.ask(colors, sigma === "yes"),
+        set: ({ colors, sigma }) => this.ask({ colors, ellipsoids: sigma === "yes" }),
       },
       {
         fields: { others: flag("yes") },
