@@ -45,14 +45,15 @@ CHROMIUM = [
 ]
 SHOWN_FRAME = 97
 FORECAST_FRAME = 26
+SPACE_FRAME = 113
 MOVED_FRAME = 28
+MOVED_ELEMENT = 29
 TRIED_FRAME = 28
 COMPARED_FRAMES = range(100, 112)
 """Between them a pole is moved that matters."""
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
-MOVED_ELEMENT = 29
 SETTLED_MS = 15_000
 """Software rendering takes its time."""
 
@@ -94,6 +95,38 @@ def take_image(page: Page) -> None:
             page.keyboard.press(key)
         page.wait_for_timeout(SETTLED_MS)
         page.locator("#image").screenshot(path=IMAGES / "serve-image.png")
+        page.goto("about:blank")
+
+
+def take_selected(page: Page) -> None:
+    """The card of the pole that was labelled beside where it stands, and the matrix of a row."""
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.route("**/view/**", lambda route: route.abort())  # the 3D pane is not in them
+        page.set_viewport_size({"width": 1600, "height": 1500})
+        page.goto(f"{url}?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&card=selected")
+        page.wait_for_selector("#selected-origins .origin", timeout=120_000)
+        page.locator("#why").screenshot(path=IMAGES / "serve-selected.png")
+        page.set_viewport_size({"width": 1600, "height": 950})
+        page.goto(f"{url}?frame={SHOWN_FRAME}")
+        page.wait_for_timeout(SETTLED_MS)
+        page.keyboard.press("Tab")
+        page.wait_for_selector("#matrix-value:not(:empty)")
+        page.locator("#matrix").screenshot(path=IMAGES / "serve-matrix.png")
+        page.unroute("**/view/**")
+        page.goto("about:blank")
+
+
+def take_space(page: Page) -> None:
+    """The map by how often elements are used, with covariances."""
+    run = Workspace.open(ensure_demo()).run_path(RUN)
+    with Door(Inspector([run])).running() as url:
+        page.goto(f"{url}?frame={SPACE_FRAME}")
+        page.wait_for_selector("#space-legend div")
+        for key in ("v", "v", "Shift+V"):
+            page.keyboard.press(key)
+        page.wait_for_timeout(SETTLED_MS)
+        page.locator("#space").screenshot(path=IMAGES / "serve-space.png")
         page.goto("about:blank")
 
 
@@ -259,6 +292,8 @@ def main() -> None:
     with browser_page() as page:
         take_inspector(page)
         take_image(page)
+        take_space(page)
+        take_selected(page)
         take_solver(page)
         take_compare(page)
         take_forecast(page)
