@@ -5,9 +5,10 @@ the same columns takes about a millisecond in all, and hardly more if it holds s
 layouts below are those that the archetypes write, component by component.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,9 @@ class Strips:
     lengths: IntArray
     """(k,) number of points of each strip."""
 
+    def __len__(self) -> int:
+        return len(self.lengths)
+
     @classmethod
     def of(cls, strips: FloatArray) -> "Strips":
         """From k strips of p points each: (k, p, 2 or 3)."""
@@ -50,29 +54,78 @@ class Strips:
         return cls(strips.reshape(k * p, d), np.full(k, p))
 
 
+AsArrow = Callable[[list[Any]], Any]
+"""Makes one Arrow array of the values of several frames."""
+
+
+def _numbers(values: list[NDArray[Any]]) -> Any:
+    return pa.array(np.concatenate(values))
+
+
+def _texts(values: list[Sequence[str]]) -> Any:
+    return pa.array(list(chain.from_iterable(values)), pa.string())
+
+
+def _vectors(values: list[FloatArray]) -> Any:
+    """Of (k, d): a fixed-size list array of float32."""
+    vectors = np.concatenate(values).astype(np.float32)
+    return pa.FixedSizeListArray.from_arrays(
+        pa.array(vectors.reshape(-1)), type=_VECTOR[vectors.shape[1]]
+    )
+
+
+def _strips(values: list[Strips]) -> Any:
+    points = _vectors([one.points for one in values])
+    return _pieces(np.concatenate([one.lengths for one in values]), points)
+
+
+def _blobs(values: list[list[NDArray[np.uint8]]]) -> Any:
+    blobs = list(chain.from_iterable(values))
+    data = np.concatenate(blobs) if blobs else np.zeros(0, np.uint8)
+    return _pieces(np.array([len(one) for one in blobs], np.int64), pa.array(data))
+
+
+def _formats(values: list[list[dict[str, int]]]) -> Any:
+    return pa.array(list(chain.from_iterable(values)), _IMAGE_FORMAT)
+
+
+def _pieces(lengths: IntArray, values: Any) -> Any:
+    """Consecutive pieces of ``values`` as the rows of a list array."""
+    kind = pa.list_(pa.field("item", values.type, nullable=False))
+    return pa.ListArray.from_arrays(pa.array(_offsets(lengths)), values, type=kind)
+
+
+def _offsets(lengths: IntArray) -> NDArray[np.int32]:
+    offsets = np.zeros(len(lengths) + 1, np.int32)
+    np.cumsum(lengths, out=offsets[1:])
+    return offsets
+
+
 @dataclass(eq=False)
 class _Column:
     """One component of one entity."""
 
     kind: str
+    as_arrow: AsArrow
     rows: list[int] = field(default_factory=list)
     """Frames, by their place in the batch, that say something of it; the others leave it as is."""
     values: list[Any] = field(default_factory=list)
-    """An Arrow array for each of them."""
+    """What each of them says."""
 
     def array(self, rows: int) -> Any:
         """A list array of so many rows."""
         lengths, said = np.zeros(rows, np.int64), np.zeros(rows, bool)
         lengths[self.rows], said[self.rows] = [len(one) for one in self.values], True
-        values = self.values[0] if len(self.values) == 1 else pa.concat_arrays(self.values)
         mask = None if said.all() else pa.array(~said)
+        values = self.as_arrow(self.values)
         return pa.ListArray.from_arrays(pa.array(_offsets(lengths)), values, mask=mask)
 
 
 class Columns:
     """Collects columns of many entities: for all time, or for the frames that were begun.
 
-    An empty component takes away what earlier frames showed.
+    An empty component takes away what earlier frames showed. Values become Arrow arrays when they
+    are sent, those of all frames at once; they must stay as they are until then.
     """
 
     def __init__(self) -> None:
@@ -104,35 +157,45 @@ class Columns:
         batch = pa.record_batch(arrays, schema=pa.schema(fields))
         stream.send_record_batch(batch, index=index)
 
-    def add(self, entity: str, component: str, values: Any, kind: str = "") -> None:
-        """One component: an Arrow array, and rerun's component type unless it is our own."""
-        column = self._columns.setdefault((entity, component), _Column(kind))
+    def add(
+        self,
+        entity: str,
+        component: str,
+        values: Any,
+        kind: str = "",
+        as_arrow: AsArrow = _numbers,
+    ) -> None:
+        """One component: its values, and rerun's component type unless it is our own."""
+        key = entity, component
+        if key not in self._columns:
+            self._columns[key] = _Column(kind, as_arrow)
+        column = self._columns[key]
         column.rows.append(max(self.frames - 1, 0))
         column.values.append(values)
 
     def text(self, entity: str, component: str, text: str, kind: str = "Text") -> None:
-        self.add(entity, component, pa.array([text]), kind)
+        """One text; ``kind`` is empty where it is our own."""
+        self.add(entity, component, [text], kind, _texts)
 
     def scalars(self, entity: str, *values: float) -> None:
         """One value for each line of a plot; NaN leaves a gap."""
-        self.add(entity, "Scalars:scalars", pa.array(values, pa.float64()), "Scalar")
+        self.add(entity, "Scalars:scalars", np.array(values, np.float64), "Scalar")
 
     def colors(self, entity: str, archetype: str, colors: IntArray) -> None:
         """One colour 0xRRGGBBAA (k,) for each thing of the entity."""
-        self.add(entity, f"{archetype}:colors", pa.array(colors.astype(np.uint32)), "Color")
+        self.add(entity, f"{archetype}:colors", colors.astype(np.uint32), "Color")
 
     def points(self, entity: str, points: FloatArray, colors: IntArray | None = None) -> None:
         """Points (k, 2) or (k, 3), with their colours (k,) or in that of the entity's style."""
         d = points.shape[1]
-        self.add(entity, f"Points{d}D:positions", _vectors(points), f"Position{d}D")
+        self.add(entity, f"Points{d}D:positions", points, f"Position{d}D", _vectors)
         if colors is not None:
             self.colors(entity, f"Points{d}D", colors)
 
     def strips(self, entity: str, strips: Strips, colors: IntArray | None = None) -> None:
         """Line strips with their colours, one each, or in that of the entity's style."""
         d = strips.points.shape[1]
-        values = _list(strips.lengths, _vectors(strips.points), nullable=False)
-        self.add(entity, f"LineStrips{d}D:strips", values, f"LineStrip{d}D")
+        self.add(entity, f"LineStrips{d}D:strips", strips, f"LineStrip{d}D", _strips)
         if colors is not None:
             self.colors(entity, f"LineStrips{d}D", colors)
 
@@ -140,42 +203,40 @@ class Columns:
         self, entity: str, archetype: str, labels: Sequence[str], *, show: bool | None = None
     ) -> None:
         """Names of the entity's things, and whether to show them without being pointed at."""
-        self.add(entity, f"{archetype}:labels", pa.array(labels, pa.string()), "Text")
+        self.add(entity, f"{archetype}:labels", labels, "Text", _texts)
         if show is not None:
-            self.add(entity, f"{archetype}:show_labels", pa.array([show]), "ShowLabels")
+            self.add(entity, f"{archetype}:show_labels", np.array([show]), "ShowLabels")
 
     def radius(self, entity: str, archetype: str, points: float) -> None:
         """Size in points of the screen, whatever the zoom."""
-        self.add(entity, f"{archetype}:radii", pa.array([-points], pa.float32()), "Radius")
+        self.add(entity, f"{archetype}:radii", np.array([-points], np.float32), "Radius")
 
     def pose(self, entity: str, pose: Pose) -> None:
         """The entity's pose in its parent: T_parent_entity."""
-        columns = np.ascontiguousarray(pose.rotation.T).reshape(1, 9)  # rerun: column-major
-        self.add(entity, "Transform3D:mat3x3", _vectors(columns), "TransformMat3x3")
-        shift = _vectors(pose.translation[None])
-        self.add(entity, "Transform3D:translation", shift, "Translation3D")
+        columns = pose.rotation.T.reshape(1, 9)  # rerun: column-major
+        self.add(entity, "Transform3D:mat3x3", columns, "TransformMat3x3", _vectors)
+        shift = pose.translation[None]
+        self.add(entity, "Transform3D:translation", shift, "Translation3D", _vectors)
 
     def picture_distance(self, entity: str, meters: float) -> None:
         """How far from its camera a pinhole's image is drawn, and how large with it."""
         component = "Pinhole:image_plane_distance"
-        self.add(entity, component, pa.array([meters], pa.float32()), "ImagePlaneDistance")
+        self.add(entity, component, np.array([meters], np.float32), "ImagePlaneDistance")
 
     def jpeg(self, entity: str, image: bytes | None) -> None:
         """An image; None takes it away."""
-        data = np.frombuffer(image or b"", np.uint8)
-        blob = _list([len(data)] if image is not None else [], pa.array(data), nullable=False)
-        self.add(entity, "EncodedImage:blob", blob, "Blob")
+        blobs = [] if image is None else [np.frombuffer(image, np.uint8)]
+        self.add(entity, "EncodedImage:blob", blobs, "Blob", _blobs)
 
     def matrix(self, entity: str, matrix: FloatArray | None) -> None:
         """A matrix (m, n), shown as a depth image; None takes it away."""
-        values = np.zeros((0, 0)) if matrix is None else matrix
-        data = np.ascontiguousarray(values, dtype="<f4").reshape(-1).view(np.uint8)
-        blob = _list([len(data)] if values.size else [], pa.array(data), nullable=False)
-        height, width = values.shape
-        form = {"width": width, "height": height, "channel_datatype": _FLOAT32}
-        formats = pa.array([form] if values.size else [], _IMAGE_FORMAT)
-        self.add(entity, "DepthImage:buffer", blob, "ImageBuffer")
-        self.add(entity, "DepthImage:format", formats, "ImageFormat")
+        blobs, formats = [], []
+        if matrix is not None and matrix.size:
+            height, width = matrix.shape
+            blobs = [np.ascontiguousarray(matrix, dtype="<f4").reshape(-1).view(np.uint8)]
+            formats = [{"width": width, "height": height, "channel_datatype": _FLOAT32}]
+        self.add(entity, "DepthImage:buffer", blobs, "ImageBuffer", _blobs)
+        self.add(entity, "DepthImage:format", formats, "ImageFormat", _formats)
 
 
 @cache
@@ -185,21 +246,3 @@ def _field(entity: str, component: str, arrow_type: Any, kind: str) -> Any:
         metadata["rerun:archetype"] = "rerun.archetypes." + component.partition(":")[0]
         metadata["rerun:component_type"] = f"rerun.components.{kind}"
     return pa.field(f"{entity}:{component}", arrow_type, metadata=metadata)
-
-
-def _vectors(vectors: NDArray[np.float64]) -> Any:
-    """(k, d) as a fixed-size list array of float32."""
-    flat = pa.array(vectors.astype(np.float32).reshape(-1))
-    return pa.FixedSizeListArray.from_arrays(flat, type=_VECTOR[vectors.shape[1]])
-
-
-def _list(lengths: Sequence[int] | IntArray, values: Any, *, nullable: bool = True) -> Any:
-    """Consecutive pieces of ``values`` as the rows of a list array."""
-    kind = pa.list_(pa.field("item", values.type, nullable=nullable))
-    return pa.ListArray.from_arrays(pa.array(_offsets(lengths)), values, type=kind)
-
-
-def _offsets(lengths: Sequence[int] | IntArray) -> NDArray[np.int32]:
-    offsets = np.zeros(len(lengths) + 1, np.int32)
-    np.cumsum(lengths, out=offsets[1:])
-    return offsets

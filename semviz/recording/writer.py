@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-import pyarrow as pa
+import numpy as np
 import rerun as rr
 
 from semviz.recording import layout
@@ -53,7 +53,7 @@ class RunWriter:
         self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
         self._stream.send_recording_name(info.name)
         columns = Columns()
-        columns.add(layout.INFO, "version", pa.array([layout.FORMAT_VERSION]))
+        columns.add(layout.INFO, "version", np.array([layout.FORMAT_VERSION]))
         _add_exact(columns, layout.INFO, info)
         _add_exact(columns, layout.MAP, semantic_map)
         columns.send(self._stream)
@@ -97,7 +97,7 @@ class RunWriter:
             self._send_drawn()
         if kind is None and self._completes:
             columns = Columns()
-            columns.add(layout.END, "frames", pa.array([self._frames]))
+            columns.add(layout.END, "frames", np.array([self._frames]))
             columns.send(self._stream)
         self._flush()
         self._stream.disconnect()
@@ -145,9 +145,9 @@ def write_run(
 
 def _add_exact(columns: Columns, entity: str, value: object) -> None:
     structure, pools = encode(value)
-    columns.add(entity, layout.STRUCTURE, pa.array([json.dumps(structure)]))
+    columns.text(entity, layout.STRUCTURE, json.dumps(structure), kind="")
     for name, numbers in pools.items():
-        columns.add(entity, name, pa.array(numbers))
+        columns.add(entity, name, numbers)
 
 
 def _check_writable(path: Path) -> None:

@@ -333,13 +333,12 @@ def foreign_recording(path: Path) -> None:
 
 
 def newer_run(path: Path) -> None:
-    import pyarrow as pa
     import rerun as rr
 
     with rr.RecordingStream(layout.APPLICATION) as stream:
         stream.save(path)
         columns = Columns()
-        columns.add(layout.INFO, "version", pa.array([99]))
+        columns.add(layout.INFO, "version", np.array([99]))
         columns.send(stream)
 
 
