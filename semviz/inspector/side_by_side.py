@@ -1,5 +1,7 @@
 """The open run against another one: what changed, and each frame as the other run has it."""
 
+from functools import partial
+
 from semviz.inspector.background import Background
 from semviz.inspector.comparison_view import Side, SideBySide
 from semviz.inspector.shelf import Shelf
@@ -54,9 +56,13 @@ class CompareTopic(Topic):
         desk, base = self.desk, str(message.get("base") or "")
         if base == desk.state.run:
             raise SemvizError(f"{base} is the run that is open; compare it with another one")
+        is_other = base != desk.state.base
         desk.state = desk.state.against(base, bool(message.get("comparing")))
         desk.tell_state()
-        self._show()
+        if is_other:
+            self._show()
+        else:
+            self._tell_frame()
         desk.draw_frame()
 
     def _gates(self, message: Message) -> None:
@@ -76,15 +82,13 @@ class CompareTopic(Topic):
 
     def _show(self) -> None:
         """The comparison; made first where it is not."""
-        desk = self.desk
+        desk, comparing = self.desk, self._comparing
         if not desk.state.base:
             return
-        if self._comparing is None or not self._is_wanted(self._comparing):
-            made = Comparing(desk.shelf, desk.state.base, desk.state.run, desk.run)
-            self._comparing = made
-            made.ask(lambda: self._got_on(made))
-        else:
-            self._tell_frame()
+        if comparing is None or not self._is_wanted(comparing):
+            comparing = Comparing(desk.shelf, desk.state.base, desk.state.run, desk.run)
+            self._comparing = comparing
+        comparing.ask(partial(self._got_on, comparing))
 
     def _got_on(self, comparing: Comparing) -> None:
         """Called in its thread; other runs may have been chosen by then."""

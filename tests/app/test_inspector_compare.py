@@ -215,6 +215,11 @@ def test_closing_leaves_a_line_of_broken_frames_on_the_timeline(
     assert near(pixels(page, "#timeline-canvas"), BROKEN) > 20
     page.keyboard.press("c")
     wait_for(page, lambda: in_url(page, "beside") == "yes", "both runs again")
+    page.select_option("#base", "")
+    wait_for(page, lambda: in_url(page, "base") is None, "no other run")
+    page.keyboard.press("c")
+    page.click("dialog.choose-run button")
+    wait_for(page, lambda: page.locator("body.comparing:not(.awaiting)").count() == 1, "it again")
     page.click("#swap")
     wait_for(page, lambda: in_url(page, "base") == "spoiled", "A and B the other way round")
     wait_for(page, lambda: page.locator("#tab-alone").is_visible(), "what only B has")

@@ -29,10 +29,10 @@ export class Timeline {
   }
 
   showRun(run) {
+    if (run.name !== this.run?.name) this.compareWith("");
     this.run = run;
     this.forecast = null;
     this.mostM = run.frames.reduce((most, row) => Math.max(most, row.errorM ?? 0), 1);
-    this.compareWith("");
     byId("median").textContent = run.medianM === null ? "no truth" : `median ${fixed(run.medianM, 2)} m`;
     byId("ok-share").textContent = `${Math.round(100 * (run.okShare ?? 0))} % ok`;
     this.surface.redraw();
@@ -52,7 +52,7 @@ export class Timeline {
   }
 
   showState(state) {
-    if (!state.base && this.changed) this.compareWith("");
+    if (this.changed && state.base !== this.against) this.compareWith("");
     if (state.forecast === this.withForecast) return;
     this.withForecast = state.forecast;
     this.drawAgain();
@@ -72,6 +72,7 @@ export class Timeline {
   /** Another line, of the frames that are fixed or broken against another run. */
   compareWith(name, changed = null) {
     this.changed = changed;
+    this.against = name;
     const count = (change) => changed.filter((one) => one?.change === change).length;
     byId("timeline").classList.toggle("against", Boolean(changed));
     byId("against").textContent = byId("against").title = changed ? `Against ${name}` : "";

@@ -20,8 +20,8 @@ export class Compare {
     this.page = page;
     this.names = [];
     this.base = "";
+    this.other = "";
     this.isOpen = false;
-    this.comparison = null;
     this.same = new SameElement();
     this.frames = new ChangedFrames(page);
     const gates = new Gates(page);
@@ -63,7 +63,9 @@ export class Compare {
     this.fillChoice();
   }
 
-  showRun() {
+  showRun({ name }) {
+    if (this.base && name !== this.other) this.begin(this.base);
+    this.other = name;
     this.fillChoice();
   }
 
@@ -76,7 +78,7 @@ export class Compare {
   /** Waits for another comparison, and says for how long. */
   begin(base) {
     this.base = base;
-    this.comparison = null;
+    document.body.classList.toggle("awaiting", Boolean(base));
     byId("compare-label").textContent = base ? `Against ${base}` : "Compare with…";
     clearInterval(this.waiting);
     const start = Date.now();
@@ -85,11 +87,11 @@ export class Compare {
     if (base) this.waiting = setInterval(tell, 1000);
   }
 
-  showComparison(comparison) {
+  showComparison({ baseIds }) {
     clearInterval(this.waiting);
     byId("compare-about").textContent = "";
-    this.comparison = comparison;
-    this.same.use(comparison.baseIds);
+    document.body.classList.remove("awaiting");
+    this.same.use(baseIds);
   }
 
   showRefusedComparison(why) {
@@ -102,10 +104,6 @@ export class Compare {
 
   showBaseFrame({ frame }) {
     byId("side-a").replaceChildren(...head("A", this.base, frame));
-  }
-
-  showTheme() {
-    this.fillChoice();
   }
 
   /* What people ask for */
