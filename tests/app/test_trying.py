@@ -146,19 +146,21 @@ def _radius_m(record: FrameRecord) -> float:
 
 
 def test_the_order_of_changes_does_not_matter() -> None:
+    """A crop is made before an element is added to it, whichever is named first."""
     run, record = first()
-    i, element = rows_and_ids(record)[0]
-    _, dropped = rows_and_ids(record)[1]
-    index = record.frame.index
+    narrow = again(run, record, (CropRadius(30.0),)).localization.submap.id.tolist()
+    within = [pair for pair in rows_and_ids(record) if pair[1] in narrow]
+    (row, element), (_, dropped) = within[:2]
+    outside = next(one for one in record.localization.submap.id.tolist() if one not in narrow)
     changes = (
+        AddElement(outside),
+        CropRadius(30.0),
         DropElement(dropped),
-        CropRadius(60.0),
-        DropDetection(index, rows_and_ids(record)[2][0]),
-        ForcePair(index, i, element),
+        ForcePair(record.frame.index, row, element),
     )
     answers = [again(run, record, order) for order in permutations(changes)]
     assert all(same(answers[0], one) for one in answers[1:])
-    assert dropped not in answers[0].localization.submap.id  # also after the crop is made anew
+    assert set(answers[0].localization.submap.id.tolist()) == {*narrow, outside} - {dropped}
 
 
 def test_a_detection_that_is_dropped_leaves_the_others_their_truth() -> None:
