@@ -209,6 +209,8 @@ def test_next_frame_sends_nothing_of_the_map(
     view.show_frame(run, replace(state, position=1))
     assert messages
     assert not [name for _, name, _ in messages if name.startswith(("/map", "/far", "/ways"))]
+    made = [name for kind, name, _ in messages if kind == "LineSegmentsMessage"]
+    assert not [name for name in made if not name.startswith(("/pairs", "/submap"))]
     assert sum(size for *_, size in messages) < 60_000
 
 
@@ -316,6 +318,7 @@ def test_marks_colours_and_viewpoints(url: str, page: "Page", tool: Inspector) -
         return page.locator("#frame-number").text_content() == "Frame 16 of 20"
 
     wait_for(page, gone_by_click, "the frame of the mark")
+    assert page.locator("#notice").is_hidden()  # nothing of the link was left out
 
     legend_line = page.locator("#space-legend")
     page.keyboard.press("v")

@@ -5,7 +5,6 @@ import { byId, el } from "/static/dom.js";
 export class Viewpoints {
   constructor(page) {
     this.page = page;
-    this.shared = new URLSearchParams(location.search).get("eye"); // of a link, taken once
     byId("viewpoints-open").addEventListener("click", () => this.toggle());
     byId("viewpoints-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -23,11 +22,15 @@ export class Viewpoints {
   showRun(run) {
     this.place = `semviz.viewpoints.${run.mapFrame}`;
     this.fill();
-    const numbers = this.shared?.split(",").map(Number);
-    this.shared = null;
-    if (numbers?.length === 6 && numbers.every(Number.isFinite)) {
-      this.go({ eye: numbers.slice(0, 3), target: numbers.slice(3) });
-    }
+  }
+
+  /** A link's viewpoint is taken when it is followed; where somebody looks from is not written. */
+  address() {
+    return [{
+      fields: { eye: { initial: null, knows: (text) => viewpointOf(text) !== null } },
+      get: () => ({ eye: null }),
+      set: ({ eye }) => this.go(viewpointOf(eye)),
+    }];
   }
 
   showViewpoint(viewpoint) {
@@ -76,4 +79,11 @@ export class Viewpoints {
     address.searchParams.set("eye", [...eye, ...target].join(","));
     navigator.clipboard.writeText(address.href);
   }
+}
+
+/** `x,y,z` of the eye, then of its target; null for any other text. */
+function viewpointOf(text) {
+  const numbers = text.split(",").map(Number);
+  if (numbers.length !== 6 || !numbers.every(Number.isFinite)) return null;
+  return { eye: numbers.slice(0, 3), target: numbers.slice(3) };
 }

@@ -20,7 +20,6 @@ def draw_prior(scene: Scene, run: Run, record: FrameRecord, view: View) -> None:
     scene.draw_lines("/prior-cross", cross, color, 1.5)
     _label_prior(scene, prior, center, vehicle(record), view)
     radius = run.info.options.get("crop_radius_m")
-    scene.clear("/crop")
     if isinstance(radius, int | float):
         scene.draw_circle("/crop", center, float(radius), scene.palette.faint)
 
