@@ -21,6 +21,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import combinations
 from pathlib import Path
 from typing import TypeAlias
 
@@ -142,7 +143,8 @@ class Judge:
                 t for t, n in things.items() if t >= 0 and n >= max(2, SHARE * things.total())
             ]
             result.merged += len(enough) > 1
-            result.together += len(enough) > 1 and frozenset(enough[:2]) in self.together
+            pairs = (frozenset(pair) for pair in combinations(enough, 2))
+            result.together += any(pair in self.together for pair in pairs)
             if thing < 0 or most <= things.total() / 2:
                 result.false += 1
                 continue

@@ -75,6 +75,11 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.element)
 
+    @property
+    def first_sighting(self) -> IntArray:
+        """(m,) a gathered sighting of each."""
+        return self.sightings.observation[self.sightings.first]
+
     def of_split_off(self, gathered: Gathered) -> dict[str, int]:
         """The node of each observation that is not of its label element's main part, by id."""
         rows = np.flatnonzero(self.of_sighting != LEFT_OUT)

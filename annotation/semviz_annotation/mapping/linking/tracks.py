@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.linking.contest import Contest
+from semviz_annotation.mapping.linking.contest import Contest, Owners
 from semviz_annotation.mapping.linking.enough import too_little
 from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
 from semviz_annotation.mapping.linking.misfits import main_first, misfits, parts
@@ -122,27 +122,34 @@ def _contested(tracks: Tracks, options: LinkOptions) -> Tracks:
     owners, placed = contest.settled(owner, tracks.placed)
     if np.array_equal(owners.used, owner):
         return tracks
+    return _with_owners(tracks, owners, placed, options)
+
+
+def _with_owners(tracks: Tracks, owners: Owners, placed: Placed, options: LinkOptions) -> Tracks:
+    """With the things that sightings are of now, which are ``placed`` already.
+
+    Nodes are parts by things. One that has lost all its sightings is a thing without a place.
+    """
+    views, sightings = tracks.gathered.views, tracks.gathered.sightings
     before = np.append(tracks.thing, LEFT_OUT)[tracks.nodes.of_sighting]
-    thing_of = np.where(owners.used == LEFT_OUT, before, owners.used)
-    nodes = Nodes.of(sightings, main_first(sightings, thing_of))
-    thing = thing_of[nodes.sightings.observation[nodes.sightings.first]]
+    owner = np.where(owners.used == LEFT_OUT, before, owners.used)
+    nodes = Nodes.of(sightings, main_first(sightings, owner))
+    thing = owner[nodes.first_sighting]
     idle = np.isin(np.arange(len(nodes)), nodes.of_sighting[owners.used != LEFT_OUT], invert=True)
-    thing[idle] = len(kind) + np.arange(idle.sum())
+    count = tracks.sightings.count + int(idle.sum())
+    thing[idle] = np.arange(tracks.sightings.count, count)
     nothing = place(views, sightings.regrouped(np.full(len(sightings), LEFT_OUT), int(idle.sum())))
     nothing.failure[:] = "its labels are not clearly of one thing"
-    first = tracks.nodes.sightings.observation[tracks.nodes.sightings.first]
-    now = nodes.of_sighting[first]
+    now = nodes.of_sighting[tracks.nodes.first_sighting].tolist()
+    apart = (one._replace(nodes=(now[one.nodes[0]], now[one.nodes[1]])) for one in tracks.apart)
     return replace(
         tracks,
         nodes=nodes,
         alone=place(views, nodes.sightings, options.place),
         thing=thing,
-        sightings=sightings.regrouped(owners.used, len(kind) + len(nothing.failure)),
+        sightings=sightings.regrouped(owners.used, count),
         placed=Placed.joined([placed, nothing]),
-        apart=tuple(
-            one._replace(nodes=(int(now[one.nodes[0]]), int(now[one.nodes[1]])))
-            for one in tracks.apart
-        ),
+        apart=tuple(apart),
         unclear=owners.unclear,
     )
 
