@@ -42,13 +42,10 @@ class Pairing:
     def check(self, observed: Elements2D, submap: Elements3D) -> None:
         """SemvizError where rows do not exist, or a pole is to be a sign."""
         pairs = np.concatenate([self.forced, self.forbidden])
-        for rows, elements, name in zip(
-            pairs.T, (observed, submap), ("observed", "submap"), strict=True
-        ):
-            if ((rows < 0) | (rows >= len(elements))).any():
-                raise SemvizError(
-                    f"pairing names rows that {name} with {len(elements)} elements lacks"
-                )
+        sides = (("observed", len(observed)), ("submap", len(submap)))
+        for (name, count), rows in zip(sides, pairs.T, strict=True):
+            if ((rows < 0) | (rows >= count)).any():
+                raise SemvizError(f"pairing names rows that {name} with {count} elements lacks")
         i, j = self.forced.T
         odd = np.flatnonzero(observed.is_line[i] != submap.is_line[j])
         if len(odd):
