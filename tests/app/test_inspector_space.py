@@ -194,7 +194,9 @@ def city(copies: int) -> Run:
         moved = replace(one.transformed(away), id=one.id + 1000 * number)
         whole = joined(whole, moved)
     road = run.semantic_map.trajectory_m
-    return replace(run, semantic_map=SemanticMap(whole, run.semantic_map.frame, trajectory_m=road))
+    info = replace(run.info, options={"crop_radius_m": 50.0})
+    semantic_map = SemanticMap(whole, run.semantic_map.frame, trajectory_m=road)
+    return replace(run, info=info, semantic_map=semantic_map)
 
 
 def test_next_frame_sends_nothing_of_the_map(
