@@ -126,7 +126,7 @@ def test_the_most_telling_change_is_one_key(url: str, page: "Page", recorded: Pa
     before = recorded.read_bytes()
     open_flat(page, url, f"frame={LOST}")
     wait_for(page, lambda: page.locator("#why-body .advice").count() == 1, "advice on the card")
-    assert "with the prior at the true place" in said(page, "#why-body .advice")()
+    assert "With the prior at the true place" in said(page, "#why-body .advice")()
     orange = near(pixels(page, "#image-canvas"), "#FF7A1A")  # the legend's
     page.keyboard.press("x")
     bar, card = said(page, "#trying-text"), said(page, "#what-if-body .answer")

@@ -76,7 +76,7 @@ export class WhatIf {
   showAdvice({ position, text, before, after }) {
     if (!text || position !== this.page.frame.position) return;
     const row = el("div", { class: "advice" },
-      el("span", { class: "dim", text: `What if: ${text}` }),
+      el("span", { class: "dim", text: `${text[0].toUpperCase()}${text.slice(1)}` }),
       el("span", {}, error(before), el("span", { class: "dim", text: " → " }), el("b", { text: error(after) })),
       el("button", { class: "small", onclick: () => this.tryBest() }, "Try it live", el("kbd", { text: "X" })));
     document.querySelector("#why-body .advice")?.remove();
