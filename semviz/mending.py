@@ -51,14 +51,6 @@ def mend_run(
     return Run(info, semantic_map, tuple(frames))
 
 
-def free_path(path: Path, what: str) -> Path:
-    """A name beside a run, such as ``drive-mended-1.rrd``, that no file has yet."""
-    number = 1
-    while (free := path.with_name(f"{path.stem}-{what}-{number}.rrd")).exists():
-        number += 1
-    return free
-
-
 def _info(run: Run, path: Path, workspace: Workspace) -> RunInfo:
     return replace(
         run.info,

@@ -1,5 +1,6 @@
 """What takes long: worked out once, in a thread of its own, while pages go on."""
 
+import logging
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
@@ -62,6 +63,9 @@ class Background(ABC, Generic[Value]):
             self.value = self.work()
         except SemvizError as error:
             self.doing = str(error)
+        except Exception as error:  # a fault of ours must be seen, not leave the page waiting
+            logging.getLogger(__name__).exception("work in the background failed")
+            self.doing = f"Internal error: {type(error).__name__}: {error}. The terminal has more."
         with self._lock:
             self.is_over = True
         self._tell()

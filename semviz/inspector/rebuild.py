@@ -5,9 +5,9 @@ from pathlib import Path
 
 from semviz.comparing.comparison import frame_change
 from semviz.inspector.background import Background
-from semviz.mending import free_path, mend_run
+from semviz.mending import mend_run
 from semviz.recording.run import Run
-from semviz.trying.over import in_words
+from semviz.trying.over import free_path, in_words
 from semviz.workspace import Workspace
 from semviz_core.errors import SemvizError
 

@@ -62,10 +62,10 @@ def in_words(frames: Sequence[FrameChange]) -> str:
     return f"{len(changed)} of {_number(len(frames))} change: {', '.join(said)}."
 
 
-def free_path(path: Path) -> Path:
-    """A name beside a run that no file has yet."""
+def free_path(path: Path, what: str) -> Path:
+    """A name beside a run, such as ``drive-tried-1.rrd``, that no file has yet."""
     number = 1
-    while (free := path.with_name(f"{path.stem}-tried-{number}.rrd")).exists():
+    while (free := path.with_name(f"{path.stem}-{what}-{number}.rrd")).exists():
         number += 1
     return free
 

@@ -19,9 +19,10 @@ from semviz.drive import DriveOptions, drive_workspace, record
 from semviz.inspector.mending import Mending
 from semviz.inspector.server import Inspector
 from semviz.inspector.shelf import Shelf
-from semviz.mending import free_path, mend_run
+from semviz.mending import mend_run
 from semviz.recording.reader import load_run
 from semviz.recording.run import Run
+from semviz.trying.over import free_path
 from semviz.web.door import Door
 from semviz.workspace import TRUTH, Workspace
 from semviz_annotation.edits import MoveObservation
@@ -217,7 +218,7 @@ def test_from_the_error_to_the_label_and_back(url: str, workspace: Workspace, pa
     page.evaluate("() => window.dispatchEvent(new Event('focus'))")
     page.wait_for_selector("#mending >> text=2 edits")
     page.click("text=Build the map and localize again")
-    page.wait_for_selector("#mending >> text=search-mended-1: Over", timeout=120_000)
+    page.wait_for_selector("#mending >> text=/search-mended-1: .*change/", timeout=120_000)
     page.click("text=Keep this map")
     page.wait_for_selector("#mending >> text=is now this map")
     kept = workspace.read_map("main")

@@ -416,10 +416,10 @@ def test_a_saved_run_is_read_by_compare_and_says_its_changes(tmp_path: Path) -> 
     base = saved(run, tmp_path / "first.rrd")
     before = base.read_bytes()
     found = {one.frame.index: again(run, one, changes) for one in run.frames[:4]}
-    path = free_path(base)
+    path = free_path(base, "tried")
     save(run, changes, found, path)
     assert path.name == "first-tried-1.rrd"
-    assert free_path(base).name == "first-tried-2.rrd"
+    assert free_path(base, "tried").name == "first-tried-2.rrd"
     other = load_run(path)
     assert other.complete
     assert other.info.options["changes"] == [to_json(changes[0])]

@@ -60,7 +60,7 @@ class Sweep:
 
     def _write(self, beside: Path) -> None:
         found: dict[int, FrameRecord] = {one.change.index: one.record for one in self._found}
-        path = free_path(beside)
+        path = free_path(beside, "tried")
         try:
             save(self._run, self._changes, found, path)
             self._said = f"Saved as {path}. Compare: semviz compare {beside} {path}"
