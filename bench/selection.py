@@ -103,7 +103,7 @@ def clicks(page: Page) -> list[float]:
     assert box is not None
     for row in range(CLICKS):
         before = page.evaluate("window.shown.length")
-        x, y = 40 + 5 * row, 60 + 4 * row
+        x, y = 45 + 10 * row, 70 + 60 * (row % 2)  # another pair each time
         page.mouse.click(box["x"] + x, box["y"] + y)
         until(page, f"window.shown.length > {before}")
         page.wait_for_timeout(PAUSE_MS)
