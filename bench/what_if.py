@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semviz.inspector.why import errors_of
+from semviz.pose_errors import errors_of
 from semviz.recording.run import FrameRecord, Run, RunInfo
 from semviz.trying.advice import most_telling
 from semviz.trying.again import again

@@ -122,6 +122,17 @@ class SemanticMap:
         """
         return self._road_m[_rows_near(self._road, center_m, radius_m)]
 
+    def name_of(self, element_id: int) -> str:
+        """Of an element, such as ``P-04``. Raises SemvizError where there is none of this id."""
+        row = self._row_of.get(element_id)
+        if row is None:
+            raise SemvizError(f"the map has no element {element_id}")
+        return self.classes.element_name(int(self.elements.class_id[row]), element_id)
+
+    @cached_property
+    def _row_of(self) -> dict[int, int]:
+        return {int(one): row for row, one in enumerate(self.elements.id)}
+
     @cached_property
     def _anchors(self) -> "cKDTree":
         return _ground_index(self.elements.anchor_m)

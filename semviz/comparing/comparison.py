@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from semviz.comparing.metrics import Metrics, metrics_of
-from semviz.inspector.why import Errors, errors_of
 from semviz.measure import settings_of
+from semviz.pose_errors import Errors, errors_of
 from semviz.recording.run import FrameRecord, Run
 from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps
 from semviz_core.errors import SemvizError

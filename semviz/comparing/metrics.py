@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from semviz.inspector.why import errors_of, sure_and_wrong
 from semviz.measure import summarize_run
+from semviz.pose_errors import errors_of, sure_and_wrong
 from semviz.recording.run import Run
 
 Metrics = dict[str, float | None]

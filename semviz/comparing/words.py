@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from semviz.comparing.comparison import Change, Comparison, FrameChange
-from semviz.inspector.why import Errors
+from semviz.pose_errors import Errors
 from semviz.tables import Table
 
 LISTED = 10

@@ -16,7 +16,7 @@ from semviz.inspector.image_view import right_view
 from semviz.inspector.scene.base_run import BaseFrame
 from semviz.inspector.scene.surroundings import route
 from semviz.inspector.views import Json, frame_view, run_head
-from semviz.inspector.why import SURE_AND_WRONG_M, Errors
+from semviz.pose_errors import SURE_AND_WRONG_M, Errors
 from semviz.recording.run import Run
 from semviz.web import shapes
 from semviz_core.arrays import FloatArray

@@ -18,7 +18,7 @@ Json = dict[str, Any]
 def element_card(run: Run, record: FrameRecord, element_id: int) -> Json:
     """Of an element of the run's map, from the camera of one frame."""
     return {
-        "name": name_of(run, element_id),
+        "name": run.semantic_map.name_of(element_id),
         "class": int(mapped(run, element_id).class_id[0]),
         "place": _place(mapped(run, element_id), _eye_m(record)),
         "meaning": _meaning(run, element_id),
@@ -33,12 +33,6 @@ def mapped(run: Run, element_id: int) -> Elements3D:
     if row is None:
         raise SemvizError(f"the map of this run has no element {element_id}; reload the page")
     return run.semantic_map.elements[[row]]
-
-
-def name_of(run: Run, element_id: int) -> str:
-    """Of an element of the run's map, such as ``P-04``."""
-    class_id = int(mapped(run, element_id).class_id[0])
-    return run.semantic_map.classes.element_name(class_id, element_id)
 
 
 def _eye_m(record: FrameRecord) -> FloatArray:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from semviz.inspector.background import Background
-from semviz.inspector.element_card import name_of
 from semviz.inspector.origins import map_row
 from semviz.inspector.session import matched_elements
 from semviz.inspector.topic import Topic, Verbs, whole
@@ -72,7 +71,7 @@ class ElementTopic(Topic):
             raise SemvizError("frames are asked for by an element's number")
         found = {
             "element": element,
-            "name": name_of(run, element),
+            "name": run.semantic_map.name_of(element),
             "positions": frames_of(run, element),
         }
         self.desk.say("framesOf", found)
@@ -145,7 +144,7 @@ def _row(run: Run, one: ElementRecord) -> Json:
     row = map_row(run.semantic_map, one.id)
     return {
         "id": one.id,
-        "name": name_of(run, one.id),
+        "name": run.semantic_map.name_of(one.id),
         "class": int(run.semantic_map.elements.class_id[row]),
         "inView": len(one.in_view),
         "seen": one.seen,

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from semviz.inspector.projection import Projected, project_elements
 from semviz.inspector.session import Selection, State, matched_elements
 from semviz.inspector.topic import Topic, Verbs
 from semviz.inspector.views import Json, numbers, place
+from semviz.projection import Projected, project_elements
 from semviz.recording.run import FrameRecord, Run
 from semviz.web.sessions import Message
 from semviz_core.camera import Rig

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.inspector.element_card import element_card, mapped, name_of, origins_view
+from semviz.inspector.element_card import element_card, mapped, origins_view
 from semviz.inspector.matrix import candidates_of_column, candidates_of_row
 from semviz.inspector.origins import Origins, map_row
 from semviz.inspector.session import Selection, State
@@ -106,7 +106,7 @@ def _truly(run: Run, record: FrameRecord, selection: Selection) -> str:
         what = "nothing real: a false detection" if true == FALSE else "not in the map"
         return f"Truly, #{observed} is {what}."
     outside = "" if true in record.localization.submap.id else ", outside of the submap"
-    return f"Truly, #{observed} is {name_of(run, true)}{outside}."
+    return f"Truly, #{observed} is {run.semantic_map.name_of(true)}{outside}."
 
 
 def _residuals(run: Run, record: FrameRecord, selection: Selection) -> list[Json]:
@@ -115,7 +115,7 @@ def _residuals(run: Run, record: FrameRecord, selection: Selection) -> list[Json
     if pair is None:
         return []
     answer, truth = record.localization.T_camera_map, record.frame.T_map_camera
-    named = {"pair": f"#{pair[0]} × {name_of(run, pair[1])}"}
+    named = {"pair": f"#{pair[0]} × {run.semantic_map.name_of(pair[1])}"}
     at_truth = None if truth is None else truth.inverse()
     return [
         {**named, "at": "estimate", **_residual(run, record, pair, answer, "no pose")},

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from semviz.recording.run import Run
+from semviz.run_names import run_names
 from semviz_core.errors import SemvizError
 
 Made = TypeVar("Made")
@@ -57,14 +58,3 @@ class Shelf:
             if (name, make) not in self._kept:
                 self._kept[name, make] = make(run, self._paths[name])
             return cast(Made, self._kept[name, make])
-
-
-def run_names(paths: Sequence[Path]) -> list[str]:
-    """File names without ending, with as many folders before them as tell them apart."""
-    whole = [path.resolve().with_suffix("").parts for path in paths]
-    names = [parts[-1] for parts in whole]
-    depth = 1
-    while len(set(names)) < len(set(whole)):
-        depth += 1
-        names = ["/".join(parts[-depth:]) for parts in whole]
-    return names

@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 
 from semviz import follow
-from semviz.inspector.element_card import name_of
 from semviz.inspector.scene.hypothesis import Hypothesis
 from semviz.inspector.topic import Topic, Verbs, whole
 from semviz.inspector.views import number
-from semviz.inspector.why import difference
+from semviz.pose_errors import difference
 from semviz.recording.run import FrameRecord, Run
 from semviz.web.sessions import Message
 from semviz_core.errors import SemvizError
@@ -161,7 +160,7 @@ def _pairs(run: Run, record: FrameRecord, fine: Refinement) -> list[Json]:
         {
             "observed": int(fine.pairs[row, 0]),
             "element": int(ids[row]),
-            "name": name_of(run, int(ids[row])),
+            "name": run.semantic_map.name_of(int(ids[row])),
             "class": int(record.localization.submap.class_id[fine.pairs[row, 1]]),
             "inlier": bool(fine.inlier[row]),
             "true": _is_true(record, fine, row),

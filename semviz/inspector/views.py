@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from semviz.inspector.projection import Projected, offsets, project_elements
 from semviz.inspector.session import State
-from semviz.inspector.why import errors_of, sure_and_wrong, why_card
+from semviz.pose_errors import errors_of, sure_and_wrong
+from semviz.projection import Projected, offsets, project_elements
 from semviz.recording.run import FrameRecord, Run
 from semviz.verdicts import verdict
+from semviz.why import why_card
 from semviz_core.arrays import IntArray
 from semviz_core.camera import Camera
 from semviz_core.classes import ClassSet

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from semviz.comparing.metrics import Metrics, metrics_of
-from semviz.inspector.shelf import run_names
-from semviz.inspector.why import errors_of, sure_and_wrong
+from semviz.pose_errors import errors_of, sure_and_wrong
 from semviz.recording.pictures import picture
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
+from semviz.run_names import run_names
 from semviz.run_verdict import run_elements, run_verdict
 from semviz.verdicts import verdict
 from semviz_core.errors import SemvizError

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from importlib.resources import files
 from urllib.parse import urlencode
 
-from semviz.inspector.why import errors_of, why_card
 from semviz.palette import STATUS
 from semviz.plot_style import COLORS
+from semviz.pose_errors import errors_of
 from semviz.recording.run import FrameRecord
 from semviz.reporting.facts import Reported
 from semviz.reporting.html import Html, element, table_element, void_element
@@ -21,6 +21,7 @@ from semviz.reporting.summary import (
     worst_table,
 )
 from semviz.tables import Table
+from semviz.why import why_card
 
 INSPECTOR = "http://127.0.0.1:8080/"
 """Where ``semviz serve`` listens unless told otherwise."""

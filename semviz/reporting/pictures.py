@@ -4,8 +4,8 @@ import base64
 
 import numpy as np
 
-from semviz.inspector.projection import Projected, project_elements
 from semviz.palette import ESTIMATE, TRUTH
+from semviz.projection import Projected, project_elements
 from semviz.recording.run import FrameRecord
 from semviz.reporting.html import Html, element
 from semviz_core.arrays import FloatArray

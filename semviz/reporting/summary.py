@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from semviz.comparing.comparison import compare_runs
-from semviz.inspector.why import errors_of
 from semviz.measure import settings_of
+from semviz.pose_errors import errors_of
 from semviz.reporting.facts import Reported
 from semviz.tables import Table, figure, percent
 from semviz_core.errors import SemvizError

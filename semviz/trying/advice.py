@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from semviz.inspector.why import errors_of
+from semviz.pose_errors import errors_of
 from semviz.recording.run import FrameRecord, Run
 from semviz.trying.again import again
 from semviz.trying.asked import Asked

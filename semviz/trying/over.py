@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.comparing.comparison import FrameChange, frame_change
-from semviz.inspector.why import Errors
+from semviz.pose_errors import Errors
 from semviz.recording.run import FrameRecord, Run
 from semviz.recording.writer import write_run
 from semviz.trying.again import again, as_asked, changed_map

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz.inspector.projection import offsets, project_elements
 from semviz.inspector.scene.poses import together
 from semviz.inspector.session import State
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.views import frame_view, run_view
-from semviz.inspector.why import why_card
+from semviz.projection import offsets, project_elements
 from semviz.recording.run import FrameRecord, Run, RunInfo
+from semviz.why import why_card
 from semviz_core.camera import Camera, Rig
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError

@@ -13,10 +13,10 @@ from semviz.demo_street import SECTIONS, SEED, SPACING_M
 from semviz.follow import Follower
 from semviz.inspector.server import Inspector
 from semviz.inspector.views import frame_view, run_view
-from semviz.inspector.why import true_pairs
 from semviz.recording.reader import load_run
 from semviz.recording.run import Run
 from semviz.web.door import Door
+from semviz.why import true_pairs
 from semviz.workspace import TRUTH, Workspace
 from semviz_core.elements import Elements2D
 from semviz_core.evaluation.metrics import pose_error

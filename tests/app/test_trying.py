@@ -11,7 +11,7 @@ import pytest
 from small_runs import saved, small_run, unanswered
 
 from semviz.comparing.comparison import compare_runs
-from semviz.inspector.why import errors_of
+from semviz.pose_errors import errors_of
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
 from semviz.trying.advice import most_telling

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from semviz.inspector.projection import project_elements
 from semviz.inspector.views import place
-from semviz.inspector.why import errors_of
+from semviz.pose_errors import errors_of
+from semviz.projection import project_elements
 from semviz.recording.run import FrameRecord, Run
 from semviz.trying.again import as_asked
 from semviz.trying.change import Change

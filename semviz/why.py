@@ -1,51 +1,20 @@
 """Why a frame came out as it did, in words and numbers."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from semviz.inspector.element_card import name_of
+from semviz.pose_errors import Errors, difference, errors_of
 from semviz.recording.run import FrameRecord, Run
 from semviz.verdicts import blamed_elements, explained, verdict
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
 from semviz_core.explaining.told import Verdict
 from semviz_core.localization import Localization
-from semviz_core.pose import Pose, angle_between
 from semviz_core.solving.residuals import pair_residuals
 
-SURE_AND_WRONG_M = 1.0
 LISTED = 2
 """So many alternatives, and pairs that do not fit, are listed; the card must not scroll."""
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Against the truth: distance of camera centres, angle between rotations."""
-
-    distance_m: float
-    angle_deg: float
-
-
-def errors_of(record: FrameRecord) -> Errors | None:
-    """None without a truth or without a pose."""
-    truth, estimate = record.frame.T_map_camera, record.localization.T_camera_map
-    if truth is None or estimate is None:
-        return None
-    return difference(estimate.inverse(), truth)
-
-
-def difference(a: Pose, b: Pose) -> Errors:
-    """Between two poses T_map_camera."""
-    angle_deg = float(np.rad2deg(angle_between(a.rotation, b.rotation)))
-    return Errors(float(np.linalg.norm(a.translation - b.translation)), angle_deg)
-
-
-def sure_and_wrong(localization: Localization, errors: Errors | None) -> bool:
-    """The worst kind: status ok, and yet more than a metre off."""
-    off_m = 0.0 if errors is None else errors.distance_m
-    return localization.status == "ok" and off_m > SURE_AND_WRONG_M
 
 
 def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
@@ -61,7 +30,7 @@ def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
         "title": title.capitalize(),
         "sentence": f"{one.reason} {told.sentence}" if adds else one.reason,
         "sure": told.sure if explains else None,
-        "blamed": [name_of(run, one) for one in blamed_elements(run, record)],
+        "blamed": [run.semantic_map.name_of(one) for one in blamed_elements(run, record)],
         "rows": [row for row in (("Noticed", _noticed(told)), *rows) if row[1]],
         "alternatives": _alternatives(one)[:listed],
         "alternativesLeft": 0 if answer is None else max(0, len(one.alternatives) - listed),
