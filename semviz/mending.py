@@ -1,6 +1,7 @@
 """From error to label and back: a run's map built again from its labels, and the run with it."""
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -47,7 +48,8 @@ def mend_run(
     try:
         write_run(records(), path, info, semantic_map)
     finally:
-        path.with_name(f"{path.stem}.partial.rrd").unlink(missing_ok=True)
+        with suppress(OSError):
+            path.with_name(f"{path.stem}.partial.rrd").unlink()
     return Run(info, semantic_map, tuple(frames))
 
 

@@ -22,6 +22,8 @@ class Shelf:
         self._runs: dict[str, Run] = {}
         self._kept: dict[tuple[str, Callable[[Run, Path], Any]], object] = {}
         self._lock = threading.Lock()
+        self._locks: dict[str, threading.Lock] = {}
+        """Of each run: one may take seconds to read, and other pages show others."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -33,7 +35,7 @@ class Shelf:
 
         if name not in self._paths:
             raise SemvizError(f"there is no run '{name}' here; there are {', '.join(self._paths)}")
-        with self._lock:
+        with self._lock_of(name):
             if name not in self._runs:
                 self._runs[name] = load_run(self._paths[name])
             return self._runs[name]
@@ -54,7 +56,11 @@ class Shelf:
     def kept(self, name: str, make: Callable[[Run, Path], Made]) -> Made:
         """What ``make`` makes of the run called ``name`` and its file: made once, then kept."""
         run = self.run(name)
-        with self._lock:
+        with self._lock_of(name):
             if (name, make) not in self._kept:
                 self._kept[name, make] = make(run, self._paths[name])
             return cast(Made, self._kept[name, make])
+
+    def _lock_of(self, name: str) -> threading.Lock:
+        with self._lock:
+            return self._locks.setdefault(name, threading.Lock())

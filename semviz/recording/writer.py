@@ -4,6 +4,7 @@ import atexit
 import json
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -137,7 +138,8 @@ def write_run(
                 counts[one.localization.status] += 1
     except BaseException:
         if not counts:  # nothing in it to read
-            unfinished.unlink(missing_ok=True)
+            with suppress(OSError):
+                unfinished.unlink()
         raise
     unfinished.replace(path)
     return counts

@@ -45,6 +45,7 @@ export class Mending {
   }
 
   showState({ element }) {
+    this.fill(); // beside another run there is no room for the bar
     byId("selected-actions").replaceChildren(...(element === null || !this.shown.workspace ? [] : [
       this.labelButton(element),
       el("button", { class: "small", text: "Leave out of the map", title: "An edit of the labels, which can be taken back", onclick: () => this.send("leave out", { element }) }),
@@ -79,7 +80,7 @@ export class Mending {
   fill() {
     const { edits, rebuild } = this.shown;
     const parts = rebuild ? this.madeAgain(rebuild) : edits ? this.edited() : [];
-    byId("mending").hidden = !parts.length;
+    byId("mending").hidden = !parts.length || this.page.state.comparing;
     byId("mending").replaceChildren(...parts);
   }
 
