@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from semviz.inspector import views
-from semviz.inspector.labelling import LabellingTools
-from semviz.inspector.scene_view import SceneView
+from semviz.inspector.mending.labelling import LabellingTools
+from semviz.inspector.scene.scene_view import SceneView
 from semviz.inspector.session import State
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.topic import Topic

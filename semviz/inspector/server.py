@@ -5,22 +5,22 @@ from pathlib import Path
 
 from aiohttp import web
 
-from semviz.inspector.decisions import DecisionTopic
+from semviz.inspector.comparing.side_by_side import CompareTopic
 from semviz.inspector.desk import Desk
-from semviz.inspector.elements import ElementTopic
-from semviz.inspector.forecast import ForecastTopic
-from semviz.inspector.image_view import ImageTopic
-from semviz.inspector.labelling import LabellingTools
-from semviz.inspector.matrix import matrix_route
-from semviz.inspector.mending import MendTopic
+from semviz.inspector.images.image_view import ImageTopic
+from semviz.inspector.images.pictures import picture_route
+from semviz.inspector.images.rendering import RenderTopic
+from semviz.inspector.mending.labelling import LabellingTools
+from semviz.inspector.mending.labels import MendTopic
 from semviz.inspector.navigation import Navigation
-from semviz.inspector.pictures import picture_route
-from semviz.inspector.rendering import RenderTopic
-from semviz.inspector.selected import SelectedTopic
+from semviz.inspector.over_run.decisions import DecisionTopic
+from semviz.inspector.over_run.elements import ElementTopic
+from semviz.inspector.over_run.forecast import ForecastTopic
+from semviz.inspector.scene.space import SpaceTopic
+from semviz.inspector.selection.matrix import matrix_route
+from semviz.inspector.selection.selected import SelectedTopic
 from semviz.inspector.shelf import Shelf
-from semviz.inspector.side_by_side import CompareTopic
 from semviz.inspector.solver import SolverTopic
-from semviz.inspector.space import SpaceTopic
 from semviz.inspector.what_if.topic import WhatIf
 from semviz.web.proxy import Proxy
 from semviz.web.scenes import Scenes

@@ -10,7 +10,7 @@ import pytest
 from inspecting import in_url, near, open_page, pixels, wait_for
 
 from semviz.comparing.comparison import compare_runs
-from semviz.inspector.comparison_view import Side, SideBySide
+from semviz.inspector.comparing.comparison_view import Side, SideBySide
 from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run, RunInfo

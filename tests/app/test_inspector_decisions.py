@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from planted import element_id, left_out, merge, planted_map, street
 
-from semviz.inspector.decisions import Decisions
+from semviz.inspector.over_run.decisions import Decisions
 from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord

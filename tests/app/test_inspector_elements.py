@@ -12,7 +12,7 @@ import pytest
 from inspecting import in_url, open_flat, wait_for
 from small_runs import FRAMES, run_with_a_moved_pole, saved, small_run, without_truth
 
-from semviz.inspector.elements import (
+from semviz.inspector.over_run.elements import (
     Findings,
     OverTheRun,
     best_sight,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inspecting import open_blank, open_flat, open_page, record_street, rgb_of, wait_for
 
-from semviz.inspector.rendering import RenderTopic, png_on
+from semviz.inspector.images.rendering import RenderTopic, png_on
 from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
 from semviz.recording.run import Run

@@ -19,8 +19,8 @@ from inspecting import (
 )
 from small_runs import saved
 
-from semviz.inspector.image_view import neighbours_view, right_view
-from semviz.inspector.pictures import Pictures
+from semviz.inspector.images.image_view import neighbours_view, right_view
+from semviz.inspector.images.pictures import Pictures
 from semviz.inspector.server import Inspector
 from semviz.inspector.session import State
 from semviz.inspector.views import frame_view

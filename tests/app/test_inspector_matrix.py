@@ -13,7 +13,7 @@ import pytest
 from inspecting import near, open_blank, open_flat, pixels, wait_for
 from small_runs import saved, small_run, spoiled, unanswered
 
-from semviz.inspector.matrix import NOT_MAPPED, NOT_SEEN, element_names, matrix_csv
+from semviz.inspector.selection.matrix import NOT_MAPPED, NOT_SEEN, element_names, matrix_csv
 from semviz.inspector.server import Inspector
 from semviz.inspector.views import frame_view
 from semviz.recording.run import FrameRecord, Run

@@ -13,10 +13,10 @@ from inspecting import open_flat, wait_for
 from planted import TWICE, element_id, merge, planted_map, street
 from small_runs import off_by, saved, small_run, spoiled, unanswered, without_truth
 
-from semviz.inspector.element_card import element_card, origins_view
-from semviz.inspector.matrix import candidates_of_column, candidates_of_row
-from semviz.inspector.origins import Origins
-from semviz.inspector.selected import SelectedTopic, selected_view
+from semviz.inspector.selection.element_card import element_card, origins_view
+from semviz.inspector.selection.matrix import candidates_of_column, candidates_of_row
+from semviz.inspector.selection.origins import Origins
+from semviz.inspector.selection.selected import SelectedTopic, selected_view
 from semviz.inspector.server import Inspector
 from semviz.inspector.session import Selection, State
 from semviz.recording.run import FrameRecord, Run

@@ -15,12 +15,12 @@ from small_runs import ambiguous, small_run, spoiled, unanswered
 
 from semviz.inspector.scene import map_layer
 from semviz.inspector.scene.coloring import legend, levels
+from semviz.inspector.scene.scene_view import SceneView
+from semviz.inspector.scene.space import SpaceTopic
 from semviz.inspector.scene.trajectories import mark_places
 from semviz.inspector.scene.usage import Usage, usage_of
-from semviz.inspector.scene_view import SceneView
 from semviz.inspector.server import Inspector
 from semviz.inspector.session import MapColors, State
-from semviz.inspector.space import SpaceTopic
 from semviz.palette import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
 from semviz.recording.run import Run
 from semviz.recording.writer import RunWriter

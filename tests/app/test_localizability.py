@@ -13,7 +13,7 @@ import pytest
 from calling import Call, call
 
 from semviz.cli import main
-from semviz.inspector.forecast import Forecast
+from semviz.inspector.over_run.forecast import Forecast
 from semviz.inspector.server import Inspector
 from semviz.localizability import positions, with_measured_recall
 from semviz.recording.reader import load_run

@@ -16,7 +16,7 @@ import pytest
 from semviz.demo_labels import AUTHOR, SLIP_PX, demo_labels
 from semviz.demo_street import SEED, SPACING_M
 from semviz.drive import DriveOptions, drive_workspace, record
-from semviz.inspector.mending import Mending
+from semviz.inspector.mending.labels import Mending
 from semviz.inspector.server import Inspector
 from semviz.inspector.shelf import Shelf
 from semviz.mending import mend_run

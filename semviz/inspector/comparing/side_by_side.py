@@ -3,7 +3,7 @@
 from functools import partial
 
 from semviz.inspector.background import Background
-from semviz.inspector.comparison_view import Side, SideBySide
+from semviz.inspector.comparing.comparison_view import Side, SideBySide
 from semviz.inspector.shelf import Shelf
 from semviz.inspector.topic import Topic, Verbs
 from semviz.recording.run import Run

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.author import login_name
-from semviz.inspector.origins import workspace_of
+from semviz.inspector.selection.origins import workspace_of
 from semviz.inspector.topic import Topic, Verbs
 from semviz.recording.run import Run
 from semviz.reviewing import Json, entry_json, entry_key

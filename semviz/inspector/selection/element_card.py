@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.inspector.origins import Origin, Origins, map_row, provenance_of
+from semviz.inspector.selection.origins import Origin, Origins, map_row, provenance_of
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.arrays import FloatArray
 from semviz_core.elements import Elements3D

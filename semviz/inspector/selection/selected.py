@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from semviz.inspector.element_card import element_card, mapped, origins_view
-from semviz.inspector.matrix import candidates_of_column, candidates_of_row
-from semviz.inspector.origins import Origins, map_row
+from semviz.inspector.selection.element_card import element_card, mapped, origins_view
+from semviz.inspector.selection.matrix import candidates_of_column, candidates_of_row
+from semviz.inspector.selection.origins import Origins, map_row
 from semviz.inspector.session import Selection, State
 from semviz.inspector.topic import Topic, Verbs
 from semviz.recording.run import FrameRecord, Run

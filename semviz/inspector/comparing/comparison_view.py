@@ -12,7 +12,7 @@ from semviz.comparing.conditions import check_whole, parse_condition
 from semviz.comparing.map_changes import MapChange, map_changes, renumbered
 from semviz.comparing.metrics import trend
 from semviz.comparing.setups import setups
-from semviz.inspector.image_view import right_view
+from semviz.inspector.images.image_view import right_view
 from semviz.inspector.scene.base_run import BaseFrame
 from semviz.inspector.scene.surroundings import route
 from semviz.inspector.views import Json, frame_view, run_head

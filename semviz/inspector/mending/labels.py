@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from semviz.author import login_name
-from semviz.inspector.origins import Origins, workspace_of
-from semviz.inspector.rebuild import Rebuild
+from semviz.inspector.mending.rebuild import Rebuild
+from semviz.inspector.selection.origins import Origins, workspace_of
 from semviz.inspector.topic import Topic, Verbs, whole
 from semviz.recording.run import FrameRecord, Run
 from semviz.verdicts import blamed_elements, explained

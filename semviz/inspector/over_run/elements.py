@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from semviz.inspector.background import Background
-from semviz.inspector.origins import map_row
+from semviz.inspector.selection.origins import map_row
 from semviz.inspector.session import matched_elements
 from semviz.inspector.topic import Topic, Verbs, whole
 from semviz.inspector.views import number

@@ -1,0 +1,1 @@
+"""The image pane, and pictures of what a page shows."""

@@ -1,0 +1,1 @@
+"""From error to label: opened, mended, and the run made again."""

@@ -1,0 +1,1 @@
+"""What is selected: in the matrix, in the run, in the labels."""
