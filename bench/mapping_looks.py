@@ -171,7 +171,7 @@ def compare(case: Case, seeds: Sequence[int]) -> None:
         given = label_street(case.detect(street, seed), range(60))
         gathered = gather(given.labels, street)
         truth = np.array([given.truth[one.id].element_id for one in gathered.observations])
-        tracks = find_tracks(given.labels, gathered, options, lambda what, done, of: None)
+        tracks = find_tracks(given.labels, gathered, options, None, lambda what, done, of: None)
         found = list(doubts(tracks, options, truth))
         looks = Looks(street, tracks, {one.sighting for one in found})
         clear = [one for one in found if one.clear]

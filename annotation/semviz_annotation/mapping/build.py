@@ -12,7 +12,7 @@ from semviz_annotation.labels import Labels
 from semviz_annotation.mapping.assemble import elements_of
 from semviz_annotation.mapping.decided import decisions_of
 from semviz_annotation.mapping.linking.rounds import LinkOptions
-from semviz_annotation.mapping.linking.tracks import OnProgress, find_tracks, with_poses
+from semviz_annotation.mapping.linking.tracks import OnProgress, find_tracks
 from semviz_annotation.mapping.options import AS_USUAL, Options, options_of, settings_of
 from semviz_annotation.mapping.paper import PaperOptions, paper_tracks
 from semviz_annotation.mapping.placing.sightings import gather
@@ -42,9 +42,8 @@ def build_map(
         tracks = paper_tracks(gathered, options)
     else:
         linking = LinkOptions(options.place, options.pose_sigma_m, options.min_frames)
-        tracks = find_tracks(labels, gathered, linking, on_progress)
-        if options.refine is not None:
-            tracks = with_poses(tracks, replace(options.refine, place=options.place), on_progress)
+        poses = options.refine and replace(options.refine, place=options.place)
+        tracks = find_tracks(labels, gathered, linking, poses, on_progress)
     decisions = decisions_of(tracks)
     elements, provenance = elements_of(tracks)
     if not len(elements):

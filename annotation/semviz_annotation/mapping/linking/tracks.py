@@ -59,11 +59,18 @@ class Tracks:
 
 
 def find_tracks(
-    labels: Labels, gathered: Gathered, options: LinkOptions, on_progress: OnProgress
+    labels: Labels,
+    gathered: Gathered,
+    options: LinkOptions,
+    poses: RefineOptions | None,
+    on_progress: OnProgress,
 ) -> Tracks:
-    """Parts of label elements are linked; each thing is then placed by all its labels that fit it,
-    and nothing else as well."""
+    """Parts of label elements are linked; the poses improved, where these may move; then each thing
+    is placed by all its labels that fit it, and nothing else as well."""
     tracks = _linked(labels, gathered, options, on_progress)
+    if poses is not None:
+        tracks = _with_poses(tracks, poses, on_progress)
+        options = replace(options, pose_sigma_m=min(options.pose_sigma_m, LinkOptions.pose_sigma_m))
     return _for_the_map(_contested(tracks, options), options)
 
 
@@ -215,7 +222,7 @@ def _linked_at_least_near(
     return replaced(placed, sightings, lost, near)
 
 
-def with_poses(tracks: Tracks, options: RefineOptions, on_progress: OnProgress) -> Tracks:
+def _with_poses(tracks: Tracks, options: RefineOptions, on_progress: OnProgress) -> Tracks:
     """The same tracks, with things and poses improved together."""
     refined = refine(
         tracks.gathered.views,
