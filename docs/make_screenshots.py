@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import chdir, contextmanager
+from contextlib import chdir, closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +185,29 @@ def take_what_if(page: Page) -> None:
         page.goto("about:blank")
 
 
+def take_label(page: Page) -> None:
+    """The label behind the moved pole, opened from the frame that it harms."""
+    with tempfile.TemporaryDirectory() as folder:
+        town = Path(shutil.copytree(ensure_demo(), Path(folder) / "town"))
+        with (
+            closing(Inspector([Workspace.open(town).run_path(RUN)])) as tool,
+            Door(tool).running() as url,
+        ):
+            page.goto(f"{url}?frame={TRIED_FRAME}")
+            page.wait_for_selector("#why-actions button", timeout=60_000)
+            with page.expect_popup() as opened:
+                page.keyboard.press("o")
+            labels = opened.value
+            labels.set_viewport_size({"width": 1600, "height": 950})
+            labels.wait_for_selector("#card >> text=P-29", timeout=60_000)
+            labels.keyboard.press("0")
+            labels.click("#tour >> text=End")
+            labels.wait_for_timeout(SETTLED_MS)
+            labels.screenshot(path=IMAGES / "serve-label.png")
+            labels.close()
+            page.goto("about:blank")
+
+
 def take_report(page: Page) -> None:
     run = Workspace.open(ensure_demo()).run_path(RUN)
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -298,6 +321,7 @@ def main() -> None:
         take_compare(page)
         take_forecast(page)
         take_what_if(page)
+        take_label(page)
         take_report(page)
         take_annotator(page)
         take_review(page)
