@@ -338,7 +338,8 @@ def test_marks_colours_and_viewpoints(url: str, page: "Page", tool: Inspector) -
     wait_for(page, lambda: client.camera.position[2] > 50.0, "the view from above")
     row.click()
     wait_for(page, lambda: np.allclose(client.camera.position, kept, atol=0.01), "the viewpoint")
-    assert page.locator("[data-view][aria-pressed=true]").count() == 0
+    pressed = page.locator("[data-view][aria-pressed=true]")
+    wait_for(page, lambda: pressed.count() == 0, "no view's button pressed")
     page.click("#viewpoints-list button[title=Delete]")
     wait_for(page, lambda: row.count() == 0, "the viewpoint gone")
 

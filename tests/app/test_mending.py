@@ -4,10 +4,11 @@ import asyncio
 import shutil
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import aiohttp
 import numpy as np
@@ -33,6 +34,7 @@ from semviz_core.map_file import load_map, save_map
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
+Result = TypeVar("Result")
 FRAMES = 12
 SLIP_FRAME = 6
 SLIPPED = 18
@@ -162,6 +164,12 @@ def url(workspace: Workspace) -> Iterator[str]:
     tool.close()
 
 
+def finished(work: Coroutine[Any, Any, Result]) -> Result:
+    """Its result, from a thread of its own: Playwright has a loop in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, work).result()
+
+
 def asked(url: str, *verbs: dict[str, Any], until: str) -> dict[str, Any]:
     """What the server says last when asked in turn."""
 
@@ -175,7 +183,7 @@ def asked(url: str, *verbs: dict[str, Any], until: str) -> dict[str, Any]:
                 if message["type"] == until:
                     return message
 
-    return asyncio.run(talk())
+    return finished(talk())
 
 
 def test_the_labels_open_through_the_same_door(url: str) -> None:
@@ -198,7 +206,7 @@ def test_the_labels_open_through_the_same_door(url: str) -> None:
             message: dict[str, Any] = await page.receive_json(timeout=30)
             return str(message["type"])
 
-    assert asyncio.run(greeted()) == "session"
+    assert finished(greeted()) == "session"
 
 
 @pytest.mark.browser
