@@ -6,7 +6,7 @@ from typing import Any
 
 from semviz.author import login_name
 from semviz.inspector.mending.rebuild import Rebuild
-from semviz.inspector.selection.origins import Origins, workspace_of
+from semviz.inspector.selection.origins import Origins
 from semviz.inspector.topic import Topic, Verbs, whole
 from semviz.recording.run import FrameRecord, Run
 from semviz.verdicts import blamed_elements, explained
@@ -26,28 +26,25 @@ class Mending:
     def __init__(self, run: Run, path: Path) -> None:
         """``path`` is where the run was read from."""
         self._run = run
-        self._path = path
         self._origins = Origins(run, path)
-        self._workspace = workspace_of(run, path)
         self._done: list[int] = []
         """Numbers of the operations that were done here and stand."""
 
     @property
     def workspace(self) -> Workspace:
         """SemvizError where the labels are not at hand."""
-        if self._workspace is None:
+        if self._origins.workspace is None:
             where = self._run.info.workspace or "WORKSPACE"
             raise SemvizError(f"the labels are not at hand; open them: semviz annotate {where}")
-        return self._workspace
+        return self._origins.workspace
 
     def view(self) -> Json:
         """How many edits of the labels the run's map does not know, and what can be undone here."""
-        if self._workspace is None:
+        workspace = self._origins.workspace
+        if workspace is None:
             return {"workspace": "", "edits": 0, "undoable": 0}
-        operation = self._workspace.read_labels().operation
-        edits = max(0, operation - self._run.semantic_map.operation)
-        name = self._workspace.name
-        return {"workspace": name, "edits": edits, "undoable": len(self._done)}
+        edits = max(0, self._origins.operation - self._run.semantic_map.operation)
+        return {"workspace": workspace.name, "edits": edits, "undoable": len(self._done)}
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
         """Name of a label element that a map element was made of, and number of the frame next to

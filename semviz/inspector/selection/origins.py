@@ -70,11 +70,20 @@ class Origins:
         return Origin(element, mine, len(rows) - len(mine), last)
 
     @cached_property
+    def workspace(self) -> Workspace | None:
+        """Whose labels they are; None where it is not at hand."""
+        return workspace_of(self._run, self._path)
+
+    @property
+    def operation(self) -> int:
+        """Number of the last operation on the labels; 0 where they are not at hand."""
+        return 0 if self._store is None else self._store.labels.operation
+
+    @cached_property
     def _store(self) -> LabelStore | None:
-        workspace = workspace_of(self._run, self._path)
-        if workspace is None:
+        if self.workspace is None:
             return None
-        store = LabelStore.open(workspace.labels_path, workspace.classes)
+        store = LabelStore.open(self.workspace.labels_path, self.workspace.classes)
         weakref.finalize(self, store.close)
         return store
 
