@@ -1,0 +1,1 @@
+"""Matchers that are learned: what they see, how they are trained, and how they answer."""

@@ -1,0 +1,118 @@
+"""One frame as a matcher sees it: rays, mapped points about the prior, and the truth if known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.camera import Camera
+from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.frame import Prior
+from semviz_core.pose import Pose
+
+PRIOR_LENGTH = 9
+_FIX_UNIT_M = 10.0
+_EXACT_RAD = 1e-3  # a sigma below says no more to a network
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The right answer of a sample."""
+
+    rotation: FloatArray
+    """(3, 3) of T_camera_local, from the sample's coordinates to the camera's."""
+    translation: FloatArray
+    """(3,) of the same, metres."""
+    pairs: BoolArray
+    """(m, n) True where observed i is mapped j; more than one j where the map holds it twice."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """m observed and n mapped elements in local coordinates: the map's, about ``origin_m``.
+
+    Point elements have their anchor as bottom, so that nothing is NaN.
+    """
+
+    ray: FloatArray
+    """(m, 3) unit, camera axes: peak or middle."""
+    bottom_ray: FloatArray
+    """(m, 3) unit: the given lower end of a pole."""
+    sigma_rad: FloatArray
+    """(m, 2) standard deviation across and along, as an angle."""
+    score: FloatArray
+    """(m,)"""
+    seen_class: IntArray
+    """(m,) number of the class in the class set, from 0."""
+    seen_known: BoolArray
+    """(m, 2) whether peak (or middle) and bottom are known."""
+    point_m: FloatArray
+    """(n, 3) peak or middle."""
+    bottom_m: FloatArray
+    """(n, 3)"""
+    mapped_class: IntArray
+    """(n,)"""
+    mapped_known: BoolArray
+    """(n, 2)"""
+    prior: FloatArray
+    """(PRIOR_LENGTH,) what is known of the pose, in units near 1: up in camera axes (3, zeros if
+    unknown), log of its sigma over 0.01 rad, sigma of the fix in tens of metres, cosine and sine of
+    the heading (zeros if unknown), log of its sigma over 0.1 rad, sigma of the height (m)."""
+    origin_m: FloatArray
+    """(3,) of the local coordinates in the map: the prior's position."""
+    truth: Truth | None = None
+
+    @classmethod
+    def of(
+        cls,
+        observed: Elements2D,
+        submap: Elements3D,
+        camera: Camera,
+        prior: Prior,
+        classes: ClassSet = DEFAULT_CLASSES,
+    ) -> "Sample":
+        """A frame without its answer. Raises SemvizError where a class is not in ``classes``."""
+        number = {one.id: row for row, one in enumerate(classes)}
+        seen_line, mapped_line = observed.is_line[:, None], submap.is_line[:, None]
+        origin = prior.position_m
+        return cls(
+            ray=camera.bearing(observed.anchor_px),
+            bottom_ray=camera.bearing(np.where(seen_line, observed.end_px, observed.anchor_px)),
+            sigma_rad=observed.sigma_px / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),
+            score=observed.score,
+            seen_class=_numbers(observed.class_id, number, classes),
+            seen_known=np.column_stack([observed.anchor_known, observed.end_known]),
+            point_m=submap.anchor_m - origin,
+            bottom_m=np.where(mapped_line, submap.end_m, submap.anchor_m) - origin,
+            mapped_class=_numbers(submap.class_id, number, classes),
+            mapped_known=np.column_stack([submap.anchor_known, submap.end_known]),
+            prior=_prior_numbers(prior),
+            origin_m=origin,
+        )
+
+    def with_truth(self, T_camera_map: Pose, pairs: IntArray) -> "Sample":
+        """The sample with its answer; ``pairs`` (k, 2) are rows of observed and of submap."""
+        true = np.zeros((len(self.ray), len(self.point_m)), dtype=bool)
+        true[tuple(np.asarray(pairs).reshape(-1, 2).T)] = True
+        truth = Truth(T_camera_map.rotation, T_camera_map.apply(self.origin_m), true)
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return Sample(**(values | {"truth": truth}))
+
+
+def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> IntArray:
+    """(k,) numbers of classes; the class set's own error for one it lacks."""
+    return np.array([number[classes[one].id] for one in class_id.tolist()], dtype=np.int64)
+
+
+def _prior_numbers(prior: Prior) -> FloatArray:
+    numbers = np.zeros(PRIOR_LENGTH)
+    if prior.up_camera is not None:
+        numbers[:3] = prior.up_camera
+        numbers[3] = np.log(max(prior.up_sigma_rad, _EXACT_RAD) / 0.01)
+    numbers[4] = prior.horizontal_sigma_m / _FIX_UNIT_M
+    if prior.heading_rad is not None:
+        numbers[5:7] = np.cos(prior.heading_rad), np.sin(prior.heading_rad)
+        numbers[7] = np.log(max(prior.heading_sigma_rad, _EXACT_RAD) / 0.1)
+    numbers[8] = prior.vertical_sigma_m
+    return numbers
