@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from torch import Tensor, nn
+
+from semviz_core.learning.sample import Sample
 
 Item = TypeVar("Item")
 Together = TypeVar("Together")
@@ -25,6 +27,19 @@ class Progress:
         return self.samples / self.of
 
 
+class SampleSource(Protocol):
+    """Samples by number: a pure function of it. Picklable; used in worker processes."""
+
+    def sample(self, number: int) -> Sample:
+        """Training sample ``number``, which may be large."""
+
+    def held_out(self, number: int) -> Sample:
+        """Sample ``number`` of those that are never trained on."""
+
+    def describe(self) -> dict[str, Any]:
+        """What the samples are made with, as JSON: kept in checkpoints and told in cards."""
+
+
 class Task(Protocol[Item, Together]):
     """A network, what it learns from, and what it is to make small.
 
@@ -34,6 +49,13 @@ class Task(Protocol[Item, Together]):
 
     name: str
     network: nn.Module
+    options: dict[str, Any]
+    """Model, classes and data it was made with, as JSON; a training goes on only with the same."""
+    samples: int
+    """How many a whole training sees, unless people say otherwise."""
+
+    def learning_rate(self, progress: Progress) -> float:
+        """Adam's step size for a batch; ``schedule`` has some."""
 
     def make(self, number: int) -> Item:
         """Training item ``number``; called in worker processes."""
