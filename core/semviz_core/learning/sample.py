@@ -55,6 +55,8 @@ class Sample:
     """(n,)"""
     mapped_known: BoolArray
     """(n, 2)"""
+    road_m: FloatArray
+    """(n,) height of the road where it passes nearest: of a camera close to the element."""
     prior: FloatArray
     """(PRIOR_LENGTH,) what is known of the pose, in units near 1: up in camera axes (3, zeros if
     unknown), log of its sigma over 0.01 rad, sigma of the fix in tens of metres, cosine and sine of
@@ -87,6 +89,7 @@ class Sample:
             bottom_m=np.where(mapped_line, submap.end_m, submap.anchor_m) - origin,
             mapped_class=_numbers(submap.class_id, number, classes),
             mapped_known=np.column_stack([submap.anchor_known, submap.end_known]),
+            road_m=_road_height(prior, submap.anchor_m) - origin[2],
             prior=_prior_numbers(prior),
             origin_m=origin,
         )
@@ -103,6 +106,14 @@ class Sample:
 def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> IntArray:
     """(k,) numbers of classes; the class set's own error for one it lacks."""
     return np.array([number[classes[one].id] for one in class_id.tolist()], dtype=np.int64)
+
+
+def _road_height(prior: Prior, place_m: FloatArray) -> FloatArray:
+    """(n,) height of the road next to places (n, 3); the prior's own where no road is known."""
+    if prior.road_m is None:
+        return np.full(len(place_m), prior.position_m[2])
+    offset = place_m[:, None, :2] - prior.road_m[:, :2]
+    return np.asarray(prior.road_m[(offset**2).sum(axis=2).argmin(axis=1), 2])
 
 
 def _prior_numbers(prior: Prior) -> FloatArray:
