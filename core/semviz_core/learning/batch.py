@@ -43,7 +43,7 @@ class Batch:
     bottom_m: Tensor  # (b, n, 3)
     mapped_class: Tensor  # (b, n) int64
     mapped_known: Tensor  # (b, n, 2) bool
-    road_m: Tensor  # (b, n)
+    road: Tensor  # (b, 3)
     mapped: Tensor  # (b, n) bool: not padded
     prior: Tensor  # (b, PRIOR_LENGTH)
     truth: BatchTruth | None = None
@@ -74,7 +74,7 @@ class Batch:
             bottom_m=_padded([one.bottom_m for one in samples], n, (0.0, 0.0, 0.0)),
             mapped_class=_padded([one.mapped_class for one in samples], n),
             mapped_known=_padded([one.mapped_known for one in samples], n, (False, False)),
-            road_m=_padded([one.road_m for one in samples], n),
+            road=torch.from_numpy(np.stack([one.road for one in samples])).float(),
             mapped=_padded([np.ones(len(one.point_m), dtype=bool) for one in samples], n),
             prior=torch.from_numpy(np.stack([one.prior for one in samples])).float(),
             truth=truth,

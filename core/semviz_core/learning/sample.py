@@ -13,6 +13,8 @@ from semviz_core.pose import Pose
 
 PRIOR_LENGTH = 9
 _FIX_UNIT_M = 10.0
+_ROAD_REACH_M = 15.0
+_LEVEL_WEIGHT = (1e-3, 300.0, 300.0)  # of a level road through the fix, against one place driven
 _EXACT_RAD = 1e-3  # a sigma below says no more to a network
 
 
@@ -55,8 +57,9 @@ class Sample:
     """(n,)"""
     mapped_known: BoolArray
     """(n, 2)"""
-    road_m: FloatArray
-    """(n,) height of the road where it passes nearest: of a camera close to the element."""
+    road: FloatArray
+    """(3,) a plane of where cameras drove: its height (m) at the local origin, and how much it
+    rises per metre along x and y."""
     prior: FloatArray
     """(PRIOR_LENGTH,) what is known of the pose, in units near 1: up in camera axes (3, zeros if
     unknown), log of its sigma over 0.01 rad, sigma of the fix in tens of metres, cosine and sine of
@@ -89,7 +92,7 @@ class Sample:
             bottom_m=np.where(mapped_line, submap.end_m, submap.anchor_m) - origin,
             mapped_class=_numbers(submap.class_id, number, classes),
             mapped_known=np.column_stack([submap.anchor_known, submap.end_known]),
-            road_m=_road_height(prior, submap.anchor_m) - origin[2],
+            road=_road_plane(prior),
             prior=_prior_numbers(prior),
             origin_m=origin,
         )
@@ -108,12 +111,17 @@ def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> I
     return np.array([number[classes[one].id] for one in class_id.tolist()], dtype=np.int64)
 
 
-def _road_height(prior: Prior, place_m: FloatArray) -> FloatArray:
-    """(n,) height of the road next to places (n, 3); the prior's own where no road is known."""
+def _road_plane(prior: Prior) -> FloatArray:
+    """Weighted least squares through the road, most of all where the fix is; level without one."""
     if prior.road_m is None:
-        return np.full(len(place_m), prior.position_m[2])
-    offset = place_m[:, None, :2] - prior.road_m[:, :2]
-    return np.asarray(prior.road_m[(offset**2).sum(axis=2).argmin(axis=1), 2])
+        return np.zeros(3)
+    offset = prior.road_m - prior.position_m
+    reach = max(_ROAD_REACH_M, prior.horizontal_sigma_m)
+    weight = np.exp(-0.25 * (offset[:, :2] ** 2).sum(axis=1) / reach**2)
+    rows = np.column_stack([np.ones(len(offset)), offset[:, :2]])
+    weighted = (rows * weight[:, None]).T
+    plane = np.linalg.solve(weighted @ rows + np.diag(_LEVEL_WEIGHT), weighted @ offset[:, 2])
+    return np.asarray(plane)
 
 
 def _prior_numbers(prior: Prior) -> FloatArray:
