@@ -1,5 +1,6 @@
 """Checks for arrays where they enter the program."""
 
+import math
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -31,8 +32,9 @@ def float_array(
     if not array.size:
         return array
     low, high = (np.fmin, np.fmax) if nan else (np.minimum, np.maximum)  # fmin skips NaN
-    extremes = np.array([low.reduce(array, axis=None), high.reduce(array, axis=None)])
-    if (_wrong(extremes, nan) | (np.abs(extremes) > LARGEST)).any():
+    lowest, highest = float(low.reduce(array, axis=None)), float(high.reduce(array, axis=None))
+    in_range = lowest >= -LARGEST and highest <= LARGEST
+    if not (in_range or (nan and math.isnan(lowest))):
         _refuse_numbers(array, name, nan)
     return array
 
@@ -77,15 +79,18 @@ def _read(value: ArrayLike, name: str, dtype: type[np.float64] | None = None) ->
 def _shaped(array: NDArray[Scalar], shape: tuple[int | None, ...], name: str) -> NDArray[Scalar]:
     if array.shape == (0,) and shape[:1] == (None,):  # [] will do for none
         array = np.empty([side or 0 for side in shape], array.dtype)
-    fits = array.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(array.shape, shape, strict=True)
-    )
-    if not fits:
+    if array.shape != shape and not _fits(array.shape, shape):
         wanted = "(" + ", ".join("n" if side is None else str(side) for side in shape) + ")"
         raise SemvizError(f"{name} has shape {array.shape}, expected {wanted}")
     view = array.view()
     view.flags.writeable = False  # the values are frozen; the caller's own array stays writeable
     return view
+
+
+def _fits(have: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(have) == len(wanted) and all(
+        side is None or length == side for length, side in zip(have, wanted, strict=True)
+    )
 
 
 def _wrong(array: FloatArray, nan: bool) -> BoolArray:

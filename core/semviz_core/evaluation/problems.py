@@ -151,7 +151,7 @@ def make_problem(
     if index is None:
         index = int(np.random.default_rng([seed, 0]).integers(len(road)))
     rng = np.random.default_rng([seed, 1, index] if look is None else [seed, 1, index, look])
-    world, mapped = _world(road, seed), _mapped(road, seed, level)
+    world, mapped = _world(road, seed), _mapped(road, seed, _in_the_map(level))
     if added is not None:
         moved = np.append(mapped.moved, np.zeros(len(added), dtype=bool))
         world, mapped = joined(world, added), _Mapped(joined(mapped.elements, added), moved)
@@ -169,7 +169,13 @@ def make_problem(
 
 def mapped_elements(road: Road, seed: int, difficulty: Difficulty | None = None) -> Elements3D:
     """The whole map that the problems of this road and seed have their submaps from."""
-    return _mapped(road, seed, difficulty or Difficulty()).elements
+    return _mapped(road, seed, _in_the_map(difficulty or Difficulty())).elements
+
+
+def _in_the_map(level: Difficulty) -> Difficulty:
+    """What matters to a map, so that problems which differ in other things share it."""
+    names = ("missing", "duplicated", "moved", "map_view_sigma_m", "map_sigma_m", "map_turn_rad")
+    return Difficulty(**{name: getattr(level, name) for name in names})
 
 
 @dataclass(frozen=True, eq=False)
