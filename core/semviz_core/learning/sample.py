@@ -14,7 +14,8 @@ from semviz_core.pose import Pose
 PRIOR_LENGTH = 9
 _FIX_UNIT_M = 10.0
 _ROAD_REACH_M = 15.0
-_LEVEL_WEIGHT = (1e-3, 300.0, 300.0)  # of a level road through the fix, against one place driven
+_BRIDGE_M = 0.5
+_LEVEL = np.diag([1e-3, 300.0, 300.0])  # weight of a level road, against that of one place driven
 _EXACT_RAD = 1e-3  # a sigma below says no more to a network
 
 
@@ -112,16 +113,23 @@ def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> I
 
 
 def _road_plane(prior: Prior) -> FloatArray:
-    """Weighted least squares through the road, most of all where the fix is; level without one."""
+    """Least squares through the road, most of all where the fix is; level without one.
+
+    Reweighted (Cauchy) from a level plane through the fix on: a bridge does not lift the street
+    below it.
+    """
+    plane = np.zeros(3)
     if prior.road_m is None:
-        return np.zeros(3)
+        return plane
     offset = prior.road_m - prior.position_m
     reach = max(_ROAD_REACH_M, prior.horizontal_sigma_m)
-    weight = np.exp(-0.25 * (offset[:, :2] ** 2).sum(axis=1) / reach**2)
+    near = np.exp(-0.25 * (offset[:, :2] ** 2).sum(axis=1) / reach**2)
     rows = np.column_stack([np.ones(len(offset)), offset[:, :2]])
-    weighted = (rows * weight[:, None]).T
-    plane = np.linalg.solve(weighted @ rows + np.diag(_LEVEL_WEIGHT), weighted @ offset[:, 2])
-    return np.asarray(plane)
+    for _ in range(3):
+        off = (offset[:, 2] - rows @ plane) / _BRIDGE_M
+        weighted = (rows * (near / (1.0 + off**2))[:, None]).T
+        plane = np.linalg.solve(weighted @ rows + _LEVEL, weighted @ offset[:, 2])
+    return plane
 
 
 def _prior_numbers(prior: Prior) -> FloatArray:
