@@ -1,0 +1,85 @@
+"""Weights of a trained network: one safetensors file that says what they are of."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from semviz_core.classes import ClassSet
+from semviz_core.errors import SemvizError
+from semviz_core.files import replacing
+
+FORMAT = 1
+SHIPPED = Path(__file__).parents[1] / "weights"
+"""The folder of the weights that come with semviz, each with its card beside it."""
+_KEY = "semviz weights"
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What a network of a task knows."""
+
+    task: str
+    options: dict[str, Any]
+    """As ``Task.options``; its ``classes`` are the names of the classes, in order."""
+    tensors: dict[str, Tensor]
+    """float32 in memory, float16 on disk."""
+
+    def save(self, path: Path) -> None:
+        """Replace ``path``. Raises SemvizError where that fails; the former file then stays."""
+        told = {"format": FORMAT, "task": self.task, "options": self.options}
+        small = {name: one.detach().half().contiguous() for name, one in self.tensors.items()}
+        content = safetensors.torch.save(small, metadata={_KEY: json.dumps(told)})
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+
+    def check(self, task: str, classes: ClassSet, path: Path) -> None:
+        """Raises SemvizError where they are for something else."""
+        if self.task != task:
+            raise SemvizError(f"{path}: weights of {self.task}; give those of {task}")
+        names = [one.name for one in classes]
+        if self.options["classes"] != names:
+            raise SemvizError(
+                f"{path}: trained for the classes {', '.join(self.options['classes'])}, not for "
+                f"{', '.join(names)}: train it with yours"
+            )
+
+    def put_into(self, network: nn.Module, path: Path) -> None:
+        """Raises SemvizError where the network is built otherwise."""
+        try:
+            network.load_state_dict(self.tensors)
+        except RuntimeError:
+            raise SemvizError(
+                f"{path}: weights of another version of {self.task}; train it again"
+            ) from None
+
+
+def shipped_weights(task: str) -> Path:
+    """Where the weights are that come with semviz."""
+    return SHIPPED / f"{task}.safetensors"
+
+
+def read_weights(path: Path) -> Weights:
+    """Raises SemvizError where they are missing, damaged, of another version, or not finite."""
+    if not path.is_file():
+        raise SemvizError(f"{path}: no such weights; train some, or name a file with --weights")
+    try:
+        with safe_open(path, framework="pt") as file:
+            told = json.loads((file.metadata() or {})[_KEY])
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        form, task, options = told["format"], told["task"], told["options"]
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError):
+        raise SemvizError(f"{path}: no weights of semviz, or damaged") from None
+    if form != FORMAT:
+        raise SemvizError(
+            f"{path}: weights of format {form}; this semviz has {FORMAT}: use the version that "
+            "they were made with, or train again"
+        )
+    if not all(bool(torch.isfinite(one).all()) for one in tensors.values()):
+        raise SemvizError(f"{path}: holds numbers that are not finite; train it again")
+    return Weights(task, options, tensors)

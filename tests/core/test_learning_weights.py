@@ -1,0 +1,70 @@
+"""Files of weights: what comes back, and what is refused with one line."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from semviz_core.classes import DEFAULT_CLASSES, POLE, ClassSet
+from semviz_core.errors import SemvizError
+from semviz_core.learning import weights
+from semviz_core.learning.weights import Weights, read_weights
+
+NAMES = [one.name for one in DEFAULT_CLASSES]
+
+
+def saved(path: Path, network: nn.Module, task: str = "paper") -> Path:
+    Weights(task, {"classes": NAMES}, network.state_dict()).save(path)
+    return path
+
+
+def test_weights_come_back_as_half_precision_keeps_them(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network, other = nn.Linear(3, 2), nn.Linear(3, 2)
+    path = saved(tmp_path / "paper.safetensors", network)
+    read = read_weights(path)
+    read.check("paper", DEFAULT_CLASSES, path)
+    read.put_into(other, path)
+    assert read.options == {"classes": NAMES}
+    assert torch.equal(other.weight, network.weight.half().float())
+
+
+def test_a_missing_or_foreign_or_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "paper.safetensors"
+    with pytest.raises(SemvizError, match="no such weights"):
+        read_weights(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(SemvizError, match="no weights of semviz, or damaged"):
+        read_weights(path)
+    saved(path, nn.Linear(3, 2))
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(SemvizError, match="damaged"):
+        read_weights(path)
+
+
+def test_weights_of_another_format_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = saved(tmp_path / "paper.safetensors", nn.Linear(3, 2))
+    monkeypatch.setattr(weights, "FORMAT", 2)
+    with pytest.raises(SemvizError, match="of format 1; this semviz has 2"):
+        read_weights(path)
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    network = nn.Linear(3, 2)
+    network.bias.data[0] = torch.nan
+    with pytest.raises(SemvizError, match="not finite"):
+        read_weights(saved(tmp_path / "paper.safetensors", network))
+
+
+def test_weights_for_something_else_are_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path / "x.safetensors", nn.Linear(3, 2))
+    read = read_weights(path)
+    with pytest.raises(SemvizError, match="weights of paper; give those of bpnpnet"):
+        read.check("bpnpnet", DEFAULT_CLASSES, path)
+    with pytest.raises(SemvizError, match=r"trained for the classes pole, .*, not for pole"):
+        read.check("paper", ClassSet((DEFAULT_CLASSES[POLE],)), path)
+    with pytest.raises(SemvizError, match="weights of another version of paper"):
+        read.put_into(nn.Linear(4, 2), path)
