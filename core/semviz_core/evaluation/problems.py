@@ -6,7 +6,7 @@ stands beside a road and how it was mapped from (road, seed), what one frame see
 frame).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -301,15 +301,10 @@ def _observed(
     true, visible = _projected(world[rows], T_camera_map, np.where(hidden, share[rows], 1.0))
     true = _disturbed(true[visible], noise[rows][visible], level)
     ids, hidden = world.id[rows][visible], hidden[visible]
-    count = rng.poisson(level.false_detections + level.clutter_share * len(true))
-    false = _false(int(count), level, rng)
-    values = {
-        one.name: np.concatenate([getattr(true, one.name), getattr(false, one.name)])
-        for one in fields(Elements2D)
-    }
-    observed = Elements2D(**values)
-    ids = np.append(ids, np.full(len(false), -1))
-    end_visible = observed.end_known & ~np.append(hidden, np.ones(len(false), dtype=bool))
+    count = int(rng.poisson(level.false_detections + level.clutter_share * len(true)))
+    observed = joined(true, _false(count, level, rng)) if count else true
+    ids = np.append(ids, np.full(count, -1))
+    end_visible = observed.end_known & ~np.append(hidden, np.ones(count, dtype=bool))
     if level.elements is not None and len(observed) > level.elements:
         kept = np.sort(rng.choice(len(observed), level.elements, replace=False))
         return observed[kept], ids[kept], end_visible[kept]
@@ -404,7 +399,4 @@ def _false(count: int, level: Difficulty, rng: np.random.Generator) -> Elements2
     sigma = _sigma_px(false, level)
     if level.stated_sigma_px is not None:
         sigma = np.full_like(sigma, level.stated_sigma_px)
-    return Elements2D(
-        anchor, end, class_id, rng.uniform(0.3, 0.8, count), sigma, false.anchor_known,
-        false.end_known,
-    )  # fmt: skip
+    return replace(false, score=rng.uniform(0.3, 0.8, count), sigma_px=sigma)
