@@ -29,7 +29,7 @@ from semviz_core.learning.sample import Sample
 SOME = range(3, 3 + 12 * FRAMES_A_WORLD * ROADS_AT_A_TIME, FRAMES_A_WORLD * ROADS_AT_A_TIME)
 """Numbers of as many worlds, all on one road."""
 
-LOCAL = {"point_m", "bottom_m", "prior", "origin_m", "truth"}
+LOCAL = {"point_m", "bottom_m", "road", "prior", "origin_m", "truth"}
 """What is in local coordinates."""
 
 
@@ -112,6 +112,7 @@ def test_other_coordinates_change_nothing_for_the_camera(
         np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
     np.testing.assert_array_equal(before.prior[:5], after.prior[:5])
     np.testing.assert_allclose(heading_error(before), heading_error(after), atol=1e-9)
+    np.testing.assert_allclose(above_road(before), above_road(after), atol=1e-9)
 
 
 @given(st.sampled_from(SOME), st.floats(-np.pi, np.pi), st.floats(-5.0, 5.0))
@@ -191,6 +192,12 @@ def heading_error(sample: Sample) -> float:
     assert sample.truth is not None
     ahead = sample.truth.rotation[2, :2]
     return float(np.cross(np.append(ahead, 0.0), np.append(sample.prior[5:7], 0.0))[2])
+
+
+def above_road(sample: Sample) -> FloatArray:
+    """(n,) height of the mapped peaks above the road's plane."""
+    height, *slope = sample.road
+    return np.asarray(sample.point_m[:, 2] - height - sample.point_m[:, :2] @ slope)
 
 
 def write_roads(folder: Path, poles: int) -> KittiFiles:

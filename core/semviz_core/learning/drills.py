@@ -112,14 +112,14 @@ def augmented(sample: Sample, shift_m: float, rng: np.random.Generator) -> Sampl
 
 
 def moved(sample: Sample, turn_rad: float, shift_m: ArrayLike) -> Sample:
-    """The sample in coordinates x' = Rz(``turn_rad``) x + ``shift_m`` (2,): map, truth and heading.
+    """The sample in coordinates x' = Rz(``turn_rad``) x + ``shift_m`` (2,): map, road, heading, truth.
 
     Nothing changes in the camera's coordinates. The axes are no longer the map's.
     """
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     shift = np.append(np.asarray(shift_m, dtype=np.float64), 0.0)
-    prior = sample.prior.copy()
+    prior, slope = sample.prior.copy(), turn[:2, :2] @ sample.road[1:]
     prior[5:7] = turn[:2, :2] @ prior[5:7]
     truth = sample.truth
     if truth is not None:
@@ -129,6 +129,7 @@ def moved(sample: Sample, turn_rad: float, shift_m: ArrayLike) -> Sample:
         sample,
         point_m=sample.point_m @ turn.T + shift,
         bottom_m=sample.bottom_m @ turn.T + shift,
+        road=np.append(sample.road[0] - slope @ shift[:2], slope),
         prior=prior,
         origin_m=sample.origin_m - turn.T @ shift,
         truth=truth,
