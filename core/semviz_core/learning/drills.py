@@ -112,7 +112,7 @@ def augmented(sample: Sample, shift_m: float, rng: np.random.Generator) -> Sampl
 
 
 def moved(sample: Sample, turn_rad: float, shift_m: ArrayLike) -> Sample:
-    """The sample in coordinates x' = Rz(``turn_rad``) x + ``shift_m`` (2,): map, road, heading, truth.
+    """In coordinates x' = Rz(``turn_rad``) x + ``shift_m`` (2,): map, road, heading and truth.
 
     Nothing changes in the camera's coordinates. The axes are no longer the map's.
     """
