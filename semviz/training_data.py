@@ -1,0 +1,158 @@
+"""What matchers train on, from workspaces: labelled frames with true poses, and their maps."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from semviz.drive import CROP_RADIUS_M, ROAD_RADIUS_M, check_same_frame
+from semviz.observing import observe_labels
+from semviz.workspace import MAIN, Workspace
+from semviz_core.arrays import IntArray
+from semviz_core.camera import Camera
+from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.elements import Elements2D
+from semviz_core.errors import SemvizError
+from semviz_core.evaluation.problems import NEEDED_DETECTIONS
+from semviz_core.learning.drills import augmented
+from semviz_core.learning.sample import Sample
+from semviz_core.pose import Pose
+from semviz_core.semantic_map import SemanticMap
+from semviz_core.sources.priors import PriorOptions, simulate_prior
+
+CROP_M = CROP_RADIUS_M["labels"]
+LEAST_FRAMES = 2
+"""One to train on, one to keep back."""
+HELD_OUT_SHARE = 0.2
+"""Of each workspace's frames: the last ones, so that few are neighbours of those trained on."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """What people labelled in an image, with the answers."""
+
+    observed: Elements2D
+    element_id: IntArray
+    """(m,) of the map, -1 for what is not in it."""
+    T_map_camera: Pose
+    camera: Camera
+    semantic_map: SemanticMap
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceSamples:
+    """Samples by number, as ``Drills``: any of the frames, with a fix and coordinates of its own.
+
+    The same number is the same sample in every process.
+    """
+
+    workspaces: tuple[str, ...]
+    training: tuple[LabelledFrame, ...]
+    kept_back: tuple[LabelledFrame, ...]
+    known: PriorOptions
+    """How good the simulated fixes are."""
+    shift_m: float
+    """As in ``Drills``."""
+
+    def sample(self, number: int) -> Sample:
+        """Training sample ``number``, turned and shifted at random."""
+        return self._sample(self.training, number, 0)
+
+    def held_out(self, number: int) -> Sample:
+        """Sample ``number`` of frames that are never trained on."""
+        return self._sample(self.kept_back, number, 1)
+
+    def describe(self) -> dict[str, Any]:
+        """What the samples are made with, as JSON."""
+        return {
+            "workspaces": list(self.workspaces),
+            "frames": len(self.training),
+            "held_out_frames": len(self.kept_back),
+            "shift_m": self.shift_m,
+            "known": asdict(self.known),
+        }
+
+    def _sample(self, frames: tuple[LabelledFrame, ...], number: int, kind: int) -> Sample:
+        rng = np.random.default_rng([number, kind])
+        frame = frames[rng.integers(len(frames))]
+        semantic_map = frame.semantic_map
+        prior = simulate_prior(frame.T_map_camera, self.known, int(rng.integers(2**63)))
+        prior = replace(prior, road_m=semantic_map.road_near(prior.position_m, ROAD_RADIUS_M))
+        submap = semantic_map.crop(prior.position_m, CROP_M)
+        sample = Sample.of(frame.observed, submap, frame.camera, prior)
+        pairs = np.argwhere(frame.element_id[:, None] == submap.id)
+        sample = sample.with_truth(frame.T_map_camera.inverse(), pairs)
+        return augmented(sample, self.shift_m, rng)
+
+
+def workspace_samples(
+    workspaces: Sequence[Workspace],
+    map_name: str = MAIN,
+    known: PriorOptions | None = None,
+    shift_m: float = 0.0,
+) -> WorkspaceSamples:
+    """Samples from the labels of ``workspaces`` and their maps of one name.
+
+    Raises SemvizError where one has no map, no poses, other classes, or too few frames.
+    """
+    known = known or PriorOptions()
+    training: list[LabelledFrame] = []
+    kept_back: list[LabelledFrame] = []
+    for workspace in workspaces:
+        frames = labelled_frames(workspace, map_name, CROP_M - known.distance_m[1])
+        last = max(1, round(HELD_OUT_SHARE * len(frames)))
+        training += frames[:-last]
+        kept_back += frames[-last:]
+    names = tuple(one.name for one in workspaces)
+    return WorkspaceSamples(names, tuple(training), tuple(kept_back), known, shift_m)
+
+
+def labelled_frames(
+    workspace: Workspace, map_name: str, within_m: float
+) -> tuple[LabelledFrame, ...]:
+    """Two frames or more with a pose and four labels, one of them of something mapped
+    ``within_m``; SemvizError for what is missing."""
+    where, source = workspace.path, workspace.source
+    semantic_map = workspace.read_map(map_name)
+    check_same_frame(semantic_map, source)
+    _check_classes(workspace, semantic_map.classes)
+    observe = observe_labels(workspace, semantic_map)
+    labelled = ((frame, *observe(frame)) for frame in source.frames)
+    seen = [one for one in labelled if len(one[1]) >= NEEDED_DETECTIONS]
+    if len(seen) < LEAST_FRAMES:
+        raise SemvizError(
+            f"{where}: {len(seen)} frames have {NEEDED_DETECTIONS} labels or more, training needs "
+            f"{LEAST_FRAMES}; label more"
+        )
+    posed = [
+        LabelledFrame(observed, ids, frame.T_map_camera, source.rig.left, semantic_map)
+        for frame, observed, ids in seen
+        if frame.T_map_camera is not None
+    ]
+    if not posed:
+        raise SemvizError(
+            f"{where}: the labelled frames have no poses to learn from; "
+            "'semviz new' takes a file of them with --poses"
+        )
+    frames = tuple(one for one in posed if _shows_mapped(one, within_m))
+    if len(frames) < LEAST_FRAMES:
+        raise SemvizError(
+            f"{where}: map '{map_name}' holds what is labelled in {len(frames)} frames, training "
+            f"needs {LEAST_FRAMES}; build it from these labels"
+        )
+    return frames
+
+
+def _check_classes(workspace: Workspace, classes: ClassSet) -> None:
+    """Networks know the classes that they were made for."""
+    if set(classes) != set(DEFAULT_CLASSES):
+        names, known = (", ".join(one.name for one in some) for some in (classes, DEFAULT_CLASSES))
+        raise SemvizError(
+            f"{workspace.path}: its map has the classes {names}; matchers are trained for {known}"
+        )
+
+
+def _shows_mapped(frame: LabelledFrame, within_m: float) -> bool:
+    near = frame.semantic_map.crop(frame.T_map_camera.translation, within_m)
+    return bool(np.isin(frame.element_id, near.id).any())
