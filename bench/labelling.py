@@ -32,7 +32,7 @@ from semviz_core.elements import Elements2D
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 
-CHROMIUM = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 FRAMES = 8
 REACH_M = 40.0
 RIGHT_PX, RIGHT_M = 2.0, 0.04

@@ -28,7 +28,6 @@ from semviz.workspace import Workspace
 SEMVIZ = Path(sys.executable).parent / "semviz"
 CHROMIUM = [
     "--no-sandbox",
-    "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 ]

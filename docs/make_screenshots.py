@@ -39,7 +39,6 @@ from semviz_core.sources.street.map_errors import moved
 IMAGES = Path(__file__).resolve().parent / "images"
 CHROMIUM = [
     "--no-sandbox",
-    "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 ]

@@ -24,8 +24,7 @@ hypothesis.settings.load_profile("semviz")
 REPOSITORY = Path(__file__).resolve().parents[1]
 CHROMIUM_ARGS = [
     "--no-sandbox",
-    "--use-angle=swiftshader",  # WebGL without a graphics card
-    "--enable-unsafe-swiftshader",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card; the rest is drawn without it
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
