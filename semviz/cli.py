@@ -26,7 +26,9 @@ from semviz.commands.open_run import OpenRun
 from semviz.commands.repair import Repair
 from semviz.commands.report import Report
 from semviz.commands.serve import Serve
+from semviz.commands.train import Train
 from semviz.commands.trajectory import Trajectory
+from semviz.commands.weights import Weights
 from semviz_core.errors import SemvizError
 
 MapCommands = Annotated[
@@ -61,6 +63,8 @@ Command = (
     | Annotated[Trajectory, subcommand("trajectory")]
     | LabelCommands
     | Annotated[Benchmark, subcommand("benchmark")]
+    | Annotated[Train, subcommand("train")]
+    | Annotated[Weights, subcommand("weights")]
 )
 
 

@@ -37,14 +37,14 @@ class Crew:
         distributed.all_reduce(number, op=distributed.ReduceOp.MAX)
         return bool(number)
 
-    def leave(self) -> None:
+    def leave(self, status: int = 0) -> None:
         """Wait for the others and end the process, if there are others: gloo's threads now and
         then abort while Python tears them down."""
         if self.world > 1:
             distributed.barrier()
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(0)
+            os._exit(status)
 
 
 def join() -> Crew:

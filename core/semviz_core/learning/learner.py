@@ -10,6 +10,8 @@ from semviz_core.learning.crew import Crew
 from semviz_core.learning.task import Progress, Task
 
 Precision = Literal["float32", "bf16"]
+NETWORK = "network."
+"""Begins the names of weights in a learner's state."""
 LONGEST_GRADIENT = 10.0
 """Gradients are shortened to this norm: one odd batch must not undo what others taught."""
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
@@ -51,9 +53,9 @@ class Learner:
         return figures
 
     def state(self) -> dict[str, Tensor]:
-        """Weights under ``network.``, Adam's moments under ``adam.``, on the CPU."""
+        """Weights under ``NETWORK``, Adam's moments under ``adam.``, on the CPU."""
         network = self._task.network
-        state = {f"network.{name}": value for name, value in network.state_dict().items()}
+        state = {f"{NETWORK}{name}": value for name, value in network.state_dict().items()}
         for name, parameter in network.named_parameters():
             for moment, value in self._adam.state[parameter].items():
                 state[f"adam.{moment}.{name}"] = value
@@ -62,7 +64,7 @@ class Learner:
     def restore(self, state: dict[str, Tensor]) -> None:
         """What ``state`` returned; KeyError or RuntimeError where it is another network's."""
         network = self._task.network
-        network.load_state_dict({name: state[f"network.{name}"] for name in network.state_dict()})
+        network.load_state_dict({name: state[f"{NETWORK}{name}"] for name in network.state_dict()})
         moments = {
             number: {moment: state[f"adam.{moment}.{name}"] for moment in _MOMENTS}
             for number, (name, _) in enumerate(network.named_parameters())

@@ -4,31 +4,39 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from semviz_core.errors import SemvizError
+from semviz_core.learning.drills import LEARNED_DRILLS, PAPER_DRILLS, Drills
 
 if TYPE_CHECKING:
     from semviz_core.learning.task import SampleSource, Task
 
 TASKS = {
-    "paper": "models",
-    "paper-no-semantics": "models",
-    "bpnpnet": "models",
-    "bpnpnet-semantic": "models",
-    "matcher": "matcher_task",
-    "verifier": "verifier_task",
+    "paper": ("paper_task", PAPER_DRILLS),
+    "paper-no-semantics": ("paper_task", PAPER_DRILLS),
+    "bpnpnet": ("paper_task", PAPER_DRILLS),
+    "bpnpnet-semantic": ("paper_task", PAPER_DRILLS),
+    "matcher": ("matcher_task", LEARNED_DRILLS),
+    "verifier": ("verifier_task", LEARNED_DRILLS),
 }
-"""Name -> module of ``semviz_core.learning`` with ``make_task(name, source)``."""
+"""Name -> module of ``semviz_core.learning`` with ``make_task(name, source)``, and what it trains
+on unless people say otherwise."""
+
+
+def own_drills(name: str) -> Drills:
+    """What a task trains on. Raises SemvizError where nothing of that name can be trained."""
+    if name not in TASKS:
+        raise SemvizError(f"nothing called {name} can be trained; there are {', '.join(TASKS)}")
+    return TASKS[name][1]
 
 
 def make_task(name: str, source: "SampleSource | None" = None, seed: int = 0) -> "Task[Any, Any]":
-    """A task with fresh weights, drawn from ``seed``; the samples are the task's own if none.
+    """A task with fresh weights, drawn from ``seed``; on its own drills if no source is given.
 
     Raises SemvizError where nothing of that name can be trained.
     """
-    if name not in TASKS:
-        raise SemvizError(f"nothing called {name} can be trained; there are {', '.join(TASKS)}")
+    drills = own_drills(name)
     import torch
 
     torch.manual_seed(seed)
-    module = import_module(f"semviz_core.learning.{TASKS[name]}")
-    task: Task[Any, Any] = module.make_task(name, source)
+    module = import_module(f"semviz_core.learning.{TASKS[name][0]}")
+    task: Task[Any, Any] = module.make_task(name, source or drills)
     return task

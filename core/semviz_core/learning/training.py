@@ -27,7 +27,9 @@ from semviz_core.learning.task import Progress, Task
 
 CHECKPOINT, HISTORY = "checkpoint.safetensors", "losses.jsonl"
 MEASUREMENTS = 40
-"""Held-out figures are taken so often in a training."""
+"""Held-out figures are taken so often in a training, if it is not short."""
+LEAST_SEEN = 4
+"""For each item that is measured, so many are trained on first."""
 MEASURE_S = 20.0
 """After so long, a measurement begins no further batch."""
 MOST_SKIPPED = 50
@@ -152,7 +154,7 @@ class Training:
         if last or course.samples // size % WINDOW_STEPS == 0:
             self._write(losses=means(course.window))
             course.window.clear()
-        every = max(course.of // MEASUREMENTS, size)
+        every = max(course.of // MEASUREMENTS, LEAST_SEEN * self._options.held_out)
         measured = last or course.samples // every > (course.samples - size) // every
         held_out = self._measure() if measured and self.crew.leads else {}
         return Moment(course.samples, course.of, losses["loss"], held_out), done
