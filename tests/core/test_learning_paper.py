@@ -1,0 +1,96 @@
+"""The paper's matcher and those it is compared with: what they see, and that they learn."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from semviz_core.learning.batch import Batch
+from semviz_core.learning.drills import PAPER_DRILLS
+from semviz_core.learning.models import MODELS, GraphMatcher
+from semviz_core.learning.paper_task import PaperTask
+from semviz_core.learning.sample import Sample
+from semviz_core.learning.splitting import split_lines
+from semviz_core.learning.task import Progress
+
+START = Progress(0, 100)
+
+
+@cache
+def sample(number: int) -> Sample:
+    return PAPER_DRILLS.sample(number)
+
+
+def batch_for(name: str, numbers: range) -> Batch:
+    task = PaperTask(name, PAPER_DRILLS)
+    return task.collate([task._of(sample(number)) for number in numbers])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_padding_changes_no_probability(name: str) -> None:
+    torch.manual_seed(0)
+    network = GraphMatcher(MODELS[name], 4)
+    with torch.no_grad():
+        found = network(batch_for(name, range(6)))
+        for row in range(6):
+            alone = network(batch_for(name, range(row, row + 1)))
+            _, m, n = alone.probability.shape
+            padded = found.probability[row]
+            torch.testing.assert_close(padded[:m, :n], alone.probability[0], atol=1e-4, rtol=1e-3)
+            assert not padded[m:].any()
+            assert not padded[:, n:].any()
+
+
+@pytest.mark.parametrize(("name", "hears"), [("paper", True), ("paper-no-semantics", False)])
+def test_only_models_with_semantics_hear_of_classes(name: str, hears: bool) -> None:
+    torch.manual_seed(0)
+    network = GraphMatcher(MODELS[name], 4)
+    batch = batch_for(name, range(4))
+    other = replace(batch, mapped_class=3 - batch.mapped_class)
+    assert bool((network.cost(batch) != network.cost(other)).any()) == hears
+
+
+@pytest.mark.parametrize(("name", "hears"), [("paper", True), ("bpnpnet-semantic", False)])
+def test_only_models_with_lines_hear_of_directions(name: str, hears: bool) -> None:
+    torch.manual_seed(0)
+    network = GraphMatcher(MODELS[name], 4)
+    batch = batch_for("paper", range(4))
+    other = replace(batch, bottom_m=batch.bottom_m + torch.tensor([1.0, 0.0, 0.0]))
+    assert bool((network.cost(batch) != network.cost(other)).any()) == hears
+
+
+def test_split_lines_see_known_bottoms_as_points_that_belong_together() -> None:
+    whole = sample(3)
+    split = split_lines(whole)
+    m, n = len(whole.ray), len(whole.point_m)
+    bottoms = np.flatnonzero(whole.seen_known[:, 1])
+    assert len(split.ray) == m + len(bottoms)
+    assert np.array_equal(split.ray[m:], whole.bottom_ray[bottoms])
+    assert np.array_equal(split.ray, split.bottom_ray)
+    assert not split.seen_known[:, 1].any()
+    assert whole.truth is not None
+    assert split.truth is not None
+    for i, j in np.argwhere(split.truth.pairs):
+        x = split.truth.rotation @ split.point_m[j] + split.truth.translation
+        off = np.degrees(np.arccos(split.ray[i] @ x / np.linalg.norm(x)))
+        assert off < 15.0, (i, j)  # hidden bottoms are off by half a pole
+        assert (i < m) == (j < n)
+    assert np.array_equal(split.truth.pairs[:m, :n], whole.truth.pairs)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_matcher_learns_a_few_frames(name: str) -> None:
+    torch.manual_seed(0)
+    task = PaperTask(name, PAPER_DRILLS)
+    batch = batch_for(name, range(4))
+    adam = torch.optim.Adam(task.network.parameters(), task.learning_rate(START))
+    before = float(task.losses(batch, START)["loss"].detach())
+    for _ in range(12):
+        adam.zero_grad()
+        task.losses(batch, START)["loss"].backward()
+        adam.step()
+    after = task.figures(batch)
+    assert float(after["correspondence"]) < before - 0.3
+    assert float(after["top1"]) <= float(after["top5"]) <= 1.0
