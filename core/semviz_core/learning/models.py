@@ -89,7 +89,8 @@ class GraphMatcher(nn.Module):
         top, bottom = (ray / ray[..., 2:] for ray in (batch.ray, batch.bottom_ray))
         seen = self._inputs(batch.ray, bottom - top, batch.seen_class)
         down = batch.bottom_m - batch.point_m
-        mapped = self._inputs(batch.point_m / batch.point_m.new_tensor(UNITS_M), down, batch.mapped_class)
+        place = batch.point_m / batch.point_m.new_tensor(UNITS_M)
+        mapped = self._inputs(place, down, batch.mapped_class)
         one = functional.normalize(self.seen(seen, batch.seen), dim=2)
         other = functional.normalize(self.mapped(mapped, batch.mapped), dim=2)
         square = 2.0 - 2.0 * one @ other.transpose(1, 2)
