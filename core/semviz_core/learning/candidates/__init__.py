@@ -1,0 +1,1 @@
+"""What pairs of a seen and a mapped element, alone and by twos, say of where the camera is."""

@@ -1,0 +1,69 @@
+"""What the trained matcher says of one frame, as NumPy: log-odds of each pair."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from semviz_core.arrays import FloatArray
+from semviz_core.camera import Camera
+from semviz_core.classes import ClassSet
+from semviz_core.elements import Elements2D, Elements3D
+from semviz_core.frame import Prior
+from semviz_core.learning.batch import Batch
+from semviz_core.learning.candidates.prepared import Prepared
+from semviz_core.learning.networks.consensus import ConsensusNetwork
+from semviz_core.learning.sample import Sample
+from semviz_core.learning.weights import read_weights, shipped_weights
+from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
+
+TASK = "matcher"
+
+
+@dataclass(frozen=True, eq=False)
+class PairOdds:
+    """Pairs of m seen and n mapped elements against no pair."""
+
+    log_odds: FloatArray
+    """(m, n) nats; LEAST_ODDS for what the prior rules out, -inf for pairs of two classes."""
+    probability: FloatArray
+    """(m + 1, n + 1) of one-to-one pairs, and of none."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairMatcher:
+    """The trained network with the classes that it knows."""
+
+    network: ConsensusNetwork
+    classes: ClassSet
+
+    def match(
+        self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
+    ) -> PairOdds:
+        """Of one frame, with at least one element seen and one mapped."""
+        batch = Batch.of([Sample.of(observed, submap, camera, prior, self.classes)])
+        with torch.inference_mode():
+            log_odds = self.network(Prepared.of(batch))[0]
+        odds = np.where(batch.same_class[0].numpy(), log_odds.double().numpy(), -np.inf)
+        return PairOdds(odds, sinkhorn_with_dustbin(odds))
+
+
+def load_pair_matcher(path: Path | None, classes: ClassSet) -> PairMatcher:
+    """With the weights at ``path``, or those that come with semviz.
+
+    Raises SemvizError where there are none, or they are for something else.
+    """
+    path = path or shipped_weights(TASK)
+    changed_ns = path.stat().st_mtime_ns if path.is_file() else 0
+    return _loaded(path, changed_ns, classes)
+
+
+@lru_cache(maxsize=8)
+def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> PairMatcher:
+    weights = read_weights(path)
+    weights.check(TASK, classes, path)
+    network = ConsensusNetwork(len(classes))
+    weights.put_into(network, path)
+    return PairMatcher(network.eval(), classes)
