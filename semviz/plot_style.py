@@ -28,10 +28,14 @@ def new_figure(width: float, height: float, title: str = "") -> "Figure":
 
 
 def add_legend(figure: "Figure") -> None:
-    """One for all axes, below them."""
-    handles, labels = figure.axes[0].get_legend_handles_labels() if figure.axes else ([], [])
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    """One for all axes, below them; each label once."""
+    entries = {
+        label: handle
+        for axis in figure.axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    if entries:
+        figure.legend(entries.values(), entries, loc="outside lower center", ncols=4, frameon=False)
 
 
 def add_grid(axis: "Axes") -> None:

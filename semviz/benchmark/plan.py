@@ -94,9 +94,9 @@ def key(outcome: Outcome) -> Key:
 
 
 def code_digest() -> str:
-    """Of the code that makes problems and answers them: results of two versions are not mixed."""
+    """Of what makes problems and answers them: results of two versions are not mixed."""
     folder = Path(semviz_core.__file__).parent
     content = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
+    for path in sorted([*folder.rglob("*.py"), *folder.rglob("*.safetensors")]):
         content.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
     return content.hexdigest()[:12]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from semviz.benchmark.histograms import histograms
 from semviz.plot_style import (
     COLORS,
     add_grid,
@@ -46,6 +47,8 @@ def draw(outcomes: Iterable[Outcome], rows: Sequence[Row], folder: Path) -> None
         title = f"{suite}, noise {noise}"
         timed = [row for row in rows if (row.suite, row.noise, row.stratum) == (suite, noise, ALL)]
         figures = {"cumulative": cumulative(title, groups), "time": times(title, timed)}
+        if groups:
+            figures["histogram"] = histograms(groups, title)
         facts = [one.facts for group in groups.values() for one in group]
         if any(one.bound_m is not None for one in facts):
             figures["bound"] = against_bound(title, groups)

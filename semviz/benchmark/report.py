@@ -4,8 +4,10 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
+from semviz.benchmark import paper_table
 from semviz.tables import Table, figure, percent
 from semviz_core.evaluation.tables import ALL, Row
 from semviz_core.files import replacing
@@ -30,13 +32,15 @@ class Report:
 
     def as_text(self) -> str:
         """For terminals of 120 columns."""
-        return "\n\n".join(table.as_text() for table in self._tables())
+        told = [fill(one, 118) for one in self._differences()]
+        return "\n\n".join([*told, *(table.as_text() for table in self._tables())])
 
     def as_markdown(self) -> str:
         made = ", ".join(f"{name} {value}" for name, value in self.settings.items())
         notes = [f"Note: {note}." for note in self.notes]
         tables = (table.as_markdown() for table in self._tables())
-        return "\n\n".join(["# Benchmark", f"Made with {made}.", *notes, *tables]) + "\n"
+        parts = ["# Benchmark", f"Made with {made}.", *notes, *self._differences(), *tables]
+        return "\n\n".join(parts) + "\n"
 
     def write(self, folder: Path) -> None:
         """``table.md`` and ``table.json``."""
@@ -48,10 +52,18 @@ class Report:
                 path.write_text(text)
 
     def _tables(self) -> list[Table]:
+        """The paper's, then those of each suite and noise."""
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
             groups.setdefault((row.suite, row.noise), []).append(row)
-        return [table for group in groups.values() for table in _tables_of(group)]
+        papers = [group for (suite, _), group in groups.items() if suite == paper_table.SUITE]
+        tables = [table for group in groups.values() for table in _tables_of(group)]
+        return [*map(paper_table.beside_printed, papers), *tables]
+
+    def _differences(self) -> tuple[str, ...]:
+        """What readers of the paper's table should know."""
+        there = any(row.suite == paper_table.SUITE for row in self.rows)
+        return paper_table.DIFFERENCES if there else ()
 
 
 def _tables_of(group: list[Row]) -> list[Table]:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from semviz.benchmark import paper_table
 from semviz.benchmark.methods import Kind
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.drives import Blackout, Drive, make_drive
@@ -95,12 +96,17 @@ SUITES: dict[str, Suite] = {
     one.name: one
     for one in (
         Suite("frames", "single"),
+        Suite(paper_table.SUITE, "single"),
         *(Suite(name, "single", difficulty) for name, difficulty in HARD_SETS.items()),
         Suite("matched", "matched"),
         Suite("sequence", "sequence"),
     )
 }
-GROUPS = {"hard": tuple(HARD_SETS), "all": tuple(SUITES)}
+GROUPS = {
+    "hard": tuple(HARD_SETS),
+    "all": tuple(name for name in SUITES if name != paper_table.SUITE),
+}
+"""``paper`` has the same problems as ``frames``."""
 
 
 def choose_suites(text: str) -> tuple[Suite, ...]:

@@ -21,7 +21,8 @@ class Benchmark:
     """Compare methods on the same simulated frames: errors, trust, time, how near the bound."""
 
     methods: OptionalText = None
-    """Such as search,direct; all that can run if not given. A wrong name lists the known ones."""
+    """Such as search,direct; all that can run if not given, and for the suite paper those of its
+    table. A wrong name lists the known ones."""
     noise: Literal["paper", "low", "both"] = "both"
     """Noise of the detections: the paper's table, or 1 px and 0.3 deg."""
     frames: int = 200
@@ -29,7 +30,8 @@ class Benchmark:
     seed: int = 1000
     """Seed of the first frame; the next has the next. Seeds below 1000 are for tuning."""
     suite: str = "frames"
-    """Such as frames,matched; hard means all hard sets, all everything. A wrong name lists them."""
+    """Such as frames,matched; hard means all hard sets, all everything; paper is the table of the
+    paper with its printed figures. A wrong name lists them."""
     kitti_poses: OptionalPath = None
     """Folder with poses of KITTI (09.txt); the roads are simulated if not given."""
     pole_maps: OptionalPath = None
@@ -49,6 +51,7 @@ class Benchmark:
         os.environ |= ONE_THREAD
 
         from semviz.benchmark.methods import choose_methods
+        from semviz.benchmark.paper_table import METHODS, SUITE
         from semviz.benchmark.plan import Plan
         from semviz.benchmark.plots import draw
         from semviz.benchmark.report import Report
@@ -62,7 +65,8 @@ class Benchmark:
             if number < least:
                 raise SemvizError(f"{option} {number}: give {least} or more")
         suites = choose_suites(self.suite)
-        chosen = choose_methods(self.methods, {suite.kind for suite in suites})
+        methods = self.methods or (",".join(METHODS) if self.suite == SUITE else None)
+        chosen = choose_methods(methods, {suite.kind for suite in suites})
         plan = Plan(
             suites,
             noises=("paper", "low") if self.noise == "both" else (self.noise,),

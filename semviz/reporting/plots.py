@@ -2,19 +2,18 @@
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from semviz.benchmark.histograms import histograms
 from semviz.benchmark.plots import FARTHEST_M, against_recall, cumulative
 from semviz.palette import STATUS
 from semviz.plot_style import (
     COLORS,
     GRID,
     add_grid,
-    add_legend,
-    line_style,
     new_figure,
     plain_numbers,
 )
@@ -27,13 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BINS = 20
-ROUND_LIMITS = (0.1, 0.2, 0.5, 1.0)
-"""Where histograms may end, m or deg."""
-SHARE_INSIDE = 0.95
-"""A histogram ends at the first round limit below which so many of the errors are."""
-BESIDE = (1.11, 1.28)
-"""Where histograms show larger errors, and frames without a pose: in parts of their length."""
 LEAST_M = 1e-3
 """Smaller errors are drawn at the lower edge."""
 PLOT_WIDTH_PT = 640.0
@@ -45,11 +37,6 @@ _THEMED = {
     **{tone.light: f"var(--{status})" for status, tone in STATUS.items()},
 }
 """Colours of the figures that the page gives in its own."""
-Error = Callable[[Outcome], float | None]
-ERRORS: tuple[tuple[str, Error], ...] = (
-    ("RTE (m)", lambda one: one.rte_m),
-    ("RRE (deg)", lambda one: one.rre_deg),
-)
 
 
 def comparing_plots(reported: Sequence[Reported]) -> dict[str, "Figure"]:
@@ -70,26 +57,6 @@ def comparing_plots(reported: Sequence[Reported]) -> dict[str, "Figure"]:
             "", groups
         )
     return plots
-
-
-def histograms(groups: dict[str, list[Outcome]]) -> "Figure":
-    """As in the paper; at the right, set apart, what is larger, and frames without a pose."""
-    figure = new_figure(10.0, 3.6)
-    for axis, (label, error) in zip(figure.subplots(1, 2), ERRORS, strict=True):
-        errors = {name: _values(group, error) for name, group in groups.items()}
-        limit = _round_limit(np.concatenate(list(errors.values())))
-        for number, (name, values) in enumerate(errors.items()):
-            _draw_histogram(axis, values, limit, name, number)
-        axis.axvline(limit, color="0.6", linewidth=0.8)
-        ticks = np.linspace(0.0, limit, 6)
-        axis.set_xticks(
-            [*ticks, *(limit * np.array(BESIDE))],
-            [*(f"{tick:g}" for tick in ticks.round(3)), "more", "no pose"],
-        )
-        axis.set(xlabel=label, ylabel="frames (%)", xlim=(0.0, 1.38 * limit))
-        add_grid(axis)
-    add_legend(figure)
-    return figure
 
 
 def over_the_drive(one: Reported) -> "Figure":
@@ -124,32 +91,6 @@ def as_svg(figure: "Figure", name: str) -> str:
     for color, themed in _THEMED.items():
         svg = svg.replace(color.lower(), themed)
     return svg
-
-
-def _values(group: list[Outcome], error: Error) -> FloatArray:
-    """(k,) errors of all frames; infinite for those without a pose."""
-    values = (error(one) for one in group)
-    return np.array([np.inf if value is None else value for value in values])
-
-
-def _round_limit(errors: FloatArray) -> float:
-    """Where a histogram of errors (k,) ends."""
-    found = errors[np.isfinite(errors)]
-    wanted = float(np.quantile(found, SHARE_INSIDE)) if len(found) else ROUND_LIMITS[-1]
-    return next((limit for limit in ROUND_LIMITS if limit >= wanted), ROUND_LIMITS[-1])
-
-
-def _draw_histogram(axis: "Axes", errors: FloatArray, limit: float, name: str, number: int) -> None:
-    edges = np.linspace(0.0, limit, BINS + 1)
-    inside = errors[errors < limit]
-    shares = np.histogram(inside, edges)[0] / len(errors) * 100.0
-    without = np.isinf(errors).mean() * 100.0
-    beside = (errors >= limit).mean() * 100.0 - without, without
-    style = line_style(number)
-    axis.stairs(shares, edges, fill=True, color=style["color"], alpha=0.15)
-    axis.stairs(shares, edges, label=name, **style)
-    for share, middle in zip(beside, BESIDE, strict=True):
-        axis.stairs([share], [(middle - 0.06) * limit, (middle + 0.06) * limit], **style)
 
 
 def _draw_errors(axis: "Axes", outcomes: Sequence[Outcome], width: float) -> None:

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from calling import Call, call
 
-from semviz.benchmark import runner
+import semviz_core
+from semviz.benchmark import paper_table, runner
 from semviz.benchmark.methods import KNOWN
+from semviz.benchmark.plan import code_digest
 from semviz.benchmark.report import Report
-from semviz.benchmark.suites import SUITES
+from semviz.benchmark.suites import SUITES, choose_suites
 from semviz_core.evaluation.outcomes import Facts, Outcome
 from semviz_core.evaluation.tables import rows
 
@@ -50,7 +52,7 @@ def test_json_table_and_plots(run: Call, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "table.json").read_text()) == table
     assert (tmp_path / "table.md").read_text().count("| search |") > 2
     plots = {path.name for path in tmp_path.glob("*.png")}
-    kinds = ("cumulative", "bound", "recall", "time")
+    kinds = ("cumulative", "histogram", "bound", "recall", "time")
     assert plots == {f"frames-low-{kind}.png" for kind in kinds}
 
 
@@ -192,15 +194,75 @@ def test_where_noise_is_misstated_there_is_no_bound(run: Call, tmp_path: Path) -
         ("noise 3 px unstated", "search"): False,
     }
     plots = {path.stem.rpartition("-")[2] for path in tmp_path.glob("*unstated*.png")}
-    assert plots == {"cumulative", "recall", "time"}
+    assert plots == {"cumulative", "histogram", "recall", "time"}
 
 
-def test_tables_fit_a_terminal() -> None:
+def test_the_papers_table_stands_beside_what_was_measured(run: Call, tmp_path: Path) -> None:
+    options = ("--frames", 6, "--methods", "true matches,bound", "--noise", "low", "--no-plots")
+    status, output, _ = run("--suite", "paper", *options, "--out", tmp_path)
+    assert status == 0
+    written = (tmp_path / "table.md").read_text()
+    for words in ("459 frames of KITTI 09 and 10", "simulated roads alone"):
+        assert words in " ".join(output.split())
+        assert words in written
+    assert "| Ours | printed | 459 | 0.22 | 0.09 | 0.18 | 0.29 | 99.5% | 0.34 |" in written
+    table = written.partition("the paper's table")[2].partition("##")[0]
+    assert "| true matches | all |" in table
+    status, output, _ = run(*options[:-1], "--no-plots", "--json", "--out", tmp_path / "frames")
+    same = [{**row, "suite": "paper"} for row in untimed(output)]
+    assert untimed(run("--suite", "paper", *options, "--json", "--out", tmp_path)[1]) == same
+
+
+def test_each_method_stands_under_its_printed_row() -> None:
+    measured = [fake("search"), *(fake(one.method) for one in paper_table.PRINTED if one.method)]
+    table = paper_table.beside_printed(rows(measured))
+    names = [cells[0] for cells in table.cells if cells[1] in ("printed", "all")]
+    for printed in paper_table.PRINTED:
+        below = names[names.index(printed.name) + 1]
+        assert printed.method is None or below == printed.method
+    assert names[-1] == "search"
+    assert len(names) == len(paper_table.PRINTED) + len(measured)
+
+
+def test_printed_figures_are_whole() -> None:
+    """Mean and quartiles of each, the quartiles in order; the paper's own method is best."""
+    for printed in paper_table.PRINTED:
+        for words in (printed.rte_m, printed.rre_deg):
+            _, *quartiles = map(float, words.split())
+            assert len(quartiles) == 3
+            assert quartiles == sorted(quartiles)
+    means = [float(one.rte_m.split()[0]) for one in paper_table.PRINTED]
+    assert min(means) == means[-1] == 0.22
+
+
+def test_all_suites_hold_no_problem_twice() -> None:
+    assert paper_table.SUITE not in {one.name for one in choose_suites("all")}
+    assert [one.name for one in choose_suites(paper_table.SUITE)] == [paper_table.SUITE]
+
+
+def test_results_of_other_weights_are_not_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "__init__.py").touch()
+    monkeypatch.setattr(semviz_core, "__file__", str(tmp_path / "__init__.py"))
+    digests = {code_digest()}
+    for content in (b"first", b"second"):
+        (tmp_path / "weights" / "paper.safetensors").write_bytes(content)
+        digests.add(code_digest())
+    assert len(digests) == 3
+
+
+@pytest.mark.parametrize("suite", ["frames", "paper"])
+def test_tables_fit_a_terminal(suite: str) -> None:
     longest = max((name for named in KNOWN.values() for name in named), key=len)
-    wide = Outcome(
-        suite="frames", method=longest, noise="low", frame=0,
+    text = Report({"seed": 1000}, (), tuple(rows([fake(longest, suite)]))).as_text()
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def fake(method: str, suite: str = "paper") -> Outcome:
+    return Outcome(
+        suite=suite, method=method, noise="low", frame=0,
         facts=Facts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
         status="ok", rte_m=0.1, rre_deg=0.1, nees=1234.5, total_ms=12345.6,
     )  # fmt: skip
-    text = Report({"seed": 1000}, (), tuple(rows([wide]))).as_text()
-    assert max(map(len, text.splitlines())) <= 120

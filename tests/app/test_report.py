@@ -27,6 +27,7 @@ from small_runs import (
     without_truth,
 )
 
+from semviz.benchmark.histograms import histograms
 from semviz.cli import main
 from semviz.commands.serve import Serve
 from semviz.measure import summarize_run
@@ -35,7 +36,6 @@ from semviz.reporting.facts import Reported, load_reported
 from semviz.reporting.html import element
 from semviz.reporting.page import INSPECTOR
 from semviz.reporting.pictures import picture
-from semviz.reporting.plots import histograms
 from semviz.reporting.summary import tables
 from semviz.tables import Table, figure, in_latex, in_markdown
 from semviz.verdicts import verdict
