@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from semviz_core.evaluation.problems import DETECTOR, Difficulty, Problem
 from semviz_core.solving.association import associate, log_likelihood, one_to_one
+from semviz_core.solving.effort import USUAL, WIDE
 from semviz_core.solving.hypotheses import BINS, GATE_SIGMAS, GATE_WIDER_M, upright_hypotheses
 from semviz_core.solving.residuals import SURE
 from semviz_core.solving.scene import Known, Scene
@@ -100,7 +101,7 @@ def test_without_noise_some_hypothesis_is_the_true_pose(number: int) -> None:
     prior = replace(problem.prior, up_camera=problem.T_camera_map.rotation[:, 2])
     scene = scene_of(problem)
     view = best_view(scene, Known.of(prior))
-    hypotheses = upright_hypotheses(scene, view, Known.of(prior))
+    hypotheses = upright_hypotheses(scene, view, Known.of(prior), USUAL)
     assert hypotheses.tried >= len(hypotheses.pose) > 0
     poses = [camera_pose(view, one) for one in hypotheses.pose]
     rotation, translation = (np.array(one) for one in zip(*poses, strict=True))
@@ -126,7 +127,7 @@ def test_hypotheses_stay_within_the_gates() -> None:
     prior = replace(problem.prior, heading_rad=heading)
     scene = scene_of(problem)
     known = Known.of(prior)
-    found = upright_hypotheses(scene, best_view(scene, known), known)
+    found = upright_hypotheses(scene, best_view(scene, known), known, USUAL)
     assert len(found.pose) > 0
     away = np.linalg.norm(found.pose[:, :2] - prior.position_m[:2], axis=1)
     assert away.max() <= GATE_SIGMAS * prior.horizontal_sigma_m + GATE_WIDER_M
@@ -163,6 +164,37 @@ def test_modes_are_distinct_and_best_first() -> None:
             )
             assert ((away > APART_M) | (angle > APART_RAD)).all()
     assert several
+
+
+def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> None:
+    assert tuple(USUAL) == (2.2, 350, 16, 6, 3, 30.0)
+    for problem in frames(3):
+        one, other = (
+            search(scene_of(problem), problem.prior),
+            search(scene_of(problem), problem.prior, USUAL),
+        )
+        np.testing.assert_array_equal(one.score, other.score)
+        np.testing.assert_array_equal(one.translation, other.translation)
+
+
+@pytest.mark.parametrize("with_gravity", [False, True])
+def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
+    level = Difficulty(sigma_px=3.0, clutter_share=1.0, with_gravity=with_gravity)
+    better = more = 0
+    for problem in frames(8, level):
+        scene, prior = scene_of(problem), assumed_upright(problem.prior)
+        little = USUAL._replace(hypotheses=40, started=5, finished=2)
+        few, usual, wide = (search(scene, prior, one) for one in (little, USUAL, WIDE))
+        views = len(likely_ups(scene, Known.of(prior))[0])
+        assert few.passed <= 40 * views
+        assert wide.passed <= WIDE.hypotheses * views
+        assert len(few.score) <= 2
+        assert len(usual.score) <= USUAL.finished
+        more += len(wide.score) > USUAL.finished
+        assert wide.score[0] > usual.score[0] - 1e-6 > few.score[0] - 2e-6
+        better += wide.score[0] > few.score[0] + 1.0
+    assert better
+    assert more
 
 
 def test_the_order_of_elements_does_not_matter() -> None:

@@ -14,17 +14,14 @@ import numpy as np
 
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.compiled import compiled
+from semviz_core.solving.effort import Effort
 from semviz_core.solving.known import road_heights
 from semviz_core.solving.scene import Known, Record, RecordArray, Scene
 from semviz_core.solving.standing import standing_elements
 from semviz_core.solving.upright import UprightView
 
-STEP_M = 2.2
-"""Between places; LM converges from several times as far."""
 BLOCK = 3
 """Places of a square of so many steps share the height of the road and what it implies."""
-OFF_M = 1.1
-"""How far the true place is from the nearest one tried: widens what agrees there."""
 GATE_SIGMAS, GATE_WIDER_M = 3.0, 1.0
 """How far from the fix places are tried."""
 NEAREST_M, FARTHEST_M = 2.5, 60.0
@@ -37,7 +34,6 @@ AGREEING_SIGMAS = 3.3
 RUNS = 3
 """Headings kept of a place: those with the most voters, and with one less."""
 LEAST_VOTERS = 2
-MOST_HYPOTHESES = 350
 MOST_VOTERS = 60
 """Observed elements that vote; they share the bits of one number."""
 _TURN = 2.0 * np.pi
@@ -64,11 +60,11 @@ class _Ballot(NamedTuple):
 
 
 @compiled
-def upright_hypotheses(scene: Scene, view: UprightView, known: Known) -> Hypotheses:
+def upright_hypotheses(scene: Scene, view: UprightView, known: Known, effort: Effort) -> Hypotheses:
     """Candidates within the prior's gates."""
     standing, partner = standing_elements(scene)
     gate = GATE_SIGMAS * known.value.place_sigma_m[0] + GATE_WIDER_M
-    blocks = int(gate / (BLOCK * STEP_M)) + 1
+    blocks = int(gate / (BLOCK * effort.step_m)) + 1
     room = ((2 * blocks + 1) * BLOCK) ** 2 * RUNS
     ballot = _Ballot(
         np.empty((len(partner), 2)),
@@ -81,12 +77,14 @@ def upright_hypotheses(scene: Scene, view: UprightView, known: Known) -> Hypothe
     count = 0
     for column in range(-blocks, blocks + 1):
         for row in range(-blocks, blocks + 1):
-            x = known.value.place_m[0] + column * BLOCK * STEP_M
-            y = known.value.place_m[1] + row * BLOCK * STEP_M
+            x = known.value.place_m[0] + column * BLOCK * effort.step_m
+            y = known.value.place_m[1] + row * BLOCK * effort.step_m
             for z in road_heights(known, x, y):
                 _fill_ranges(scene.setting, view, known, standing, partner, z, ballot.ranges)
-                count = _try_block(view, known, standing, partner, gate, x, y, z, ballot, count)
-    return Hypotheses(ballot.pose[_most_voted(ballot.voters[:count])], count)
+                count = _try_block(
+                    view, known, standing, partner, gate, x, y, z, ballot, effort, count
+                )
+    return Hypotheses(ballot.pose[_most_voted(ballot.voters[:count], effort.hypotheses)], count)
 
 
 @compiled
@@ -131,19 +129,20 @@ def _try_block(
     y: float,
     z: float,
     ballot: _Ballot,
+    effort: Effort,
     count: int,
 ) -> int:
     """Let the places of a block vote, and keep the best headings; the new count of poses."""
-    least = LEAST_VOTERS
+    least, off_m = LEAST_VOTERS, 0.5 * effort.step_m
     for cell in range(BLOCK * BLOCK):
-        place_x = x + (cell % BLOCK - BLOCK // 2) * STEP_M
-        place_y = y + (cell // BLOCK - BLOCK // 2) * STEP_M
+        place_x = x + (cell % BLOCK - BLOCK // 2) * effort.step_m
+        place_y = y + (cell // BLOCK - BLOCK // 2) * effort.step_m
         dx, dy = place_x - known.value.place_m[0], place_y - known.value.place_m[1]
         if dx * dx + dy * dy > gate * gate or count + RUNS > len(ballot.voters):
             continue
-        _vote(view, standing, partner, ballot.ranges, place_x, place_y, ballot.votes)
+        _vote(view, standing, partner, ballot.ranges, place_x, place_y, off_m, ballot.votes)
         most = _count(ballot.votes, ballot.number)
-        while ballot.level[least + 1 :].sum() > MOST_HYPOTHESES:
+        while ballot.level[least + 1 :].sum() > effort.hypotheses:
             least += 1
         added = _keep_best(known, place_x, place_y, z, most, least, ballot, count)
         for k in range(count, count + added):
@@ -160,9 +159,11 @@ def _vote(
     ranges: FloatArray,
     x: float,
     y: float,
+    off_m: float,
     votes: IntArray,
 ) -> None:
-    """Fill ``votes`` (BINS,) at a place."""
+    """Fill ``votes`` (BINS,) at a place; the true one is up to ``off_m`` from it, which widens what
+    agrees."""
     votes[:] = 0
     for j in range(len(standing)):
         mapped = standing[j]
@@ -171,7 +172,7 @@ def _vote(
         if not NEAREST_M**2 < square < FARTHEST_M**2:
             continue
         near = 1.0 / np.sqrt(square)
-        slack = OFF_M * near
+        slack = off_m * near
         low, high = near * (1.0 - slack), near * (1.0 + slack)
         bearing, is_new = 0.0, True
         for at in range(mapped.first, mapped.last):
@@ -271,16 +272,16 @@ def _heading_allowed(known: Known, heading: float) -> bool:
 
 
 @compiled
-def _most_voted(voters: IntArray) -> IntArray:
-    """Rows of the MOST_HYPOTHESES with the most voters; of the last that fit, evenly drawn ones."""
+def _most_voted(voters: IntArray, wanted: int) -> IntArray:
+    """Rows of the ``wanted`` with the most voters; of the last that fit, evenly drawn ones."""
     order = np.argsort(-voters, kind="mergesort")
-    if len(order) <= MOST_HYPOTHESES:
+    if len(order) <= wanted:
         return order
-    last = voters[order[MOST_HYPOTHESES]]
+    last = voters[order[wanted]]
     sure = int((voters > last).sum())
     equal = int((voters == last).sum())
-    room = MOST_HYPOTHESES - sure
-    kept = np.empty(MOST_HYPOTHESES, dtype=np.int64)
+    room = wanted - sure
+    kept = np.empty(wanted, dtype=np.int64)
     kept[:sure] = order[:sure]
     for k in range(room):
         kept[sure + k] = order[sure + k * equal // room]

@@ -15,6 +15,7 @@ from semviz_core.compiled import compiled
 from semviz_core.frame import Prior
 from semviz_core.pose import Pose
 from semviz_core.solving.association import associate, log_likelihood, one_to_one
+from semviz_core.solving.effort import USUAL, Effort
 from semviz_core.solving.hypotheses import upright_hypotheses
 from semviz_core.solving.least_squares import fit
 from semviz_core.solving.linear import inverse
@@ -23,14 +24,8 @@ from semviz_core.solving.residuals import SURE
 from semviz_core.solving.scene import Known, Scene
 from semviz_core.solving.upright import UprightView, likely_ups, upright_view
 
-STARTED, FINISHED = 16, 6
-"""Candidates that are paired and fitted once, and those of them that are fitted to the end."""
-HOPEFUL_NATS = 30.0
-"""Candidates lower than the best by more are not fitted further."""
 BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
 """Hypotheses closer than both are fitted to the same pose."""
-IMPROVED = 3
-"""So many of the best are tried without each of their pairs."""
 APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
 """Poses further apart than either are different answers."""
 COARSE: FloatArray = np.diag([0.5**2] * 3 + [np.deg2rad(1.5) ** 2] * 3)
@@ -77,19 +72,26 @@ class Candidates(NamedTuple):
     worth: FloatArray  # (b,)
 
 
-def search(scene: Scene, prior: Prior) -> Modes:
+def search(scene: Scene, prior: Prior, effort: Effort = USUAL) -> Modes:
     """The modes of the pose, best first; none where no hypothesis passes the gates."""
     known = Known.of(prior)
     tried = passed = 0
     found: list[Candidates] = []
     ups, up_sigma_rad = likely_ups(scene, known)
+    each = _shared(effort, len(ups))
     for up in ups:
         view = upright_view(scene, up, up_sigma_rad)
-        candidates, view_tried, view_passed = _candidates(scene, view, known)
+        candidates, view_tried, view_passed = _candidates(scene, view, known, each)
         tried, passed = tried + view_tried, passed + view_passed
         found.append(candidates)
     together = Candidates(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-    return Modes(tried, passed, *_settle(scene, known, together))
+    return Modes(tried, passed, *_settle(scene, known, together, effort))
+
+
+def _shared(effort: Effort, views: int) -> Effort:
+    """What each of several views may try: their hypotheses are much the same."""
+    started = max(effort.started // views, min(effort.started, USUAL.started))
+    return effort._replace(started=started)
 
 
 def mode_near(scene: Scene, prior: Prior, T_camera_map: Pose) -> Modes:
@@ -101,14 +103,16 @@ def mode_near(scene: Scene, prior: Prior, T_camera_map: Pose) -> Modes:
 
 
 @compiled
-def _candidates(scene: Scene, view: UprightView, known: Known) -> tuple[Candidates, int, int]:
+def _candidates(
+    scene: Scene, view: UprightView, known: Known, effort: Effort
+) -> tuple[Candidates, int, int]:
     """The best distinct hypotheses of one view, paired and fitted once; tried; rated."""
-    hypotheses = upright_hypotheses(scene, view, known)
+    hypotheses = upright_hypotheses(scene, view, known, effort)
     poses = hypotheses.pose
     if len(poses) == 0:
         nothing = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
         return nothing, hypotheses.tried, 0
-    chosen = _distinct_best(poses, rate(scene, view, known, poses))
+    chosen = _distinct_best(poses, rate(scene, view, known, poses), effort)
     b = len(chosen)
     candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     for row in range(b):
@@ -135,11 +139,11 @@ def camera_pose(view: UprightView, pose: FloatArray) -> tuple[FloatArray, FloatA
 
 
 @compiled
-def _distinct_best(poses: FloatArray, rating: FloatArray) -> IntArray:
-    """Rows of the best STARTED hypotheses of which no two are close."""
-    likely = np.flatnonzero(rating > rating.max() - HOPEFUL_NATS)
+def _distinct_best(poses: FloatArray, rating: FloatArray, effort: Effort) -> IntArray:
+    """Rows of the best hypotheses of which no two are close, as many as are started."""
+    likely = np.flatnonzero(rating > rating.max() - effort.hopeful_nats)
     order = likely[np.argsort(-rating[likely], kind="mergesort")]
-    kept = np.empty(STARTED, dtype=np.int64)
+    kept = np.empty(effort.started, dtype=np.int64)
     count = 0
     for row in order:
         new = True
@@ -153,18 +157,18 @@ def _distinct_best(poses: FloatArray, rating: FloatArray) -> IntArray:
         if new:
             kept[count] = row
             count += 1
-            if count == STARTED:
+            if count == effort.started:
                 break
     return kept[:count]
 
 
 @compiled
 def _settle(
-    scene: Scene, known: Known, candidates: Candidates
+    scene: Scene, known: Known, candidates: Candidates, effort: Effort
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
     """Candidates fitted to the end, scored, sorted; those that ran into a better one left out."""
     m, n = scene.compatible.shape
-    kept = _hopeful(candidates, _distinct(candidates)[:FINISHED])
+    kept = _hopeful(candidates, _distinct(candidates)[: effort.finished], effort)
     b = len(kept)
     settled = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     matches, gains = np.empty((b, m), dtype=np.int64), np.empty((b, m, n))
@@ -173,7 +177,7 @@ def _settle(
         match, _ = associate(scene, R, t, FINE)
         _put(settled, matches, gains, row, _fitted(scene, known, R, t, match))
     best = _distinct(settled)
-    for row in _hopeful(settled, best[:IMPROVED]):
+    for row in _hopeful(settled, best[: effort.improved], effort):
         here = settled.rotation[row], settled.translation[row], matches[row], gains[row]
         _put(settled, matches, gains, row, _improved(scene, known, *here, settled.worth[row]))
     best = _distinct(settled)
@@ -265,11 +269,11 @@ def _distinct(candidates: Candidates) -> IntArray:
 
 
 @compiled
-def _hopeful(candidates: Candidates, order: IntArray) -> IntArray:
+def _hopeful(candidates: Candidates, order: IntArray, effort: Effort) -> IntArray:
     """The first of ``order``, best first, that are not far below the best."""
     count = 0
     while count < len(order):
-        if candidates.worth[order[count]] < candidates.worth[order[0]] - HOPEFUL_NATS:
+        if candidates.worth[order[count]] < candidates.worth[order[0]] - effort.hopeful_nats:
             break
         count += 1
     return order[:count]

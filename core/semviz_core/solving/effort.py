@@ -1,0 +1,28 @@
+"""How much a search tries before it answers."""
+
+from typing import NamedTuple
+
+
+class Effort(NamedTuple):
+    """Limits of a search."""
+
+    step_m: float = 2.2
+    """Between places; fits converge from several times as far."""
+    hypotheses: int = 350
+    """Most that are rated, of each view."""
+    started: int = 16
+    """Most that are paired and fitted once: so many of each view, or, if that is more, so many of
+    all views together."""
+    finished: int = 6
+    """Most that are fitted to the end."""
+    improved: int = 3
+    """So many of the best are tried without each of their pairs."""
+    hopeful_nats: float = 30.0
+    """What is lower than the best by more is not followed further."""
+
+
+USUAL = Effort()
+"""Enough behind an ordinary GPS fix."""
+WIDE = Effort(step_m=3.0, hypotheses=1000, started=96, finished=30)
+"""Finds what there is behind a fix 50 m off, in clutter or without gravity, for twice the time;
+which of it is right is another question."""
