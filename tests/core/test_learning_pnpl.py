@@ -1,0 +1,181 @@
+"""Start poses and weighted PnPL as a layer: the paper's optimum, its exact gradient, its failures."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from semviz_core.evaluation.problems import Problem, make_problem
+from semviz_core.learning.batch import Batch
+from semviz_core.learning.coarse import StartPoses, start_poses
+from semviz_core.learning.losses import pose_loss
+from semviz_core.learning.pnpl import differentiable_pnpl
+from semviz_core.learning.sample import Sample
+from semviz_core.pose import Pose
+from semviz_core.solving.matched.matches import Matches
+from semviz_core.solving.matched.pnpl import Objective, paper_pnpl
+
+FRAMES = 3
+LEAST_PAIRS = 7
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """Matrices are small: more threads only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@cache
+def problems() -> list[Problem]:
+    """Frames with many true pairs."""
+    found = (make_problem(seed) for seed in range(200))
+    some = (one for one in found if len(one.pairs) >= LEAST_PAIRS and one.is_valid)
+    return [one for one, _ in zip(some, range(FRAMES), strict=False)]
+
+
+@cache
+def batch() -> Batch:
+    def sample(of: Problem) -> Sample:
+        plain = Sample.of(of.observed, of.submap, of.camera, of.prior)
+        return plain.with_truth(of.T_camera_map, of.pairs)
+
+    return Batch.of([sample(one) for one in problems()])
+
+
+def mostly_true() -> Tensor:
+    """(b, m, n) a P that is sure of the true pairs, and spread thinly over others of the class."""
+    truth = batch().truth
+    assert truth is not None
+    some = torch.from_numpy(np.random.default_rng(0).random(truth.pairs.shape))
+    return torch.where(truth.pairs, 0.5 + 0.4 * some, 1e-4 * some) * batch().same_class
+
+
+def near_truth() -> StartPoses:
+    truth = batch().truth
+    assert truth is not None
+    off = Pose.exp([0.2, -0.1, 0.3, 0.004, -0.01, 0.006])
+    rotation, translation = truth.rotation.numpy(), truth.translation.numpy()
+    turned = translation @ off.rotation.T + off.translation
+    return StartPoses(off.rotation @ rotation, turned, np.ones(len(rotation), dtype=bool))
+
+
+def loss_of(P: Tensor, start: StartPoses) -> Tensor:
+    truth = batch().truth
+    assert truth is not None
+    rotation, translation, ok = differentiable_pnpl(P, batch(), start)
+    loss = pose_loss(rotation, translation, truth.rotation, truth.translation)
+    return torch.where(ok, loss, 0.0)
+
+
+def test_the_optimum_is_that_of_the_paper_s_pnpl() -> None:
+    P, start = mostly_true(), near_truth()
+    rotation, translation, ok = (one.numpy() for one in differentiable_pnpl(P, batch(), start))
+    assert ok.all()
+    for k, one in enumerate(problems()):
+        pairs = np.argwhere(P[k].numpy() > 0.0)
+        matches = Matches.checked(
+            one.observed, one.submap, one.camera, pairs, P[k].numpy()[tuple(pairs.T)]
+        )
+        to_local = Pose(np.eye(3), one.prior.position_m).inverse()
+        found = Pose(rotation[k], translation[k])
+        expected = paper_pnpl(
+            matches, matches.score, Pose(start.rotation[k], start.translation[k]) @ to_local
+        )
+        off = found @ to_local @ expected.T_camera_map.inverse()
+        assert np.abs(off.log()).max() < 2e-5  # where L-BFGS stops; float32 rays
+        objective = Objective.of(matches, matches.score, one.prior.position_m)
+        cost, _ = objective(np.append(found.log()[3:], found.translation))
+        assert cost < expected.cost + 1e-9
+
+
+def test_gradient_is_that_of_the_optimum_solved_anew() -> None:
+    """Against finite differences, in float64: relative error below 1e-5."""
+    start, P = near_truth(), mostly_true().requires_grad_()
+    loss_of(P, start).sum().backward()
+    assert P.grad is not None
+    rng, step = np.random.default_rng(1), 1e-6
+    for k in range(FRAMES):
+        every = np.argwhere(P[k].detach().numpy() > 0.0)
+        for i, j in every[rng.choice(len(every), 12, replace=False)].tolist():
+            losses = []
+            for sign in (1.0, -1.0):
+                moved = P.detach().clone()
+                moved[k, i, j] += sign * step
+                losses.append(float(loss_of(moved, start)[k]))
+            slope = (losses[0] - losses[1]) / (2.0 * step)
+            size = float(P.grad[k].abs().max())
+            assert float(P.grad[k, i, j]) == pytest.approx(slope, rel=1e-5, abs=1e-5 * size)
+
+
+def test_what_has_no_optimum_is_told_and_has_no_gradient() -> None:
+    start, P = near_truth(), mostly_true()
+    P[1] = 0.0
+    P[2] = torch.where(torch.arange(P.shape[1])[:, None] < 2, P[2], 0.0)  # two elements fix nothing
+    P.requires_grad_()
+    rotation, _, ok = differentiable_pnpl(P, batch(), start)
+    assert ok.tolist() == [True, False, False]
+    np.testing.assert_array_equal(rotation[1].detach().numpy(), start.rotation[1])
+    loss_of(P, start).sum().backward()
+    assert P.grad is not None
+    assert (P.grad[1:] == 0.0).all()
+    assert P.grad[0].abs().max() > 0.0
+
+
+@pytest.mark.parametrize("wrong", ["nan", "no start", "infinite"])
+def test_bad_numbers_in_one_frame_stay_there(wrong: str) -> None:
+    start, P = near_truth(), mostly_true()
+    if wrong == "no start":
+        start.ok[0] = False
+    else:
+        P[0, 0, 0] = torch.nan if wrong == "nan" else torch.inf
+    P.requires_grad_()
+    loss_of(P, start).sum().backward()
+    assert P.grad is not None
+    assert (P.grad[0] == 0.0).all()
+    assert (P.grad[1:].abs().amax(dim=(1, 2)) > 0.0).all()
+
+
+def test_any_p_gives_numbers() -> None:
+    start, generator = near_truth(), torch.Generator().manual_seed(0)
+    for sharpness in (0.1, 1.0, 10.0):
+        noise = torch.randn(batch().possible.shape, generator=generator, dtype=torch.float64)
+        P = torch.softmax(sharpness * noise, dim=2).requires_grad_()
+        loss = loss_of(P, start)
+        loss.sum().backward()
+        assert torch.isfinite(loss).all()
+        assert P.grad is not None
+        assert torch.isfinite(P.grad).all()
+
+
+def test_ransac_starts_near_the_truth_and_again_in_the_same_place() -> None:
+    truth = batch().truth
+    assert truth is not None
+    start, again, other = (start_poses(mostly_true(), batch(), seed) for seed in (3, 3, 4))
+    assert start.ok.all()
+    off = np.linalg.norm(start.translation - truth.translation.numpy(), axis=1)
+    assert np.median(off) < 2.0
+    np.testing.assert_array_equal(start.translation, again.translation)
+    assert not np.array_equal(start.translation, other.translation)
+
+
+def test_a_frame_starts_as_it_would_alone() -> None:
+    together = start_poses(mostly_true(), batch(), 5)
+    one = problems()[1]
+    m, n = len(one.observed), len(one.submap)
+    alone = Batch.of([Sample.of(one.observed, one.submap, one.camera, one.prior)])
+    start = start_poses(mostly_true()[1:2, :m, :n], alone, 6)
+    np.testing.assert_array_equal(start.rotation[0], together.rotation[1])
+
+
+def test_too_few_pairs_are_no_start() -> None:
+    P = mostly_true()
+    P[0, 1:] = 0.0
+    start = start_poses(P, batch(), 0)
+    assert start.ok.tolist() == [False, True, True]
+    np.testing.assert_array_equal(start.rotation[0], np.eye(3))
