@@ -1,4 +1,4 @@
-"""Start poses and weighted PnPL as a layer: the paper's optimum, its exact gradient, its failures."""
+"""Start poses and weighted PnPL as a layer: optimum, exact gradient, and what has none."""
 
 from collections.abc import Iterator
 from functools import cache
