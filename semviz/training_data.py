@@ -14,8 +14,8 @@ from semviz_core.camera import Camera
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
-from semviz_core.evaluation.problems import NEEDED_DETECTIONS
-from semviz_core.learning.drills import augmented
+from semviz_core.evaluation.problems import NEEDED_DETECTIONS, Problem
+from semviz_core.learning.drills import HELD_OUT, drilled
 from semviz_core.learning.sample import Sample
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
@@ -42,9 +42,9 @@ class LabelledFrame:
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceSamples:
-    """Samples by number, as ``Drills``: any of the frames, with a fix and coordinates of its own.
+    """Problems and samples by number, as ``Drills``: any of the frames, with a fix of its own.
 
-    The same number is the same sample in every process.
+    The same number is the same one in every process.
     """
 
     workspaces: tuple[str, ...]
@@ -55,13 +55,29 @@ class WorkspaceSamples:
     shift_m: float
     """As in ``Drills``."""
 
+    def problem(self, number: int) -> Problem:
+        """A labelled frame with four labels or more, one of which is in the map.
+
+        ``number`` is below HELD_OUT for training.
+        """
+        frames = self.training if number < HELD_OUT else self.kept_back
+        rng = np.random.default_rng([number, 0])
+        frame = frames[rng.integers(len(frames))]
+        semantic_map, observed = frame.semantic_map, frame.observed
+        prior = simulate_prior(frame.T_map_camera, self.known, int(rng.integers(2**63)))
+        prior = replace(prior, road_m=semantic_map.road_near(prior.position_m, ROAD_RADIUS_M))
+        submap = semantic_map.crop(prior.position_m, CROP_M)
+        pairs = np.argwhere(frame.element_id[:, None] == submap.id)
+        truth = frame.T_map_camera.inverse()
+        return Problem(observed, submap, frame.camera, prior, truth, pairs, observed.end_known)
+
     def sample(self, number: int) -> Sample:
-        """Training sample ``number``, turned and shifted at random."""
-        return self._sample(self.training, number, 0)
+        """``problem(number)`` as a matcher sees it, turned and shifted at random."""
+        return drilled(self.problem(number), self.shift_m, np.random.default_rng([number, 1]))
 
     def held_out(self, number: int) -> Sample:
         """Sample ``number`` of frames that are never trained on."""
-        return self._sample(self.kept_back, number, 1)
+        return self.sample(HELD_OUT + number)
 
     def describe(self) -> dict[str, Any]:
         """What the samples are made with, as JSON."""
@@ -72,18 +88,6 @@ class WorkspaceSamples:
             "shift_m": self.shift_m,
             "known": asdict(self.known),
         }
-
-    def _sample(self, frames: tuple[LabelledFrame, ...], number: int, kind: int) -> Sample:
-        rng = np.random.default_rng([number, kind])
-        frame = frames[rng.integers(len(frames))]
-        semantic_map = frame.semantic_map
-        prior = simulate_prior(frame.T_map_camera, self.known, int(rng.integers(2**63)))
-        prior = replace(prior, road_m=semantic_map.road_near(prior.position_m, ROAD_RADIUS_M))
-        submap = semantic_map.crop(prior.position_m, CROP_M)
-        sample = Sample.of(frame.observed, submap, frame.camera, prior)
-        pairs = np.argwhere(frame.element_id[:, None] == submap.id)
-        sample = sample.with_truth(frame.T_map_camera.inverse(), pairs)
-        return augmented(sample, self.shift_m, rng)
 
 
 def workspace_samples(

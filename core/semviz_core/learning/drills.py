@@ -78,10 +78,7 @@ class Drills:
 
     def sample(self, number: int) -> Sample:
         """``problem(number)`` as a matcher sees it, turned and shifted at random."""
-        problem = self.problem(number)
-        sample = Sample.of(problem.observed, problem.submap, problem.camera, problem.prior)
-        sample = sample.with_truth(problem.T_camera_map, problem.pairs)
-        return augmented(sample, self.shift_m, np.random.default_rng([number, 1]))
+        return drilled(self.problem(number), self.shift_m, np.random.default_rng([number, 1]))
 
     def held_out(self, number: int) -> Sample:
         """Sample ``number`` of those that are never trained on: other roads, other seeds."""
@@ -103,9 +100,12 @@ class Drills:
         return {"roads": roads, "shift_m": self.shift_m, "levels": levels}
 
 
-def augmented(sample: Sample, shift_m: float, rng: np.random.Generator) -> Sample:
-    """In coordinates turned about the vertical by any angle and shifted on the ground by up to
-    ``shift_m``, as in the paper's implementation details."""
+def drilled(problem: Problem, shift_m: float, rng: np.random.Generator) -> Sample:
+    """The problem as a matcher sees it, with its answer, in coordinates turned about the vertical
+    by any angle and shifted on the ground by up to ``shift_m``: the paper's augmentation
+    ("Evaluation of Localization Accuracy")."""
+    sample = Sample.of(problem.observed, problem.submap, problem.camera, problem.prior)
+    sample = sample.with_truth(problem.T_camera_map, problem.pairs)
     turn = rng.uniform(-np.pi, np.pi)
     length, bearing = shift_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
     return moved(sample, turn, [length * np.cos(bearing), length * np.sin(bearing)])
