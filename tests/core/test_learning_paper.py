@@ -94,3 +94,15 @@ def test_a_matcher_learns_a_few_frames(name: str) -> None:
     after = task.figures(batch)
     assert float(after["correspondence"]) < before - 0.3
     assert float(after["top1"]) <= float(after["top5"]) <= 1.0
+
+
+def test_the_pose_counts_after_three_fifths_of_a_training() -> None:
+    torch.manual_seed(0)
+    task = PaperTask("paper", PAPER_DRILLS)
+    batch = batch_for("paper", range(4))
+    assert set(task.losses(batch, Progress(59, 100))) == {"loss"}
+    losses = task.losses(batch, Progress(60, 100))
+    pose, correspondence = losses["pose"] * losses["ok"], losses["correspondence"]
+    assert float(losses["loss"].detach()) == pytest.approx(float((pose + correspondence).detach()))
+    losses["loss"].backward()
+    assert all(one.grad.isfinite().all() for one in task.network.parameters())

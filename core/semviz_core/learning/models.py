@@ -3,10 +3,10 @@
 Two streams of a graph network give features; their distances are costs (eq. 2), and an optimal
 transport with uniform priors turns those into P (eq. 3-4). What is not as written, and why:
 
-- Coordinates of the map are in units of 25 m along the ground and of 3 m upwards. In metres a
-  class, one step along a one-hot axis, would not keep elements apart in the first layers, as the
-  paper says that it does; and heights, which say most of what is what, would hardly count: with
-  them in units of 25 m too, the same loss takes about 1.6 times as many samples.
+- Inputs are in units of how much they vary (``RAY_UNITS``, ``UNITS_M``). In metres a class, one
+  step along a one-hot axis, would not keep elements apart in the first layers, as the paper says
+  that it does; and heights, which say most of what is what, would hardly count: with one unit for
+  all three axes training needs about three times as many samples to come as far.
 - Features have length 1, as in Campbell et al. 2020, whose transport and mu these are: costs are
   then at most 2, and mu = 0.1 means the same for every frame. The paper does not say.
 - Features are normalized over the elements of a frame only (``networks.graph``).
@@ -27,8 +27,10 @@ from semviz_core.learning.batch import Batch
 from semviz_core.learning.networks.graph import GraphNetwork
 from semviz_core.learning.transport import sinkhorn
 
+RAY_UNITS = (1.0 / 3.0, 1.0 / 8.0, 1.0)
+"""Unit rays are divided by these before they enter,"""
 UNITS_M = (25.0, 25.0, 3.0)
-"""Coordinates of mapped points are divided by these."""
+"""and coordinates of mapped points by these."""
 _LEAST_SQUARE = 1e-6  # of distances: the root has no slope at 0
 
 
@@ -87,7 +89,8 @@ class GraphMatcher(nn.Module):
     def cost(self, batch: Batch) -> Tensor:
         """(b, m, n) distances of features of length 1 (eq. 2)."""
         top, bottom = (ray / ray[..., 2:] for ray in (batch.ray, batch.bottom_ray))
-        seen = self._inputs(batch.ray, bottom - top, batch.seen_class)
+        ray = batch.ray / batch.ray.new_tensor(RAY_UNITS)
+        seen = self._inputs(ray, bottom - top, batch.seen_class)
         down = batch.bottom_m - batch.point_m
         place = batch.point_m / batch.point_m.new_tensor(UNITS_M)
         mapped = self._inputs(place, down, batch.mapped_class)
@@ -108,4 +111,5 @@ class GraphMatcher(nn.Module):
 
 def options_of(name: str, classes: list[str]) -> dict[str, object]:
     """What a matcher of ``MODELS`` is made with, as JSON."""
-    return {"model": asdict(MODELS[name]), "units_m": list(UNITS_M), "classes": classes}
+    units = {"ray_units": list(RAY_UNITS), "units_m": list(UNITS_M)}
+    return {"model": asdict(MODELS[name]), **units, "classes": classes}

@@ -7,9 +7,11 @@ from torch import Tensor
 
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.learning.batch import Batch, BatchTruth
+from semviz_core.learning.coarse import start_poses
 from semviz_core.learning.drills import PAPER_DRILLS
-from semviz_core.learning.losses import correspondence_loss
+from semviz_core.learning.losses import correspondence_loss, pose_loss, whole_loss
 from semviz_core.learning.models import MODELS, GraphMatcher, options_of
+from semviz_core.learning.pnpl import differentiable_pnpl
 from semviz_core.learning.sample import Sample
 from semviz_core.learning.schedule import PAPER_RATE
 from semviz_core.learning.splitting import split_lines
@@ -52,13 +54,22 @@ class PaperTask:
         return Batch.of(items)
 
     def losses(self, together: Batch, progress: Progress) -> dict[str, Tensor]:
-        """Eq. 11."""
-        found = self.network(together)
+        """Eq. 11; gamma is 0 at first, then 1."""
+        P = self.network(together).probability
+        truth = _truth(together)
         possible = self.network.possible(together)
-        correspondence = correspondence_loss(
-            found.probability, _truth(together).pairs, possible
-        ).mean()
-        return {"loss": correspondence, "correspondence": correspondence}
+        correspondence = correspondence_loss(P, truth.pairs, possible)
+        if progress.share < POSE_FROM:
+            return {"loss": correspondence.mean()}
+        start = start_poses(P, together, progress.samples)
+        rotation, translation, ok = differentiable_pnpl(P, together, start)
+        pose = pose_loss(rotation, translation, truth.rotation, truth.translation)
+        return {
+            "loss": whole_loss(correspondence, pose, ok, gamma=1.0),
+            "correspondence": correspondence.mean(),
+            "pose": (pose * ok).sum() / ok.sum().clamp_min(1),
+            "ok": ok.double().mean(),
+        }
 
     def figures(self, together: Batch) -> dict[str, Tensor]:
         """Of seen elements with a true pair: whether it is the likeliest, or among the likeliest
