@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from semviz_core.learning.networks.graph import GraphNetwork, context_norm, nearest
+from semviz_core.learning.networks.graph import GraphNetwork, Rows, context_norm, nearest
 
 INPUTS, NEIGHBOURS = 10, 4
 
@@ -53,8 +53,8 @@ def test_a_layer_is_the_average_of_a_perceptron_over_anchors_and_edges(
     n = 12
     layer = network.layers[0]
     features = network.inlet(elements(n))
-    share = all_real(n).double() / n
-    normal = context_norm(features, share)
+    rows = Rows.of(all_real(n), torch.float64)
+    normal = context_norm(features, rows.share)
     distance = torch.cdist(normal, normal) + torch.diag(torch.full((n,), torch.inf))
     near = distance.topk(NEIGHBOURS, largest=False).indices
     anchor_weight, neighbour_weight = layer.before.weight.chunk(2)
@@ -68,7 +68,7 @@ def test_a_layer_is_the_average_of_a_perceptron_over_anchors_and_edges(
             weight = torch.cat([anchor_weight + neighbour_weight, neighbour_weight], dim=1)
             hidden = functional.relu(functional.linear(both, weight, bias[0] + bias[1]))
             expected[item, i] += layer.after(hidden).mean(dim=0)
-    torch.testing.assert_close(layer(features, all_real(n), share), expected)
+    torch.testing.assert_close(layer(features, rows), expected)
 
 
 def test_the_nearest_leave_out_the_element_itself_unless_there_are_too_few() -> None:
