@@ -36,9 +36,11 @@ def draw(history: Sequence[dict[str, Any]], title: str, path: Path) -> None:
             axis.plot(samples, values, label=label, marker=".", **line_style(number))
         axis.set_title(name, fontsize="medium")
         add_grid(axis)
+    for axis in axes[max(len(names) - columns, 0) : len(names)]:
+        axis.set_xlabel("samples")
+        axis.tick_params(labelbottom=True)
     for axis in axes[len(names) :]:
         axis.remove()
-    figure.supxlabel("samples", fontsize="medium")
     add_legend(figure)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
