@@ -11,9 +11,10 @@ from torch import Tensor
 from semviz_core.evaluation.problems import Problem, make_problem
 from semviz_core.learning.batch import Batch
 from semviz_core.learning.coarse import StartPoses, start_poses
-from semviz_core.learning.losses import pose_loss
+from semviz_core.learning.losses import correspondence_loss, pose_loss, whole_loss
 from semviz_core.learning.pnpl import differentiable_pnpl
 from semviz_core.learning.sample import Sample
+from semviz_core.learning.transport import sinkhorn
 from semviz_core.pose import Pose
 from semviz_core.solving.matched.matches import Matches
 from semviz_core.solving.matched.pnpl import Objective, paper_pnpl
@@ -141,16 +142,25 @@ def test_bad_numbers_in_one_frame_stay_there(wrong: str) -> None:
     assert (P.grad[1:].abs().amax(dim=(1, 2)) > 0.0).all()
 
 
-def test_any_p_gives_numbers() -> None:
-    start, generator = near_truth(), torch.Generator().manual_seed(0)
-    for sharpness in (0.1, 1.0, 10.0):
-        noise = torch.randn(batch().possible.shape, generator=generator, dtype=torch.float64)
-        P = torch.softmax(sharpness * noise, dim=2).requires_grad_()
-        loss = loss_of(P, start)
-        loss.sum().backward()
-        assert torch.isfinite(loss).all()
-        assert P.grad is not None
-        assert torch.isfinite(P.grad).all()
+def test_whatever_costs_a_network_has_there_is_a_gradient() -> None:
+    """All layers in turn; bench/learning_gradients.py does ten thousand batches of it."""
+    truth, rng = batch().truth, np.random.default_rng(0)
+    assert truth is not None
+    for seed in range(20):
+        noise = torch.from_numpy(rng.standard_normal(truth.pairs.shape)).abs()
+        scale, gap = 10.0 ** rng.uniform(-2.0, 2.0), rng.uniform(0.0, 3.0)
+        cost = (scale * noise + gap * ~truth.pairs).float().requires_grad_()
+        possible = batch().same_class if seed % 2 else batch().possible
+        P = sinkhorn(cost, possible)
+        rotation, translation, ok = differentiable_pnpl(P, batch(), start_poses(P, batch(), seed))
+        pose = pose_loss(rotation, translation, truth.rotation, truth.translation)
+        matched = correspondence_loss(P, truth.pairs, possible)
+        loss = whole_loss(matched, pose, ok, gamma=1.0)
+        loss.backward()
+        assert torch.isfinite(loss)
+        assert cost.grad is not None
+        assert torch.isfinite(cost.grad).all()
+        assert (cost.grad[~possible] == 0.0).all()
 
 
 def test_ransac_starts_near_the_truth_and_again_in_the_same_place() -> None:
