@@ -20,15 +20,13 @@ KNOWN: dict[Kind, Mapping[str, Callable[[], Any]]] = {
 
 @dataclass(frozen=True)
 class Chosen:
-    """Methods by kind of problem, and those left out because a library is missing."""
+    """Methods by kind of problem, and those left out, with why."""
 
     by_kind: dict[Kind, tuple[str, ...]]
-    missing: tuple[str, ...]
+    left_out: dict[str, str]
 
     def notes(self) -> list[str]:
-        if not self.missing:
-            return []
-        return [f"left out, because their libraries are not installed: {', '.join(self.missing)}"]
+        return [f"{name} is left out: {reason}" for name, reason in self.left_out.items()]
 
 
 def choose_methods(text: str | None, kinds: set[Kind]) -> Chosen:
@@ -40,13 +38,16 @@ def choose_methods(text: str | None, kinds: set[Kind]) -> Chosen:
         raise SemvizError(
             f"--methods: no method {', '.join(unknown)} for these suites; known: {', '.join(names)}"
         )
-    missing: dict[str, None] = {}
+    left_out: dict[str, str] = {}
     by_kind: dict[Kind, tuple[str, ...]] = {}
     for kind, named in known.items():
         here = [name for name in dict.fromkeys(wanted) if name in named]
-        missing |= dict.fromkeys(name for name in here if not _can_run(kind, name))
-        by_kind[kind] = tuple(name for name in here if name not in missing)
-    return Chosen(by_kind, tuple(missing))
+        left_out |= {name: reason for name in here if (reason := _obstacle(kind, name))}
+        by_kind[kind] = tuple(name for name in here if name not in left_out)
+    chosen = Chosen(by_kind, left_out)
+    if not any(by_kind.values()):
+        raise SemvizError(f"--methods: nothing can run here; {'; '.join(chosen.notes())}")
+    return chosen
 
 
 @cache
@@ -55,9 +56,12 @@ def make_method(kind: Kind, name: str) -> Any:
     return KNOWN[kind][name]()
 
 
-def _can_run(kind: Kind, name: str) -> bool:
+def _obstacle(kind: Kind, name: str) -> str:
+    """Why a method cannot run here; empty where it can."""
     try:
         make_method(kind, name)
-    except ImportError:
-        return False
-    return True
+    except ImportError as error:
+        return f"its library is not installed ({error})"
+    except SemvizError as error:
+        return str(error)
+    return ""

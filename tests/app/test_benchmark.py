@@ -9,11 +9,13 @@ import pytest
 from calling import Call, call
 
 import semviz_core
-from semviz.benchmark import paper_table, runner
+from semviz.benchmark import methods, paper_table, runner
 from semviz.benchmark.methods import KNOWN
 from semviz.benchmark.plan import code_digest
 from semviz.benchmark.report import Report
 from semviz.benchmark.suites import SUITES, choose_suites
+from semviz_core.errors import SemvizError
+from semviz_core.evaluation.answers import Method
 from semviz_core.evaluation.outcomes import Facts, Outcome
 from semviz_core.evaluation.tables import rows
 
@@ -149,6 +151,24 @@ def test_mistakes_cost_one_line(
     assert (status, output, error_output.count("\n")) == (2, "", 1)
     assert all(word in error_output for word in words)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_run_is_left_out_and_said(
+    run: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def untrained() -> Method:
+        raise SemvizError("x.safetensors: no such weights")
+
+    known = {**KNOWN, "single": {**KNOWN["single"], "untrained": untrained}}
+    monkeypatch.setattr(methods, "KNOWN", known)
+    options = ("--frames", 1, "--noise", "low", "--no-plots", "--json", "--out", tmp_path)
+    _, output, _ = run("--methods", "untrained,bound", *options)
+    (note,) = json.loads(output)["notes"]
+    assert note == "untrained is left out: x.safetensors: no such weights"
+    assert {row["method"] for row in json.loads(output)["rows"]} == {"bound"}
+    status, _, error_output = run("--methods", "untrained", *options)
+    assert (status, error_output.count("\n")) == (2, 1)
+    assert "no such weights" in error_output
 
 
 def test_other_settings_are_refused(run: Call, whole: tuple[Path, list[dict[str, Any]]]) -> None:
