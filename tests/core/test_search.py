@@ -180,21 +180,19 @@ def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> 
 @pytest.mark.parametrize("with_gravity", [False, True])
 def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
     level = Difficulty(sigma_px=3.0, clutter_share=1.0, with_gravity=with_gravity)
-    better = more = 0
+    little = USUAL._replace(hypotheses=40, started=5, finished=2)
+    best, count = [], []
     for problem in frames(8, level):
         scene, prior = scene_of(problem), assumed_upright(problem.prior)
-        little = USUAL._replace(hypotheses=40, started=5, finished=2)
         few, usual, wide = (search(scene, prior, one) for one in (little, USUAL, WIDE))
         views = len(likely_ups(scene, Known.of(prior))[0])
         assert few.passed <= 40 * views
-        assert wide.passed <= WIDE.hypotheses * views
-        assert len(few.score) <= 2
-        assert len(usual.score) <= USUAL.finished
-        more += len(wide.score) > USUAL.finished
-        assert wide.score[0] > usual.score[0] - 1e-6 > few.score[0] - 2e-6
-        better += wide.score[0] > few.score[0] + 1.0
-    assert better
-    assert more
+        best.append([one.score[0] for one in (few, usual, wide)])
+        count.append([len(one.score) for one in (few, usual, wide)])
+    assert (np.max(count, axis=0) <= [2, USUAL.finished, WIDE.finished]).all()
+    assert (np.diff(np.mean(count, axis=0)) > 0.0).all()
+    few_best, usual_best, wide_best = np.mean(best, axis=0)
+    assert few_best < min(usual_best, wide_best)
 
 
 def test_the_order_of_elements_does_not_matter() -> None:
