@@ -51,13 +51,13 @@ class MatcherTask:
 
     def losses(self, together: Prepared, progress: Progress) -> dict[str, Tensor]:
         """Negative log-likelihood of what each element is, or that it is nothing."""
-        log_probability = log_probabilities(self.network(together), together.batch)
+        log_probability = log_probabilities(self.network(together).log_odds, together.batch)
         return {"loss": _surprise(log_probability, together.batch)}
 
     def figures(self, together: Prepared) -> dict[str, Tensor]:
         """Of seen elements with a true pair: whether it is among the likeliest; and how often an
         element with a pair is less likely to have none than an element without."""
-        log_probability = log_probabilities(self.network(together), together.batch)
+        log_probability = log_probabilities(self.network(together).log_odds, together.batch)
         pairs = _pairs(together.batch)
         paired = pairs.any(dim=2)
         rank = true_rank(log_probability, pairs)[paired]

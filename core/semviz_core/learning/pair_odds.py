@@ -13,6 +13,7 @@ from semviz_core.classes import ClassSet
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Prior
 from semviz_core.learning.batch import Batch
+from semviz_core.learning.candidates.poses import Poses
 from semviz_core.learning.candidates.prepared import Prepared
 from semviz_core.learning.networks.consensus import ConsensusNetwork
 from semviz_core.learning.sample import Sample
@@ -30,6 +31,11 @@ class PairOdds:
     """(m, n) nats; LEAST_ODDS for what the prior rules out, -inf for pairs of two classes."""
     probability: FloatArray
     """(m + 1, n + 1) of one-to-one pairs, and of none."""
+    pose: FloatArray
+    """(h, 5) upright cameras that explain them, the likeliest first: x, y, z in the map, cosine
+    and sine of the heading, as ``solving.hypotheses`` has them."""
+    share: FloatArray
+    """(h,) probability of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +49,25 @@ class PairMatcher:
         self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
     ) -> PairOdds:
         """Of one frame, with at least one element seen and one mapped."""
-        batch = Batch.of([Sample.of(observed, submap, camera, prior, self.classes)])
+        sample = Sample.of(observed, submap, camera, prior, self.classes)
+        batch = Batch.of([sample])
         with torch.inference_mode():
-            log_odds = self.network(Prepared.of(batch))[0]
-        odds = np.where(batch.same_class[0].numpy(), log_odds.double().numpy(), -np.inf)
-        return PairOdds(odds, sinkhorn_with_dustbin(odds))
+            found = self.network(Prepared.of(batch))
+        log_odds = found.log_odds[0].double().numpy()
+        odds = np.where(batch.same_class[0].numpy(), log_odds, -np.inf)
+        share = found.rated.share.double().numpy()
+        order = np.argsort(-share, kind="stable")
+        pose = _upright(found.rated.poses, sample)[order]
+        return PairOdds(odds, sinkhorn_with_dustbin(odds), pose, share[order])
+
+
+def _upright(poses: Poses, sample: Sample) -> FloatArray:
+    """(h, 5) in the map, at the height of the road."""
+    camera, turn = poses.camera_m.numpy(), poses.turn.numpy()
+    place = np.column_stack([camera.real, camera.imag]).astype(np.float64)
+    height = sample.road[0] + place @ sample.road[1:]
+    at = np.column_stack([place, height]) + sample.origin_m
+    return np.column_stack([at, turn.real, turn.imag])
 
 
 def load_pair_matcher(path: Path | None, classes: ClassSet) -> PairMatcher:

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from semviz_core.learning.candidates.headings import BIN_RAD, BINS, Compass
+from semviz_core.learning.candidates.combos import of_one_sample
+from semviz_core.learning.candidates.headings import BIN_RAD, BINS, USUAL_FIX_SIGMAS, Compass
 from semviz_core.learning.candidates.pairs import NEAREST_M, Pairs
 
 SPREAD_RAD = 0.6 * BIN_RAD
@@ -24,7 +25,7 @@ _MOST_SIGMAS = 5.0
 """By which the third side may differ at first."""
 _CORRECTED_SIGMAS = 3.0
 _MOST_CHI2 = 16.0
-_MOST_FIX_SIGMAS, _USUAL_FIX_SIGMAS = 2.8, 1.3
+_MOST_FIX_SIGMAS = 2.8
 _MOST_COMPASS_CHI2 = 12.0
 _MOST_TURN_RAD = 0.5
 """Couples that know their heading less well tell nothing."""
@@ -39,6 +40,8 @@ class Couples(NamedTuple):
     feature: Tensor  # (E, 7)
     bin: Tensor  # (E, 3) headings
     weight: Tensor  # (E, 3) of these, in (0, 1]
+    camera_m: Tensor  # (E,) complex
+    turn: Tensor  # (E,) complex, unit: from the level frame to the local one
 
 
 class Posts(NamedTuple):
@@ -64,13 +67,7 @@ def couples(pairs: Pairs, compass: Compass, size: int) -> tuple[Couples, Posts]:
 
 def _by_twos(pairs: Pairs, size: int) -> tuple[Tensor, Tensor]:
     """(k,), (k,) rows of two pairs of one sample that may both be true."""
-    count = torch.bincount(pairs.sample, minlength=size)
-    before = torch.cumsum(count, dim=0) - count
-    rows = torch.arange(len(pairs.sample), device=count.device)
-    others = count[pairs.sample]
-    first = torch.repeat_interleave(rows, others)
-    begin = (torch.cumsum(others, dim=0) - others - before[pairs.sample])[first]
-    second = torch.arange(len(first), device=count.device) - begin
+    first, second = of_one_sample(pairs.sample, pairs.sample, size)
     both = (pairs.seen[first] < pairs.seen[second]) & (pairs.mapped[first] != pairs.mapped[second])
     return first[both], second[both]
 
@@ -187,14 +184,15 @@ def _agreeing(pairs: Pairs, triangle: _Triangle, compass: Compass) -> Couples:
             0.5 * variance.log() + 3.0,
             triangle.apart.abs().log() - 2.5,
             from_fix,
-            (from_fix - _USUAL_FIX_SIGMAS).abs(),
+            (from_fix - USUAL_FIX_SIGMAS).abs(),
         ],
         dim=1,
     )[kept]
     first, second = triangle.first[kept], triangle.second[kept]
     bins, weight = _spread(heading[kept], variance[kept])
     both = torch.cat([first, second]), torch.cat([second, first])
-    return Couples(*both, *(torch.cat([one, one]) for one in (feature, bins, weight)))
+    values = feature, bins, weight, camera[kept], turn[kept]
+    return Couples(*both, *(torch.cat([one, one]) for one in values))
 
 
 def _spread(heading_rad: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

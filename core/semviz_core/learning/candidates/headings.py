@@ -16,7 +16,8 @@ _MOST_FIX_SIGMAS = 3.0
 _MOST_COMPASS_CHI2 = 14.0
 _BIN_SIGMA_RAD = 0.05  # within a bin
 _COMPASS_UNIT_RAD = 0.1  # of its sigma among the prior's numbers
-_USUAL_FIX_SIGMAS = 1.3  # fixes are so far off in the middle of what is usual
+USUAL_FIX_SIGMAS = 1.3
+"""How far off fixes are, in the middle of what is usual."""
 
 
 class Compass(NamedTuple):
@@ -59,7 +60,7 @@ def in_bins(pairs: Pairs, compass: Compass) -> Bins:
     possible = (from_fix < _MOST_FIX_SIGMAS) & (chi2 < _MOST_COMPASS_CHI2)
     feature = [
         from_fix.square().clamp_max(_MOST_FIX_SIGMAS**2) / 3.0,
-        (from_fix - _USUAL_FIX_SIGMAS).clamp(-2.0, 2.0),
+        (from_fix - USUAL_FIX_SIGMAS).clamp(-2.0, 2.0),
         chi2.clamp_max(_MOST_COMPASS_CHI2) / 5.0,
     ]
     return Bins(torch.stack(feature, dim=2), possible)

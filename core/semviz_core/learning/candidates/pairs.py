@@ -16,6 +16,8 @@ from semviz_core.learning.batch import Batch
 from semviz_core.learning.candidates.level import levelled
 
 NEAREST_M, FARTHEST_M = 2.5, 42.0
+FIX_UNIT_M = 10.0
+"""Of the fix's sigma among the prior's numbers."""
 _USUAL, _USUAL_SIGMA = 0.07, 0.05
 """Of 1 / distance, before any slope is compared."""
 _HEIGHT_SIGMA_M = 0.15
@@ -27,7 +29,6 @@ _HIDDEN_SHARE, _HIDDEN_SLOPE = 0.4, 0.03
 _MOST_SIGMAS = 5.0
 _MOST_FIX_SIGMAS = 2.5
 _LEAST_HEIGHT_M = 0.3
-_FIX_UNIT_M = 10.0  # of the fix's sigma among the prior's numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +49,20 @@ class Pairs:
     off: Tensor  # (N, 2) sigmas by which slopes of anchor and end are off, 0 where unknown
     known: Tensor  # (N, 2) bool: slopes that are compared
     slope_sigma: Tensor  # (N,)
+    azimuth_sigma: Tensor  # (N,)
+
+    @property
+    def nearness_variance(self) -> Tensor:
+        """(N,)"""
+        return (self.sigma_m * self.nearness.square()).square()
 
     def at(self, rows: Tensor) -> "Pairs":
         """Those ``rows`` (k,), or where a mask (N,) is True."""
         return Pairs(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+
+    def to(self, device: torch.device) -> "Pairs":
+        """All of it on a device."""
+        return Pairs(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
 
     def distance_m(self, turn: Tensor) -> Tensor:
         """(N,) if ``turn`` (N,), complex units, turns the level frame into the local one."""
@@ -94,10 +105,11 @@ def candidate_pairs(batch: Batch) -> Pairs:
         sigma_m=sigma,
         wide_m=wide.minimum(0.6 * distance),
         rise=rise,
-        fix_sigma_m=_FIX_UNIT_M * batch.prior[sample, 4],
+        fix_sigma_m=FIX_UNIT_M * batch.prior[sample, 4],
         off=off,
         known=known,
         slope_sigma=slope_sigma,
+        azimuth_sigma=batch.sigma_rad[sample, seen, 0],
     )
     beyond = ((pairs.place_m.abs() - distance).abs() - _AGREEING * pairs.wide_m) / pairs.fix_sigma_m
     agree = (off[:, 0].abs() < _MOST_SIGMAS) & (off[:, 1] > -_MOST_SIGMAS)

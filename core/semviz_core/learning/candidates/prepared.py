@@ -8,7 +8,7 @@ from torch import Tensor
 from semviz_core.learning.batch import Batch
 from semviz_core.learning.candidates.couples import Couples, Posts, couples
 from semviz_core.learning.candidates.headings import Bins, Compass, in_bins
-from semviz_core.learning.candidates.pairs import Pairs, candidate_pairs
+from semviz_core.learning.candidates.pairs import FIX_UNIT_M, Pairs, candidate_pairs
 
 PAIR_FEATURES, BIN_FEATURES, COUPLE_FEATURES, POST_FEATURES = 14, 3, 7, 3
 
@@ -18,9 +18,8 @@ class Prepared:
     """b samples with N candidate pairs, E couples and F posts in all."""
 
     batch: Batch
-    sample: Tensor  # (N,)
-    seen: Tensor  # (N,)
-    mapped: Tensor  # (N,)
+    pairs: Pairs
+    compass: Compass
     feature: Tensor  # (N, PAIR_FEATURES)
     bins: Bins
     couples: Couples
@@ -34,22 +33,25 @@ class Prepared:
         together, posts = couples(pairs, compass, len(batch))
         return cls(
             batch=batch,
-            sample=pairs.sample,
-            seen=pairs.seen,
-            mapped=pairs.mapped,
+            pairs=pairs,
+            compass=compass,
             feature=_features(pairs, batch),
             bins=in_bins(pairs, compass),
             couples=together,
             posts=posts,
         )
 
+    @property
+    def fix_sigma_m(self) -> Tensor:
+        """(b,)"""
+        return FIX_UNIT_M * self.batch.prior[:, 4]
+
     def to(self, device: torch.device) -> "Prepared":
         """All of it on a device."""
         return Prepared(
             self.batch.to(device),
-            self.sample.to(device),
-            self.seen.to(device),
-            self.mapped.to(device),
+            self.pairs.to(device),
+            Compass(*(one.to(device) for one in self.compass)),
             self.feature.to(device),
             Bins(*(one.to(device) for one in self.bins)),
             Couples(*(one.to(device) for one in self.couples)),
