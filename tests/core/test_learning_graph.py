@@ -8,6 +8,7 @@ from torch.nn import functional
 from semviz_core.learning.networks.graph import GraphNetwork, Rows, context_norm, nearest
 
 INPUTS, NEIGHBOURS = 10, 4
+torch.set_num_threads(1)  # samples are small: more threads would wait for each other
 
 
 @pytest.fixture(scope="module")

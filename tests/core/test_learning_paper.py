@@ -7,15 +7,22 @@ import numpy as np
 import pytest
 import torch
 
+from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.learning.batch import Batch
 from semviz_core.learning.drills import PAPER_DRILLS
-from semviz_core.learning.models import MODELS, GraphMatcher
+from semviz_core.learning.inference import Matcher
+from semviz_core.learning.models import MODELS
+from semviz_core.learning.networks.graph import GraphNetwork
+from semviz_core.learning.networks.graph_numpy import graph_features
+from semviz_core.learning.networks.streams import GraphMatcher
 from semviz_core.learning.paper_task import PaperTask
 from semviz_core.learning.sample import Sample
 from semviz_core.learning.splitting import split_lines
 from semviz_core.learning.task import Progress
+from semviz_core.learning.weights import Weights
 
 START = Progress(0, 100)
+torch.set_num_threads(1)  # samples are small: more threads would wait for each other
 
 
 @cache
@@ -33,8 +40,8 @@ def test_padding_changes_no_probability(name: str) -> None:
     torch.manual_seed(0)
     network = GraphMatcher(MODELS[name], 4)
     with torch.no_grad():
-        found = network(batch_for(name, range(6)))
-        for row in range(6):
+        found = network(batch_for(name, range(3)))
+        for row in range(3):
             alone = network(batch_for(name, range(row, row + 1)))
             _, m, n = alone.probability.shape
             padded = found.probability[row]
@@ -81,18 +88,44 @@ def test_split_lines_see_known_bottoms_as_points_that_belong_together() -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
+def test_numpy_and_torch_say_the_same(name: str) -> None:
+    torch.manual_seed(0)
+    task = PaperTask(name, PAPER_DRILLS)
+    tensors = {name: value.numpy() for name, value in task.network.state_dict().items()}
+    matcher = Matcher(task.model, Weights(name, task.options, tensors), DEFAULT_CLASSES)
+    split = task._of(sample(2))
+    found, soft = task.network(task.collate([split])), matcher.of_sample(split)
+    assert np.array_equal(soft.possible, task.network.possible(task.collate([split]))[0])
+    assert np.abs(soft.cost - found.cost[0].detach().numpy()).max() < 1e-3
+    mass = soft.probability * min(soft.cost.shape)
+    assert np.abs(mass - found.probability[0].detach().numpy() * min(soft.cost.shape)).max() < 1e-2
+
+
+@pytest.mark.parametrize("n", [1, 3, 5, 40])
+def test_numpy_takes_any_number_of_elements(n: int) -> None:
+    torch.manual_seed(0)
+    network = GraphNetwork(7, 4)
+    tensors = {f"seen.{name}": value.numpy() for name, value in network.state_dict().items()}
+    elements = torch.randn(1, n, 7)
+    expected = network(elements, torch.ones(1, n, dtype=torch.bool))[0].detach().numpy()
+    features = graph_features(tensors, "seen", elements[0].numpy(), 4)
+    assert np.abs(features - expected).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["paper", "bpnpnet"])
 def test_a_matcher_learns_a_few_frames(name: str) -> None:
     torch.manual_seed(0)
     task = PaperTask(name, PAPER_DRILLS)
     batch = batch_for(name, range(4))
     adam = torch.optim.Adam(task.network.parameters(), task.learning_rate(START))
     before = float(task.losses(batch, START)["loss"].detach())
-    for _ in range(12):
+    for _ in range(8):
         adam.zero_grad()
         task.losses(batch, START)["loss"].backward()
         adam.step()
-    after = task.figures(batch)
-    assert float(after["correspondence"]) < before - 0.3
+    with torch.no_grad():
+        after = task.figures(batch)
+    assert float(after["correspondence"]) < before - 0.2
     assert float(after["top1"]) <= float(after["top5"]) <= 1.0
 
 

@@ -15,7 +15,8 @@ NAMES = [one.name for one in DEFAULT_CLASSES]
 
 
 def saved(path: Path, network: nn.Module, task: str = "paper") -> Path:
-    Weights(task, {"classes": NAMES}, network.state_dict()).save(path)
+    tensors = {name: value.numpy() for name, value in network.state_dict().items()}
+    Weights(task, {"classes": NAMES}, tensors).save(path)
     return path
 
 

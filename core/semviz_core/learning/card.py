@@ -27,14 +27,14 @@ def write_weights(training: Path, folder: Path) -> Path:
     identity = checkpoint.identity
     path = folder / f"{identity['task']}.safetensors"
     tensors = {
-        name.removeprefix(NETWORK): value
+        name.removeprefix(NETWORK): value.numpy()
         for name, value in checkpoint.tensors.items()
         if name.startswith(NETWORK)
     }
     Weights(identity["task"], identity["options"], tensors).save(path)
     card = {
         **_card(checkpoint),
-        "parameters": sum(value.numel() for value in tensors.values()),
+        "parameters": sum(value.size for value in tensors.values()),
         "bytes": path.stat().st_size,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
     }

@@ -11,6 +11,7 @@ transport with uniform priors turns those into P (eq. 3-4). What is not as writt
   then at most 2, and mu = 0.1 means the same for every frame. The paper does not say.
 - Features are normalized over the elements of a frame only (``networks.graph``).
 - The correspondence loss counts pairs, not mass (``losses``).
+- The learning rate falls to 0 at the end: half of it brings more after some thousand samples.
 - The pose loss follows the optimum of eq. 6-7 by second-order steps (``pnpl``), not by L-BFGS.
 
 BPnPNet (Campbell, Liu, Gould 2020, with the graphs of Liu et al. 2020) is where the paper's
@@ -19,19 +20,12 @@ transport, back-end, losses and schedule come from. It knows points only, and k 
 
 from dataclasses import asdict, dataclass
 
-import torch
-from torch import Tensor, nn
-from torch.nn import functional
-
-from semviz_core.learning.batch import Batch
-from semviz_core.learning.networks.graph import GraphNetwork
-from semviz_core.learning.transport import sinkhorn
-
 RAY_UNITS = (1.0 / 3.0, 1.0 / 8.0, 1.0)
 """Unit rays are divided by these before they enter,"""
 UNITS_M = (25.0, 25.0, 3.0)
 """and coordinates of mapped points by these."""
-_LEAST_SQUARE = 1e-6  # of distances: the root has no slope at 0
+LEAST_SQUARE = 1e-6
+"""Of distances of features: the root has no slope at 0."""
 
 
 @dataclass(frozen=True)
@@ -55,58 +49,6 @@ MODELS = {
     "bpnpnet": Model(semantics=False, branches=False, lines=False, neighbours=10),
     "bpnpnet-semantic": Model(semantics=True, branches=False, lines=False, neighbours=10),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Correspondence:
-    """What a matcher says of every pair of a batch."""
-
-    cost: Tensor
-    """(b, m, n) distance of the features (eq. 2)."""
-    probability: Tensor
-    """(b, m, n) the paper's P (eq. 3-4); 0 for pairs that are not possible."""
-
-
-class GraphMatcher(nn.Module):
-    """Features of both streams, and the transport between them."""
-
-    def __init__(self, model: Model, classes: int) -> None:
-        super().__init__()
-        self.model = model
-        self.classes = classes
-        inputs = 3 + 3 * model.lines + classes * model.semantics
-        self.seen = GraphNetwork(inputs, model.neighbours)
-        self.mapped = GraphNetwork(inputs, model.neighbours)
-
-    def forward(self, batch: Batch) -> Correspondence:
-        cost = self.cost(batch)
-        return Correspondence(cost, sinkhorn(cost, self.possible(batch)))
-
-    def possible(self, batch: Batch) -> Tensor:
-        """(b, m, n) bool: the blocks of the transport."""
-        return batch.same_class if self.model.branches else batch.possible
-
-    def cost(self, batch: Batch) -> Tensor:
-        """(b, m, n) distances of features of length 1 (eq. 2)."""
-        top, bottom = (ray / ray[..., 2:] for ray in (batch.ray, batch.bottom_ray))
-        ray = batch.ray / batch.ray.new_tensor(RAY_UNITS)
-        seen = self._inputs(ray, bottom - top, batch.seen_class)
-        down = batch.bottom_m - batch.point_m
-        place = batch.point_m / batch.point_m.new_tensor(UNITS_M)
-        mapped = self._inputs(place, down, batch.mapped_class)
-        one = functional.normalize(self.seen(seen, batch.seen), dim=2)
-        other = functional.normalize(self.mapped(mapped, batch.mapped), dim=2)
-        square = 2.0 - 2.0 * one @ other.transpose(1, 2)
-        return square.clamp(min=_LEAST_SQUARE).sqrt()
-
-    def _inputs(self, place: Tensor, down: Tensor, element_class: Tensor) -> Tensor:
-        """(b, k, inputs): place, and as the model has them direction (0 for points) and class."""
-        parts = [place]
-        if self.model.lines:
-            parts.append(functional.normalize(down, dim=2))
-        if self.model.semantics:
-            parts.append(functional.one_hot(element_class, self.classes).to(place.dtype))
-        return torch.cat(parts, dim=2)
 
 
 def options_of(name: str, classes: list[str]) -> dict[str, object]:

@@ -10,10 +10,11 @@ from semviz_core.learning.batch import Batch, BatchTruth
 from semviz_core.learning.coarse import start_poses
 from semviz_core.learning.drills import PAPER_DRILLS
 from semviz_core.learning.losses import correspondence_loss, pose_loss, whole_loss
-from semviz_core.learning.models import MODELS, GraphMatcher, options_of
+from semviz_core.learning.models import MODELS, options_of
+from semviz_core.learning.networks.streams import GraphMatcher
 from semviz_core.learning.pnpl import differentiable_pnpl
 from semviz_core.learning.sample import Sample
-from semviz_core.learning.schedule import PAPER_RATE
+from semviz_core.learning.schedule import cosine
 from semviz_core.learning.splitting import split_lines
 from semviz_core.learning.task import Progress, SampleSource
 
@@ -38,8 +39,8 @@ class PaperTask:
         self.options: dict[str, Any] = {**made_with, "data": source.describe()}
 
     def learning_rate(self, progress: Progress) -> float:
-        """The same throughout, as in the paper."""
-        return PAPER_RATE
+        """The paper's at most; it does not say that its rate falls."""
+        return cosine(progress)
 
     def make(self, number: int) -> Sample:
         return self._of(self.source.sample(number))

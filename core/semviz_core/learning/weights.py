@@ -3,16 +3,19 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import safetensors.torch
-import torch
+import numpy as np
+import safetensors.numpy
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from torch import Tensor, nn
 
 from semviz_core.classes import ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.files import replacing
+
+if TYPE_CHECKING:
+    from torch import nn
 
 FORMAT = 1
 SHIPPED = Path(__file__).parents[1] / "weights"
@@ -27,14 +30,14 @@ class Weights:
     task: str
     options: dict[str, Any]
     """As ``Task.options``; its ``classes`` are the names of the classes, in order."""
-    tensors: dict[str, Tensor]
-    """float32 in memory, float16 on disk."""
+    tensors: dict[str, NDArray[np.float32]]
+    """By torch's names; float16 on disk."""
 
     def save(self, path: Path) -> None:
         """Replace ``path``. Raises SemvizError where that fails; the former file then stays."""
         told = {"format": FORMAT, "task": self.task, "options": self.options}
-        small = {name: one.detach().half().contiguous() for name, one in self.tensors.items()}
-        content = safetensors.torch.save(small, metadata={_KEY: json.dumps(told)})
+        small = {name: one.astype(np.float16) for name, one in self.tensors.items()}
+        content = safetensors.numpy.save(small, metadata={_KEY: json.dumps(told)})
         with replacing(path) as temporary:
             temporary.write_bytes(content)
 
@@ -49,14 +52,20 @@ class Weights:
                 f"{', '.join(names)}: train it with yours"
             )
 
-    def put_into(self, network: nn.Module, path: Path) -> None:
+    def put_into(self, network: "nn.Module", path: Path) -> None:
         """Raises SemvizError where the network is built otherwise."""
+        import torch
+
+        tensors = {name: torch.from_numpy(one) for name, one in self.tensors.items()}
         try:
-            network.load_state_dict(self.tensors)
+            network.load_state_dict(tensors)
         except RuntimeError:
-            raise SemvizError(
-                f"{path}: weights of another version of {self.task}; train it again"
-            ) from None
+            raise other_version(self.task, path) from None
+
+
+def other_version(task: str, path: Path) -> SemvizError:
+    """The error for weights whose network is not the one that this semviz has."""
+    return SemvizError(f"{path}: weights of another version of {task}; train it again")
 
 
 def shipped_weights(task: str) -> Path:
@@ -69,9 +78,12 @@ def read_weights(path: Path) -> Weights:
     if not path.is_file():
         raise SemvizError(f"{path}: no such weights; train some, or name a file with --weights")
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(path, framework="numpy") as file:
             told = json.loads((file.metadata() or {})[_KEY])
-            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            tensors = {
+                name: file.get_tensor(name).astype(np.float32)
+                for name in file.keys()  # noqa: SIM118
+            }
         form, task, options = told["format"], told["task"], told["options"]
     except (OSError, SafetensorError, KeyError, TypeError, ValueError):
         raise SemvizError(f"{path}: no weights of semviz, or damaged") from None
@@ -80,6 +92,6 @@ def read_weights(path: Path) -> Weights:
             f"{path}: weights of format {form}; this semviz has {FORMAT}: use the version that "
             "they were made with, or train again"
         )
-    if not all(bool(torch.isfinite(one).all()) for one in tensors.values()):
+    if not all(np.isfinite(one).all() for one in tensors.values()):
         raise SemvizError(f"{path}: holds numbers that are not finite; train it again")
     return Weights(task, options, tensors)

@@ -18,10 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-CHANNELS = 128
-LAYERS = 12
-_EPSILON = 1e-3
-"""Added to variances: a frame whose elements agree in a channel has none there."""
+from semviz_core.learning.networks.graph_numpy import CHANNELS, EPSILON, LAYERS
 
 
 class GraphNetwork(nn.Module):
@@ -93,7 +90,7 @@ def context_norm(features: Tensor, share: Tensor) -> Tensor:
     weight = share[:, None, :]
     centred = features - weight @ features
     variance = weight @ centred.square()
-    return centred * torch.rsqrt(variance + _EPSILON)
+    return centred * torch.rsqrt(variance + EPSILON)
 
 
 def nearest(features: Tensor, real: Tensor, neighbours: int) -> Tensor:
