@@ -1,7 +1,8 @@
 """Simulates what a vehicle knows of its pose before it looks, from the true pose."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,20 +56,20 @@ def simulate_prior(T_map_camera: Pose, options: PriorOptions, seed: int | Sequen
         distance * np.sin(bearing),
         height * options.vertical_sigma_m,
     ]
-    prior = Prior(
+    known: dict[str, Any] = {}
+    if options.imu_sigma_rad is not None:
+        wobble = so3_exp(T_map_camera.rotation.T @ np.append(tilt * options.imu_sigma_rad, 0.0))
+        known["up_camera"] = wobble @ T_map_camera.rotation[2]
+        known["up_sigma_rad"] = options.imu_sigma_rad
+    if options.heading_sigma_rad is not None:
+        known["heading_rad"] = _wrapped(_heading(T_map_camera) + turn * options.heading_sigma_rad)
+        known["heading_sigma_rad"] = options.heading_sigma_rad
+    return Prior(
         position_m=T_map_camera.translation + offset,
         horizontal_sigma_m=options.horizontal_sigma_m,
         vertical_sigma_m=options.vertical_sigma_m,
+        **known,
     )
-    if options.imu_sigma_rad is not None:
-        wobble = so3_exp(T_map_camera.rotation.T @ np.append(tilt * options.imu_sigma_rad, 0.0))
-        up = wobble @ T_map_camera.rotation[2]
-        prior = replace(prior, up_camera=up, up_sigma_rad=options.imu_sigma_rad)
-    if options.heading_sigma_rad is not None:
-        sigma = options.heading_sigma_rad
-        heading = _wrapped(_heading(T_map_camera) + turn * sigma)
-        prior = replace(prior, heading_rad=heading, heading_sigma_rad=sigma)
-    return prior
 
 
 def _heading(T_map_camera: Pose) -> float:
