@@ -189,3 +189,17 @@ def test_too_few_pairs_are_no_start() -> None:
     start = start_poses(P, batch(), 0)
     assert start.ok.tolist() == [False, True, True]
     np.testing.assert_array_equal(start.rotation[0], np.eye(3))
+
+
+def test_an_optimum_far_from_its_start_is_no_refinement() -> None:
+    """A P of uniform priors has it there, however right the network is."""
+    truth = batch().truth
+    assert truth is not None
+    cost = (3.0 * ~truth.pairs).double().requires_grad_()
+    P = sinkhorn(cost, batch().same_class)
+    rotation, _, ok = differentiable_pnpl(P, batch(), near_truth())
+    assert not ok.any()
+    np.testing.assert_array_equal(rotation.detach().numpy(), near_truth().rotation)
+    loss_of(P, near_truth()).sum().backward()
+    assert cost.grad is not None
+    assert (cost.grad == 0.0).all()

@@ -15,7 +15,12 @@ from torch.autograd.function import once_differentiable
 from semviz_core.arrays import FloatArray
 from semviz_core.learning.batch import Batch
 from semviz_core.learning.coarse import StartPoses
+from semviz_core.solving.matched.soft import points_and_lines, weighted_sums
 from semviz_core.solving.matched.weighted import Optimum, Weighted, weight_gradient, weighted_pnpl
+
+MOST_SHIFT_M = 20.0
+"""An optimum that is further from its start refines nothing: with uniform priors, which put most of
+P on wrong pairs, eq. 6 has one 100 m away, whose loss would drown eq. 9."""
 
 
 def differentiable_pnpl(
@@ -25,7 +30,7 @@ def differentiable_pnpl(
 
     ``probability`` is the P (b, m, n) of eq. 7: f_p sums over pairs whose peaks (or middles) are
     known on both sides, f_l over pairs of lines. What is not ok had no start, did not converge to
-    a minimum, or to one that P does not fix: it is its start, and has no gradient.
+    a minimum nearby, or to one that P does not fix: it is its start, and has no gradient.
     """
     is_point, is_line = (one.to(torch.float64) for one in _pairs(batch))
     weights = probability.double() * is_point, probability.double() * is_line
@@ -44,7 +49,7 @@ class _Pnpl(torch.autograd.Function):
         at = start.ok[:, None, None]
         weights = (np.where(at, _numbers(one), 0.0) for one in (point_weight, line_weight))
         ctx.of = fixed._replace(point_weight=next(weights), line_weight=next(weights))
-        ctx.found = weighted_pnpl(ctx.of, start.rotation, start.translation)
+        ctx.found = _near(start, weighted_pnpl(ctx.of, start.rotation, start.translation))
         rotation, translation, _, ok, _ = (
             torch.from_numpy(one).to(point_weight.device) for one in ctx.found
         )
@@ -64,6 +69,21 @@ class _Pnpl(torch.autograd.Function):
         return by_point, by_line, None, None
 
 
+def _near(start: StartPoses, found: Optimum) -> Optimum:
+    """Those further than MOST_SHIFT_M from their start are not ok."""
+    before = _centre(start.rotation, start.translation)
+    shift_m = np.linalg.norm(_centre(found.rotation, found.translation) - before, axis=1)
+    ok = found.ok & (shift_m < MOST_SHIFT_M)
+    rotation = np.where(ok[:, None, None], found.rotation, start.rotation)
+    translation = np.where(ok[:, None], found.translation, start.translation)
+    return found._replace(rotation=rotation, translation=translation, ok=ok)
+
+
+def _centre(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """(b, 3) of the cameras, local coordinates."""
+    return np.asarray(-np.einsum("bji,bj->bi", rotation, translation))
+
+
 def _by_perturbation(
     found: Optimum, by_rotation: FloatArray, by_translation: FloatArray
 ) -> FloatArray:
@@ -76,30 +96,24 @@ def _by_perturbation(
 
 
 def _pairs(batch: Batch) -> tuple[Tensor, Tensor]:
-    """(b, m, n) whether pairs count as points, and whether as lines.
-
-    Lines are told by a lower end of their own; all others have theirs at the anchor.
-    """
-    seen_line = (batch.ray != batch.bottom_ray).any(dim=2)
-    mapped_line = (batch.point_m != batch.bottom_m).any(dim=2)
-    seen_known, mapped_known = batch.seen_known[..., 0], batch.mapped_known[..., 0]
-    points = seen_known[:, :, None] & mapped_known[:, None, :]
-    return points, seen_line[:, :, None] & mapped_line[:, None, :]
+    """(b, m, n) whether pairs count as points, and whether as lines."""
+    known = batch.seen_known.cpu().numpy(), batch.mapped_known.cpu().numpy()
+    points, lines = points_and_lines(*_ends(batch), *known)
+    device = batch.ray.device
+    return torch.from_numpy(points).to(device), torch.from_numpy(lines).to(device)
 
 
 def _sums(batch: Batch) -> Weighted:
     """Rays and points of eq. 7, with weights still to come."""
-    first, last = _unit(_numbers(batch.ray)), _unit(_numbers(batch.bottom_ray))
-    peak, bottom = _numbers(batch.point_m), _numbers(batch.bottom_m)
-    none = np.zeros((0, 0, 0))
-    return Weighted(
-        ray=first,
-        point_m=peak,
-        point_weight=none,
-        normal=_unit(np.cross(first, last)),
-        line_point_m=peak + _unit(bottom - peak),
-        line_weight=none,
-    )
+    ray, bottom_ray, point_m, bottom_m = _ends(batch)
+    # again of length 1, which float32 is only to six digits
+    return weighted_sums(_unit(ray), _unit(bottom_ray), point_m, bottom_m)
+
+
+def _ends(batch: Batch) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    ends = batch.ray, batch.bottom_ray, batch.point_m, batch.bottom_m
+    ray, bottom_ray, point_m, bottom_m = (_numbers(one) for one in ends)
+    return ray, bottom_ray, point_m, bottom_m
 
 
 def _numbers(tensor: Tensor) -> FloatArray:
@@ -108,6 +122,4 @@ def _numbers(tensor: Tensor) -> FloatArray:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Of length 1; zeros stay zeros."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-9))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
