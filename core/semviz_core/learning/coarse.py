@@ -1,17 +1,14 @@
 """Start poses for a batch: the paper's P3P-RANSAC over the surest pairs of P (section V-A)."""
 
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from torch import Tensor
 
-from semviz_core.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.learning.batch import Batch
 from semviz_core.solving.matched.p3p import SAMPLE, Points, most_inliers
-
-PAIRS_PER_SEEN = 1.5
-"""The paper's K, which it does not give, per seen element (as Campbell et al. 2020)."""
+from semviz_core.solving.matched.soft import surest_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +34,7 @@ def start_poses(probability: Tensor, batch: Batch, seed: int) -> StartPoses:
     seen_known, mapped_known = batch.seen_known.cpu().numpy(), batch.mapped_known.cpu().numpy()
     counts = batch.seen.sum(dim=1).tolist()
     for k in range(b):
-        i, j = _surest(P[k], ceil(PAIRS_PER_SEEN * counts[k]))
+        i, j = surest_pairs(P[k], counts[k]).T
         known = seen_known[k, i] & mapped_known[k, j]
         if known.sum() < SAMPLE:
             continue
@@ -46,14 +43,6 @@ def start_poses(probability: Tensor, batch: Batch, seed: int) -> StartPoses:
         if inliers >= SAMPLE:
             found.rotation[k], found.translation[k], found.ok[k] = rotation, translation, True
     return found
-
-
-def _surest(P: FloatArray, count: int) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the largest entries above 0."""
-    order = np.argsort(-P, axis=None, kind="stable")[:count]
-    i, j = np.divmod(order, P.shape[1])
-    possible = P[i, j] > 0.0
-    return i[possible], j[possible]
 
 
 def _numbers(tensor: Tensor) -> FloatArray:
