@@ -16,6 +16,15 @@ def of_one_sample(sample: Tensor, other_sample: Tensor, size: int) -> tuple[Tens
     return row, torch.arange(len(row), device=count.device) - begin[row]
 
 
+def best_of_alike(value: Tensor, kind: Tensor) -> Tensor:
+    """Rows of the largest value (a,) of each ``kind`` (a,)."""
+    order = torch.argsort(value, descending=True, stable=True)
+    order = order[torch.argsort(kind[order], stable=True)]
+    first = torch.ones_like(order, dtype=torch.bool)
+    first[1:] = kind[order[1:]] != kind[order[:-1]]
+    return order[first]
+
+
 def best_of_each(value: Tensor, sample: Tensor, size: int, most: int) -> Tensor:
     """(k,) rows of the ``most`` largest values (a,) of each of ``size`` samples, largest first."""
     order = torch.argsort(value, descending=True, stable=True)

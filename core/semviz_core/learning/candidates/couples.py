@@ -73,13 +73,12 @@ def _by_twos(pairs: Pairs, size: int) -> tuple[Tensor, Tensor]:
 
 
 def _posts(pairs: Pairs, first: Tensor, second: Tensor, apart: Tensor) -> Posts:
-    one, other = pairs.at(first), pairs.at(second)
-    distance, behind = 1.0 / one.nearness, 1.0 / other.nearness
-    beside = (one.direction * other.direction.conj()).imag.abs() * distance
-    deeper = (distance - behind).abs()
-    wide = torch.hypot(one.wide_m, other.wide_m)
+    distance = 1.0 / pairs.nearness[first]
+    beside = (pairs.direction[first] * pairs.direction[second].conj()).imag.abs() * distance
+    deeper = (distance - 1.0 / pairs.nearness[second]).abs()
+    wide = torch.hypot(pairs.wide_m[first], pairs.wide_m[second])
     kept = (beside < ON_ONE_POST_M) & (deeper < _CORRECTED_SIGMAS * wide)
-    sigma = torch.hypot(one.sigma_m, other.sigma_m)
+    sigma = torch.hypot(pairs.sigma_m[first], pairs.sigma_m[second])
     feature = torch.stack([beside, deeper / sigma, apart.abs()], dim=1)[kept]
     first, second = first[kept], second[kept]
     return Posts(
@@ -140,12 +139,11 @@ class _Triangle(NamedTuple):
 
     def settled(self, pairs: Pairs) -> "_Triangle":
         """With distances for the road as it rises under the heading that is found meanwhile."""
-        sigma = pairs.sigma_m[torch.stack([self.first, self.second], dim=1)]
-        now = self._replace(sigma_m=sigma)
+        both = torch.stack([self.first, self.second], dim=1)
+        now = self._replace(sigma_m=pairs.sigma_m[both])
         for _ in range(2):
-            turn = now.turn()
-            given = [pairs.at(one).distance_m(turn) for one in (now.first, now.second)]
-            now = now._replace(given_m=torch.stack(given, dim=1))._corrected()
+            given = pairs.distance_m(now.turn()[:, None], both)
+            now = now._replace(given_m=given)._corrected()
         return now
 
     def turn_variance(self) -> Tensor:
@@ -170,12 +168,13 @@ class _Triangle(NamedTuple):
 def _agreeing(pairs: Pairs, triangle: _Triangle, compass: Compass) -> Couples:
     """Those that fit the fix and the compass, in bins."""
     turn, chi2, variance = triangle.turn(), triangle.chi2(), triangle.turn_variance()
-    one = pairs.at(triangle.first)
-    camera = one.place_m - triangle.distance_m[:, 0] * triangle.direction[:, 0] * turn
-    from_fix = camera.abs() / one.fix_sigma_m
+    camera = (
+        pairs.place_m[triangle.first] - triangle.distance_m[:, 0] * triangle.direction[:, 0] * turn
+    )
+    from_fix = camera.abs() / pairs.fix_sigma_m[triangle.first]
     heading = torch.angle(turn)
     kept = (chi2 < _MOST_CHI2) & (from_fix < _MOST_FIX_SIGMAS) & (variance < _MOST_TURN_RAD**2)
-    kept &= compass.chi2(one.sample, heading, variance) < _MOST_COMPASS_CHI2
+    kept &= compass.chi2(pairs.sample[triangle.first], heading, variance) < _MOST_COMPASS_CHI2
     feature = torch.stack(
         [
             chi2 / 5.0,

@@ -51,12 +51,12 @@ class Bins(NamedTuple):
 def in_bins(pairs: Pairs, compass: Compass) -> Bins:
     """How far the camera would be from the fix, and the heading from the compass."""
     heading = torch.arange(BINS, device=pairs.nearness.device) * BIN_RAD
-    every = pairs.at(torch.arange(len(pairs.sample), device=heading.device)[:, None])  # (N, 1)
+    rows = torch.arange(len(pairs.sample), device=heading.device)[:, None]
     turn = torch.polar(torch.ones_like(heading), heading)
-    camera = every.place_m - every.distance_m(turn) * every.direction * turn
-    variance = every.fix_sigma_m.square() + every.sigma_m.square()
-    from_fix = camera.abs() / variance.sqrt()
-    chi2 = compass.chi2(every.sample, heading, _BIN_SIGMA_RAD**2)
+    sight = pairs.distance_m(turn, rows) * pairs.direction[:, None] * turn
+    sigma = torch.hypot(pairs.fix_sigma_m, pairs.sigma_m)
+    from_fix = (pairs.place_m[:, None] - sight).abs() / sigma[:, None]
+    chi2 = compass.chi2(pairs.sample[:, None], heading, _BIN_SIGMA_RAD**2)
     possible = (from_fix < _MOST_FIX_SIGMAS) & (chi2 < _MOST_COMPASS_CHI2)
     feature = [
         from_fix.square().clamp_max(_MOST_FIX_SIGMAS**2) / 3.0,

@@ -64,10 +64,11 @@ class Pairs:
         """All of it on a device."""
         return Pairs(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
 
-    def distance_m(self, turn: Tensor) -> Tensor:
-        """(N,) if ``turn`` (N,), complex units, turns the level frame into the local one."""
-        uphill = (self.rise.conj() * self.direction * turn).real
-        nearness = self.nearness - self.by_slope * uphill
+    def distance_m(self, turn: Tensor, rows: Tensor) -> Tensor:
+        """(...,) of pairs in ``rows`` (...,), if ``turn`` (...,), complex units, turns the level
+        frame into the local one."""
+        uphill = (self.rise[rows].conj() * self.direction[rows] * turn).real
+        nearness = self.nearness[rows] - self.by_slope[rows] * uphill
         return 1.0 / nearness.clamp(1.0 / FARTHEST_M, 1.0 / NEAREST_M)
 
 

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from semviz_core.learning.candidates.combos import best_of_each
+from semviz_core.learning.candidates.combos import best_of_alike, best_of_each
+from semviz_core.learning.candidates.headings import BINS
 from semviz_core.learning.candidates.poses import (
     POSE_FEATURES,
     SUPPORT_FEATURES,
@@ -19,6 +20,8 @@ from semviz_core.learning.networks.perceptron import perceptron, single
 
 POSES = 64
 """Couples of a sample that become poses: those that the rounds before make likeliest."""
+_CELL_M, _CELLS = 2.0, 512
+"""Of couples in one square, under one heading, the likeliest is enough."""
 _MOST_NATS = 10.0
 _LEAST = 1e-5
 
@@ -62,7 +65,7 @@ class PoseRound(nn.Module):
             torch.ones(size, device=seen.device).index_add(0, row, likelihood)
             for size, row in ((h * m, seen), (h * n, mapped))
         )
-        ends = [one.log().view(h, -1).sum(dim=1) for one in (by_seen, by_mapped)]
+        ends = [by_seen.log().view(h, m).sum(dim=1), by_mapped.log().view(h, n).sum(dim=1)]
         prior = poses.to_prior(prepared.fix_sigma_m, prepared.compass)
         known = torch.stack([one / 4.0 for one in (worth[chosen], *ends)], dim=1)
         score = ends[0].minimum(ends[1]) + single(self.of_pose, [prior, known])
@@ -75,11 +78,22 @@ def _proposed(prepared: Prepared, worth: Tensor) -> tuple[Poses, Tensor]:
     """Fitted poses of the best couples, and the rows of these; nothing here has a gradient."""
     couples, sample = prepared.couples, prepared.pairs.sample
     half = len(couples.first) // 2  # the rest is the same in the other order
-    of_couple = sample[couples.first[:half]]
+    of_couple, worth = sample[couples.first[:half]], worth[:half].detach()
     size = len(prepared.batch)
-    chosen = best_of_each(worth[:half].detach(), of_couple, size, POSES)
+    alike = _cell(of_couple, couples.camera_m[:half], couples.bin[:half, 1])
+    apart = best_of_alike(worth, alike)
+    chosen = apart[best_of_each(worth[apart], of_couple[apart], size, POSES)]
     start = Poses(of_couple[chosen], couples.camera_m[chosen], couples.turn[chosen])
     return fitted(start, prepared.pairs, size), chosen
+
+
+def _cell(sample: Tensor, camera_m: Tensor, heading: Tensor) -> Tensor:
+    """(k,) number of the sample, square and heading in which a pose is."""
+    east, north = (
+        torch.round(one / _CELL_M).long().clamp(-_CELLS, _CELLS - 1) + _CELLS
+        for one in (camera_m.real, camera_m.imag)
+    )
+    return ((sample * 2 * _CELLS + east) * 2 * _CELLS + north) * BINS + heading
 
 
 def _among(score: Tensor, sample: Tensor, size: int) -> tuple[Tensor, Tensor]:
