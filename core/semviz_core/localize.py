@@ -1,9 +1,9 @@
 """The whole method on one screen: what is seen and mapped, to a pose or the reason for none."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from time import perf_counter
-from typing import TypeAlias, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from semviz_core.detector_model import DetectorModel
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Prior
+from semviz_core.learning.models import MODELS
 from semviz_core.localization import Alternative, Localization, Search
 from semviz_core.matching.posterior import posterior_match
 from semviz_core.pose import Pose
@@ -25,9 +26,13 @@ from semviz_core.solving.scene import Scene
 from semviz_core.solving.search import Modes, mode_near, search
 from semviz_core.solving.upright import assumed_upright
 from semviz_core.solving.verdict import Verdict, judge
+from semviz_core.stopwatch import Stopwatch
 from semviz_core.threads import in_order
 
-METHODS = ("search", "direct")
+if TYPE_CHECKING:
+    from semviz_core.learning.chain import Chain
+
+METHODS = ("search", "direct", *MODELS)
 NEEDED_ELEMENTS = 4
 """As in the paper. Three can fix an upright pose, but no fourth is left to tell one of a row of
 poles from the next."""
@@ -37,19 +42,22 @@ SHOWN_NATS = 30.0
 FREE = Pairing()
 """Nothing is supposed."""
 
-Result = TypeVar("Result")
 Request: TypeAlias = tuple[Elements2D, Elements3D, Camera, Prior]
 """The arguments of ``Localizer.localize``."""
 
 
 @dataclass(frozen=True)
 class Localizer:
-    """Localizes single frames. ``method`` is ``search`` or ``direct``; repeatable with ``seed``."""
+    """Localizes single frames. ``method`` is one of METHODS; repeatable with ``seed``.
+
+    ``weights`` is a file of what a learned method has learned, if not what comes with semviz.
+    """
 
     method: str = "search"
     seed: int = 0
     classes: ClassSet = DEFAULT_CLASSES
     detector: DetectorModel = field(default_factory=DetectorModel)
+    weights: Path | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -59,6 +67,10 @@ class Localizer:
         if not isinstance(self.classes, ClassSet):
             raise SemvizError("classes is no ClassSet; give semviz.DEFAULT_CLASSES or your own")
         self.detector.checked()
+        if self.method in MODELS:
+            self._chain()
+        elif self.weights is not None:
+            raise SemvizError(f"method {self.method} has learned nothing; leave weights out")
 
     def localize(
         self,
@@ -78,7 +90,7 @@ class Localizer:
         """
         check_request(observed, submap, camera, prior, self.classes)
         pairing.check(observed, submap)
-        watch = _Stopwatch({})
+        watch = Stopwatch()
         work = Localization(
             self.method, camera, prior, observed, submap,
             status="cannot", reason="", T_camera_map=None, covariance=None, time_ms=watch.time_ms,
@@ -86,6 +98,8 @@ class Localizer:
         if reason := _too_few(observed, submap):
             return replace(work, reason=reason)
         scene = pairing.applied(Scene.of(camera, observed, submap, self.detector))
+        if self.method in MODELS:
+            return self._chain().localize(work, scene, pairing, start, watch)
         pairs = pairs_by_class(observed, scene) if self.method == "direct" else None
         if isinstance(pairs, Failure):
             return replace(work, reason=pairs.reason)
@@ -118,6 +132,13 @@ class Localizer:
             refinement=refined.refinement,
             alternatives=_alternatives(poses, modes.score),
         )
+
+    def _chain(self) -> "Chain":
+        """SemvizError where there are no weights, or they are for something else."""
+        from semviz_core.learning.chain import Chain
+        from semviz_core.learning.inference import load_matcher
+
+        return Chain(load_matcher(self.method, self.weights, self.classes), self.seed)
 
     def localize_many(
         self, requests: Iterable[Request], threads: int = 1
@@ -167,14 +188,3 @@ def _alternatives(poses: tuple[Pose, ...], score: FloatArray) -> tuple[Alternati
 
 def _pose(modes: Modes, row: int) -> Pose:
     return Pose(modes.rotation[row], modes.translation[row])
-
-
-@dataclass(frozen=True)
-class _Stopwatch:
-    time_ms: dict[str, float]
-
-    def time(self, stage: str, action: Callable[[], Result]) -> Result:
-        start = perf_counter()
-        result = action()
-        self.time_ms[stage] = (perf_counter() - start) * 1e3
-        return result
