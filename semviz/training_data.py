@@ -1,5 +1,6 @@
 """What matchers train on, from workspaces: labelled frames with true poses, and their maps."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -87,7 +88,19 @@ class WorkspaceSamples:
             "held_out_frames": len(self.kept_back),
             "shift_m": self.shift_m,
             "known": asdict(self.known),
+            "content": self._digest(),
         }
+
+    def _digest(self) -> str:
+        """Of labels, poses and maps: a training doesn't go on with others."""
+        content = hashlib.sha256()
+        for frame in (*self.training, *self.kept_back):
+            observed = frame.observed
+            for part in (observed.anchor_px, observed.end_px, observed.class_id, frame.element_id):
+                content.update(part.tobytes())
+            content.update(frame.T_map_camera.as_matrix().tobytes())
+            content.update(frame.semantic_map.digest.encode())
+        return content.hexdigest()[:12]
 
 
 def workspace_samples(

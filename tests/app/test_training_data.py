@@ -16,6 +16,7 @@ import pytest
 from semviz.demo_labels import AUTHOR, demo_labels
 from semviz.training_data import HELD_OUT_SHARE, WorkspaceSamples, workspace_samples
 from semviz.workspace import Workspace
+from semviz_annotation.edits import MoveObservation
 from semviz_annotation.mapping.build import build_map
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.elements import Elements3D
@@ -93,6 +94,17 @@ def test_several_workspaces_are_mixed(made: Path) -> None:
     told = json.loads(json.dumps(mixed.describe()))
     assert told["workspaces"] == ["town", "town"]
     assert told["frames"] == len(mixed.training)
+
+
+def test_other_labels_are_described_otherwise(workspace: Workspace) -> None:
+    before = workspace_samples([workspace]).describe()
+    assert before == workspace_samples([Workspace.open(workspace.path)]).describe()
+    with workspace.open_labels() as store:
+        row = next(one for one in store.labels.observations.values() if one.side == "left")
+        u, v = row.anchor_px
+        store.apply(MoveObservation(row.id, (u, v - 1.0), row.end_px), AUTHOR)
+    after = workspace_samples([workspace]).describe()
+    assert {name for name, value in after.items() if value != before[name]} == {"content"}
 
 
 def test_what_nothing_can_be_learned_from_is_told_in_one_line(workspace: Workspace) -> None:
