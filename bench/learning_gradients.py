@@ -26,6 +26,7 @@ from semviz_core.learning.pnpl import differentiable_pnpl
 from semviz_core.learning.sample import Sample, Truth
 from semviz_core.learning.task import Progress
 from semviz_core.learning.transport import sinkhorn, sinkhorn_with_dustbins
+from semviz_core.matching.uniform import MU
 from semviz_core.pose import so3_exp
 
 BATCH = 12
@@ -127,7 +128,7 @@ def tell_unrolling() -> None:
 
 def unrolled(cost: Tensor, sweeps: int) -> Tensor:
     """P by sweeps in the log domain that autograd follows back one by one."""
-    kernel = cost / -transport.MU
+    kernel = cost / -MU
     row, column = (-float(np.log(k)) for k in cost.shape[1:])
     b = torch.zeros_like(cost[:, :1])
     for _ in range(sweeps):
@@ -183,7 +184,7 @@ def wrong(batch: Batch) -> Tensor:
 
 def perfect_with_dustbins(batch: Batch) -> Tensor:
     """As sure of true pairs as of no pair for all that has none."""
-    score, alone = -wrong(batch) / transport.MU, -0.25 * SURE / transport.MU
+    score, alone = -wrong(batch) / MU, -0.25 * SURE / MU
     bins = (torch.full(one.shape, alone) for one in (batch.seen, batch.mapped))
     return torch.exp(sinkhorn_with_dustbins(score, *bins, batch.same_class))[:, :-1, :-1]
 

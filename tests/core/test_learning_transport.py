@@ -13,6 +13,7 @@ from torch import Tensor
 from semviz_core.learning import transport
 from semviz_core.learning.transport import sinkhorn, sinkhorn_with_dustbins
 from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
+from semviz_core.matching.uniform import uniform_transport
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -62,6 +63,14 @@ def test_classes_are_transports_of_their_own() -> None:
         expected = sinkhorn(alone, torch.ones_like(alone, dtype=torch.bool))[0]
         torch.testing.assert_close(P[0][rows][:, columns], expected)
     torch.testing.assert_close(P[1, 1:].sum(dim=1), torch.full((3,), 1.0 / 3.0).double())
+
+
+def test_one_frame_alone_has_the_same_p() -> None:
+    cost, possible = drawn(4, 2, 4, 7).abs().clamp_max(2.0), two_classes()
+    P = sinkhorn(cost, possible)
+    for k in range(2):
+        alone = uniform_transport(cost[k].numpy(), possible[k].numpy())
+        np.testing.assert_allclose(P[k].numpy(), alone, atol=1e-9)
 
 
 def test_order_does_not_matter() -> None:

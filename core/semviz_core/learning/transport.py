@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-MU = 0.1
-"""Weight of the entropy in eq. 3."""
+from semviz_core.matching.uniform import MU
+
 TOLERANCE = 1e-9
 """Converged when no row's total is off by a larger part; columns are exact."""
 MOST_ROUNDS = 30
@@ -31,7 +31,8 @@ _TINY = 1e-300
 
 
 def sinkhorn(cost: Tensor, possible: Tensor, mu: float = MU) -> Tensor:
-    """The paper's P (b, m, n) of eq. 3-4 for ``cost`` (b, m, n) under uniform priors.
+    """The paper's P (b, m, n) of eq. 3-4 for ``cost`` (b, m, n) under uniform priors, as
+    ``matching.uniform`` has it for one frame, whatever the costs.
 
     ``possible`` (b, m, n) holds blocks in which every row goes with every column: the classes, or
     all that is not padded. Each block is a transport of its own, whose P sums to 1: rows to 1 / m,
