@@ -3,12 +3,12 @@
     OMP_NUM_THREADS=1 python bench/learning_gradients.py
     OMP_NUM_THREADS=1 python bench/learning_gradients.py --batches 200      (a short run)
 
-Frames are held-out drills, on one thread; times are medians.
+Frames are held-out drills. Times are medians of processor time on one thread.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 import torch
@@ -140,9 +140,9 @@ def unrolled(cost: Tensor, sweeps: int) -> Tensor:
 def timed_gradient(layer: Layer, cost: Tensor, weight: Tensor) -> tuple[Tensor, float]:
     times = []
     for _ in range(7):
-        leaf, start = cost.clone().requires_grad_(), perf_counter()
+        leaf, start = cost.clone().requires_grad_(), process_time()
         (layer(leaf) * weight).sum().backward()
-        times.append(perf_counter() - start)
+        times.append(process_time() - start)
     assert leaf.grad is not None
     return leaf.grad, float(np.median(times)) * 1e3
 
@@ -192,18 +192,18 @@ def perfect_with_dustbins(batch: Batch) -> Tensor:
 def tell_times() -> None:
     task = PaperTask("paper", PAPER_DRILLS)
     optimizer = torch.optim.Adam(task.network.parameters())
-    print("A training step of batch 12, Adam included; without and with pose loss")
+    print("A training step of `paper` of batch 12, Adam included, without and with pose loss")
     for m, n in SIZES:
         batch = crowd(m, n)
         told = []
         for share in (0.0, POSE_FROM):
             progress, times = Progress(int(share * 1e6), 1_000_000), []
             for _ in range(9):
-                start = perf_counter()
+                start = process_time()
                 optimizer.zero_grad()
                 task.losses(batch, progress)["loss"].backward()
                 optimizer.step()
-                times.append(perf_counter() - start)
+                times.append(process_time() - start)
             told.append(f"{np.median(times):.3f} s")
         print(f"  ({m}, {n}): {' and '.join(told)}; its layers alone: {layers_ms(batch)}")
     print("  BPnPNet at (30, 100), one core of such a machine: 0.21 s and 0.63 s")
@@ -214,16 +214,16 @@ def layers_ms(batch: Batch) -> str:
     times = []
     for k in range(9):
         cost = (wrong(batch) / SURE + 0.1 * torch.rand(batch.possible.shape)).requires_grad_()
-        now = [perf_counter()]
+        now = [process_time()]
         P = sinkhorn(cost, batch.same_class)
-        now.append(perf_counter())
+        now.append(process_time())
         start = start_poses(P, batch, k)
-        now.append(perf_counter())
+        now.append(process_time())
         losses, ok = poses_loss(batch, P, start)
-        now.append(perf_counter())
+        now.append(process_time())
         matched = correspondence_loss(P, truths(batch).pairs, batch.same_class)
         whole_loss(matched, losses, ok, 1.0).backward()
-        times.append(np.diff([*now, perf_counter()]) * 1e3)
+        times.append(np.diff([*now, process_time()]) * 1e3)
     names = ("Sinkhorn", "RANSAC", "PnPL", "backward")
     each = zip(names, np.median(times, axis=0), strict=True)
     return ", ".join(f"{name} {time_ms:.1f} ms" for name, time_ms in each)
