@@ -10,9 +10,10 @@ from semviz.commands.parsing import OptionalFloat, OptionalInt, OptionalPath
 from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
+    from semviz.progress import TrainingBar
     from semviz_core.learning.checkpoint import Course
     from semviz_core.learning.task import SampleSource
-    from semviz_core.learning.training import TrainingOptions
+    from semviz_core.learning.training import Moment, TrainingOptions
 
 INTERRUPTED = 130
 PLOT = "losses.png"
@@ -52,18 +53,15 @@ class Train:
 
     def run(self) -> int:
         from semviz.progress import TrainingBar, tell_of_compiling
-        from semviz.training_plot import draw
-        from semviz_core.learning.history import read_history
         from semviz_core.learning.tasks import make_task
-        from semviz_core.learning.training import HISTORY, Training
+        from semviz_core.learning.training import Training
 
         tell_of_compiling()
         task = make_task(self.model, self._source(), self.seed)
         training = Training(task, self.out, self._options())
         if training.crew.leads:
             with TrainingBar(self.model, training.course) as bar:
-                ending = training.run(bar.show)
-            draw(read_history(self.out / HISTORY), self.model, self.out / PLOT)
+                ending = training.run(lambda moment: self._tell(moment, bar))
             print(self._told(training.course, ending))
         else:
             ending = training.run()
@@ -103,6 +101,16 @@ class Train:
             opened = [Workspace.open(path) for path in self.workspace]
             return workspace_samples(opened, shift_m=drills.shift_m)
         return drills
+
+    def _tell(self, moment: "Moment", bar: "TrainingBar") -> None:
+        """The bar, and the plot whenever there is something new to see in it."""
+        from semviz.training_plot import draw
+        from semviz_core.learning.history import read_history
+        from semviz_core.learning.training import HISTORY
+
+        bar.show(moment)
+        if moment.held_out:
+            draw(read_history(self.out / HISTORY), self.model, self.out / PLOT)
 
     def _told(self, course: "Course", ending: str) -> str:
         figures = ", ".join(f"{name} {value:.3g}" for name, value in course.held_out.items())

@@ -19,7 +19,14 @@ from toy_task import TOGETHER, ToyTask, fresh_network
 from semviz_core.errors import SemvizError
 from semviz_core.learning.checkpoint import Checkpoint
 from semviz_core.learning.history import WINDOW_STEPS, read_history
-from semviz_core.learning.training import CHECKPOINT, HISTORY, Moment, Training, TrainingOptions
+from semviz_core.learning.training import (
+    CHECKPOINT,
+    HISTORY,
+    LOCK,
+    Moment,
+    Training,
+    TrainingOptions,
+)
 
 TOY = Path(__file__).parents[1] / "toy_task.py"
 OPTIONS = TrainingOptions(samples=1200, batch=4, workers=0, held_out=8)
@@ -112,6 +119,15 @@ def test_sigterm_saves(tmp_path: Path) -> None:
     process.join()
     assert process.exitcode == 0
     assert 0 < Checkpoint.load(tmp_path / CHECKPOINT).course.samples < 1200
+
+
+def test_only_one_process_trains_in_a_folder(tmp_path: Path) -> None:
+    process = born(tmp_path)
+    with pytest.raises(SemvizError, match="another process is training there"):
+        trained(tmp_path)
+    process.kill()
+    process.join()
+    trained(tmp_path)
 
 
 def born(folder: Path, **options: object) -> ForkProcess:
@@ -254,7 +270,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(
     with pytest.raises(SemvizError, match=r"checkpoint.safetensors: cannot be written \(No space"):
         trained(tmp_path, samples=80)
     assert (tmp_path / CHECKPOINT).read_bytes() == before
-    assert {one.name for one in tmp_path.iterdir()} == {CHECKPOINT, HISTORY}
+    assert {one.name for one in tmp_path.iterdir()} == {CHECKPOINT, HISTORY, LOCK}
 
 
 def test_the_history_is_of_means(tmp_path: Path) -> None:

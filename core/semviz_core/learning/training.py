@@ -6,7 +6,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import torch
 
@@ -25,7 +25,12 @@ from semviz_core.learning.loading import (
 from semviz_core.learning.machine import describe_machine
 from semviz_core.learning.task import Progress, Task
 
-CHECKPOINT, HISTORY = "checkpoint.safetensors", "losses.jsonl"
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+CHECKPOINT, HISTORY, LOCK = "checkpoint.safetensors", "losses.jsonl", "lock"
 MEASUREMENTS = 40
 """Held-out figures are taken so often in a training, if it is not short."""
 LEAST_SEEN = 4
@@ -74,6 +79,8 @@ class Training:
         torch.set_num_threads(1)  # samples are small: more threads would wait for each other
         self.crew = join()
         _check(options, self.crew)
+        if self.crew.leads:
+            self._lock = _locked(folder)
         self._task, self._options, self._path = task, options, folder / CHECKPOINT
         self._identity = {
             "task": task.name, "options": task.options,
@@ -187,6 +194,21 @@ class Training:
         self._counted_s = now
         if self.crew.leads:
             Checkpoint(self._identity, self.course, self._learner.state()).save(self._path)
+
+
+def _locked(folder: Path) -> IO[bytes]:
+    """A file in the folder that is locked while it is open, so that nobody else trains there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / LOCK).open("wb")
+    except OSError as error:
+        raise SemvizError(f"{folder}: cannot be written ({error.strerror})") from None
+    if fcntl is not None:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not inherited by workers
+        except OSError:
+            raise SemvizError(f"{folder}: another process is training there") from None
+    return file
 
 
 def _check(options: TrainingOptions, crew: Crew) -> None:
