@@ -45,6 +45,8 @@ class DriveOptions:
     """Settings of a drive; they are stored in its run."""
 
     method: str = "search"
+    weights: str | None = None
+    """File of what a learned method has learned; what comes with semviz if none."""
     track: bool = False
     """Follow the camera from frame to frame; ``method`` is then for frames by themselves."""
     observations: Observations = "labels"
@@ -59,6 +61,10 @@ class DriveOptions:
             raise SemvizError(f"seed {self.seed}: give 0 or more")
         if not 0.0 < self.crop_radius_m < np.inf:
             raise SemvizError(f"crop radius {self.crop_radius_m:g} m: give a positive number")
+
+    @property
+    def weights_path(self) -> Path | None:
+        return None if self.weights is None else Path(self.weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +134,9 @@ def drive_workspace(
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
     detector = detector_model(options.observations)
-    localizer = Localizer(options.method, options.seed, semantic_map.classes, detector)
+    localizer = Localizer(
+        options.method, options.seed, semantic_map.classes, detector, options.weights_path
+    )
     chosen = chosen_frames(source, frames)
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)

@@ -76,7 +76,9 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         tuple(one.frame for one in run.frames),
         observe,
         _as_known(recorded),
-        Localizer(options.method, run.info.seed, semantic_map.classes, detector),
+        Localizer(
+            options.method, run.info.seed, semantic_map.classes, detector, options.weights_path
+        ),
         options,
     )
     for one in drive:

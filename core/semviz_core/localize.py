@@ -46,6 +46,13 @@ Request: TypeAlias = tuple[Elements2D, Elements3D, Camera, Prior]
 """The arguments of ``Localizer.localize``."""
 
 
+def methods_at_hand() -> tuple[str, ...]:
+    """METHODS without those whose weights did not come with semviz."""
+    from semviz_core.learning.weights import shipped_weights
+
+    return tuple(one for one in METHODS if one not in MODELS or shipped_weights(one).is_file())
+
+
 @dataclass(frozen=True)
 class Localizer:
     """Localizes single frames. ``method`` is one of METHODS; repeatable with ``seed``.

@@ -27,7 +27,11 @@ class Localize:
     map: str = "main"
     """Name of the map."""
     method: str = "search"
-    """search (prior-guided upright search) or direct (classes alone fix the matches)."""
+    """search (prior-guided upright search); direct (classes alone fix the matches); paper,
+    paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
+    weights: OptionalPath = None
+    """What a learned method has learned, a file of 'semviz weights'; what comes with semviz if not
+    given."""
     track: bool = False
     """Follow the camera from frame to frame: odometry (simulated, 1 %) ties the frames together,
     and those with few elements are used too. --method is for frames while the pose is not known."""
@@ -66,6 +70,7 @@ class Localize:
             crop_radius = CROP_RADIUS_M[observations]
         options = DriveOptions(
             method=self.method,
+            weights=None if self.weights is None else str(self.weights.resolve()),
             track=self.track,
             observations=observations,
             noise=self.noise,

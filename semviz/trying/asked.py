@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -48,7 +49,16 @@ class Asked:
     def of(cls, run: Run, record: FrameRecord) -> "Asked":
         """As the run asked; of a run that followed the camera, as of a frame by itself."""
         one, info = record.localization, run.info
-        method = info.method if info.method in METHODS else METHODS[0]
+        by_itself = info.method in METHODS
+        method = info.method if by_itself else METHODS[0]
+        weights = info.options.get("weights") if by_itself else None
+        localizer = Localizer(
+            method,
+            info.seed,
+            run.semantic_map.classes,
+            detector_of(run),
+            Path(weights) if weights else None,
+        )
         return cls(
             record,
             run.semantic_map,
@@ -58,7 +68,7 @@ class Asked:
             one.submap,
             float(info.options.get("crop_radius_m") or _reach_m(one.submap, one.prior)),
             one.prior,
-            Localizer(method, info.seed, run.semantic_map.classes, detector_of(run)),
+            localizer,
         )
 
     @property

@@ -13,7 +13,7 @@ MATCHED: dict[str, MatchedMethodName] = {one: one for one in METHODS}
 
 @dataclass(frozen=True)
 class UseMethod(Change):
-    """Another method: ``search`` or ``direct``; ``minimal`` or ``p3p`` on the frame's matches."""
+    """Another method of ``Localizer``; ``minimal`` or ``p3p`` on the frame's matches."""
 
     stage: ClassVar[Stage] = Stage.SOLVER
     method: str
@@ -28,7 +28,7 @@ class UseMethod(Change):
     def applied(self, asked: Asked) -> Asked:
         if self.method in MATCHED:
             return replace(asked, matched=MATCHED[self.method])
-        localizer = replace(asked.localizer, method=self.method)
+        localizer = replace(asked.localizer, method=self.method, weights=None)
         return replace(asked, localizer=localizer, matched=None)
 
 

@@ -2,11 +2,13 @@
 
 A module with methods offers them by name: ``METHODS: dict[str, Callable[[], Method]]`` for single
 frames, ``MATCHED_METHODS`` for frames whose matches are given. Calling an entry makes the method;
-it raises ImportError where a library that it needs is not installed.
+it raises ImportError where a library that it needs is not installed, and SemvizError
+where it has no weights.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -16,6 +18,7 @@ from semviz_core.arrays import FloatArray
 from semviz_core.evaluation.bound import bound_covariance
 from semviz_core.evaluation.matched_problems import MatchedProblem
 from semviz_core.evaluation.problems import DETECTOR, Problem
+from semviz_core.learning.models import MODELS
 from semviz_core.localization import Localization, Status
 from semviz_core.localize import Localizer
 from semviz_core.pose import Pose
@@ -82,16 +85,22 @@ class MatchedMethod(Protocol):
 
 @dataclass(frozen=True)
 class LocalizerMethod:
-    """``Localizer`` with the rates of the problems' detector; ``name`` is that of its method."""
+    """``Localizer`` with the rates of the problems' detector; ``name`` is that of its method.
+
+    Raises SemvizError where a learned method has no weights.
+    """
 
     name: str
     seed: int = 0
+    localizer: Localizer = field(init=False)
+
+    def __post_init__(self) -> None:
+        localizer = Localizer(self.name, self.seed, detector=DETECTOR)
+        object.__setattr__(self, "localizer", localizer)
 
     def answer(self, problem: Problem) -> Answer:
-        localizer = Localizer(self.name, self.seed, detector=DETECTOR)
-        return Answer.of(
-            localizer.localize(problem.observed, problem.submap, problem.camera, problem.prior)
-        )
+        given = problem.observed, problem.submap, problem.camera, problem.prior
+        return Answer.of(self.localizer.localize(*given))
 
 
 @dataclass(frozen=True)
@@ -160,6 +169,7 @@ class OnFrame:
 METHODS: dict[str, Callable[[], Method]] = {
     "search": lambda: LocalizerMethod("search"),
     "direct": lambda: LocalizerMethod("direct"),
+    **{name: partial(LocalizerMethod, name) for name in MODELS},
     "true matches": TrueMatches,
     "bound": Bound,
 }

@@ -26,7 +26,7 @@ from semviz.trying.seen_changes import (
 )
 from semviz.trying.solver_changes import StartAtTruth, UseMethod
 from semviz_core.classes import ClassSet
-from semviz_core.localize import METHODS
+from semviz_core.localize import methods_at_hand
 from semviz_core.solving import matched
 
 
@@ -103,7 +103,7 @@ def _solver(asked: Asked) -> Iterator[Json]:
     if asked.truth is not None:
         yield _button("From the true pose", StartAtTruth())
     own = () if asked.record.localization.match is None else matched.METHODS
-    for method in (*METHODS, *own):
+    for method in (*methods_at_hand(), *own):
         if method != asked.method:
             yield _button(f"Method {method}", UseMethod(method))
 
