@@ -73,9 +73,9 @@ def _by_twos(pairs: Pairs, size: int) -> tuple[Tensor, Tensor]:
 
 
 def _posts(pairs: Pairs, first: Tensor, second: Tensor, apart: Tensor) -> Posts:
-    distance = 1.0 / pairs.nearness[first]
-    beside = (pairs.direction[first] * pairs.direction[second].conj()).imag.abs() * distance
-    deeper = (distance - 1.0 / pairs.nearness[second]).abs()
+    one, other = 1.0 / pairs.nearness[first], 1.0 / pairs.nearness[second]
+    turn = (pairs.direction[first] * pairs.direction[second].conj()).imag.abs()
+    beside, deeper = turn * 0.5 * (one + other), (one - other).abs()
     wide = torch.hypot(pairs.wide_m[first], pairs.wide_m[second])
     kept = (beside < ON_ONE_POST_M) & (deeper < _CORRECTED_SIGMAS * wide)
     sigma = torch.hypot(pairs.sigma_m[first], pairs.sigma_m[second])

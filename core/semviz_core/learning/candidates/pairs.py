@@ -84,7 +84,7 @@ def candidate_pairs(batch: Batch) -> Pairs:
     variance = batch.sigma_rad[sample, seen, 1].square() + level.up_sigma_rad[sample].square()
     slope = level.slope[sample, seen]
     known = batch.seen_known[sample, seen] & batch.mapped_known[sample, mapped]
-    rise = torch.view_as_complex(road[:, 1:].contiguous())
+    rise = torch.complex(road[:, 1], road[:, 2])
     uphill = 0.5 * rise.abs().square()  # variance of g.u where u may be any
     near = _nearness(height, slope, known, variance, uphill)
     cut = ~batch.seen_known[sample, seen, 0] & batch.mapped_known[sample, mapped, 0]
@@ -100,7 +100,7 @@ def candidate_pairs(batch: Batch) -> Pairs:
         seen=seen,
         mapped=mapped,
         direction=level.direction[sample, seen],
-        place_m=torch.view_as_complex(place.contiguous()),
+        place_m=torch.complex(place[:, 0], place[:, 1]),
         nearness=nearness,
         by_slope=near.by_slope,
         sigma_m=sigma,
