@@ -87,12 +87,12 @@ def _searched(work: Localization, scene: Scene, coarse: _Coarse) -> Search:
 
 
 def _supposed(soft: SoftMatches, pairing: Pairing) -> SoftMatches:
-    """With forced pairs for certain, without forbidden ones."""
-    P, possible, (i, j) = soft.probability.copy(), soft.possible.copy(), pairing.forced.T
-    P[i], P[:, j], possible[i], possible[:, j] = 0.0, 0.0, False, False
-    P[i, j], possible[i, j] = 1.0, True
-    P[tuple(pairing.forbidden.T)], possible[tuple(pairing.forbidden.T)] = 0.0, False
-    return replace(soft, probability=P, possible=possible)
+    """With all that its elements have on each forced pair, and nothing on forbidden ones."""
+    P, (i, j) = soft.probability.copy(), pairing.forced.T
+    P[i], P[:, j] = 0.0, 0.0
+    P[i, j] = 1.0 / np.maximum(_smaller_side(soft)[i, j], 1)
+    P[tuple(pairing.forbidden.T)] = 0.0
+    return replace(soft, probability=P)
 
 
 def _match(soft: SoftMatches, m: int, n: int) -> Match:
@@ -102,14 +102,19 @@ def _match(soft: SoftMatches, m: int, n: int) -> Match:
     whichever are fewer, sum to 1. What the others cannot have is in the dustbins, which the paper
     has not; so is what went to the bottoms of split lines.
     """
-    sides = soft.possible.sum(axis=1)[:, None], soft.possible.sum(axis=0)
-    share = np.minimum(soft.probability * np.minimum(*np.broadcast_arrays(*sides)), 1.0)[:m, :n]
+    share = np.minimum(soft.probability * _smaller_side(soft), 1.0)[:m, :n]
     probability = np.zeros((m + 1, n + 1))
     probability[:m, :n] = share
     probability[:m, n] = np.maximum(1.0 - share.sum(axis=1), 0.0)
     probability[m, :n] = np.maximum(1.0 - share.sum(axis=0), 0.0)
-    cost = np.where(soft.possible, soft.cost, np.inf)[:m, :n]
-    return Match(cost, probability, surest_pairs(share, m))
+    cost = np.where(soft.probability > 0.0, soft.cost, np.inf)[:m, :n]
+    return Match(cost, probability, surest_pairs(soft.probability[:m, :n], m))
+
+
+def _smaller_side(soft: SoftMatches) -> IntArray:
+    """(m, n) of each pair's block: how many seen elements it has, or mapped ones if fewer."""
+    seen, mapped = soft.possible.sum(axis=0), soft.possible.sum(axis=1)
+    return np.asarray(np.minimum(seen, mapped[:, None]))
 
 
 def _ransac(soft: SoftMatches, seed: int) -> _Coarse:
