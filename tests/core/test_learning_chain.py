@@ -120,7 +120,9 @@ def test_suppositions_count(
 ) -> None:
     knowing(monkeypatch, problem)
     localizer = Localizer("paper", weights=folder / "paper.safetensors")
-    i, j = problem.pairs[0]
+    free = solve(localizer, problem).refinement
+    assert free is not None
+    i, j = free.pairs[0]
     without = solve(localizer, problem, pairing=Pairing(forbidden=[(i, j)]))
     assert without.match is not None
     assert without.match.probability[i, j] == 0.0
