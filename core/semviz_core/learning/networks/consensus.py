@@ -8,8 +8,8 @@ best of its partners say, with nothing as a partner too, so that the rounds appr
 probabilities of one-to-one pairs as belief propagation does. The couples that come out best are
 fitted as poses, and rated by all pairs (``posing``).
 
-Turning the local frame by a whole bin turns the bins, and changes nothing else of the rounds; of the
-poses, only which of those that are close together is kept.
+Turning the local frame by a whole bin turns the bins, and changes nothing else of the rounds; of
+the poses, only which of those that are close together is kept.
 """
 
 from typing import NamedTuple
