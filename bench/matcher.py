@@ -4,10 +4,10 @@
 
 For seen elements with a true pair: how often the true one is the likeliest, or among the likeliest
 5 or 10; how often an element without one is likelier alone than one with (AUC); how often one of
-its poses, and its first one, is within 2.5 m, from where fits converge; processor time a frame. Half of the problems have
-the paper's noise, half the low one. Simulated roads are those that nothing was trained on. KITTI's
-are 00, 02, 05, 06, 08 with seeds from 200 on (for tuning), or with --report 09, 10 from seed 1000
-on.
+its poses, and its first one, is within 2.5 m, from where fits converge; processor time a frame.
+Half of the problems have the paper's noise, half the low one. Simulated roads are those that
+nothing was trained on. KITTI's are 00, 02, 05, 06, 08 with seeds from 200 on (for tuning), or with
+--report 09, 10 from seed 1000 on.
 """
 
 import argparse
