@@ -97,16 +97,19 @@ def support(poses: Poses, pairs: Pairs, size: int) -> Support:
 def _agreeing(poses: Poses, pairs: Pairs, size: int, doubt_m: float, doubt_rad: float) -> _Off:
     """Pairs whose azimuth and distance agree with poses that are off by the doubt."""
     pose, pair = of_one_sample(poses.sample, pairs.sample, size)
+    back, against = poses.turn.conj()[pose], pairs.direction.conj()[pair]
+    sight = (pairs.place_m[pair] - poses.camera_m[pose]) * back
+    relative = torch.view_as_real(sight * against)
+    ahead, beside = relative.unbind(dim=1)
+    own = pairs.azimuth_sigma.square() + doubt_rad**2
+    wide_m2 = _MAP_SIGMA_M**2 + doubt_m**2
+    most = _MOST_CHI2 * (own[pair] * relative.square().sum(dim=1) + wide_m2)
+    kept = torch.nonzero((ahead > 0.0) & (beside.square() < most))[:, 0]
+    pose, pair, sight, ahead, beside = (one[kept] for one in (pose, pair, sight, ahead, beside))
     turn, direction = poses.turn[pose], pairs.direction[pair]
-    sight = (pairs.place_m[pair] - poses.camera_m[pose]) * turn.conj()
-    distance = sight.abs().clamp_min(NEAREST_M)
-    angle = torch.angle(sight * direction.conj())
-    spread = pairs.azimuth_sigma[pair].square() + (_MAP_SIGMA_M / distance).square()
-    variance = spread + doubt_rad**2 + (doubt_m / distance).square()
-    kept = angle.square() < _MOST_CHI2 * variance
-    pose, pair, sight, angle, variance, turn, direction, distance = (
-        one[kept] for one in (pose, pair, sight, angle, variance, turn, direction, distance)
-    )
+    angle = torch.atan2(beside, ahead)
+    distance = torch.hypot(ahead, beside).clamp_min(NEAREST_M)
+    variance = own[pair] + wide_m2 / distance.square()
     uphill = (pairs.rise[pair].conj() * direction * turn).real
     nearness = 1.0 / distance - pairs.nearness[pair] + pairs.by_slope[pair] * uphill
     spread = pairs.nearness_variance[pair] + (doubt_m / distance.square()).square()

@@ -18,7 +18,7 @@ from semviz_core.learning.candidates.poses import (
 from semviz_core.learning.candidates.prepared import Prepared
 from semviz_core.learning.networks.perceptron import perceptron, single
 
-POSES = 64
+POSES = 192
 """Couples of a sample that become poses: those that the rounds before make likeliest."""
 _CELL_M, _CELLS = 2.0, 512
 """Of couples in one square, under one heading, the likeliest is enough."""
