@@ -1,6 +1,8 @@
 """The benchmark: the same numbers however it was run, and tables that say what they claim."""
 
 import json
+import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -227,7 +229,7 @@ def test_the_papers_table_stands_beside_what_was_measured(run: Call, tmp_path: P
         assert words in written
     assert "| Ours | printed | 459 | 0.22 | 0.09 | 0.18 | 0.29 | 99.5% | 0.34 |" in written
     table = written.partition("the paper's table")[2].partition("##")[0]
-    assert "| true matches | all |" in table
+    assert re.search(r"\| true matches \| all \| \d/\d \|", table)
     status, output, _ = run(*options[:-1], "--no-plots", "--json", "--out", tmp_path / "frames")
     same = [{**row, "suite": "paper"} for row in untimed(output)]
     assert untimed(run("--suite", "paper", *options, "--json", "--out", tmp_path)[1]) == same
@@ -242,6 +244,15 @@ def test_each_method_stands_under_its_printed_row() -> None:
         assert printed.method is None or below == printed.method
     assert names[-1] == "search"
     assert len(names) == len(paper_table.PRINTED) + len(measured)
+
+
+def test_frames_without_a_pose_are_counted_beside_the_quartiles() -> None:
+    nothing = {"status": "cannot", "rte_m": None, "rre_deg": None, "nees": None}
+    outcomes = [fake("search"), replace(fake("search"), **nothing), fake("search")]
+    table = paper_table.beside_printed(rows(outcomes))
+    (cells,) = (one for one in table.cells if one[:2] == ("search", "all"))
+    assert cells[2] == "2/3"
+    assert cells[7] == "66.7%"
 
 
 def test_printed_figures_are_whole() -> None:
