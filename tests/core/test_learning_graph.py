@@ -75,7 +75,18 @@ def test_a_layer_is_the_average_of_a_perceptron_over_anchors_and_edges(
 def test_the_nearest_leave_out_the_element_itself_unless_there_are_too_few() -> None:
     line = torch.tensor([[[0.0], [1.0], [3.0], [7.0]]])
     real = torch.ones(1, 4, dtype=torch.bool)
-    assert nearest(line, real, 2)[0].tolist() == [[1, 2], [0, 2], [1, 0], [2, 1]]
+    assert near(line, real, 2) == [[1, 2], [0, 2], [1, 0], [2, 1]]
     real[0, 3] = False
-    assert nearest(line, real, 3)[0, :3].tolist() == [[1, 2, 0], [0, 2, 1], [1, 0, 2]]
-    assert nearest(line[:, :1], real[:, :1], 2).tolist() == [[[0, 0]]]
+    assert near(line, real, 3) == [[1, 2, 0], [0, 2, 1], [1, 0, 2]]
+    assert near(line[:, :1], real[:, :1], 2) == [[0, 0]]
+
+
+def test_the_nearest_are_of_the_same_frame() -> None:
+    line = torch.tensor([[[0.0], [1.0], [3.0]], [[9.0], [0.0], [2.0]]])
+    real = torch.tensor([[True, True, True], [False, True, True]])
+    assert near(line, real, 1) == [[1], [0], [1], [4], [3]]
+
+
+def near(features: Tensor, real: Tensor, neighbours: int) -> list[list[int]]:
+    found: list[list[int]] = nearest(features, Rows.of(real, torch.float32), neighbours).tolist()
+    return found

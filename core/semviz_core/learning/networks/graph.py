@@ -45,8 +45,6 @@ class Rows:
     """The r real elements of a batch one below the other: what is padded is not computed with,
     which saves a quarter of a training step."""
 
-    real: Tensor
-    """(b, n) bool."""
     share: Tensor
     """(b, n) one over the number of real elements of the frame, 0 for padded ones."""
     place: Tensor
@@ -55,13 +53,18 @@ class Rows:
     """(r, 1) place of the first element of its frame."""
     row: Tensor
     """(b n,) of each element; any for padded ones."""
+    strange: Tensor
+    """(r, n) bool: elements of its frame that are no neighbours: itself, and padded ones."""
 
     @classmethod
     def of(cls, real: Tensor, kind: torch.dtype) -> "Rows":
         n = real.shape[1]
         share = (real / real.sum(dim=1, keepdim=True).clamp(min=1)).to(kind)
         place = real.flatten().nonzero()[:, 0]
-        return cls(real, share, place, (place // n * n)[:, None], real.flatten().cumsum(0) - 1)
+        itself = place[:, None] % n == torch.arange(n, device=place.device)
+        strange = ~real[place // n] | itself
+        row = real.flatten().cumsum(0) - 1
+        return cls(share, place, (place // n * n)[:, None], row, strange)
 
 
 class _EdgeLayer(nn.Module):
@@ -73,10 +76,10 @@ class _EdgeLayer(nn.Module):
 
     def forward(self, features: Tensor, rows: Rows) -> Tensor:
         normal = context_norm(features, rows.share)
-        near = nearest(normal.detach(), rows.real, self.neighbours).flatten(0, 1)[rows.place]
+        near = nearest(normal.detach(), rows, self.neighbours)
         elements = normal.flatten(0, 1).index_select(0, rows.place)
         anchor, neighbour = self.before(elements).chunk(2, dim=1)
-        others = neighbour.index_select(0, rows.row[near + rows.first].flatten())
+        others = neighbour.index_select(0, near.flatten())
         edges = others.view(-1, self.neighbours, CHANNELS) + anchor[:, None]
         change = self.after(edges.relu_().sum(dim=1) / self.neighbours)
         return features.flatten(0, 1).index_add(0, rows.place, change).view_as(features)
@@ -93,20 +96,17 @@ def context_norm(features: Tensor, share: Tensor) -> Tensor:
     return centred * torch.rsqrt(variance + EPSILON)
 
 
-def nearest(features: Tensor, real: Tensor, neighbours: int) -> Tensor:
-    """(b, n, neighbours) rows of the nearest others among the ``real`` (b, n).
+def nearest(features: Tensor, rows: Rows, neighbours: int) -> Tensor:
+    """(r, neighbours) the nearest others in the frame by features (b, n, c), as rows.
 
     Where there are fewer others, the element itself takes their place: an edge of length 0.
     """
-    n = features.shape[1]
-    count = min(neighbours, n - 1)
     product = features @ features.transpose(1, 2)
     square = product.diagonal(dim1=1, dim2=2)
     # |x_j - x_i|^2 but for |x_i|^2, which orders no row
-    distance = (square[:, None, :] - 2.0 * product).masked_fill(~real[:, None, :], torch.inf)
-    itself = torch.arange(n, device=features.device)
-    distance[:, itself, itself] = torch.inf
-    found = distance.topk(count, dim=2, largest=False)
-    near = torch.where(found.values < torch.inf, found.indices, itself[None, :, None])
-    missing = itself[None, :, None].expand(len(near), n, neighbours - count)
-    return torch.cat([near, missing], dim=2)
+    distance = (square[:, None, :] - 2.0 * product).flatten(0, 1).index_select(0, rows.place)
+    count = min(neighbours, features.shape[1] - 1)
+    found = distance.masked_fill_(rows.strange, torch.inf).topk(count, dim=1, largest=False)
+    itself = torch.arange(len(rows.place), device=features.device)[:, None]
+    near = torch.where(found.values < torch.inf, rows.row[found.indices + rows.first], itself)
+    return torch.cat([near, itself.expand(-1, neighbours - count)], dim=1)
