@@ -4,6 +4,11 @@ import torch
 from torch import Tensor
 
 
+def rows_of(mask: Tensor) -> Tensor:
+    """(k,) rows where ``mask`` (a,) is True: found once, however many things are taken there."""
+    return torch.nonzero(mask)[:, 0]
+
+
 def of_one_sample(sample: Tensor, other_sample: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """(k,), (k,) rows of all combinations of what has ``sample`` (a,) with what has
     ``other_sample`` (b,), in ascending order, of ``size`` samples."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from semviz_core.learning.candidates.combos import of_one_sample
+from semviz_core.learning.candidates.combos import of_one_sample, rows_of
 from semviz_core.learning.candidates.headings import BIN_RAD, BINS, USUAL_FIX_SIGMAS, Compass
 from semviz_core.learning.candidates.pairs import NEAREST_M, Pairs
 
@@ -56,12 +56,13 @@ def couples(pairs: Pairs, compass: Compass, size: int) -> tuple[Couples, Posts]:
     """Of ``size`` samples."""
     first, second = _by_twos(pairs, size)
     apart = pairs.place_m[second] - pairs.place_m[first]
-    near = apart.abs() < FARTHEST_APART_M
-    first, second, apart = first[near], second[near], apart[near]
-    one_post = apart.abs() < ON_ONE_POST_M
-    posts = _posts(pairs, first[one_post], second[one_post], apart[one_post])
-    triangle = _Triangle.of(pairs, first[~one_post], second[~one_post], apart[~one_post])
-    triangle = triangle.at(triangle.off_m.square() < _MOST_SIGMAS**2 * triangle.variance)
+    length = apart.abs()
+    on_one_post = rows_of(length < ON_ONE_POST_M)
+    further = rows_of((length >= ON_ONE_POST_M) & (length < FARTHEST_APART_M))
+    posts = _posts(pairs, first[on_one_post], second[on_one_post], apart[on_one_post])
+    triangle = _Triangle.of(pairs, first[further], second[further], apart[further])
+    likely = triangle.off_m.square() < _MOST_SIGMAS**2 * triangle.variance
+    triangle = triangle.at(rows_of(likely))
     return _agreeing(pairs, triangle.settled(pairs), compass), posts
 
 
@@ -69,7 +70,8 @@ def _by_twos(pairs: Pairs, size: int) -> tuple[Tensor, Tensor]:
     """(k,), (k,) rows of two pairs of one sample that may both be true."""
     first, second = of_one_sample(pairs.sample, pairs.sample, size)
     both = (pairs.seen[first] < pairs.seen[second]) & (pairs.mapped[first] != pairs.mapped[second])
-    return first[both], second[both]
+    rows = rows_of(both)
+    return first[rows], second[rows]
 
 
 def _posts(pairs: Pairs, first: Tensor, second: Tensor, apart: Tensor) -> Posts:
@@ -77,7 +79,7 @@ def _posts(pairs: Pairs, first: Tensor, second: Tensor, apart: Tensor) -> Posts:
     turn = (pairs.direction[first] * pairs.direction[second].conj()).imag.abs()
     beside, deeper = turn * 0.5 * (one + other), (one - other).abs()
     wide = torch.hypot(pairs.wide_m[first], pairs.wide_m[second])
-    kept = (beside < ON_ONE_POST_M) & (deeper < _CORRECTED_SIGMAS * wide)
+    kept = rows_of((beside < ON_ONE_POST_M) & (deeper < _CORRECTED_SIGMAS * wide))
     sigma = torch.hypot(pairs.sigma_m[first], pairs.sigma_m[second])
     feature = torch.stack([beside, deeper / sigma, apart.abs()], dim=1)[kept]
     first, second = first[kept], second[kept]
@@ -121,7 +123,7 @@ class _Triangle(NamedTuple):
         return torch.sgn(self.apart * self.side.conj())
 
     def at(self, rows: Tensor) -> "_Triangle":
-        return _Triangle(*(one[rows] for one in self))
+        return _Triangle(*(one.index_select(0, rows) for one in self))
 
     def _corrected(self) -> "_Triangle":
         """After a Gauss-Newton step to distances that make the third side as long as it is."""
@@ -173,8 +175,9 @@ def _agreeing(pairs: Pairs, triangle: _Triangle, compass: Compass) -> Couples:
     )
     from_fix = camera.abs() / pairs.fix_sigma_m[triangle.first]
     heading = torch.angle(turn)
-    kept = (chi2 < _MOST_CHI2) & (from_fix < _MOST_FIX_SIGMAS) & (variance < _MOST_TURN_RAD**2)
-    kept &= compass.chi2(pairs.sample[triangle.first], heading, variance) < _MOST_COMPASS_CHI2
+    fits = (chi2 < _MOST_CHI2) & (from_fix < _MOST_FIX_SIGMAS) & (variance < _MOST_TURN_RAD**2)
+    fits &= compass.chi2(pairs.sample[triangle.first], heading, variance) < _MOST_COMPASS_CHI2
+    kept = rows_of(fits)
     feature = torch.stack(
         [
             chi2 / 5.0,

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from semviz_core.learning.batch import Batch
+from semviz_core.learning.candidates.combos import rows_of
 from semviz_core.learning.candidates.level import levelled
 
 NEAREST_M, FARTHEST_M = 2.5, 42.0
@@ -57,8 +58,9 @@ class Pairs:
         return (self.sigma_m * self.nearness.square()).square()
 
     def at(self, rows: Tensor) -> "Pairs":
-        """Those ``rows`` (k,), or where a mask (N,) is True."""
-        return Pairs(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+        """Those ``rows`` (k,)."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Pairs(**{name: value.index_select(0, rows) for name, value in values.items()})
 
     def to(self, device: torch.device) -> "Pairs":
         """All of it on a device."""
@@ -115,7 +117,7 @@ def candidate_pairs(batch: Batch) -> Pairs:
     beyond = ((pairs.place_m.abs() - distance).abs() - _AGREEING * pairs.wide_m) / pairs.fix_sigma_m
     agree = (off[:, 0].abs() < _MOST_SIGMAS) & (off[:, 1] > -_MOST_SIGMAS)
     in_range = nearness - near.mean < _AGREEING * near.sigma
-    return pairs.at(agree & in_range & (beyond < _MOST_FIX_SIGMAS))
+    return pairs.at(rows_of(agree & in_range & (beyond < _MOST_FIX_SIGMAS)))
 
 
 class _Nearness(NamedTuple):

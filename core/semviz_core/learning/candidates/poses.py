@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from semviz_core.learning.candidates.combos import of_one_sample
+from semviz_core.learning.candidates.combos import of_one_sample, rows_of
 from semviz_core.learning.candidates.headings import USUAL_FIX_SIGMAS, Compass
 from semviz_core.learning.candidates.pairs import NEAREST_M, Pairs
 
@@ -104,8 +104,10 @@ def _agreeing(poses: Poses, pairs: Pairs, size: int, doubt_m: float, doubt_rad: 
     own = pairs.azimuth_sigma.square() + doubt_rad**2
     wide_m2 = _MAP_SIGMA_M**2 + doubt_m**2
     most = _MOST_CHI2 * (own[pair] * relative.square().sum(dim=1) + wide_m2)
-    kept = torch.nonzero((ahead > 0.0) & (beside.square() < most))[:, 0]
-    pose, pair, sight, ahead, beside = (one[kept] for one in (pose, pair, sight, ahead, beside))
+    kept = rows_of((ahead > 0.0) & (beside.square() < most))
+    pose, pair, sight, ahead, beside = (
+        one.index_select(0, kept) for one in (pose, pair, sight, ahead, beside)
+    )
     turn, direction = poses.turn[pose], pairs.direction[pair]
     angle = torch.atan2(beside, ahead)
     distance = torch.hypot(ahead, beside).clamp_min(NEAREST_M)
@@ -114,8 +116,8 @@ def _agreeing(poses: Poses, pairs: Pairs, size: int, doubt_m: float, doubt_rad: 
     nearness = 1.0 / distance - pairs.nearness[pair] + pairs.by_slope[pair] * uphill
     spread = pairs.nearness_variance[pair] + (doubt_m / distance.square()).square()
     off = _Off(pose, pair, sight, angle, nearness, variance, spread)
-    kept = off.chi2 < _MOST_CHI2
-    return _Off(*(one[kept] for one in off))
+    kept = rows_of(off.chi2 < _MOST_CHI2)
+    return _Off(*(one.index_select(0, kept) for one in off))
 
 
 def _stepped(poses: Poses, pairs: Pairs, off: _Off) -> Poses:
