@@ -20,6 +20,7 @@ from semviz_core.matching.posterior import posterior_match
 from semviz_core.pose import Pose
 from semviz_core.request import check_request
 from semviz_core.solving.direct import pairs_by_class
+from semviz_core.solving.effort import USUAL, WIDE
 from semviz_core.solving.pairing import Pairing
 from semviz_core.solving.refine import Failure, refine
 from semviz_core.solving.scene import Scene
@@ -31,8 +32,13 @@ from semviz_core.threads import in_order
 
 if TYPE_CHECKING:
     from semviz_core.learning.chain import Chain
+    from semviz_core.learning.verifier import ModeVerifier
 
-METHODS = ("search", "direct", *MODELS)
+EFFORTS = {"search": USUAL, "direct": USUAL, "wide": WIDE, "learned": WIDE}
+"""Of the methods that search."""
+METHODS = (*EFFORTS, *MODELS)
+TRAINED = {"learned": "verifier", **{name: name for name in MODELS}}
+"""What the methods that have learned something have weights of."""
 NEEDED_ELEMENTS = 4
 """As in the paper. Three can fix an upright pose, but no fourth is left to tell one of a row of
 poles from the next."""
@@ -50,7 +56,9 @@ def methods_at_hand() -> tuple[str, ...]:
     """METHODS without those whose weights did not come with semviz."""
     from semviz_core.learning.weights import shipped_weights
 
-    return tuple(one for one in METHODS if one not in MODELS or shipped_weights(one).is_file())
+    return tuple(
+        one for one in METHODS if one not in TRAINED or shipped_weights(TRAINED[one]).is_file()
+    )
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class Localizer:
         self.detector.checked()
         if self.method in MODELS:
             self._chain()
+        elif self.method == "learned":
+            self._verifier()
         elif self.weights is not None:
             raise SemvizError(f"method {self.method} has learned nothing; leave weights out")
 
@@ -112,7 +122,12 @@ class Localizer:
             return replace(work, reason=pairs.reason)
 
         prior = assumed_upright(prior)  # the result keeps the prior as given
-        modes = watch.time("search", lambda: _modes(scene, prior, start))
+        modes = watch.time("search", lambda: self._modes(scene, prior, start))
+        probability = None
+        if self.method == "learned" and start is None:
+            modes, probability = watch.time(
+                "verify", lambda: self._verifier().verified(observed, submap, camera, prior, modes)
+            )
         poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
         found = Search(modes.tried, poses, modes.score, modes.passed, modes.match)
         work = replace(work, search=found)
@@ -126,7 +141,7 @@ class Localizer:
         refined = watch.time("refine", lambda: refine(scene, prior, poses[0], pairs))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
-        verdict = judge(modes, refined, observed, submap, prior)
+        verdict = judge(modes, refined, observed, submap, prior, probability)
         if unmet := pairing.unmet(refined.refinement, submap):
             verdict = Verdict("cannot", unmet)
         answered = verdict.status != "cannot"
@@ -139,6 +154,17 @@ class Localizer:
             refinement=refined.refinement,
             alternatives=_alternatives(poses, modes.score),
         )
+
+    def _modes(self, scene: Scene, prior: Prior, start: Pose | None) -> Modes:
+        if start is not None:
+            return mode_near(scene, prior, start)
+        return search(scene, prior, EFFORTS[self.method])
+
+    def _verifier(self) -> "ModeVerifier":
+        """SemvizError where there are no weights, or they are for something else."""
+        from semviz_core.learning.verifier import load_verifier
+
+        return load_verifier(self.weights, self.classes)
 
     def _chain(self) -> "Chain":
         """SemvizError where there are no weights, or they are for something else."""
@@ -174,10 +200,6 @@ def _too_few(observed: Elements2D, submap: Elements3D) -> str:
     if len(submap) == 0:
         return "Nothing is mapped around the prior: the submap is empty."
     return ""
-
-
-def _modes(scene: Scene, prior: Prior, start: Pose | None) -> Modes:
-    return search(scene, prior) if start is None else mode_near(scene, prior, start)
 
 
 def _nothing_fits(prior: Prior) -> str:

@@ -169,6 +169,8 @@ class OnFrame:
 METHODS: dict[str, Callable[[], Method]] = {
     "search": lambda: LocalizerMethod("search"),
     "direct": lambda: LocalizerMethod("direct"),
+    "wide": lambda: LocalizerMethod("wide"),
+    "learned": lambda: LocalizerMethod("learned"),
     **{name: partial(LocalizerMethod, name) for name in MODELS},
     "true matches": TrueMatches,
     "bound": Bound,

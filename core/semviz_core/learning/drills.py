@@ -173,3 +173,25 @@ LEARNED_DRILLS = Drills(
     )
 )
 """A quarter of the normal frames, the rest of all kinds that are hard."""
+_FAR_IN_CLUTTER = replace(HARD_SETS["GPS 30 m"], clutter_share=1.0)
+_ALL_UNLEVEL = replace(HARD_SETS["all together"], with_gravity=False)
+PUZZLES = Drills(
+    _with_heading_too(
+        _with_low_noise_too(
+            (
+                (1.0, Difficulty()),
+                (1.0, _FAR_OFF),
+                (1.0, _FAR_IN_CLUTTER),
+                (1.0, HARD_SETS["4 elements"]),
+                (1.0, HARD_SETS["map 20 % wrong"]),
+                (2.0, HARD_SETS["clutter 100 %"]),
+                (3.0, HARD_SETS["GPS 30 m"]),
+                (2.0, HARD_SETS["GPS 50 m"]),
+                (3.0, HARD_SETS["all together"]),
+                (2.0, HARD_SETS["no attitude"]),
+                (1.0, _ALL_UNLEVEL),
+            )
+        )
+    )
+)
+"""For the verifier: mostly frames in which several poses explain much of what is seen."""

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from semviz_core.errors import SemvizError
-from semviz_core.learning.drills import LEARNED_DRILLS, PAPER_DRILLS, Drills
+from semviz_core.learning.drills import LEARNED_DRILLS, PAPER_DRILLS, PUZZLES, Drills
 
 if TYPE_CHECKING:
     from semviz_core.learning.task import SampleSource, Task
@@ -15,7 +15,7 @@ TASKS = {
     "bpnpnet": ("paper_task", PAPER_DRILLS),
     "bpnpnet-semantic": ("paper_task", PAPER_DRILLS),
     "matcher": ("matcher_task", LEARNED_DRILLS),
-    "verifier": ("verifier_task", LEARNED_DRILLS),
+    "verifier": ("verifier_task", PUZZLES),
 }
 """Name -> module of ``semviz_core.learning`` with ``make_task(name, source)``, and what it trains
 on unless people say otherwise."""

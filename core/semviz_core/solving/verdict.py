@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz_core.arrays import FloatArray
 from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Prior
 from semviz_core.localization import Refinement, Status
@@ -18,6 +19,8 @@ from semviz_core.solving.search import Modes, apart
 
 AMBIGUOUS_NATS = 14.0
 """Another pose within this of the best makes the answer ambiguous."""
+SURE_PROBABILITY = 0.93
+"""A pose to which a verifier gives less is no sure answer; takes the place of AMBIGUOUS_NATS."""
 LEAST_SUPPORT_NATS = 7.0
 """A pair that the others support less may be wrong,"""
 OPEN_M = 0.3
@@ -41,9 +44,14 @@ class Verdict:
 
 
 def judge(
-    modes: Modes, refined: Refined, observed: Elements2D, submap: Elements3D, prior: Prior
+    modes: Modes,
+    refined: Refined,
+    observed: Elements2D,
+    submap: Elements3D,
+    prior: Prior,
+    probability: FloatArray | None = None,
 ) -> Verdict:
-    """Judge the refined best of ``modes``."""
+    """Judge the refined first of ``modes``; ``probability`` (b,) is what a verifier gives them."""
     fit = refined.refinement
     fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
     half = int(np.ceil(LEAST_SHARE * explicable))
@@ -55,7 +63,7 @@ def judge(
         return Verdict("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(refined.covariance[:3, :3])))
     doubts = (
-        _rivals(modes, refined.T_camera_map),
+        _rivals(modes, refined.T_camera_map) if probability is None else _unlikely(probability),
         *_contradictions(refined.T_camera_map, prior),
         _few(fitting, max(SURE_PAIRS, half), of_all),
         _hanging(fit, submap),
@@ -63,9 +71,14 @@ def judge(
     )
     for doubt in filter(None, doubts):
         return Verdict("ambiguous", doubt)
+    return Verdict("ok", f"{of_all} fit, {sigma_m:.2f} m{_how_clear(modes, probability)}.")
+
+
+def _how_clear(modes: Modes, probability: FloatArray | None) -> str:
+    if probability is not None:
+        return f"; {probability[0]:.1%} sure"
     gap = modes.score[0] - modes.score
-    next_best = f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
-    return Verdict("ok", f"{of_all} fit, {sigma_m:.2f} m{next_best}.")
+    return f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
 
 
 def _explicable(observed: Elements2D, submap: Elements3D) -> int:
@@ -88,6 +101,13 @@ def _rivals(modes: Modes, T_camera_map: Pose) -> str:
         f"{count} poses fit: scores {first:.1f} and {second:.1f}, {which}{away[1]:.1f} m and "
         f"{np.rad2deg(angle[1]):.0f} deg apart."
     )
+
+
+def _unlikely(probability: FloatArray) -> str:
+    if probability[0] >= SURE_PROBABILITY:
+        return ""
+    next_best = f", the next one with {probability[1:].max():.0%}" if len(probability) > 1 else ""
+    return f"The best pose is right with {probability[0]:.0%} only{next_best}."
 
 
 def _contradictions(T_camera_map: Pose, prior: Prior) -> Iterator[str]:

@@ -1,0 +1,104 @@
+"""What effort and what learning bring where the search is weak: search, wide and learned.
+
+    python bench/learned.py --kitti-poses ... --pole-maps ...
+    python bench/learned.py --kitti-poses ... --pole-maps ... --sequences 00 02 05 06 08 \
+        --first-seed 0        (tuning)
+
+``wide`` searches with the same effort as ``learned`` and has learned nothing. Times are of a
+processor, not of the clock, of whole frames on one core. ``sure+wrong``: the answer is ok, and
+further than 1 m or 1 deg from the truth.
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import thread_time
+from typing import Literal
+
+import numpy as np
+import tyro
+
+from semviz_core.evaluation.answers import LocalizerMethod
+from semviz_core.evaluation.metrics import pose_error
+from semviz_core.evaluation.problems import HARD_SETS, Difficulty, Problem, make_problem
+from semviz_core.learning.drills import KittiFiles
+
+METHODS = ("search", "wide", "learned")
+SUITES = {"normal": Difficulty(), **HARD_SETS}
+
+
+@dataclass(frozen=True)
+class Options:
+    kitti_poses: Path
+    pole_maps: Path
+    sequences: tuple[str, ...] = ("09", "10")
+    suites: tuple[str, ...] = (
+        "normal", "GPS 30 m", "GPS 50 m", "no attitude", "clutter 100 %", "4 elements",
+        "map 20 % wrong", "all together",
+    )  # fmt: skip
+    noise: tuple[Literal["low", "paper"], ...] = ("low", "paper")
+    frames: int = 300
+    """Of each suite and noise, with four detections or more."""
+    first_seed: int = 1000
+
+
+@dataclass(frozen=True)
+class Told:
+    """One answer."""
+
+    below_1m: bool
+    ok: bool
+    sure_and_wrong: bool
+    ms: float
+
+
+def main(options: Options) -> None:
+    files = KittiFiles(options.kitti_poses, options.pole_maps)
+    roads = [files.road(one) for one in options.sequences]
+    methods = [LocalizerMethod(one) for one in METHODS]
+    everything: dict[str, list[Told]] = defaultdict(list)
+    print(f"{'':<24}{'':<10}{'frames':>7}{'< 1 m':>8}{'ok':>8}{'s+w':>8}{'ms Q2':>8}{'p95':>8}")
+    for suite in options.suites:
+        for noise in options.noise:
+            level = replace(SUITES[suite], noise=noise)
+            told: dict[str, list[Told]] = defaultdict(list)
+            seed = options.first_seed
+            while len(told[METHODS[-1]]) < options.frames:
+                problem = make_problem(seed, level, roads[seed % len(roads)])
+                seed += 1
+                if problem.is_valid:
+                    for method in methods:
+                        told[method.name].append(asked(method, problem))
+            for name, answers in told.items():
+                show(f"{suite}, {noise}", name, answers)
+                everything[name] += answers
+    for name, answers in everything.items():
+        show("all of these", name, answers)
+
+
+def asked(method: LocalizerMethod, problem: Problem) -> Told:
+    start = thread_time()
+    answer = method.answer(problem)
+    ms = (thread_time() - start) * 1e3
+    if answer.T_camera_map is None:
+        return Told(below_1m=False, ok=False, sure_and_wrong=False, ms=ms)
+    off_m, off_deg = pose_error(answer.T_camera_map, problem.T_camera_map)
+    ok = answer.status == "ok"
+    return Told(off_m < 1.0, ok, ok and (off_m > 1.0 or off_deg > 1.0), ms)
+
+
+def show(suite: str, method: str, answers: list[Told]) -> None:
+    below, ok, wrong = (
+        np.mean([getattr(one, name) for one in answers])
+        for name in ("below_1m", "ok", "sure_and_wrong")
+    )
+    median, p95 = np.percentile([one.ms for one in answers], [50, 95])
+    print(
+        f"{suite:<24}{method:<10}{len(answers):>7}{below:>8.1%}{ok:>8.1%}{wrong:>8.2%}"
+        f"{median:>8.1f}{p95:>8.1f}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
