@@ -1,7 +1,6 @@
 """``graph`` for one frame in NumPy: nobody who only localizes waits for torch, and it is faster.
 
-``bench/learned_latency.py`` measures it beside torch and ONNX Runtime; a test holds it to
-``graph``.
+``bench/learned_latency.py`` measures both; a test holds one to the other.
 """
 
 from collections.abc import Mapping
