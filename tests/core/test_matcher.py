@@ -291,3 +291,18 @@ def test_weights_go_to_a_file_and_back(network: ConsensusNetwork, tmp_path: Path
     Weights("paper", task.options, tensors).save(tmp_path / "b.safetensors")
     with pytest.raises(SemvizError, match="weights of paper; give those of matcher"):
         load_pair_matcher(tmp_path / "b.safetensors", DEFAULT_CLASSES)
+
+
+def test_the_shipped_weights_match() -> None:
+    matcher = load_pair_matcher(None, DEFAULT_CLASSES)
+    first, near, of = 0, 0, 0
+    for problem in problems(15):
+        asked = problem.observed, problem.submap, problem.camera, problem.prior
+        found = matcher.match(*asked)
+        likely = found.probability[problem.pairs[:, 0], :-1].argmax(axis=1)
+        first += int((likely == problem.pairs[:, 1]).sum())
+        of += len(problem.pairs)
+        center = problem.T_camera_map.inverse().translation
+        near += bool((np.linalg.norm(found.pose[:12, :3] - center, axis=1) < 2.5).any())
+    assert first > 0.8 * of
+    assert near >= 13
