@@ -266,6 +266,11 @@ def test_printed_figures_are_whole() -> None:
     assert min(means) == means[-1] == 0.22
 
 
+def test_the_papers_table_has_methods_that_there_are() -> None:
+    assert set(paper_table.METHODS) <= set(KNOWN["single"])
+    assert {one.method for one in paper_table.PRINTED if one.method} <= set(paper_table.METHODS)
+
+
 def test_all_suites_hold_no_problem_twice() -> None:
     assert paper_table.SUITE not in {one.name for one in choose_suites("all")}
     assert [one.name for one in choose_suites(paper_table.SUITE)] == [paper_table.SUITE]
