@@ -9,7 +9,6 @@ processor, not of the clock, of whole frames on one core. ``sure+wrong``: the an
 further than 1 m or 1 deg from the truth.
 """
 
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import thread_time
@@ -56,12 +55,12 @@ def main(options: Options) -> None:
     files = KittiFiles(options.kitti_poses, options.pole_maps)
     roads = [files.road(one) for one in options.sequences]
     methods = [LocalizerMethod(one) for one in METHODS]
-    everything: dict[str, list[Told]] = defaultdict(list)
+    everything: dict[str, list[Told]] = {name: [] for name in METHODS}
     print(f"{'':<24}{'':<10}{'frames':>7}{'< 1 m':>8}{'ok':>8}{'s+w':>8}{'ms Q2':>8}{'p95':>8}")
     for suite in options.suites:
         for noise in options.noise:
             level = replace(SUITES[suite], noise=noise)
-            told: dict[str, list[Told]] = defaultdict(list)
+            told: dict[str, list[Told]] = {name: [] for name in METHODS}
             seed = options.first_seed
             while len(told[METHODS[-1]]) < options.frames:
                 problem = make_problem(seed, level, roads[seed % len(roads)])
