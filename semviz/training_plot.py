@@ -17,12 +17,8 @@ def draw(history: Sequence[dict[str, Any]], title: str, path: Path) -> None:
 
     Raises SemvizError where matplotlib is not installed or ``path`` cannot be written.
     """
-    names = list(
-        dict.fromkeys(
-            name for line in history for kind in KINDS for name in line.get(kind, {})
-            if name not in NO_FIGURES
-        )
-    )  # fmt: skip
+    found = (name for kind in KINDS for line in history for name in line.get(kind, {}))
+    names = [name for name in dict.fromkeys(found) if name not in NO_FIGURES]
     if not names:
         return
     columns = min(COLUMNS, len(names))
