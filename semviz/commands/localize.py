@@ -27,8 +27,9 @@ class Localize:
     map: str = "main"
     """Name of the map."""
     method: str = "search"
-    """search (prior-guided upright search); direct (classes alone fix the matches); paper,
-    paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
+    """search (prior-guided upright search); wide (with more effort, for fixes 30 m off and clutter);
+    learned (wide, and a network tells which answer is right); direct (classes alone fix the
+    matches); paper, paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
     weights: OptionalPath = None
     """What a learned method has learned, a file of 'semviz weights'; what comes with semviz if not
     given."""
