@@ -21,6 +21,8 @@ def draw(history: Sequence[dict[str, Any]], title: str, path: Path) -> None:
     names = [name for name in dict.fromkeys(found) if name not in NO_FIGURES]
     if not names:
         return
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
     columns = min(COLUMNS, len(names))
     rows = -(-len(names) // columns)
     figure = new_figure(3.6 * columns + 0.4, 2.5 * rows + 0.7, title)
@@ -31,6 +33,8 @@ def draw(history: Sequence[dict[str, Any]], title: str, path: Path) -> None:
             samples, values = [one["samples"] for one in lines], [one[kind][name] for one in lines]
             axis.plot(samples, values, label=label, marker=".", **line_style(number))
         axis.set_title(name, fontsize="medium")
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         add_grid(axis)
     for axis in axes[max(len(names) - columns, 0) : len(names)]:
         axis.set_xlabel("samples")
