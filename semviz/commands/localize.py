@@ -27,7 +27,7 @@ class Localize:
     map: str = "main"
     """Name of the map."""
     method: str = "search"
-    """search (prior-guided upright search); wide (with more effort, for fixes 30 m off and clutter);
+    """search (prior-guided upright search); wide (with more effort, for a fix 30 m off or clutter);
     learned (wide, and a network tells which answer is right); direct (classes alone fix the
     matches); paper, paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
     weights: OptionalPath = None
