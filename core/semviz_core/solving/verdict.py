@@ -19,7 +19,7 @@ from semviz_core.solving.search import Modes, apart
 
 AMBIGUOUS_NATS = 14.0
 """Another pose within this of the best makes the answer ambiguous."""
-SURE_PROBABILITY = 0.93
+SURE_PROBABILITY = 0.95
 """A pose to which a verifier gives less is no sure answer; takes the place of AMBIGUOUS_NATS."""
 LEAST_SUPPORT_NATS = 7.0
 """A pair that the others support less may be wrong,"""
