@@ -132,10 +132,10 @@ def test_it_learns_from_frames_that_are_made_once() -> None:
     task = make_task(TASK)
     assert task.make(5) is task.make(5)
     assert task.source is PUZZLES
-    batch = task.collate([task.make(number) for number in range(12)])
+    batch = task.collate([task.make(number) for number in range(6)])
     optimizer = torch.optim.Adam(task.network.parameters(), 3e-3)
     losses = []
-    for _ in range(30):
+    for _ in range(20):
         loss = task.losses(batch, Progress(0, 1))["loss"]
         optimizer.zero_grad()
         loss.backward()
@@ -158,7 +158,7 @@ needs_weights = pytest.mark.skipif(
 
 @needs_weights
 def test_learned_finds_more_than_search_and_is_not_sure_of_more_wrong_ones() -> None:
-    problems = list(frames(60, HARD))
+    problems = list(frames(40, HARD))
     found, wrong = {}, {}
     for method in ("search", "learned"):
         errors = []
