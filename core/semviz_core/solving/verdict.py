@@ -1,8 +1,8 @@
 """Whether a pose can be relied on, and in which words.
 
 Limits were chosen on tuning roads (docs/figures.md): no rule over what is known of an answer, not
-even a learned one, told many more right answers from wrong ones than these do. Where a verifier says
-how likely a pose is right, that takes the place of the first of them.
+even a learned one, told many more right answers from wrong ones than these do. Where a verifier
+says how likely a pose is right, that takes the place of the first of them.
 """
 
 from collections.abc import Iterator
