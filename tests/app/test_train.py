@@ -2,6 +2,11 @@
 
 import hashlib
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from functools import partial
 from pathlib import Path
 
@@ -60,6 +65,28 @@ def test_weights_have_a_card(
     assert card["parameters"] == sum(value.numel() for value in load_file(weights).values())
     assert card["wall_s"] == pytest.approx(sum(card["machines"].values()))
     assert str(tmp_path) not in json.dumps(card)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_everybody_saves_first(number: signal.Signals, tmp_path: Path) -> None:
+    """Ctrl-C in a terminal, and whoever ends a service, reach the workers too."""
+    out = tmp_path / "training"
+    command = [Path(sys.executable).with_name("semviz"), "train", "paper", "--out", out]
+    child = subprocess.Popen(
+        [*command, "--samples", "4000", "--batch", "4", "--held-out", "4"],
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120.0
+    while not (out / HISTORY).is_file() or not (out / HISTORY).stat().st_size:
+        assert child.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(child.pid, number)
+    output, errors = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert "interrupted after" in output
+    assert "Traceback" not in errors
+    assert (out / CHECKPOINT).is_file()
 
 
 def test_weights_of_no_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

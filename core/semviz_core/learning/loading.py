@@ -96,6 +96,7 @@ def _as_it_is(content: Any) -> Any:
 
 
 def _start_worker(_: int) -> None:
-    """Ctrl-C reaches workers too, and they inherit our handlers; who trains is who ends them."""
+    """Ctrl-C reaches workers too, and so does the SIGTERM of whoever ends a whole service; who
+    trains is who ends them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
