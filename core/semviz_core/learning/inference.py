@@ -15,7 +15,7 @@ from semviz_core.learning.models import LEAST_SQUARE, MODELS, RAY_UNITS, UNITS_M
 from semviz_core.learning.networks.graph_numpy import Float32, graph_features
 from semviz_core.learning.sample import PRIOR_LENGTH, Sample
 from semviz_core.learning.splitting import split_lines
-from semviz_core.learning.weights import Weights, other_version, read_weights, shipped_weights
+from semviz_core.learning.weights import Weights, other_version, read_weights, weights_file
 from semviz_core.matching.uniform import uniform_transport
 
 
@@ -86,9 +86,7 @@ def load_matcher(name: str, path: Path | None, classes: ClassSet) -> Matcher:
 
     Raises SemvizError where there are none, or they are for something else.
     """
-    path = path or shipped_weights(name)
-    changed_ns = path.stat().st_mtime_ns if path.is_file() else 0
-    return _loaded(name, path, changed_ns, classes)
+    return _loaded(name, *weights_file(name, path), classes)
 
 
 @lru_cache(maxsize=8)

@@ -17,7 +17,7 @@ from semviz_core.learning.candidates.poses import Poses
 from semviz_core.learning.candidates.prepared import Prepared
 from semviz_core.learning.networks.consensus import ConsensusNetwork
 from semviz_core.learning.sample import Sample
-from semviz_core.learning.weights import read_weights, shipped_weights
+from semviz_core.learning.weights import read_weights, weights_file
 from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
 
 TASK = "matcher"
@@ -75,9 +75,7 @@ def load_pair_matcher(path: Path | None, classes: ClassSet) -> PairMatcher:
 
     Raises SemvizError where there are none, or they are for something else.
     """
-    path = path or shipped_weights(TASK)
-    changed_ns = path.stat().st_mtime_ns if path.is_file() else 0
-    return _loaded(path, changed_ns, classes)
+    return _loaded(*weights_file(TASK, path), classes)
 
 
 @lru_cache(maxsize=8)

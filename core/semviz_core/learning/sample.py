@@ -1,6 +1,6 @@
 """One frame as a matcher sees it: rays, mapped points about the prior, and the truth if known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,8 +103,7 @@ class Sample:
         true = np.zeros((len(self.ray), len(self.point_m)), dtype=bool)
         true[tuple(np.asarray(pairs).reshape(-1, 2).T)] = True
         truth = Truth(T_camera_map.rotation, T_camera_map.apply(self.origin_m), true)
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return Sample(**(values | {"truth": truth}))
+        return replace(self, truth=truth)
 
 
 def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> IntArray:

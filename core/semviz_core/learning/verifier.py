@@ -14,7 +14,7 @@ from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Prior
 from semviz_core.learning.evidence import Evidence, Float32Array
 from semviz_core.learning.verification import layer_sizes, log_odds
-from semviz_core.learning.weights import other_version, read_weights, shipped_weights
+from semviz_core.learning.weights import other_version, read_weights, weights_file
 from semviz_core.solving.search import Modes
 
 TASK = "verifier"
@@ -80,8 +80,7 @@ class ModeVerifier:
 def load_verifier(path: Path | None, classes: ClassSet) -> ModeVerifier:
     """The one that comes with semviz, if ``path`` is None. Raises SemvizError where it is missing
     or for something else."""
-    path = path or shipped_weights(TASK)
-    return _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0, classes)
+    return _loaded(*weights_file(TASK, path), classes)
 
 
 @lru_cache(maxsize=4)

@@ -73,6 +73,13 @@ def shipped_weights(task: str) -> Path:
     return SHIPPED / f"{task}.safetensors"
 
 
+def weights_file(task: str, path: Path | None) -> tuple[Path, int]:
+    """``path``, or the file that comes with semviz, and when it was changed (ns; 0 if there is
+    none): what networks that have been loaded are kept by."""
+    path = path or shipped_weights(task)
+    return path, path.stat().st_mtime_ns if path.is_file() else 0
+
+
 def read_weights(path: Path) -> Weights:
     """Raises SemvizError where they are missing, damaged, of another version, or not finite."""
     if not path.is_file():
