@@ -82,6 +82,8 @@ class Localizer:
         if not isinstance(self.classes, ClassSet):
             raise SemvizError("classes is no ClassSet; give semviz.DEFAULT_CLASSES or your own")
         self.detector.checked()
+        if not isinstance(self.weights, Path | None):
+            raise SemvizError(f"weights is of type {type(self.weights).__name__}; give a Path")
         if self.method in MODELS:
             self._chain()
         elif self.method == "learned":

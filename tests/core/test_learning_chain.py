@@ -152,6 +152,8 @@ def test_what_weights_lack_is_told_in_one_line(
         Localizer("bpnpnet", weights=path)
     with pytest.raises(SemvizError, match="trained for the classes"):
         Localizer("paper", weights=path, classes=ClassSet((DEFAULT_CLASSES[POLE],)))
+    with pytest.raises(SemvizError, match="weights is of type str; give a Path"):
+        Localizer("paper", weights=str(folder))  # type: ignore[arg-type]
     with pytest.raises(SemvizError, match="method search has learned nothing"):
         Localizer(weights=path)
     read = weights.read_weights(path)
