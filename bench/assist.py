@@ -291,7 +291,7 @@ def _pictured(street: Street, index: int, rng: np.random.Generator) -> dict[Side
 def _turned(shown: Picture, off: Pose) -> Picture:
     """As if its camera were elsewhere."""
     view = shown.shot.view
-    return replace(shown, shot=Shot(View(view.camera, off @ view.T_camera_map), shown.shot.image))
+    return replace(shown, shot=Shot(shown.shot.image, View(view.camera, off @ view.T_camera_map)))
 
 
 def _followed(

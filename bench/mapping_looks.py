@@ -26,7 +26,7 @@ from semviz_annotation.assist.look import (
     sign_points,
     width_of,
 )
-from semviz_annotation.assist.shot import Samples, Shot
+from semviz_annotation.assist.shot import Shot
 from semviz_annotation.mapping.linking.agreement import Places
 from semviz_annotation.mapping.linking.claims import claims_near
 from semviz_annotation.mapping.linking.rounds import LinkOptions
@@ -37,6 +37,7 @@ from semviz_annotation.street_labels import label_street
 from semviz_annotation.view import rig_view
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.classes import DEFAULT_CLASSES
+from semviz_core.measuring.picture import Samples
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 

@@ -151,7 +151,7 @@ def pole_scene(hidden: bool) -> tuple[list[Shot], list[Mark], Shot, Mark]:
 def test_a_mapped_pole_is_found_in_another_frame_though_its_pose_is_off() -> None:
     shots, marks, there, truth = pole_scene(hidden=False)
     off = Pose.from_rotvec([0.002, 0.003, 0.0], [0.0, 0.0, 0.0])
-    wrong = Shot(View(RECTIFIED, off @ there.view.T_camera_map), there.image)
+    wrong = Shot(there.image, View(RECTIFIED, off @ there.view.T_camera_map))
     sight = Sight(wrong, shots[0], marks[0])
     (found,) = follow([sight], mapped(shots, marks), DEFAULT_CLASSES[POLE])
     assert found is not None
@@ -184,7 +184,7 @@ def test_of_two_poles_side_by_side_the_one_at_the_right_depth_is_taken() -> None
     marks = [Mark(*map(tuple, one.view.project(ends).tolist())) for one in shots]
     off = Pose.from_rotvec([0.0, 0.008, 0.0], [0.0, 0.0, 0.0])
     sights = [
-        Sight(Shot(View(RECTIFIED, off @ there.view.T_camera_map), there.image), here, mark)
+        Sight(Shot(there.image, View(RECTIFIED, off @ there.view.T_camera_map)), here, mark)
         for there, here, mark in zip(shots[2:], shots[:2], marks[:2], strict=True)
     ]
     pole = mapped(shots[:2], marks[:2])
@@ -220,7 +220,7 @@ def test_a_bottom_that_a_car_hides_now_is_said_to_be_hidden() -> None:
 
 def test_what_is_out_of_the_image_is_not_proposed() -> None:
     shots, marks, there, _ = pole_scene(hidden=False)
-    behind = Shot(View(RECTIFIED, moved_by(0.0, 40.0)), there.image)
+    behind = Shot(there.image, View(RECTIFIED, moved_by(0.0, 40.0)))
     pole = mapped(shots, marks)
     sights = [Sight(one, shots[0], marks[0]) for one in (behind, there)]
     out_of_it, seen = follow(sights, pole, DEFAULT_CLASSES[POLE])

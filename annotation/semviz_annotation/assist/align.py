@@ -6,9 +6,10 @@ Gauss-Newton over few parameters (Baker & Matthews 2004); what differs counts li
 import numpy as np
 
 from semviz_annotation.assist.look import likeness, pole_points, sign_points
-from semviz_annotation.assist.pole import across, shifted
-from semviz_annotation.assist.shot import Samples, Shot
+from semviz_annotation.assist.shot import Shot
 from semviz_core.arrays import FloatArray
+from semviz_core.measuring.picture import Samples
+from semviz_core.measuring.pole import across, shifted
 
 _NOISE = 30.0
 """Levels: how strongly a look speaks against what is expected beforehand."""

@@ -23,15 +23,16 @@ from semviz_annotation.assist.look import (
     sign_points,
     width_of,
 )
-from semviz_annotation.assist.pole import Axis, across, shifted, support
-from semviz_annotation.assist.profile import refine
 from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
+from semviz_annotation.assist.shot import Mark, Proposed, Shot, clipped
 from semviz_annotation.assist.together import Choice, chosen
 from semviz_annotation.triangulate import Triangulated
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
+from semviz_core.measuring.picture import Samples
+from semviz_core.measuring.pole import Axis, across, shifted, support
+from semviz_core.measuring.profile import refine
 
 _REACH_PX = 24.0
 """Nothing is looked for further away from where it is expected."""

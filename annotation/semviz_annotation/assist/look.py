@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from semviz_annotation.assist.outline import find_outlines
-from semviz_annotation.assist.pole import across, find_axes
-from semviz_annotation.assist.shot import Mark, Samples, Shot, pixel
+from semviz_annotation.assist.shot import Mark, Shot, pixel
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
+from semviz_core.measuring.outline import find_outlines
+from semviz_core.measuring.picture import Samples
+from semviz_core.measuring.pole import across, find_axes
 
 _ROWS, _COLUMNS = 24, 11
 _BESIDE_PX = 1.5

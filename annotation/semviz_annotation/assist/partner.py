@@ -15,14 +15,15 @@ from semviz_annotation.assist.look import (
     sign_points,
     width_of,
 )
-from semviz_annotation.assist.pole import across, support
 from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.shot import Mark, Proposed, Samples, Shot, clipped
+from semviz_annotation.assist.shot import Mark, Proposed, Shot, clipped
 from semviz_annotation.assist.warp import depth_on_line, inverse_depths, transfer
 from semviz_annotation.stereo import PLAUSIBLE_DEPTH_M
 from semviz_annotation.triangulate import Triangulated
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
+from semviz_core.measuring.picture import Samples
+from semviz_core.measuring.pole import across, support
 
 _STEP_PX = 1.0
 _TRIED = 3

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_annotation.assist.ends import with_visible_ends
-from semviz_annotation.assist.outline import find_outlines
-from semviz_annotation.assist.pole import find_axes, stripe, support
-from semviz_annotation.assist.profile import refine
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import Mark, Shot, pixel
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
+from semviz_core.measuring.outline import find_outlines
+from semviz_core.measuring.pole import find_axes, stripe, support
+from semviz_core.measuring.profile import refine
 
 REACH_PX = 4.0
 """How far a click can be off across a pole."""

@@ -10,8 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.assist.shot import Samples, Shot
 from semviz_core.arrays import FloatArray
+from semviz_core.measuring.picture import Picture, Samples
 
 STEP_PX = 0.5
 _WIDTHS = range(2, 85)
@@ -44,14 +44,14 @@ FEATURES = (
 WEIGHTS = np.array([0.0, 14.4, 13.72, -3.71, 13.46, -16.31, -1.1, -0.63, -9.08, -4.4, -7.16, 7.23])
 
 
-def straighten(shot: Shot, ends_px: FloatArray, offsets_px: FloatArray) -> Samples:
+def straighten(picture: Picture, ends_px: FloatArray, offsets_px: FloatArray) -> Samples:
     """(rows, columns, 3) colours beside a line: evenly along, and ``offsets_px`` to its right."""
     length = float(np.linalg.norm(ends_px[1] - ends_px[0]))
     rows = int(np.clip(length, *_ROWS))
     repeats = max(1, round(length / rows))
     share = (np.arange(rows * repeats) + 0.5) / (rows * repeats)
     points = ends_px[0] + share[:, None] * (ends_px[1] - ends_px[0])
-    samples = shot.sample(points[:, None] + offsets_px[:, None] * across(ends_px))
+    samples = picture.sample(points[:, None] + offsets_px[:, None] * across(ends_px))
     return np.asarray(samples.reshape(rows, repeats, len(offsets_px), 3).mean(axis=1))
 
 
@@ -66,13 +66,13 @@ def shifted(ends_px: FloatArray, at_first_px: float, at_last_px: float) -> Float
     return np.asarray(ends_px + np.array([[at_first_px], [at_last_px]]) * across(ends_px))
 
 
-def find_axes(shot: Shot, ends_px: FloatArray, reach_px: float, count: int = 3) -> list[Axis]:
+def find_axes(picture: Picture, ends_px: FloatArray, reach_px: float, count: int = 3) -> list[Axis]:
     """Up to ``count`` candidates for a pole's axis near a line, likeliest first; to 0.5 px.
 
     Their ends are at most ``reach_px`` across from the line's.
     """
     grid = _grid(reach_px)
-    features = _features(straighten(shot, ends_px, grid.offsets), grid)
+    features = _features(straighten(picture, ends_px, grid.offsets), grid)
     scores = features @ WEIGHTS
     found: list[Axis] = []
     flat = scores.reshape(-1)
@@ -211,12 +211,12 @@ def _shear(rows: int, columns: int, tilts: tuple[float, ...]) -> NDArray[np.int6
     return np.asarray(np.clip(np.arange(columns) + shift[..., None], 0, columns - 1))
 
 
-def support(shot: Shot, ends_px: FloatArray, width_px: float) -> FloatArray:
+def support(picture: Picture, ends_px: FloatArray, width_px: float) -> FloatArray:
     """(4,) of an axis: mean vote of its weaker and stronger edge, share of rows with either edge,
     how much its colours vary along it (logarithm)."""
     half = width_px / 2.0 + 4.0
     offsets = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    strip = straighten(shot, ends_px, offsets)
+    strip = straighten(picture, ends_px, offsets)
     edge, _ = _votes(strip)
     left, right = (
         edge[:, np.abs(offsets - at) <= 0.75].max(axis=1) for at in (-width_px / 2, width_px / 2)
@@ -229,14 +229,14 @@ def support(shot: Shot, ends_px: FloatArray, width_px: float) -> FloatArray:
     return np.array([weaker, stronger, either, np.log(varied + 3.0)])
 
 
-def stripe(shot: Shot, ends_px: FloatArray, width_px: float) -> float:
+def stripe(picture: Picture, ends_px: FloatArray, width_px: float) -> float:
     """Share of the rows in which a line differs from both of its sides and all between them.
 
     A blurred step, such as a house's corner, has two flanks too, but nothing that differs.
     """
     beside = width_px / 2.0 + 1.5
     left, inner, right = np.moveaxis(
-        straighten(shot, ends_px, np.array([-beside, 0.0, beside])), 1, 0
+        straighten(picture, ends_px, np.array([-beside, 0.0, beside])), 1, 0
     )
     step = right - left
     share = ((inner - left) * step).sum(axis=1) / ((step**2).sum(axis=1) + 1.0)

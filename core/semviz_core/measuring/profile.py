@@ -11,9 +11,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.assist.pole import STEP_PX, Axis, shifted, straighten
-from semviz_annotation.assist.shot import Samples, Shot
 from semviz_core.arrays import FloatArray
+from semviz_core.measuring.picture import Picture, Samples
+from semviz_core.measuring.pole import STEP_PX, Axis, shifted, straighten
 
 _MARGIN_PX = 2.0
 """Of background on either side that the profile is fitted to."""
@@ -72,14 +72,14 @@ def _step(x_px: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-1.702 / _BLUR_PX * x_px)))
 
 
-def refine(shot: Shot, axis: Axis) -> Axis:
+def refine(picture: Picture, axis: Axis) -> Axis:
     """An axis at sub-pixel accuracy, from within 1.5 px of it."""
     width = axis.width_px
     ends = axis.ends_px
     level = None
     for reach, step in ((1.75, 0.25), (0.5, 0.1)):
         table = _profiles(max(1.0, round(2.0 * width) / 2.0), reach, step)
-        strip = straighten(shot, ends, table.offsets)
+        strip = straighten(picture, ends, table.offsets)
         cost, level = _costs(strip, table, level)
         first, last, w = _cheapest_line(cost, table.middles)
         ends = shifted(ends, first, last)

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_annotation.assist.shot import Shot
 from semviz_core.arrays import FloatArray
+from semviz_core.measuring.picture import Picture
 
 _CORNERS = {
     "triangle": [(0.0, -1.0), (1.0, 1.0), (-1.0, 1.0)],
@@ -72,10 +72,12 @@ def _placed(shape: str, per_side: int, half: FloatArray) -> tuple[FloatArray, Fl
     return points * half, turned / np.linalg.norm(turned, axis=-1, keepdims=True)
 
 
-def find_outlines(shot: Shot, click_px: FloatArray, shape: str, count: int = 4) -> list[Outline]:
+def find_outlines(
+    picture: Picture, click_px: FloatArray, shape: str, count: int = 4
+) -> list[Outline]:
     """Up to ``count`` outlines round a click on the inner half of a sign, likeliest first."""
     aspects = _ASPECTS.get(shape, _FORESHORTENED)
-    maps = _directions(shot, click_px)
+    maps = _directions(picture, click_px)
     scores = np.stack([_tried(maps, shape, aspect) for aspect in aspects], axis=1)
     found: list[Outline] = []
     flat = scores.reshape(-1)
@@ -90,14 +92,14 @@ def find_outlines(shot: Shot, click_px: FloatArray, shape: str, count: int = 4) 
         root = np.sqrt(aspects[aspect])
         half = _HALF_PX[level] * np.array([root, 1.0 / root])
         search = max(1.5, 0.14 * float(half.mean()))
-        fitted = _fitted(shot, shape, click_px + off * scale, half, search)
-        found += [fitted, *_further_out(shot, shape, fitted)]
+        fitted = _fitted(picture, shape, click_px + off * scale, half, search)
+        found += [fitted, *_further_out(picture, shape, fitted)]
         if len(tried) == count:
             break
     return sorted(found, key=lambda one: -one.score)
 
 
-def _directions(shot: Shot, click_px: FloatArray) -> NDArray[np.float32]:
+def _directions(picture: Picture, click_px: FloatArray) -> NDArray[np.float32]:
     """(levels, n, n, 2) the image's slope round the click at each size, its length below 1."""
     import cv2
 
@@ -108,9 +110,9 @@ def _directions(shot: Shot, click_px: FloatArray) -> NDArray[np.float32]:
     for level, size in enumerate(_HALF_PX):
         scale = size / _WORK_PX
         window = (
-            shot.sample(click_px + grid * scale)
+            picture.sample(click_px + grid * scale)
             if scale < 1.5
-            else shot.shrunk(click_px, scale, half)
+            else picture.shrunk(click_px, scale, half)
         )
         smooth = cv2.GaussianBlur(window, (3, 3), 0.7)
         x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
@@ -137,28 +139,28 @@ def _tried(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArray:
 
 
 def _fitted(
-    shot: Shot, shape: str, middle: FloatArray, half: FloatArray, search_px: float
+    picture: Picture, shape: str, middle: FloatArray, half: FloatArray, search_px: float
 ) -> Outline:
     """An outline moved and scaled to the edges beside it, at most ``search_px`` away at first."""
     for _ in range(4):
         points, normals = _placed(shape, _PER_SIDE, half)
-        off, weight = _edges(shot, middle + points, normals, search_px)
+        off, weight = _edges(picture, middle + points, normals, search_px)
         J = np.concatenate([normals, normals * points / half], axis=-1).reshape(-1, 4)
         moved, grown = _solved(J, off.reshape(-1), weight.reshape(-1), 0.3 * search_px)
         middle = middle + moved
         half = np.maximum(half + grown, 2.0)
         search_px = max(1.25, 0.6 * search_px)
     points, normals = _placed(shape, _PER_SIDE, half)
-    off, weight = _edges(shot, middle + points, normals, 1.25)
+    off, weight = _edges(picture, middle + points, normals, 1.25)
     sides = (weight * (np.abs(off) < 0.8)).mean(axis=1)
-    inner = shot.sample(middle + points - 1.5 * normals)
-    outer = shot.sample(middle + points + 1.5 * normals)
+    inner = picture.sample(middle + points - 1.5 * normals)
+    outer = picture.sample(middle + points + 1.5 * normals)
     spread = [np.log(np.std(one.reshape(-1, 3), axis=0).mean() + 4.0) for one in (inner, outer)]
     evidence = np.array([1.0, sides.mean(), sides.min(), *spread, np.log(half.mean())])
     return Outline(middle, half, evidence, float(evidence @ WEIGHTS))
 
 
-def _further_out(shot: Shot, shape: str, inner: Outline) -> list[Outline]:
+def _further_out(picture: Picture, shape: str, inner: Outline) -> list[Outline]:
     """The outline outside of a border whose inner edge was found, if there is one."""
     points, normals = _placed(shape, 8, inner.half_px)
     most = float(np.clip(0.7 * inner.half_px.min(), 3.0, 14.0))
@@ -166,7 +168,7 @@ def _further_out(shot: Shot, shape: str, inner: Outline) -> list[Outline]:
     if len(reach) < 7:
         return []
     flat = (inner.middle_px + points).reshape(-1, 1, 2) + reach[:, None] * normals.reshape(-1, 1, 2)
-    colors = shot.sample(flat)
+    colors = picture.sample(flat)
     slope: FloatArray = np.zeros(colors.shape[:2])
     slope[:, 1:-1] = np.sqrt(((colors[:, 2:] - colors[:, :-2]) ** 2).mean(axis=2))
     vote = (slope**2 / (slope**2 + _EDGE**2)).reshape(*points.shape[:2], -1).mean(axis=1)
@@ -177,17 +179,17 @@ def _further_out(shot: Shot, shape: str, inner: Outline) -> list[Outline]:
         return []
     J = np.concatenate([normals, normals * points / inner.half_px], axis=-1).reshape(-1, 4)
     grown = np.linalg.lstsq(J, np.full(len(J), reach[at]), rcond=None)[0]
-    return [_fitted(shot, shape, inner.middle_px + grown[:2], inner.half_px + grown[2:], 1.25)]
+    return [_fitted(picture, shape, inner.middle_px + grown[:2], inner.half_px + grown[2:], 1.25)]
 
 
 def _edges(
-    shot: Shot, points: FloatArray, normals: FloatArray, search_px: float
+    picture: Picture, points: FloatArray, normals: FloatArray, search_px: float
 ) -> tuple[FloatArray, FloatArray]:
     """Where the strongest edge is along each normal (sides, points), px, and its weight 0..1."""
     step = search_px / 5.0
     reach = np.arange(-6, 7) * step
     flat = points.reshape(-1, 1, 2) + reach[:, None] * normals.reshape(-1, 1, 2)
-    colors = shot.sample(flat)
+    colors = picture.sample(flat)
     slope: FloatArray = np.zeros(colors.shape[:2])
     slope[:, 1:-1] = np.sqrt(((colors[:, 2:] - colors[:, :-2]) ** 2).mean(axis=2))
     near = slope * np.exp(-0.5 * (reach / (0.7 * search_px)) ** 2)
