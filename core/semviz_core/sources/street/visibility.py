@@ -36,7 +36,7 @@ def visible_elements(layout: Layout, truth: Elements3D, view: View) -> tuple[Ele
     The order of painting is drawn into an image: an element's point is visible where nothing
     later was painted over it.
     """
-    order, ranks = _paint_ranks(layout, view)
+    order, ranks = paint_ranks(layout, view)
     distance = np.linalg.norm((truth.anchor_m - view.center_m)[:, :2], axis=1)
     in_range = (distance > NEAREST_M) & (distance < FARTHEST_M)
     seen: list[_Seen] = []
@@ -52,7 +52,7 @@ def visible_elements(layout: Layout, truth: Elements3D, view: View) -> tuple[Ele
     return _elements(seen)
 
 
-def _paint_ranks(layout: Layout, view: View) -> tuple[NDArray[np.int32], dict[int, int]]:
+def paint_ranks(layout: Layout, view: View) -> tuple[NDArray[np.int32], dict[int, int]]:
     """(height, width) number of what was painted last, and each element's number."""
     order = np.zeros((view.camera.height, view.camera.width), np.int32)
     ranks: dict[int, int] = {}
