@@ -103,13 +103,3 @@ def _sightings(views: Sequence[View], observations: Sequence[Observation]) -> Si
         observation=np.arange(k),
         count=1,
     )
-
-
-def across_px(line_px: FloatArray, points_px: FloatArray) -> FloatArray:
-    """(n,) signed distances of a line (2, 2: anchor, end) from points (n, 2).
-
-    Positive where the line is to the right of the point, for a line that runs downwards.
-    """
-    along = line_px[1] - line_px[0]
-    across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    return np.asarray((line_px[0] - points_px) @ across)

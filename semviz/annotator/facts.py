@@ -10,7 +10,8 @@ from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
 from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation
 from semviz_annotation.storing.store import Operation
-from semviz_annotation.triangulate import Triangulated, across_px
+from semviz_annotation.triangulate import Triangulated
+from semviz_core.evaluation.image_errors import across_px
 
 AROUND = 60
 """A mapped element changes what is proposed in so many frames before and after its own."""

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from semviz_annotation.labels import Observation
-from semviz_annotation.triangulate import Failed, across_px, triangulate
+from semviz_annotation.triangulate import Failed, triangulate
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
+from semviz_core.evaluation.image_errors import across_px
 
 
 def misfit_px(views: Sequence[View], observations: Sequence[Observation]) -> float:

@@ -1,9 +1,6 @@
 """How far a map's projections are from the labels, per class: the paper's table of its map.
 
-Signs: RMSE is over the distances; lateral and longitudinal are the image's axes u and v. Poles: the
-angle of the projected against the labelled line, and the distance of the projected line from the
-labelled ends. All are projection minus label; SDE is the standard deviation round the mean error
-(ME) over the n errors (divisor n), so that for signs RMSE^2 is the sum of all four squared.
+The criteria are those of ``semviz_core.evaluation.image_errors``: projection minus label.
 """
 
 from collections.abc import Collection, Iterator
@@ -14,31 +11,12 @@ import numpy as np
 
 from semviz_annotation.labels import Labels, Observation
 from semviz_annotation.mapping.quality.labelled import check_frame, map_rows
-from semviz_annotation.triangulate import across_px
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import FloatArray
 from semviz_core.errors import SemvizError
+from semviz_core.evaluation.image_errors import CRITERIA, ClassAccuracy, ImageErrors
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.source import Source
-
-
-@dataclass(frozen=True)
-class ClassAccuracy:
-    """Errors of one class; None where a figure means nothing for it, or there is no observation."""
-
-    rmse_px: float | None
-    """Signs only, as in the paper."""
-    lateral_me_px: float | None
-    """Poles: across the labelled line, to the right where it runs downwards."""
-    lateral_sde_px: float | None
-    lateral_rmse_px: float | None
-    longitudinal_me_px: float | None
-    longitudinal_sde_px: float | None
-    angular_me_deg: float | None
-    """Poles only: from the labelled to the projected direction, from u towards v."""
-    angular_sde_deg: float | None
-    angular_rmse_deg: float | None
-    observations: int
 
 
 @dataclass(frozen=True)
@@ -58,18 +36,7 @@ class Accuracy:
 
     def as_text(self) -> str:
         """The table, a column for each class."""
-        rows = {
-            "RMSE (px)": "rmse_px",
-            "lateral ME (px)": "lateral_me_px",
-            "lateral SDE (px)": "lateral_sde_px",
-            "lateral RMSE (px)": "lateral_rmse_px",
-            "longitudinal ME (px)": "longitudinal_me_px",
-            "longitudinal SDE (px)": "longitudinal_sde_px",
-            "angular ME (deg)": "angular_me_deg",
-            "angular SDE (deg)": "angular_sde_deg",
-            "angular RMSE (deg)": "angular_rmse_deg",
-            "observations": "observations",
-        }
+        rows = {**CRITERIA, "observations": "observations"}
         lines = [" " * 22 + "".join(f"{name:>18}" for name in self.classes)]
         for title, name in rows.items():
             values = [getattr(one, name) for one in self.classes.values()]
@@ -127,7 +94,7 @@ def mapping_accuracy(
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
     elements = semantic_map.elements
     rows = map_rows(semantic_map)
-    errors: dict[int, list[_Errors]] = {one.id: [] for one in semantic_map.classes}
+    errors: dict[int, list[ImageErrors]] = {one.id: [] for one in semantic_map.classes}
     unmapped = 0
     for view, observation in _observations(labels, source, frames):
         row = rows.row(observation)
@@ -136,36 +103,14 @@ def mapping_accuracy(
             continue
         projected_px = view.project(np.stack([elements.anchor_m[row], elements.end_m[row]]))
         if np.isfinite(projected_px[0]).all():  # else it is behind the camera
-            errors[int(elements.class_id[row])].append(_errors(projected_px, observation))
+            errors[int(elements.class_id[row])].append(
+                ImageErrors.between(projected_px, _ends(observation))
+            )
     return Accuracy(
-        classes={one.name: _summary(errors[one.id]) for one in semantic_map.classes},
+        classes={one.name: ClassAccuracy.of(errors[one.id]) for one in semantic_map.classes},
         elements=len(elements),
         unmapped=unmapped,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """Of one observation."""
-
-    lateral_px: FloatArray
-    """(1,) of a sign, (2,) of a pole: one for each labelled end."""
-    longitudinal_px: FloatArray
-    """(1,) of a sign, (0,) of a pole."""
-    angular_deg: FloatArray
-    """(0,) of a sign, (1,) of a pole."""
-
-
-def _errors(projected_px: FloatArray, one: Observation) -> _Errors:
-    """From the projected anchor and end (2, 2)."""
-    if one.end_px is None:
-        du, dv = projected_px[0] - one.anchor_px
-        return _Errors(np.array([du]), np.array([dv]), np.zeros(0))
-    ends = np.array([one.anchor_px, one.end_px])
-    labelled, projected = ends[1] - ends[0], projected_px[1] - projected_px[0]
-    sine = labelled[0] * projected[1] - labelled[1] * projected[0]
-    angle = np.rad2deg(np.arctan2(sine, labelled @ projected))
-    return _Errors(across_px(projected_px, ends), np.zeros(0), np.array([angle]))
 
 
 def _observations(
@@ -186,35 +131,9 @@ def _observations(
             yield views[one.side], one
 
 
-def _summary(errors: list[_Errors]) -> ClassAccuracy:
-    lateral, longitudinal, angular = (
-        np.concatenate([getattr(one, name) for one in errors] or [np.zeros(0)])
-        for name in ("lateral_px", "longitudinal_px", "angular_deg")
-    )
-    return ClassAccuracy(
-        rmse_px=_rms(np.hypot(lateral, longitudinal)) if longitudinal.size else None,
-        lateral_me_px=_mean(lateral),
-        lateral_sde_px=_deviation(lateral),
-        lateral_rmse_px=_rms(lateral),
-        longitudinal_me_px=_mean(longitudinal),
-        longitudinal_sde_px=_deviation(longitudinal),
-        angular_me_deg=_mean(angular),
-        angular_sde_deg=_deviation(angular),
-        angular_rmse_deg=_rms(angular),
-        observations=len(errors),
-    )
-
-
-def _mean(values: FloatArray) -> float | None:
-    return float(values.mean()) if values.size else None
-
-
-def _deviation(values: FloatArray) -> float | None:
-    return float(values.std()) if values.size else None
-
-
-def _rms(values: FloatArray) -> float | None:
-    return float(np.sqrt(np.square(values).mean())) if values.size else None
+def _ends(one: Observation) -> FloatArray:
+    """(2, 2) labelled anchor and end, NaN for a sign's."""
+    return np.array([one.anchor_px, one.end_px or (np.nan, np.nan)])
 
 
 def _cell(value: float | int | None) -> str:
