@@ -6,12 +6,14 @@ that same contract. Pixel (0, 0) is the centre of the top-left pixel, as everywh
 JSON is ``{"format": "semviz-proposals", "version": 1, "proposals": [...]}``, each proposal an
 object of ``frame_index``, ``side``, ``class`` (a name), ``anchor_px`` [u, v] and ``score``, and
 where there is more to say ``end_px`` (poles), ``anchor_known``, ``end_known``, ``sigma_px``,
-``id``. Parquet has the same as columns, points as ``anchor_u``, ``anchor_v``, ``end_u``,
-``end_v``, null where there is none.
+``sigma_along_px``, ``detector``, ``id``. Parquet has the same as columns, points as ``anchor_u``,
+``anchor_v``, ``end_u``, ``end_v``, null where there is none.
+
+A workspace's file says beside them, in its metadata, which images ``semviz detect`` looked at.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,6 +21,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from semviz_annotation.looked import Looked
 from semviz_annotation.rows import Id, Index, derived_id
 from semviz_annotation.rules import MIN_LENGTH_PX
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
@@ -30,6 +33,8 @@ from semviz_core.sources.source import Side
 
 FORMAT = "semviz-proposals"
 VERSION = 1
+LOOKED = "semviz-detect"
+"""Key of the metadata that ``Looked`` is kept under."""
 SIGMA_PX = 2.0
 """Standard deviation of the points where a detector does not state it."""
 MOST_BYTES = 256 * 2**20
@@ -55,6 +60,11 @@ class Proposal:
     score: float
     """0..1; what it means is the detector's affair."""
     sigma_px: float
+    """Of a sign's middle along each axis; across a pole, at its ends."""
+    sigma_along_px: float | None = None
+    """Along a pole, at its ends; None where nobody says, and for signs."""
+    detector: str = ""
+    """Name of what found it, if known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +83,14 @@ class Proposals:
     end_known: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
     score: FloatArray = field(default_factory=lambda: np.zeros(0))
     sigma_px: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma_along_px: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) NaN where nobody says, and for signs."""
+    detector: tuple[str, ...] = ()
+    looked: Looked | None = None
+    """What ``semviz detect`` did; None where it was never at work."""
 
     @classmethod
-    def of(cls, rows: Sequence[Proposal]) -> "Proposals":
+    def of(cls, rows: Sequence[Proposal], looked: Looked | None = None) -> "Proposals":
         """From single proposals, in their order."""
         nothing = (np.nan, np.nan)
         return cls(
@@ -89,6 +104,9 @@ class Proposals:
             end_known=np.array([row.end_known for row in rows], np.bool_),
             score=np.array([row.score for row in rows], np.float64),
             sigma_px=np.array([row.sigma_px for row in rows], np.float64),
+            sigma_along_px=np.array([row.sigma_along_px or np.nan for row in rows], np.float64),
+            detector=tuple(row.detector for row in rows),
+            looked=looked,
         )
 
     def __len__(self) -> int:
@@ -108,7 +126,13 @@ class Proposals:
             end_known=bool(self.end_known[row]),
             score=float(self.score[row]),
             sigma_px=float(self.sigma_px[row]),
+            sigma_along_px=None if np.isnan(along := self.sigma_along_px[row]) else float(along),
+            detector=self.detector[row],
         )
+
+    def rows(self) -> tuple[Proposal, ...]:
+        """One by one, in their order."""
+        return tuple(self[row] for row in range(len(self)))
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -133,8 +157,14 @@ class Proposals:
     def joined(self, newer: "Proposals") -> "Proposals":
         """These and ``newer``, which take the place of those with the same ids."""
         taken = set(newer.id)
-        kept = [self[row] for row in range(len(self)) if self.id[row] not in taken]
-        return Proposals.of([*kept, *(newer[row] for row in range(len(newer)))])
+        kept = (row for row in self.rows() if row.id not in taken)
+        return Proposals.of([*kept, *newer.rows()], self.looked)
+
+    @property
+    def found(self) -> tuple[Proposal, ...]:
+        """What ``semviz detect`` found; where it never looked, all that is proposed."""
+        own = None if self.looked is None else self.looked.detector
+        return tuple(row for row in self.rows() if own is None or row.detector == own)
 
 
 _Pixel = tuple[float, float]
@@ -154,6 +184,8 @@ class _Row(BaseModel):
     anchor_known: bool = True
     end_known: bool = True
     sigma_px: Annotated[float, Field(gt=0, le=1000)] = SIGMA_PX
+    sigma_along_px: Annotated[float, Field(gt=0, le=1000)] | None = None
+    detector: Annotated[str, Field(max_length=100)] = ""
     id: Id | None = None
 
 
@@ -202,7 +234,16 @@ def read_proposals(
 
 def load_proposals(path: Path, classes: ClassSet = DEFAULT_CLASSES) -> Proposals:
     """What ``save_proposals`` wrote; none where there is no file."""
-    return read_proposals(path, classes) if path.exists() else Proposals()
+    import pyarrow.parquet as pq
+
+    if not path.exists():
+        return Proposals()
+    read = read_proposals(path, classes)
+    told = (pq.read_schema(path).metadata or {}).get(LOOKED.encode())
+    try:
+        return read if told is None else replace(read, looked=Looked.from_json(told))
+    except SemvizError as error:
+        raise SemvizError(f"{path}: {error}; delete it, and detect again") from None
 
 
 def save_proposals(proposals: Proposals, path: Path, classes: ClassSet = DEFAULT_CLASSES) -> None:
@@ -225,8 +266,13 @@ def save_proposals(proposals: Proposals, path: Path, classes: ClassSet = DEFAULT
         "end_known": pa.array(proposals.end_known),
         "score": pa.array(proposals.score),
         "sigma_px": pa.array(proposals.sigma_px),
+        "sigma_along_px": pa.array(
+            proposals.sigma_along_px, mask=np.isnan(proposals.sigma_along_px)
+        ),
+        "detector": pa.array([name or None for name in proposals.detector], pa.string()),
     }
-    table = pa.table(columns).replace_schema_metadata({FORMAT: str(VERSION)})
+    looked = {} if proposals.looked is None else {LOOKED: proposals.looked.as_json()}
+    table = pa.table(columns).replace_schema_metadata({FORMAT: str(VERSION)} | looked)
     with replacing(path) as temporary:
         pq.write_table(table, temporary, compression="zstd")
 
@@ -248,8 +294,10 @@ def _json_rows(path: Path) -> list[_Row]:
         raise _fault(path, error, 1) from None
 
 
-_OPTIONAL = {"end_u", "end_v", "anchor_known", "end_known", "sigma_px", "id"}
-_TEXTS = {"id", "side", "class"}
+_OPTIONAL = {
+    "end_u", "end_v", "anchor_known", "end_known", "sigma_px", "sigma_along_px", "detector", "id",
+}  # fmt: skip
+_TEXTS = {"id", "side", "class", "detector"}
 _NEEDED = {"frame_index", "side", "class", "anchor_u", "anchor_v", "score"}
 
 
@@ -338,9 +386,10 @@ def _proposal(row: _Row, classes: ClassSet, frames: Collection[int] | None) -> P
         np.hypot(row.anchor_px[0] - row.end_px[0], row.anchor_px[1] - row.end_px[1]) < MIN_LENGTH_PX
     ):
         raise SemvizError("peak and bottom are the same point")
-    content = (row.frame_index, row.side, one.id, row.anchor_px, row.end_px)
+    if row.end_px is None and row.sigma_along_px is not None:
+        raise SemvizError(f"a {one.name} has no sigma_along_px")
     return Proposal(
-        id=row.id or derived_id(f"proposal {content!r}"),
+        id=row.id or id_of(row.frame_index, row.side, one.id, row.anchor_px, row.end_px),
         frame_index=row.frame_index,
         side=row.side,
         class_id=one.id,
@@ -350,7 +399,16 @@ def _proposal(row: _Row, classes: ClassSet, frames: Collection[int] | None) -> P
         end_known=row.end_known and row.end_px is not None,
         score=row.score,
         sigma_px=row.sigma_px,
+        sigma_along_px=row.sigma_along_px,
+        detector=row.detector,
     )
+
+
+def id_of(
+    frame_index: int, side: Side, class_id: int, anchor_px: _Pixel, end_px: _Pixel | None
+) -> str:
+    """The id that follows from what is proposed where."""
+    return derived_id(f"proposal {(frame_index, side, class_id, anchor_px, end_px)!r}")
 
 
 def _check_inside(path: Path, proposals: Proposals, rig: Rig) -> None:

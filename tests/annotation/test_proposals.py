@@ -14,6 +14,8 @@ from label_files import RIG
 
 from semviz import cli
 from semviz.workspace import Workspace
+from semviz_annotation.detections import as_elements, as_proposals
+from semviz_annotation.looked import Looked
 from semviz_annotation.proposals import (
     Proposal,
     Proposals,
@@ -23,6 +25,7 @@ from semviz_annotation.proposals import (
 )
 from semviz_annotation.rows import derived_id, is_id
 from semviz_core.camera import Rig
+from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
 
 POLE: dict[str, Any] = {
@@ -236,3 +239,34 @@ def test_arrays_are_of_one_length() -> None:
     proposals = Proposals()
     assert proposals.anchor_px.shape == proposals.end_px.shape == (0, 2)
     assert np.array_equal(proposals.frame_index, np.zeros(0))
+
+
+def test_finds_go_there_and_back(tmp_path: Path) -> None:
+    """What a detector found comes back to the last digit, and which images it looked at."""
+    elements = Elements2D(
+        anchor_px=np.array([[10.1, 20.0], [30.3, 40.0], [-3.0, 5.0], [50.0, -9.0]]),
+        end_px=np.array([[11.7, 90.0], [np.nan, np.nan], [np.nan, np.nan], [50.0, -3.0]]),
+        class_id=np.array([0, 2, 1, 0]), score=np.array([0.9, 0.5, 0.4, 0.3]),
+        sigma_px=np.array([[0.3, 4.0], [1.0, 1.0], [1.0, 1.0], [1.0, 1.0]]),
+        anchor_known=np.ones(4, bool), end_known=np.array([False, False, False, True]),
+    )  # fmt: skip
+    rows = as_proposals(3, "left", elements, RIG.left, "ours")
+    assert [row.anchor_px for row in rows] == [(10.1, 20.0), (30.3, 40.0), (0.0, 5.0)]
+    looked = Looked("ours", {"model": "1a", "least": None}, frozenset({(3, "left"), (4, "right")}))
+    save_proposals(Proposals.of(rows, looked), tmp_path / "kept.parquet")
+    kept = load_proposals(tmp_path / "kept.parquet")
+    assert kept.looked == looked
+    assert kept.rows() == rows
+    back = as_elements(kept.in_frame(3))
+    for name, values in vars(back).items():
+        np.testing.assert_array_equal(values[:2], vars(elements)[name][:2])
+
+
+def test_whose_finds_count() -> None:
+    """Those of 'semviz detect' where it looked; else whatever was brought in."""
+    elements = Elements2D.from_ends([[5.0, 6.0]], [[np.nan, np.nan]], [1])
+    own = as_proposals(3, "left", elements, RIG.left, "ours")
+    other = as_proposals(3, "right", elements, RIG.left, "theirs")
+    assert Proposals.of([*own, *other]).found == (*own, *other)
+    assert Proposals.of([*own, *other], Looked("ours")).found == own
+    assert Proposals.of(own, Looked("ours")).joined(Proposals.of(other)).looked == Looked("ours")
