@@ -2,17 +2,15 @@
 
 import shlex
 from collections.abc import Sequence
-from importlib.resources import files
 from urllib.parse import urlencode
 
-from semviz.palette import STATUS
-from semviz.plot_style import COLORS
 from semviz.pose_errors import errors_of
 from semviz.recording.run import FrameRecord
 from semviz.reporting.facts import Reported
-from semviz.reporting.html import Html, element, table_element, void_element
+from semviz.reporting.html import Html, element, table_element
 from semviz.reporting.pictures import picture
 from semviz.reporting.plots import as_svg, comparing_plots, over_the_drive
+from semviz.reporting.sheet import html_page, plot, table_section
 from semviz.reporting.summary import (
     elements_table,
     faults_table,
@@ -20,12 +18,10 @@ from semviz.reporting.summary import (
     tables,
     worst_table,
 )
-from semviz.tables import Table
 from semviz.why import why_card
 
 INSPECTOR = "http://127.0.0.1:8080/"
 """Where ``semviz serve`` listens unless told otherwise."""
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 DEFINITIONS = (
     "RTE: distance of the camera centres. RRE: angle between the rotations. Means and quartiles "
     "are of the frames with a pose and a true one; shares below 1 m and 1 deg, and sure and wrong "
@@ -37,52 +33,22 @@ ELEMENTS = (
     "than without, on average over the frames that use it (fitted again to their other pairs, not "
     "searched again); below 0 it helps."
 )
-DARK_SERIES = ("#4BA3E3", "#F08A4B", "#35C79B", "#E39BC4", "#8ACBF2", "#F2B84B", "#E6E7E9")
-"""Of the same hues as the colours of plots on light ground."""
 
 
 def as_html(reported: Sequence[Reported], pictures: int) -> str:
     """The page; with pictures of so many frames of each run."""
     side_by_side = tables(reported)
-    title = f"semviz report: {', '.join(one.name for one in reported)}"
-    head = element(
-        "head",
-        void_element("meta", charset="utf-8"),
-        void_element("meta", http_equiv="Content-Security-Policy", content=POLICY),
-        void_element("meta", name="viewport", content="width=device-width"),
-        element("title", title),
-        element("style", Html(_style())),
-    )
-    body = element(
-        "body",
+    return html_page(
+        f"semviz report: {', '.join(one.name for one in reported)}",
         _header(reported),
         *(element("p", f"Note: {note}.", class_="note") for note in notes(reported)),
-        *map(_table_section, side_by_side[:2]),
+        *map(table_section, side_by_side[:2]),
         element("p", DEFINITIONS, class_="dim"),
         *_plots(reported),
-        *map(_table_section, side_by_side[2:-1]),
+        *map(table_section, side_by_side[2:-1]),
         *(_run_section(one, pictures) for one in reported),
-        _table_section(side_by_side[-1]),
+        table_section(side_by_side[-1]),
     )
-    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
-
-
-def _style() -> str:
-    """The page's style, with the colours of status and plots."""
-    light: dict[str, str] = {status: tone.light for status, tone in STATUS.items()}
-    dark: dict[str, str] = {status: tone.dark for status, tone in STATUS.items()}
-    light |= {f"series-{number}": color for number, color in enumerate(COLORS)}
-    dark |= {f"series-{number}": color for number, color in enumerate(DARK_SERIES)}
-    style = files("semviz.reporting").joinpath("page.css").read_text()
-    return (
-        f":root {{{_variables(light)}}}\n"
-        f"@media screen and (prefers-color-scheme: dark) {{ :root {{{_variables(dark)}}} }}\n"
-        f"{style}"
-    )
-
-
-def _variables(colors: dict[str, str]) -> str:
-    return " ".join(f"--{name}: {color};" for name, color in colors.items())
 
 
 def _header(reported: Sequence[Reported]) -> Html:
@@ -107,20 +73,11 @@ def _runs(reported: Sequence[Reported]) -> str:
     return "1 run" if len(reported) == 1 else f"{len(reported)} runs"
 
 
-def _table_section(table: Table) -> Html:
-    return element("section", element("h2", table.title), table_element(table))
-
-
 def _plots(reported: Sequence[Reported]) -> list[Html]:
     return [
-        _plot(caption, as_svg(figure, f"plot-{number}"))
+        plot(caption, as_svg(figure, f"plot-{number}"))
         for number, (caption, figure) in enumerate(comparing_plots(reported).items())
     ]
-
-
-def _plot(caption: str, svg: str) -> Html:
-    drawn = element("div", Html(svg), class_="plot", role="img", aria_label=caption)
-    return element("figure", element("figcaption", caption), drawn)
 
 
 def _run_section(one: Reported, pictures: int) -> Html:
@@ -129,7 +86,7 @@ def _run_section(one: Reported, pictures: int) -> Html:
     return element(
         "section",
         element("h2", f"Run {one.name}"),
-        _plot("Error and status over the drive", as_svg(over_the_drive(one), f"drive-{one.name}")),
+        plot("Error and status over the drive", as_svg(over_the_drive(one), f"drive-{one.name}")),
         element("h3", "Worst frames"),
         table_element(table, links),
         *_over_the_run(one),

@@ -23,7 +23,7 @@ def scene(seed: int = 0) -> Elements2D:
     u = 60.0 + 90.0 * np.arange(12) + rng.uniform(-5.0, 5.0, 12)
     v = rng.uniform(40.0, 200.0, 12)
     anchor = np.stack([u, v], axis=1)
-    end = anchor + (3.0, 100.0)
+    end = anchor + np.array([3.0, 100.0])
     end[6:] = np.nan
     kinds = [POLE] * 6 + [TRIANGULAR, RECTANGULAR, ROUNDED] * 2
     return Elements2D.from_ends(anchor, end, kinds)
@@ -175,6 +175,13 @@ def test_what_does_not_count_makes_nothing_right_or_false() -> None:
     assert np.sum(told.confusion) == 10
 
 
+def test_what_counts_is_found_beside_what_does_not() -> None:
+    sign = scene()[6:7]
+    truth = Truth.of(joined(sign, moved(sign, (1.0, 0.0))), np.array([20.0, 50.0]))
+    twice = joined(moved(sign, (1.0, 0.0)), sign)
+    assert matched(twice, truth).tolist() == [0, IGNORED]
+
+
 def test_the_better_one_takes_it_and_the_second_is_false() -> None:
     true = scene()[6:7]
     found = scored(joined(moved(true, (2.0, 0.0)), moved(true, (0.5, 0.0))), [0.9, 0.8])
@@ -232,7 +239,7 @@ def test_a_threshold_changes_no_match_above_it(seed: int, threshold: float) -> N
 def _crowd(rng: np.random.Generator, count: int) -> Elements2D:
     anchor = rng.uniform(0.0, 30.0, (count, 2))
     kind = rng.integers(0, 4, count)
-    end = anchor + (0.0, 40.0) + rng.normal(0.0, 2.0, (count, 2))
+    end = anchor + np.array([0.0, 40.0]) + rng.normal(0.0, 2.0, (count, 2))
     end[kind != POLE] = np.nan
     return Elements2D.from_ends(anchor, end, kind)
 

@@ -1,7 +1,7 @@
 """What a detector reaches over many images: per class, at every threshold, and by distance."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -54,11 +54,11 @@ class Share:
 
     count: int
     of: int
+    share: float | None = field(init=False)
+    """None of nothing."""
 
-    @property
-    def share(self) -> float | None:
-        """None of nothing."""
-        return self.count / self.of if self.of else None
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "share", self.count / self.of if self.of else None)
 
 
 @dataclass(frozen=True)
