@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands.annotate import Annotate
 from semviz.commands.benchmark import Benchmark
 from semviz.commands.compare import Compare
+from semviz.commands.detect import Detect
 from semviz.commands.evaluate import Evaluate
 from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
@@ -53,6 +54,7 @@ Command = (
     Annotated[Serve, subcommand("serve")]
     | Annotated[New, subcommand("new")]
     | Annotated[Annotate, subcommand("annotate")]
+    | Annotated[Detect, subcommand("detect")]
     | MapCommands
     | Annotated[Localize, subcommand("localize")]
     | Annotated[Evaluate, subcommand("evaluate")]

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,9 @@ from semviz.observing import (
     Noise,
     Observations,
     Observe,
+    detected,
     detector_model,
+    observe_detected,
     observe_labels,
     observe_simulated,
 )
@@ -23,6 +26,7 @@ from semviz.recording.pictures import check_offered, with_pictures
 from semviz.recording.run import FrameRecord, Images, RunInfo
 from semviz.recording.writer import write_run
 from semviz.workspace import Workspace
+from semviz_annotation.looked import Looked
 from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame, Prior
@@ -34,8 +38,9 @@ from semviz_core.sources.source import Source
 
 Know = Callable[[Frame], Prior]
 """What is known of a frame's pose beforehand."""
-CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "simulated": 50.0}
-"""The simulated detector sees 40 m far; people label as far as they can see."""
+CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 70.0, "simulated": 50.0}
+"""The simulated detector sees 40 m far, a real one a little further; people label as far as they
+can see."""
 ROAD_RADIUS_M = 60.0
 """Of the road round the fix that the prior holds."""
 
@@ -51,6 +56,9 @@ class DriveOptions:
     """Follow the camera from frame to frame; ``method`` is then for frames by themselves."""
     observations: Observations = "labels"
     noise: Noise = "low"
+    """Of the simulated detector."""
+    least_score: float = 0.0
+    """What is detected with less is not seen."""
     prior_distance_m: tuple[float, float] = (5.0, 10.0)
     heading_sigma_deg: float | None = None
     crop_radius_m: float = CROP_RADIUS_M["labels"]
@@ -61,6 +69,8 @@ class DriveOptions:
             raise SemvizError(f"seed {self.seed}: give 0 or more")
         if not 0.0 < self.crop_radius_m < np.inf:
             raise SemvizError(f"crop radius {self.crop_radius_m:g} m: give a positive number")
+        if not 0.0 <= self.least_score <= 1.0:
+            raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
 
     @property
     def weights_path(self) -> Path | None:
@@ -78,6 +88,8 @@ class Drive:
     know: Know
     localizer: Localizer
     options: DriveOptions
+    looked: Looked | None = None
+    """Which detector's finds are observed, where they are."""
 
     def __post_init__(self) -> None:
         check_same_frame(self.semantic_map, self.source)
@@ -138,12 +150,17 @@ def drive_workspace(
         options.method, options.seed, semantic_map.classes, detector, options.weights_path
     )
     chosen = chosen_frames(source, frames)
+    looked: Looked | None = None
     if options.observations == "labels":
         observe = observe_labels(workspace, semantic_map)
+    elif options.observations == "detected":
+        found = detected(workspace, chosen)
+        observe = observe_detected(workspace, semantic_map, found, options.least_score)
+        looked = found.looked
     else:
         observe = observe_simulated(workspace, options.noise, options.seed)
     know = simulated_prior(options)
-    return Drive(source, semantic_map, chosen, observe, know, localizer, options)
+    return Drive(source, semantic_map, chosen, observe, know, localizer, options, looked)
 
 
 def prior_options(options: DriveOptions) -> PriorOptions:
@@ -176,7 +193,6 @@ def record(
     check_offered(drive.source, images)
     tell_of_compiling()
     options = drive.options
-    simulated = f"simulated detector, noise {options.noise}"
     info = RunInfo(
         name=path.stem,
         workspace=workspace,
@@ -186,10 +202,27 @@ def record(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         rig=drive.source.rig,
         map_name=map_name,
-        observations=simulated if options.observations == "simulated" else "labels",
-        options=asdict(options),
+        observations=_observations(options, drive.looked),
+        options=asdict(options) | _detector(drive.looked),
         images=images,
     )
     records = track(drive, "localizing", len(drive.frames))
     pictured = (with_pictures(one, drive.source, images, path.parent) for one in records)
     return write_run(pictured, path, info, drive.semantic_map)
+
+
+def _observations(options: DriveOptions, looked: Looked | None) -> str:
+    """As ``RunInfo.observations`` tells them."""
+    if options.observations == "labels":
+        return "labels"
+    if options.observations == "simulated":
+        return f"simulated detector, noise {options.noise}"
+    return "detected elsewhere" if looked is None else f"detected by {looked.detector}"
+
+
+def _detector(looked: Looked | None) -> dict[str, Any]:
+    """What made the detections, as options of a run."""
+    if looked is None:
+        return {}
+    settings = {f"detector_{name}": value for name, value in looked.settings.items()}
+    return {"detector": looked.detector} | settings

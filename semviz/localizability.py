@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from semviz.drive import DriveOptions, prior_options
-from semviz.observing import detector_model
+from semviz.observing import Noise, Observations, detector_model
 from semviz_core.arrays import IntArray
 from semviz_core.camera import Camera
+from semviz_core.detection.rates import NOISE as DETECTED_NOISE
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Frame
 from semviz_core.localizability.conditions import LABEL_NOISE, Conditions
@@ -18,6 +19,7 @@ from semviz_core.localizability.sight import look
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.sources.street.detector import NOISE
+from semviz_core.sources.street.detector import Noise as PixelNoise
 
 STEP_M = 1.0
 """Between positions, at least."""
@@ -31,11 +33,17 @@ def conditions_of(options: DriveOptions) -> Conditions:
     """What a drive with these options takes for granted."""
     return Conditions(
         detector=detector_model(options.observations),
-        noise=LABEL_NOISE if options.observations == "labels" else NOISE[options.noise],
+        noise=_noise(options.observations, options.noise),
         prior=prior_options(options),
         crop_radius_m=options.crop_radius_m,
         seed=options.seed,
     )
+
+
+def _noise(observations: Observations, simulated: Noise) -> PixelNoise:
+    if observations == "labels":
+        return LABEL_NOISE
+    return DETECTED_NOISE if observations == "detected" else NOISE[simulated]
 
 
 def with_measured_recall(

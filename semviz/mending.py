@@ -9,7 +9,7 @@ from pathlib import Path
 
 from semviz.drive import Drive
 from semviz.localizability import options_of
-from semviz.observing import Observe, detector_model, observe_labels
+from semviz.observing import Observe, detector_model, observations_of, observe_labels
 from semviz.recording.run import FrameRecord, Run, RunInfo
 from semviz.recording.writer import write_run
 from semviz.workspace import Workspace
@@ -66,10 +66,11 @@ def _info(run: Run, path: Path, workspace: Workspace) -> RunInfo:
 def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Iterable[FrameRecord]:
     """The run's frames in another map, with the images they had."""
     options = options_of(run.info.options)
-    by_labels = run.info.observations == "labels"
+    observations = observations_of(run.info.observations)
     recorded = {one.frame.index: one for one in run.frames}
+    by_labels = observations == "labels"
     observe = observe_labels(workspace, semantic_map) if by_labels else _as_seen(recorded)
-    detector = detector_model("labels" if by_labels else "simulated")
+    detector = detector_model(observations)
     drive = Drive(
         workspace.source,
         semantic_map,

@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from semviz import follow
-from semviz.observing import detector_model
+from semviz.observing import detector_model, observations_of
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.detector_model import DetectorModel
 from semviz_core.explaining.case import is_healthy
@@ -49,7 +49,7 @@ def blamed_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
 
 def detector_of(run: Run) -> DetectorModel:
     """What is true of whoever, or whatever, saw what was observed."""
-    return detector_model("labels" if run.info.observations == "labels" else "simulated")
+    return detector_model(observations_of(run.info.observations))
 
 
 def truth_of(run: Run, record: FrameRecord) -> Truth | None:

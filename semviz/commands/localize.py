@@ -39,11 +39,13 @@ class Localize:
     frames: OptionalText = None
     """FIRST:END[:STEP]; all frames if not given."""
     observations: Annotated[
-        Literal["labels", "simulated"] | None,
-        arg(metavar="labels|simulated", help_behavior_hint=""),
+        Literal["labels", "detected", "simulated"] | None,
+        arg(metavar="labels|detected|simulated", help_behavior_hint=""),
     ] = None
-    """What is seen: the workspace's labels, or the street's simulated detector; labels where
-    there are some."""
+    """What is seen: the workspace's labels; what 'semviz detect' found in its images; or what the
+    street's simulated detector would. If not given, labels where there are some."""
+    least_score: float = 0.0
+    """Detections with less are not seen."""
     noise: Literal["paper", "low"] = "low"
     """Noise of the simulated detector: the paper's table, or 1 px and 0.3 deg."""
     prior_distance: str = "5:10"
@@ -52,7 +54,8 @@ class Localize:
     """Standard deviation of a simulated compass; the heading is unknown if not given."""
     crop_radius: OptionalFloat = None
     """Radius of the submap round the GPS fix, in metres; 50 for the simulated detector, which
-    sees 40 m far, and 120 for labels, which people draw as far as they can see."""
+    sees 40 m far, 70 for what is detected, and 120 for labels, which people draw as far as they
+    can see."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
     images: Literal["embedded", "both", "reference", "none"] = "embedded"
@@ -75,6 +78,7 @@ class Localize:
             track=self.track,
             observations=observations,
             noise=self.noise,
+            least_score=self.least_score,
             prior_distance_m=parse_interval(self.prior_distance, "--prior-distance"),
             heading_sigma_deg=self.heading_sigma_deg,
             crop_radius_m=crop_radius,

@@ -85,7 +85,7 @@ def _names(record: FrameRecord, classes: ClassSet) -> list[str]:
     for row, (chosen, true) in enumerate(zip(taken, record.element_id.tolist(), strict=True)):
         if chosen < 0:
             names.append("?" if true < 0 else f"{name(row, true)} ?")
-        elif true in (-1, chosen):
+        elif true < 0 or true == chosen:
             names.append(name(row, chosen))
         else:
             names.append(f"{name(row, chosen)} is {name(row, true)}")

@@ -33,7 +33,8 @@ class RunInfo:
     rig: Rig
     map_name: str
     observations: str = ""
-    """Where observations come from, in words: ``labels``, or the detector and its noise."""
+    """Where observations come from, in words: ``labels``, what ``detected`` them, or the simulated
+    detector and its noise."""
     options: dict[str, Any] = field(default_factory=dict)
     """JSON values: settings of the method, prior, crop and noise."""
     images: Images = "embedded"
@@ -46,7 +47,8 @@ class FrameRecord:
     frame: Frame
     localization: Localization
     element_id: IntArray
-    """(m,) true map element of each observed row; -1 where unknown or a false detection."""
+    """(m,) true map element of each observed row; -1 for a false detection, and for a label that
+    is nothing in the map; -2 for a detection of which nobody knows."""
     image: bytes | None = None
     """The left image as JPEG, where it is in the run's file."""
     image_right: bytes | None = None

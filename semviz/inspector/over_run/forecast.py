@@ -98,10 +98,10 @@ class ForecastTopic(Topic):
 
 
 def _conditions(run: Run) -> Conditions:
-    """Those of the run; where people's labels were seen, with as much of the map as they saw."""
+    """Those of the run; where labels or detections were seen, with as much of the map as was."""
     options = options_of(run.info.options)
     stated = conditions_of(options)
-    if options.observations != "labels":
+    if options.observations == "simulated":
         return stated
     seen = [
         (one.frame.T_map_camera, one.element_id)
