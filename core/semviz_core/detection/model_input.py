@@ -93,17 +93,25 @@ class ModelInput(BaseModel):
 
     def tensor(self, image: ByteImage, placing: Placing) -> NDArray[np.float32]:
         """(1, 3, height, width)."""
-        import cv2
-
         columns, rows = np.round(np.array(placing.image_size) * placing.scale).astype(int)
         left, top = placing.offset.astype(int)
-        shrinks = placing.scale.max() <= 1.0  # else thin poles would fall between the samples
-        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         canvas = np.full((self.height, self.width, 3), _PAD, np.uint8)
-        canvas[top : top + rows, left : left + columns] = cv2.resize(
-            image, (int(columns), int(rows)), interpolation=method
-        )
+        canvas[top : top + rows, left : left + columns] = _resized(image, int(columns), int(rows))
         ordered = canvas if self.colors == "rgb" else canvas[..., ::-1]
         mean, std = np.array([self.mean, self.std], np.float32)
         values = (ordered.astype(np.float32) * np.float32(self.scale) - mean) / std
         return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
+
+
+def _resized(image: ByteImage, columns: int, rows: int) -> ByteImage:
+    """Means where a side shrinks: thin poles would fall between samples. Bilinear where it grows.
+
+    A side at a time, since OpenCV takes means only where both shrink.
+    """
+    import cv2
+
+    for size in ((columns, image.shape[0]), (columns, rows)):
+        shrinks = size[0] < image.shape[1] or size[1] < image.shape[0]
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        image = np.asarray(cv2.resize(image, size, interpolation=method), np.uint8)
+    return image

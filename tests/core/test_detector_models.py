@@ -1,0 +1,607 @@
+"""Other people's models: what they see comes through to the pixel, and what does not fit is told.
+
+The models are made here: with answers that are known, or tiny ones of transformers with random
+weights, whose answers are read by transformers' own code too.
+"""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from semviz_core.arrays import ByteImage, FloatArray
+from semviz_core.classes import POLE, RECTANGULAR, TRIANGULAR
+from semviz_core.detection.boxes import MOST_BOXES
+from semviz_core.detection.image_rules import Size
+from semviz_core.detection.model_classes import usual_classes
+from semviz_core.detection.models import load_finder
+from semviz_core.detection.region import Region
+from semviz_core.detection.transformers_model import TransformersFinder
+from semviz_core.errors import SemvizError
+
+onnx = pytest.importorskip("onnx", reason="makes ONNX models; pip install 'semviz[test]'")
+pytest.importorskip("onnxruntime", reason="runs ONNX models; pip install 'semviz[onnx]'")
+
+from planted_models import COLORS, answering, describe, painted  # noqa: E402
+
+SIZE = (256, 128)
+"""Of the models' inputs, which are not the image's."""
+IMAGE_SIZE = (310, 94)
+BOXES_PX = np.array(
+    [[20.0, 10.0, 24.5, 80.0], [100.0, 30.0, 118.0, 47.5], [200.25, 3.0, 204.0, 88.75]]
+)
+BOX_LABELS = (1, 2, 1)
+SCORES = np.array([0.9, 0.8, 0.6])
+
+
+def gray(size: tuple[int, int] = IMAGE_SIZE) -> ByteImage:
+    return np.full((size[1], size[0], 3), 90, np.uint8)
+
+
+def in_input(boxes_px: FloatArray, resize: str) -> FloatArray:
+    """(n, 4) centre, width, height in the input; written down apart from the code under test."""
+    (width, height), (w, h) = SIZE, IMAGE_SIZE
+    if resize == "stretch":
+        across, down, left, top = width / w, height / h, 0.0, 0.0
+    else:  # 256 / 310 is the smaller scale: 256 x 78 (77.6), 25 rows above
+        across, down, left, top = 256 / 310, 78 / 94, 0.0, 25.0
+    edges = boxes_px + 0.5
+    x, y = edges[:, [0, 2]] * across + left, edges[:, [1, 3]] * down + top
+    return np.stack([x.mean(1), y.mean(1), np.ptp(x, 1), np.ptp(y, 1)], axis=1)
+
+
+def scores_of(labels: Sequence[int], scores: FloatArray, number: int = 3) -> FloatArray:
+    table = np.full((len(labels), number), 1e-4)
+    table[np.arange(len(labels)), labels] = scores
+    return table
+
+
+def yolo_v8(boxes: FloatArray, table: FloatArray) -> dict[str, Any]:
+    return {"out": np.hstack([boxes, table]).T[None].astype(np.float32)}
+
+
+def yolo_v5(boxes: FloatArray, table: FloatArray) -> dict[str, Any]:
+    rows = np.hstack([boxes, np.full((len(boxes), 1), 0.95), table / 0.95])
+    return {"out": rows[None].astype(np.float32)}
+
+
+def detr(boxes: FloatArray, table: FloatArray) -> dict[str, Any]:
+    odds = np.log(np.hstack([table, 1.0 - table.sum(1, keepdims=True)]))
+    return {
+        "logits": odds[None].astype(np.float32),
+        "boxes": (boxes / [*SIZE, *SIZE])[None].astype(np.float32),
+    }
+
+
+def detr_sigmoid(boxes: FloatArray, table: FloatArray) -> dict[str, Any]:
+    return detr(boxes, table) | {"logits": np.log(table / (1.0 - table))[None].astype(np.float32)}
+
+
+LAYOUTS: dict[str, Callable[[FloatArray, FloatArray], dict[str, Any]]] = {
+    "yolo-v5": yolo_v5,
+    "yolo-v8": yolo_v8,
+    "detr": detr,
+    "detr sigmoid": detr_sigmoid,
+}
+
+
+def found(
+    folder: Path, layout: str, boxes: FloatArray, table: FloatArray, **told: Any
+) -> Sequence[Region]:
+    """What a model that answers with these boxes of its input sees in a grey image."""
+    outputs = LAYOUTS[layout](boxes, table)
+    model = answering(folder / "planted.onnx", outputs, SIZE)
+    told = {"kind": layout.split()[0], "outputs": list(outputs), **told}
+    return load_finder(str(describe(model, SIZE, **told))).find(gray())
+
+
+@pytest.mark.parametrize("resize", ["stretch", "letterbox"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_planted_boxes_come_through_every_layout(tmp_path: Path, layout: str, resize: str) -> None:
+    table = scores_of(BOX_LABELS, SCORES)
+    regions = found(tmp_path, layout, in_input(BOXES_PX, resize), table, input={"resize": resize})
+    assert [one.class_id for one in regions] == [POLE, None, POLE]
+    assert [one.score for one in regions] == pytest.approx(SCORES, abs=1e-4)
+    assert np.allclose([one.box_px for one in regions], BOXES_PX, atol=1e-3)
+
+
+def test_of_boxes_that_overlap_the_better_stays_unless_one_is_a_pole(tmp_path: Path) -> None:
+    middle, shift = np.array([[60.0, 60.0, 20.0, 20.0]]), np.array([0.0, 40.0, 0.0, 0.0])
+    boxes = np.concatenate([middle, middle + 1.0, middle, middle + shift])
+    table = scores_of((2, 1, 0, 2), np.array([0.5, 0.9, 0.4, 0.2]))
+    classes = {"0": "pole", "1": "triangular sign", "2": "rectangular sign"}
+    regions = found(tmp_path, "yolo-v8", boxes, table, labels=3, classes=classes)
+    assert [one.class_id for one in regions] == [TRIANGULAR, POLE]
+    apart = found(
+        tmp_path, "yolo-v8", boxes, table, labels=3, classes=classes, most_overlap=0.9,
+        least_score=0.1,
+    )  # fmt: skip
+    assert [one.class_id for one in apart] == [TRIANGULAR, RECTANGULAR, POLE, RECTANGULAR]
+
+
+def test_a_flood_of_boxes_is_cut_at_the_best(tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    boxes = np.column_stack([generator.uniform(40, 90, (5000, 2)), np.full((5000, 2), 4.0)])
+    scores = generator.uniform(0.4, 0.9, 5000)
+    table = scores_of([1] * 5000, scores)
+    regions = found(tmp_path, "yolo-v8", boxes, table, most_overlap=1.0)
+    assert len(regions) == MOST_BOXES
+    assert min(one.score for one in regions) >= np.sort(scores)[-MOST_BOXES] - 1e-6
+
+
+def scene() -> tuple[ByteImage, FloatArray]:
+    """A pole and a sign on grey, and their boxes: a first pixel and a last."""
+    image = gray((300, 120))
+    image[8:108, 50:56] = COLORS["pole"]
+    image[32:56, 200:224] = COLORS["sign"]
+    return image, np.array([[50.0, 8.0, 55.0, 107.0], [200.0, 32.0, 223.0, 55.0]])
+
+
+@pytest.mark.parametrize("label_map", [False, True])
+def test_masks_of_a_model_at_the_images_size_are_exact(tmp_path: Path, label_map: bool) -> None:
+    image, boxes_px = scene()
+    size = (image.shape[1], image.shape[0])
+    model = painted(tmp_path / "painted.onnx", size, stride=1, label_map=label_map)
+    told = describe(model, size, outputs=["labels" if label_map else "logits"])
+    pole, sign = sorted(load_finder(str(told)).find(image), key=lambda one: one.class_id != POLE)
+    assert (pole.class_id, sign.class_id) == (POLE, None)
+    assert np.array_equal([pole.box_px, sign.box_px], boxes_px)
+    for one in (pole, sign):
+        assert one.mask is not None
+        assert one.mask.all()
+        assert one.corner_px == tuple(one.box_px[:2])
+        assert one.score > 0.99
+
+
+@pytest.mark.parametrize("resize", ["stretch", "letterbox"])
+@pytest.mark.parametrize("stride", [2, 4])
+def test_maps_of_low_resolution_land_where_the_image_has_them(
+    tmp_path: Path, stride: int, resize: str
+) -> None:
+    """Half a pixel of the map forgotten would be 1 or 2 pixels of the image."""
+    image, boxes_px = scene()
+    model = painted(tmp_path / "painted.onnx", (512, 256), stride)
+    told = describe(model, (512, 256), input={"resize": resize})
+    regions = sorted(load_finder(str(told)).find(image), key=lambda one: one.class_id != POLE)
+    middles = [one.middle_px for one in regions]
+    assert np.allclose(middles, (boxes_px[:, :2] + boxes_px[:, 2:]) / 2.0, atol=0.6)
+
+
+def test_blue_first_scale_mean_and_std_are_as_told(tmp_path: Path) -> None:
+    """Colours given another way round, and brought back by what the TOML says, look the same."""
+    image, boxes_px = scene()
+    size = (image.shape[1], image.shape[0])
+    model = painted(tmp_path / "painted.onnx", size, stride=1)
+    told = describe(model, size, input={"scale": 1.0, "std": [255.0] * 3})
+    assert len(load_finder(str(told)).find(image)) == 2
+    bgr = describe(model, size, input={"colors": "bgr"})
+    regions = load_finder(str(bgr)).find(np.ascontiguousarray(image[..., ::-1]))
+    assert {tuple(one.box_px) for one in regions} == {tuple(one) for one in boxes_px}
+
+
+def seen(tmp_path: Path, image: ByteImage) -> list[Region]:
+    size = (image.shape[1], image.shape[0])
+    model = painted(tmp_path / "painted.onnx", size, stride=1)
+    regions = load_finder(str(describe(model, size))).find(image)
+    return sorted(regions, key=lambda one: float(one.box_px[0]))
+
+
+def test_a_pole_behind_something_is_one_and_its_neighbours_are_others(tmp_path: Path) -> None:
+    image = gray((200, 160))
+    image[10:150, 40:45] = COLORS["pole"]
+    image[60:100, 30:56] = (90, 90, 90)  # hides a part of it
+    image[20:140, 90:94] = COLORS["pole"]
+    image[20:140, 104:108] = COLORS["pole"]
+    regions = seen(tmp_path, image)
+    assert [one.box_px.tolist() for one in regions] == [
+        [40, 10, 44, 149],
+        [90, 20, 93, 139],
+        [104, 20, 107, 139],
+    ]
+    assert regions[0].mask is not None
+    assert not regions[0].mask[50:90].any()
+
+
+def test_a_bar_across_holds_no_poles_together_and_an_arm_is_cut(tmp_path: Path) -> None:
+    image = gray((240, 160))
+    image[10:150, 40:44] = COLORS["pole"]
+    image[10:150, 100:104] = COLORS["pole"]
+    image[30:33, 40:104] = COLORS["pole"]
+    for row in range(20, 150):  # leans by 8 degrees
+        column = 180 + row // 7
+        image[row, column : column + 4] = COLORS["pole"]
+    image[20:24, 150:183] = COLORS["pole"]
+    left, right, leaning = seen(tmp_path, image)
+    assert np.allclose(left.box_px, [40, 10, 43, 149], atol=1)
+    assert np.allclose(right.box_px, [100, 10, 103, 149], atol=1)
+    assert np.allclose(leaning.box_px, [182, 20, 204, 149], atol=2)
+
+
+def test_specks_and_what_is_no_upright_are_dropped(tmp_path: Path) -> None:
+    image = gray((200, 100))
+    image[10:15, 20:22] = COLORS["pole"]
+    image[50:60, 60:160] = COLORS["pole"]
+    image[20:23, 100:120] = COLORS["sign"]
+    assert not seen(tmp_path, image)
+
+
+Mutation = tuple[dict[str, Any], str]
+MUTATIONS: dict[str, Mutation] = {
+    "no file": ({"model": "other.onnx"}, r"other\.onnx: no such model"),
+    "not ONNX": ({"model": "broken.onnx"}, r"broken\.onnx: no ONNX model"),
+    "kind": ({"kind": "yolo"}, r"planted\.toml: kind: "),
+    "key": ({"treshold": 0.5}, r"planted\.toml: treshold: "),
+    "size": ({"input": {"width": 320}}, r"takes \[1, 3, 128, 256\].*says \[1, 3, 128, 320\]"),
+    "std": ({"input": {"std": [0, 1, 1]}}, r"planted\.toml: input: .*std above 0"),
+    "output": ({"outputs": ["mask"]}, r"outputs: no 'mask' in the model, but logits"),
+    "outputs": ({"outputs": ["a", "b"]}, r"outputs of kind segmentation are 1"),
+    "labels": ({"labels": 4, "classes": {"1": "pole"}}, r"with 4 labels it is logits \(1, 4"),
+    "no labels": ({"labels": 0}, r"a model has one at least"),
+    "layout": ({"kind": "yolo-v8"}, r"shape \(1, 3, 32, 64\); with 3 labels it is \(1, 7, boxes\)"),
+    "its class": ({"classes": {"tree": "pole"}}, r"the model has no class 'tree'; it has road"),
+    "our class": ({"classes": {"pole": "mast"}}, r"'pole' cannot be 'mast'; known are sign, ig"),
+    "nothing": ({"classes": {"pole": "ignore"}}, r"no class of the model is a pole or a sign"),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_what_does_not_fit_is_one_line_that_names_the_file(tmp_path: Path, name: str) -> None:
+    told, message = MUTATIONS[name]
+    (tmp_path / "broken.onnx").write_bytes(b"a model it is not")
+    model = answering(
+        tmp_path / "planted.onnx", {"logits": np.zeros((1, 3, 32, 64), np.float32)}, SIZE
+    )
+    with pytest.raises(SemvizError, match=message) as raised:
+        load_finder(str(describe(model, SIZE, **told)))
+    assert str(tmp_path) in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "told", "message"),
+    [
+        ({"out": np.full((1, 7, 5), np.nan, np.float32)}, {}, "'out' is not of finite numbers"),
+        ({"out": np.full((1, 7, 5), 9.0, np.float32)}, {}, "scores that are not between 0 and 1"),
+        ({"out": np.zeros((1, 5, 7), np.float32)}, {}, r"it is \(1, 7, boxes\)"),
+        ({"out": np.zeros((1, 7, 5), np.float32)}, {"kind": "yolo-v5"}, r"it is \(1, boxes, 8\)"),
+        (
+            {"l": np.zeros((1, 5, 6), np.float32), "b": np.zeros((1, 5, 4), np.float32)},
+            {"kind": "detr", "outputs": ["l", "b"]},
+            r"logits of shape \(1, 5, 6\); with 3 labels they are \(1, boxes, 3\), or",
+        ),
+        (
+            {"l": np.zeros((1, 5, 3), np.float32), "b": np.zeros((1, 4, 4), np.float32)},
+            {"kind": "detr", "outputs": ["l", "b"]},
+            r"boxes of shape \(1, 4, 4\); they are \(1, 5, 4\)",
+        ),
+        (
+            {"out": np.full((1, 8, 8), 3)},
+            {"kind": "segmentation"},
+            "labels from 3 to 3; it has 3",
+        ),
+    ],
+)
+def test_other_outputs_than_told_are_refused(
+    tmp_path: Path, outputs: dict[str, Any], told: dict[str, Any], message: str
+) -> None:
+    model = answering(tmp_path / "planted.onnx", outputs, SIZE)
+    with pytest.raises(SemvizError, match=message) as raised:
+        load_finder(str(describe(model, SIZE, **{"kind": "yolo-v8", "outputs": ["out"], **told})))
+    assert "planted.onnx" in str(raised.value)
+
+
+def test_images_that_are_none_and_names_that_are_no_model(tmp_path: Path) -> None:
+    model = painted(tmp_path / "painted.onnx", SIZE, 1)
+    finder = load_finder(str(describe(model, SIZE)))
+    assert finder.name == "painted"
+    assert not finder.find(gray((1, 1)))
+    with pytest.raises(SemvizError, match=r"shape \(94, 310\).*give \(height, width, 3\)"):
+        finder.find(gray()[..., 0])
+    for name, message in {
+        str(model): "name the TOML",
+        str(tmp_path / "none.toml"): "no such file",
+        str(tmp_path): "has no config.json",
+        "yolov5s.pt": "no model that semviz knows",
+    }.items():
+        with pytest.raises(SemvizError, match=message):
+            load_finder(name)
+
+
+@pytest.mark.parametrize("package", ["onnxruntime", "transformers"])
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    told = describe(painted(tmp_path / "painted.onnx", SIZE, 1), SIZE)
+    monkeypatch.setitem(sys.modules, package, None)
+    extra = {"onnxruntime": "onnx"}.get(package, package)
+    with pytest.raises(SemvizError, match=rf"pip install 'semviz\[{extra}\]'"):
+        load_finder(str(told if extra == "onnx" else tmp_path))
+
+
+MODEL_SIZE = (224, 96)
+"""What the tiny models of transformers look at."""
+
+
+def saved(network: Any, folder: Path, **told: object) -> Path:
+    network.eval().save_pretrained(folder)
+    rules = {
+        "do_resize": True,
+        "size": {"width": MODEL_SIZE[0], "height": MODEL_SIZE[1]},
+        "do_normalize": True,
+        "image_mean": [0.4, 0.5, 0.6],
+        "image_std": [0.2, 0.3, 0.2],
+        **told,
+    }
+    (folder / "preprocessor_config.json").write_text(json.dumps(rules))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def transformers() -> Any:
+    module = pytest.importorskip("transformers", reason="pip install 'semviz[transformers]'")
+    import torch
+
+    torch.set_num_threads(1)
+    torch.manual_seed(3)
+    return module
+
+
+@pytest.fixture(scope="module")
+def segmenter(transformers: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny SegFormer."""
+    config = transformers.SegformerConfig(
+        depths=[1] * 4,
+        hidden_sizes=[8, 8, 16, 16],
+        num_attention_heads=[1, 1, 2, 2],
+        decoder_hidden_size=16,
+        id2label={0: "road", 1: "object--sign--store", 2: "Traffic Sign (Front)"},
+    )
+    network = transformers.SegformerForSemanticSegmentation(config)
+    return saved(network, tmp_path_factory.mktemp("segmenter"))
+
+
+BOX_CLASSES = {0: "person", 1: "stop sign", 2: "pole"}
+
+
+def tiny_detr(transformers: Any) -> Any:
+    """Its scores are a softmax with one more for nothing."""
+    return transformers.DetrForObjectDetection(
+        transformers.DetrConfig(
+            use_timm_backbone=False,
+            use_pretrained_backbone=False,
+            backbone=None,
+            backbone_config=transformers.ResNetConfig(
+                embedding_size=8, hidden_sizes=[8, 8, 8, 16], depths=[1] * 4, layer_type="basic"
+            ),
+            d_model=32,
+            num_queries=12,
+            encoder_layers=1,
+            decoder_layers=1,
+            encoder_attention_heads=2,
+            decoder_attention_heads=2,
+            encoder_ffn_dim=32,
+            decoder_ffn_dim=32,
+            id2label=BOX_CLASSES,
+        )
+    )
+
+
+def tiny_d_fine(transformers: Any) -> Any:
+    """Its scores are sigmoids."""
+    return transformers.DFineForObjectDetection(
+        transformers.DFineConfig(
+            backbone_config=transformers.HGNetV2Config(
+                stem_channels=[3, 8, 8],
+                stage_in_channels=[8, 16, 16, 32],
+                stage_mid_channels=[8, 8, 8, 16],
+                stage_out_channels=[16, 16, 32, 32],
+                stage_num_blocks=[1] * 4,
+                stage_numb_of_layers=[1] * 4,
+                embedding_size=8,
+                hidden_sizes=[16, 16, 32, 32],
+                depths=[1] * 4,
+                out_features=["stage2", "stage3", "stage4"],
+            ),
+            d_model=32,
+            num_queries=12,
+            num_denoising=0,
+            encoder_hidden_dim=32,
+            encoder_in_channels=[16, 32, 32],
+            decoder_in_channels=[32] * 3,
+            encoder_ffn_dim=32,
+            decoder_ffn_dim=32,
+            encoder_attention_heads=2,
+            decoder_attention_heads=2,
+            decoder_layers=2,
+            id2label=BOX_CLASSES,
+        )
+    )
+
+
+def blobs(size: tuple[int, int] = IMAGE_SIZE) -> ByteImage:
+    coarse = np.random.default_rng(1).integers(0, 256, (5, 12, 3), np.uint8)
+    return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC))
+
+
+def read_by_transformers(
+    transformers: Any, folder: Path, processor: str, image: ByteImage
+) -> tuple[Any, Any]:
+    """Its processor, and what the model says of an image."""
+    import torch
+
+    reader = getattr(transformers, processor).from_pretrained(folder)
+    tensor = reader(image, return_tensors="pt")["pixel_values"]
+    loader = {"Seg": "SemanticSegmentation"}.get(processor[:3], "ObjectDetection")
+    network = getattr(transformers, f"AutoModelFor{loader}").from_pretrained(folder)
+    with torch.inference_mode():
+        return reader, network(pixel_values=tensor)
+
+
+def test_a_segmenter_sees_what_transformers_sees(transformers: Any, segmenter: Path) -> None:
+    reader, output = read_by_transformers(
+        transformers, segmenter, "SegformerImageProcessorPil", blobs()
+    )
+    size = IMAGE_SIZE[::-1]
+    wanted = reader.post_process_semantic_segmentation(output, target_sizes=[size])[0] == 2
+    painted_in = np.zeros(size, bool)
+    regions = load_finder(str(segmenter)).find(blobs())
+    for one in regions:
+        assert one.class_id is None
+        assert one.mask is not None
+        (left, top), (rows, columns) = one.corner_px, one.mask.shape
+        painted_in[top : top + rows, left : left + columns] |= one.mask
+    both, either = wanted.numpy() & painted_in, wanted.numpy() | painted_in
+    assert 0.02 < painted_in.mean() < 0.98
+    assert both.sum() > 0.97 * either.sum()
+
+
+@pytest.mark.parametrize(
+    ("make", "processor"),
+    [(tiny_detr, "DetrImageProcessorPil"), (tiny_d_fine, "RTDetrImageProcessorPil")],
+)
+def test_a_detector_sees_what_transformers_sees(
+    transformers: Any, tmp_path: Path, make: Callable[[Any], Any], processor: str
+) -> None:
+    import torch
+
+    network = make(transformers)
+    for name, one in network.named_parameters():
+        if "bbox" in name or "class" in name:  # else all boxes would be the same
+            torch.nn.init.normal_(one, std=0.3)
+    folder = saved(network, tmp_path)
+    (folder / "classes.toml").write_text(
+        "least_score = 0.01\n[classes]\nperson = 'triangular sign'\n'stop sign' = 'sign'\n"
+        "pole = 'pole'\n"
+    )
+    image = blobs(MODEL_SIZE)  # resized by others a random network would say something else
+    reader, output = read_by_transformers(transformers, folder, processor, image)
+    told = reader.post_process_object_detection(
+        output, threshold=0.01, target_sizes=[MODEL_SIZE[::-1]]
+    )[0]
+    best: dict[tuple[float, ...], tuple[float, int]] = {}
+    for score, label, box in zip(told["scores"], told["labels"], told["boxes"], strict=True):
+        key = tuple(box.tolist())  # a sigmoid gives a box for every class: the best counts
+        best[key] = max(best.get(key, (0.0, 0)), (float(score), int(label)))
+    regions = load_finder(str(folder)).find(image)
+    assert len(best) > 8
+    for box_px, (score, label) in best.items():
+        wanted = np.clip(np.array(box_px) - 0.5, 0.0, np.tile(MODEL_SIZE, 2) - 1.0)
+        nearest = min(regions, key=lambda one: float(np.abs(one.box_px - wanted).sum()))
+        assert np.allclose(nearest.box_px, wanted, atol=0.01)
+        assert nearest.score == pytest.approx(score, abs=1e-3)
+        assert nearest.class_id == (TRIANGULAR, None, POLE)[label]
+
+
+def test_usual_words_for_poles_and_signs_are_known() -> None:
+    labels = ("traffic light", "pole", "object--support--utility-pole", "traffic sign", "Stop Sign")
+    assert usual_classes(labels) == {
+        "pole": "pole",
+        "object--support--utility-pole": "pole",
+        "traffic sign": "sign",
+        "Stop Sign": "sign",
+    }
+
+
+def copied(segmenter: Path, folder: Path) -> Path:
+    shutil.copytree(segmenter, folder)
+    return folder
+
+
+def test_a_size_of_ones_own_and_proportions_that_are_kept(segmenter: Path, tmp_path: Path) -> None:
+    folder = copied(segmenter, tmp_path / "model")
+    finder = load_finder(str(folder))
+    assert isinstance(finder, TransformersFinder)
+    (folder / "classes.toml").write_text("size = [640, 192]\n")
+    assert finder.rules.size.of(1241, 376) == (224, 96)
+    other = load_finder(str(folder))
+    assert isinstance(other, TransformersFinder)
+    assert other.rules.size.of(1241, 376) == (640, 192)
+    assert Size(shortest_edge=800, longest_edge=1333).of(1241, 376) == (1333, 404)
+    assert Size(shortest_edge=800, longest_edge=1333).of(640, 480) == (1067, 800)
+
+
+class Trap:
+    """Unpickled, it writes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_pickles_and_code_that_come_with_a_model_are_never_run(
+    segmenter: Path, tmp_path: Path
+) -> None:
+    import torch
+
+    folder, sprung = copied(segmenter, tmp_path / "model"), tmp_path / "sprung"
+    (folder / "model.safetensors").unlink()
+    torch.save({"weight": Trap(sprung)}, folder / "pytorch_model.bin")
+    with pytest.raises(SemvizError, match=r"model: cannot be loaded: .*safetensors"):
+        load_finder(str(folder))
+    config = json.loads((folder / "config.json").read_text())
+    config |= {"model_type": "mine", "auto_map": {"AutoConfig": "mine.Config"}}
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "mine.py").write_text(f"import pathlib; pathlib.Path({str(sprung)!r}).touch()")
+    with pytest.raises(SemvizError, match="model: cannot be loaded"):
+        load_finder(str(folder))
+    assert not sprung.exists()
+
+
+def drop_a_tensor(folder: Path) -> None:
+    tensors = safetensors.numpy.load_file(folder / "model.safetensors")
+    tensors.pop("decode_head.classifier.bias")
+    safetensors.numpy.save_file(tensors, folder / "model.safetensors", {"format": "pt"})
+
+
+def spoil_a_tensor(folder: Path) -> None:
+    tensors = safetensors.numpy.load_file(folder / "model.safetensors")
+    tensors["decode_head.classifier.bias"][:] = np.nan
+    safetensors.numpy.save_file(tensors, folder / "model.safetensors", {"format": "pt"})
+
+
+def edit(name: str, **told: object) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        raw = json.loads((folder / name).read_text())
+        (folder / name).write_text(json.dumps(raw | told))
+
+    return change
+
+
+def write(name: str, text: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_text(text) and None
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (drop_a_tensor, "its weights are not whole: no decode_head.classifier.bias"),
+        (spoil_a_tensor, "its output is not of finite numbers"),
+        (write("model.safetensors", "broken"), "cannot be loaded"),
+        (write("config.json", "{"), "cannot be loaded"),
+        (edit("config.json", architectures=["SegformerModel"]), "architecture SegformerModel"),
+        (edit("config.json", id2label={"0": "a", "1": "b", "2": "c"}), "is a pole or a sign"),
+        (lambda folder: (folder / "preprocessor_config.json").unlink(), "cannot be read"),
+        (edit("preprocessor_config.json", size={"height": "high"}), r"size\.height: "),
+        (edit("preprocessor_config.json", size={"height": 4, "width": 4}), "would become 4 x 4"),
+        (write("classes.toml", "[classes]\ntree = 'pole'"), "the model has no class 'tree'"),
+        (write("classes.toml", "least = 0.5"), r"classes\.toml: least: "),
+    ],
+)
+def test_a_folder_that_does_not_fit_is_one_line(
+    segmenter: Path, tmp_path: Path, harm: Callable[[Path], None], message: str
+) -> None:
+    folder = copied(segmenter, tmp_path / "model")
+    harm(folder)
+    with pytest.raises(SemvizError, match=message) as raised:
+        load_finder(str(folder)).find(blobs())
+    assert str(folder) in str(raised.value)
+    assert "\n" not in str(raised.value)
