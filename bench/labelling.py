@@ -1,6 +1,8 @@
 """How many inputs a label costs: a scripted annotator labels 8 frames of simulated streets.
 
     python bench/labelling.py
+    python bench/labelling.py --detector own        after 'semviz detect'
+    python bench/labelling.py --detector simulated  one as good as the paper's
 
 The script sees what a person would: the street's truth is its eye. It clicks with a hand that
 trembles by 1.5 CSS pixels, at the zoom that shows the whole image, with snapping on. It accepts a
@@ -15,6 +17,7 @@ drawing, before each correction and once a frame.
 """
 
 import argparse
+import subprocess
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, field
@@ -27,9 +30,12 @@ from playwright.sync_api import Page, sync_playwright
 from semviz.annotator.server import Annotator
 from semviz.web.door import Door
 from semviz.workspace import Workspace
+from semviz_annotation.detections import as_proposals
 from semviz_annotation.labels import Labels
+from semviz_annotation.proposals import Proposals, save_proposals
 from semviz_core.elements import Elements2D
 from semviz_core.sources.source import Side
+from semviz_core.sources.street.detector import SimulatedDetector
 from semviz_core.sources.street.street import Street
 
 CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader"]
@@ -414,8 +420,29 @@ def errors_px(labels: Labels, street: Street) -> list[float]:
     return errors
 
 
-def run(seed: int, folder: Path, browser: Any) -> tuple[Work, list[float], float, str]:
+def simulated_proposals(workspace: Workspace, seed: int) -> None:
+    """What a detector as good as the paper's would propose for both images of each frame."""
+    street = workspace.street
+    detector = SimulatedDetector(street, "paper", seed)
+    found = [
+        one
+        for index in range(FRAMES)
+        for side in SIDES
+        for one in as_proposals(
+            index, side, detector.detect(index, side).observed, street.rig.left, "simulated"
+        )
+    ]
+    save_proposals(Proposals.of(found), workspace.proposals_path)
+
+
+def run(
+    seed: int, folder: Path, browser: Any, detector: str
+) -> tuple[Work, list[float], float, str]:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
+    if detector == "simulated":
+        simulated_proposals(workspace, seed)
+    elif detector == "own":
+        subprocess.run(["semviz", "detect", str(workspace.path)], check=True)
     annotator = Annotator(workspace, author="script")
     street = workspace.street
     try:
@@ -439,13 +466,15 @@ def run(seed: int, folder: Path, browser: Any) -> tuple[Work, list[float], float
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1001, 1002, 1003])
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--detector", choices=["none", "simulated", "own"], default="none")
+    arguments = parser.parse_args()
+    seeds = arguments.seeds
     inputs = labels = least = 0
     seconds = 0.0
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         for seed in seeds:
-            work, errors, flags, said = run(seed, Path(folder), browser)
+            work, errors, flags, said = run(seed, Path(folder), browser, arguments.detector)
             right = [one for one in errors if one <= RIGHT_PX]
             print(
                 f"street {seed}: {len(errors)} observations in {FRAMES} frames, "

@@ -74,7 +74,7 @@ class Bottoms:
         shown = self._panes.of(frame_index).values()
         places = []
         for one in self._proposing.offers(frame_index, labels):
-            if one.origin == "partner" and one.sure and one.mark is not None and one.element_id:
+            if one.origin == "partner" and one.sure and one.mark is not None:
                 rows = [labels.find(one.element_id, each.frame_index, each.side) for each in shown]
                 here = {Pane(row.frame_index, row.side): Mark.of(row) for row in rows if row}
                 places.append(self._place(here | {one.pane: one.mark}))

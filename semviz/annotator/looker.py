@@ -11,6 +11,7 @@ from semviz.annotator.offers import Answer, Follow, Offer, Question, Settle
 from semviz.annotator.panes import Pane
 from semviz_annotation.assist.follow import Sight, follow
 from semviz_annotation.assist.partner import find_partner
+from semviz_annotation.assist.settle import Found, settle
 from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import Snapped, snap
 from semviz_core.classes import ClassSet
@@ -79,11 +80,13 @@ class Looker:
             ]
             found = follow(sights, question.element, one)
             return {each.there: Answer(best) for each, best in zip(sought, found, strict=True)}
-        there = self._shot(question.there)
         if isinstance(question, Settle):
-            snapped = snap(there, question.mark, one)
-            mark = question.mark if snapped is None else snapped.mark
-            return {question.there: Answer(Proposed(mark, question.score))}
+            seen = [Found(self._shot(each.pane), each.mark, each.score) for each in question.found]
+            other = None if question.other is None else self._shot(question.other)
+            panes = (*(each.pane for each in question.found), question.other)
+            settled = settle(seen, other, one).proposed
+            return {pane: Answer(each) for pane, each in zip(panes, settled, strict=False) if pane}
+        there = self._shot(question.there)
         here = self._shot(question.here)
         partners = find_partner(here, there, question.mark, one, question.element)
         if partners is None:

@@ -33,8 +33,7 @@ def offers_json(
         mark = None if one.mark is None else inside(one.mark, camera_of(rig, one.pane.side)[0])
         if mark is None or one.pane not in shown_as:
             continue
-        key = one.element_id or one.id
-        entry = found.setdefault(key, _offered_json(one, key, labels, classes))
+        entry = found.setdefault(one.element_id, _offered_json(one, labels, classes))
         entry[shown_as[one.pane]] = _offer_json(one, mark)
     for entry in found.values():
         scores = [entry[side]["score"] for side in shown_as.values() if side in entry]
@@ -43,10 +42,10 @@ def offers_json(
     return sorted(found.values(), key=lambda one: (one["sure"], one["depth_m"] or 0.0))
 
 
-def _offered_json(offer: Offer, key: str, labels: Labels, classes: ClassSet) -> Json:
+def _offered_json(offer: Offer, labels: Labels, classes: ClassSet) -> Json:
     """What is offered, without its marks."""
-    entry: Json = {"id": key, "origin": offer.origin, "depth_m": offer.depth_m}
-    if offer.element_id is not None:
+    entry: Json = {"id": offer.element_id, "origin": offer.origin, "depth_m": offer.depth_m}
+    if not offer.is_detected:
         return element_json(labels.element(offer.element_id), classes) | entry
     return entry | {"name": f"new {classes[offer.class_id].name}", "class": offer.class_id}
 

@@ -4,6 +4,7 @@ Where an element should be follows from geometry at once; exactly where it is, a
 only the images tell. So an offer carries a question, which a ``Looker`` answers in its own time.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
@@ -13,8 +14,7 @@ import numpy as np
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.panes import Pane
 from semviz_annotation.assist.shot import SURE, Mark, Proposed, clipped
-from semviz_annotation.labels import Labels, Observation, proposal_id
-from semviz_annotation.proposals import Proposal
+from semviz_annotation.labels import Labels, proposal_id
 from semviz_annotation.triangulate import Triangulated
 from semviz_core.camera import Camera
 from semviz_core.sources.source import Side
@@ -22,7 +22,7 @@ from semviz_core.sources.source import Side
 Origin: TypeAlias = Literal["map", "partner", "detector"]
 
 DETECTED_PX = 6.0
-"""The same for a detector's: it marks no better than that."""
+"""A detector's find this near to something known is that thing: it marks no better."""
 TAKEN_PX = 1.5
 """An offer this near to a label of its class lies on a thing that has one already. Poles that stand
 one behind the other may well be a little further apart."""
@@ -69,13 +69,22 @@ class Follow:
 
 
 @dataclass(frozen=True)
-class Settle:
-    """Exactly where is what a detector marked in ``there``?"""
+class Detected:
+    """What a detector marked in an image."""
 
-    class_id: int
+    pane: Pane
     mark: Mark
     score: float
-    there: Pane
+
+
+@dataclass(frozen=True)
+class Settle:
+    """Exactly where is one thing that a detector found in one image or in two, and is it there?"""
+
+    class_id: int
+    found: tuple[Detected, ...]
+    other: Pane | None
+    """Where it may be too, though the detector did not find it there."""
 
 
 Question: TypeAlias = FindPartner | Follow | Settle
@@ -98,12 +107,13 @@ class Offer:
     pane: Pane
     class_id: int
     origin: Origin
-    element_id: str | None
-    """None: a detector's, of which nobody knows yet to what it belongs."""
+    element_id: str
+    """Of a detector's: which there will be when it is accepted."""
     mark: Mark | None
     """None where only the image can tell."""
     score: float | None = None
-    """Probability that the mark is within 2 px; None before anybody has looked."""
+    """Probability that the mark is within 2 px, of a detector's that all its marks are; None before
+    anybody has looked."""
     runner_up: Proposed | None = None
     depth_m: float | None = None
     question: Question | None = None
@@ -132,11 +142,10 @@ class Offer:
 def offers_in(
     panes: Mapping[Side, Pane],
     expected: Iterable[Expected],
-    detected: Iterable[Proposal],
     labels: Labels,
     order: Mapping[int, int],
 ) -> list[Offer]:
-    """All offers for ``panes``, before anybody has looked.
+    """All offers of elements for ``panes``, before anybody has looked.
 
     ``order`` is the place of each frame in time.
     """
@@ -149,8 +158,7 @@ def offers_in(
     partners = {one.id: one for one in _partners(panes, labels, places)}
     for both in mapped.keys() & partners.keys():  # the other image of the same moment says more
         partners[both] = replace(partners[both], mark=mapped[both].mark)
-    offers = [*(mapped | partners).values(), *_detected(panes, detected, labels)]
-    return [one for one in offers if one.id not in turned_down]
+    return [one for one in (mapped | partners).values() if one.id not in turned_down]
 
 
 def _partners(
@@ -217,71 +225,74 @@ def _sought(element_id: str, there: Pane, labels: Labels, order: Mapping[int, in
     return Sought(there, Pane(row.frame_index, row.side), Mark.of(row))
 
 
-def _detected(
-    panes: Mapping[Side, Pane], detected: Iterable[Proposal], labels: Labels
-) -> list[Offer]:
-    """A detector's finds, but for those that a label has spent or made needless."""
-    found = []
-    for one in detected:
-        pane = Pane(one.frame_index, one.side)
-        mark = Mark(one.anchor_px, one.end_px, one.anchor_known, one.end_known)
-        rows = labels.in_frame(pane.frame_index, pane.side)
-        needless = any(_gap_px(mark, row) < DETECTED_PX for row in rows)
-        if pane in panes.values() and one.id not in labels.observations and not needless:
-            question = Settle(one.class_id, mark, one.score, pane)
-            offer = Offer(one.id, pane, one.class_id, "detector", None, mark, one.score)
-            found.append(replace(offer, question=question))
-    return found
-
-
 def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
     """Answered offers, unsure where a label or another offer is in the same place.
 
-    A detector's are left out there: what is known of an element says more.
+    What a detector found there is left out: more is known of an element. It may know better though
+    where that is.
     """
+    known = _known(offers, labels)
+    found: dict[str, list[Offer]] = defaultdict(list)
+    for one in offers:
+        if one.is_detected:
+            found[one.element_id].append(one)
+    new: list[Offer] = []
+    for thing in sorted(found.values(), key=lambda marks: -(marks[0].score or 0.0)):
+        meant = {n for n, other in enumerate(known) if any(_is_at(one, other) for one in thing)}
+        for n in meant:
+            known[n] = _joined(known[n], thing)
+        taken = any(_is_labelled(one, labels, DETECTED_PX) for one in thing)
+        if not (meant or taken or any(_is_at(one, other) for one in thing for other in new)):
+            new += thing
+    return [*known, *new]
+
+
+def _known(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
+    """Those of elements; unsure where something else is in the same place, the better one first."""
     kept: list[Offer] = []
-    for one in sorted(offers, key=lambda offer: (offer.is_detected, -(offer.score or 0.0))):
-        rows = labels.in_frame(one.pane.frame_index, one.pane.side)
-        labelled = any(
-            labels.element(row.element_id).class_id == one.class_id and _near(one.mark, row)
-            for row in rows
-        )
-        offered = any(
-            other.pane == one.pane and other.class_id == one.class_id and _same(other, one)
-            for other in kept
-        )
-        if labelled or offered:
-            if one.is_detected:
-                continue
+    for one in sorted(offers, key=lambda offer: -(offer.score or 0.0)):
+        if one.is_detected:
+            continue
+        if _is_labelled(one, labels, TAKEN_PX, one.class_id) or any(
+            _same(other, one) for other in kept
+        ):
             one = replace(one, score=0.0)
         kept.append(one)
     return kept
 
 
-def _near(mark: Mark | None, row: Observation) -> bool:
-    return mark is not None and _gap_px(mark, row) < TAKEN_PX
+def _joined(known: Offer, thing: Sequence[Offer]) -> Offer:
+    """What is expected but not clear is where a detector surely found something of its class."""
+    for one in thing:
+        if not known.sure and one.sure and one.class_id == known.class_id and _is_at(one, known):
+            return replace(known, mark=one.mark, score=one.score, runner_up=None)
+    return known
+
+
+def _is_labelled(
+    offer: Offer, labels: Labels, within_px: float, class_id: int | None = None
+) -> bool:
+    """Whether a label lies where something is offered; of one class only where that is given."""
+    return offer.mark is not None and any(
+        Mark.of(row).is_line == offer.mark.is_line and offer.mark.gap_px(Mark.of(row)) < within_px
+        for row in labels.in_frame(offer.pane.frame_index, offer.pane.side)
+        if class_id in (None, labels.element(row.element_id).class_id)
+    )
+
+
+def _is_at(found: Offer, other: Offer) -> bool:
+    """Whether a detector's find and another offer are of one place, whatever class it may have."""
+    if found.mark is None or other.mark is None or found.pane != other.pane:
+        return False
+    return found.mark.is_line == other.mark.is_line and found.mark.gap_px(other.mark) < DETECTED_PX
 
 
 def _same(one: Offer, two: Offer) -> bool:
-    if one.mark is None or two.mark is None:
+    if one.mark is None or two.mark is None or one.pane != two.pane:
         return False
-    if two.is_detected:
-        return _gap_px(one.mark, two.mark) < DETECTED_PX
     both_known = one.score is not None and two.score is not None
-    return both_known and _gap_px(one.mark, two.mark) < TAKEN_PX
-
-
-def _gap_px(mark: Mark, other: Mark | Observation) -> float:
-    """Between anchors; between poles, across the line of the other at the two ends of the first."""
-    if mark.end_px is None or other.end_px is None:
-        return float(np.hypot(*np.subtract(mark.anchor_px, other.anchor_px)))
-    along = np.subtract(other.end_px, other.anchor_px)
-    length = max(float(np.hypot(*along)), 1e-9)
-    gaps = np.subtract([mark.anchor_px, mark.end_px], other.anchor_px)
-    across = np.abs(gaps @ np.array([along[1], -along[0]])) / length
-    shares = gaps @ along / length**2
-    overlap = min(shares.max(), 1.0) - max(shares.min(), 0.0)
-    return float(across.max()) if overlap > 0.0 else float("inf")
+    alike = one.class_id == two.class_id and one.mark.gap_px(two.mark) < TAKEN_PX
+    return both_known and alike
 
 
 def inside(mark: Mark, camera: Camera) -> Mark | None:

@@ -52,7 +52,7 @@ def partner_of(
     near = [
         (_distance_px(one.mark, drawing), one.element_id)
         for one in offers
-        if one.mark is not None and one.element_id is not None and one.class_id == class_id
+        if one.mark is not None and not one.is_detected and one.class_id == class_id
         if _distance_px(one.mark, drawing) <= (NEAR_SURE_PX if one.sure else NEAR_EXPECTED_PX)
     ]
     return Partner(min(near)[1]) if near else Partner(None, note)

@@ -1,8 +1,10 @@
 """Everything that is proposed for a frame: what geometry expects, as the images confirm it."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from semviz.annotator.cameras import Cameras
+from semviz.annotator.finds import Find, finds_in, offers_of
 from semviz.annotator.ghosts import Ghost, ghosts_in
 from semviz.annotator.looker import Looker
 from semviz.annotator.nearby import Nearby, nearby_in
@@ -11,6 +13,9 @@ from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
 from semviz_annotation.labels import Labels
 from semviz_annotation.proposals import Proposals
+
+KEPT_FINDS = 256
+"""Frames of which it is kept what a detector found in them."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,7 @@ class Proposing:
         self._labels = Labels()
         self._known: dict[int, _Geometry] = {}
         """By frame, for these labels."""
+        self._finds = lru_cache(KEPT_FINDS)(self._finds_in)
 
     def offers(self, frame_index: int, labels: Labels) -> list[Offer]:
         """What is proposed, as far as the images have been looked at."""
@@ -59,7 +65,7 @@ class Proposing:
     def count(self, frame_index: int, labels: Labels) -> int:
         """Elements that are proposed for a frame by geometry, and a detector's finds."""
         offers = self._found(frame_index, labels).offers
-        return len({one.element_id or one.id for one in offers if one.origin != "partner"})
+        return len({one.element_id for one in offers if one.origin != "partner"})
 
     def ghosts(self, pane: Pane, labels: Labels) -> list[Ghost]:
         """Mapped elements that are expected in an image and not labelled there."""
@@ -70,6 +76,9 @@ class Proposing:
         return list(
             ghosts_in(pane.frame_index, pane.side, T_camera_map, self._cameras.rig, labels, near)
         )
+
+    def _finds_in(self, frame_index: int) -> tuple[Find, ...]:
+        return finds_in(self._panes.of(frame_index), self._detected, self._cameras)
 
     def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
         """As ``_found``, kept: it is asked for several times after each edit."""
@@ -94,8 +103,6 @@ class Proposing:
             for one in nearby
             for ghost in one.ghosts
         ]
-        detected = [
-            one for pane in panes.values() for one in self._detected.in_frame(pane.frame_index)
-        ]
-        offers = offers_in(panes, expected, detected, labels, self._place_in_time)
+        offers = offers_in(panes, expected, labels, self._place_in_time)
+        offers += offers_of(self._finds(frame_index), panes, labels)
         return _Geometry(tuple(offers), nearby)

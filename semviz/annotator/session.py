@@ -1,7 +1,8 @@
 """Labelling one workspace: what the page can ask for and do. No web, no screen."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from semviz.annotator import views
@@ -226,8 +227,27 @@ class LabelSession:
         marks = edit.get("marks")
         if not isinstance(marks, list) or not all(isinstance(one, dict) for one in marks):
             raise SemvizError("no proposals to accept")
-        added = tuple(self._added(one)[0] for one in marks)
+        things: dict[object, list[Json]] = defaultdict(list)
+        for one in marks:
+            things[one.get("element_id")].append(one)
+        added = tuple(one for thing in things.values() for one in self._one_thing(thing))
         return self._done(self._store.apply(AddMany(added), self.author, request_id))
+
+    def _one_thing(self, marks: list[Json]) -> Iterator[AddObservation]:
+        """Marks of one element; those of a new one join another if all of them do."""
+        added = [self._added(one)[0] for one in marks]
+        if (
+            all(one.class_id is None for one in added)
+            and len({one.element_id for one in added}) == 1
+        ):
+            yield from added
+            return
+        name = str(marks[0]["element_id"])
+        class_id = next(one["class_id"] for one in marks if one.get("class_id") is not None)
+        is_new = name not in self.labels.elements
+        for n, one in enumerate(added):
+            makes_it = is_new and n == 0
+            yield replace(one, element_id=name, class_id=class_id if makes_it else None)
 
     def _change(self, request_id: str, edit: Json) -> Done:
         """Another edit; ``seen`` is its observation as the page showed it."""

@@ -446,11 +446,13 @@ def test_what_a_detector_found_is_proposed_until_it_is_labelled(tmp_path: Path) 
     session = LabelSession(workspace, "tester")
     draw(session, sign(0, "left", (303.0, 152.0)))  # by a person, about where the detector's is
     (offer,) = [one for one in session.frame(0)["offers"] if one["origin"] == "detector"]
-    assert (offer["id"], offer["score"], offer["sure"]) == (found[0].id, 0.9, True)
+    assert (offer["left"]["id"], offer["score"], offer["sure"]) == (found[0].id, None, False)
     assert session.frame(0)["looking"]
     for question in session.unanswered(0):
         session.looker.answer(question)
     assert not session.frame(0)["looking"]
+    (offer,) = [one for one in session.frame(0)["offers"] if one["origin"] == "detector"]
+    assert 0.0 < offer["score"] < 1.0
     mark = sign(0, "left", places["aside"], observation_id=found[0].id)
     session.do(new_id(), {"kind": "accept", "marks": [mark]})
     assert session.labels.observations[found[0].id].anchor_px == places["aside"]

@@ -30,6 +30,12 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
         -0.77,
     ),
     "follow sign": (4.09, 5.59, 2.26, -3.89, -0.33, 10.58, -0.50, 0.46, 1.11, -0.33, -0.36),
+    "found alone pole": (-1.0, 1.0, 0.3),
+    "found alone sign": (-1.0, 1.0, 0.3),
+    "found one pole": (-1.0, 1.0, 0.3, 0.5),
+    "found one sign": (-1.0, 1.0, 0.3, 0.5),
+    "found pair pole": (0.5, 0.5, 0.5, 0.2, 0.2, 0.5, -1.0),
+    "found pair sign": (0.5, 0.5, 0.5, 0.2, 0.2, 0.5, -1.0),
     "partner pole": (
         2.30,
         -0.22,

@@ -58,6 +58,25 @@ class Mark:
         """(2, 2) of a pole; (1, 2) of a sign."""
         return np.array([one for one in (self.anchor_px, self.end_px) if one is not None])
 
+    @property
+    def is_line(self) -> bool:
+        return self.end_px is not None
+
+    def gap_px(self, other: Mark) -> float:
+        """Between anchors; between poles across the line of the other, at the two ends of this one.
+
+        Infinite for poles that are not beside each other.
+        """
+        if self.end_px is None or other.end_px is None:
+            return float(np.hypot(*np.subtract(self.anchor_px, other.anchor_px)))
+        along = np.subtract(other.end_px, other.anchor_px)
+        length = max(float(np.hypot(*along)), 1e-9)
+        gaps = np.subtract([self.anchor_px, self.end_px], other.anchor_px)
+        across = np.abs(gaps @ np.array([along[1], -along[0]])) / length
+        shares = gaps @ along / length**2
+        overlap = min(shares.max(), 1.0) - max(shares.min(), 0.0)
+        return float(across.max()) if overlap > 0.0 else float("inf")
+
 
 @dataclass(frozen=True)
 class Proposed:

@@ -65,13 +65,13 @@ export function proposing(state, { submit, select }) {
 }
 
 /** One accepted mark. A detector's becomes an observation under its own id, of a new element
- * unless it fits one that is expected there. */
+ * unless all its marks fit one that is expected there. */
 function mark(frame, offer, side) {
   const { id, anchor, end, anchor_known, end_known } = offer[side];
   const isNew = offer.origin === "detector";
   return {
     observation_id: isNew ? id : uuid7(),
-    element_id: isNew ? uuid7() : offer.id,
+    element_id: offer.id,
     frame_index: frame,
     side,
     anchor_px: anchor,
