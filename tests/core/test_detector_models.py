@@ -114,13 +114,13 @@ def test_planted_boxes_come_through_every_layout(tmp_path: Path, layout: str, re
 
 def test_of_boxes_that_overlap_the_better_stays_unless_one_is_a_pole(tmp_path: Path) -> None:
     middle, shift = np.array([[60.0, 60.0, 20.0, 20.0]]), np.array([0.0, 40.0, 0.0, 0.0])
-    boxes = np.concatenate([middle, middle + 1.0, middle, middle + shift])
-    table = scores_of((2, 1, 0, 2), np.array([0.5, 0.9, 0.4, 0.2]))
+    boxes = np.concatenate([middle, middle + 1.0, middle, middle + shift, middle])
+    table = scores_of((2, 1, 0, 2, 3), np.array([0.5, 0.9, 0.4, 0.2, 0.99]), 4)
     classes = {"0": "pole", "1": "triangular sign", "2": "rectangular sign"}
-    regions = found(tmp_path, "yolo-v8", boxes, table, labels=3, classes=classes)
+    regions = found(tmp_path, "yolo-v8", boxes, table, labels=4, classes=classes)
     assert [one.class_id for one in regions] == [TRIANGULAR, POLE]
     apart = found(
-        tmp_path, "yolo-v8", boxes, table, labels=3, classes=classes, most_overlap=0.9,
+        tmp_path, "yolo-v8", boxes, table, labels=4, classes=classes, most_overlap=0.9,
         least_score=0.1,
     )  # fmt: skip
     assert [one.class_id for one in apart] == [TRIANGULAR, RECTANGULAR, POLE, RECTANGULAR]
@@ -209,6 +209,15 @@ def test_a_pole_behind_something_is_one_and_its_neighbours_are_others(tmp_path: 
     assert not regions[0].mask[50:90].any()
 
 
+def test_pieces_far_apart_or_beside_each_other_are_poles_of_their_own(tmp_path: Path) -> None:
+    image = gray((200, 160))
+    image[5:30, 40:44] = COLORS["pole"]
+    image[90:115, 40:44] = COLORS["pole"]  # the gap is longer than either
+    image[10:70, 100:104] = COLORS["pole"]
+    image[80:140, 112:116] = COLORS["pole"]
+    assert len(seen(tmp_path, image)) == 4
+
+
 def test_a_bar_across_holds_no_poles_together_and_an_arm_is_cut(tmp_path: Path) -> None:
     image = gray((240, 160))
     image[10:150, 40:44] = COLORS["pole"]
@@ -222,6 +231,8 @@ def test_a_bar_across_holds_no_poles_together_and_an_arm_is_cut(tmp_path: Path) 
     assert np.allclose(left.box_px, [40, 10, 43, 149], atol=1)
     assert np.allclose(right.box_px, [100, 10, 103, 149], atol=1)
     assert np.allclose(leaning.box_px, [182, 20, 204, 149], atol=2)
+    assert leaning.mask is not None
+    assert (leaning.mask[8:].sum(axis=1) == 4).all()
 
 
 def test_specks_and_what_is_no_upright_are_dropped(tmp_path: Path) -> None:
