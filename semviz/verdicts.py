@@ -1,5 +1,6 @@
 """The verdict on each frame of a run: what the run knows of a frame, handed to explaining."""
 
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -8,9 +9,9 @@ from semviz import follow
 from semviz.observing import detector_model, observations_of
 from semviz.recording.run import FrameRecord, Run
 from semviz_core.detector_model import DetectorModel
-from semviz_core.explaining.case import is_healthy
+from semviz_core.explaining.case import Case, is_healthy
 from semviz_core.explaining.explain import explain
-from semviz_core.explaining.told import UNKNOWN, Truth, Verdict
+from semviz_core.explaining.told import FALSE, UNKNOWN, Truth, Verdict
 
 STARTING_OR_LOST = "starting or lost"
 """Of a followed frame without an answer."""
@@ -45,6 +46,30 @@ def blamed_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
         return ()
     mapped = set(run.semantic_map.elements.id.tolist())
     return tuple(one for one in told.fault.elements if one in mapped)  # some are missing there
+
+
+class Failed(NamedTuple):
+    """Where detection failed in a frame."""
+
+    missed: tuple[int, ...]
+    """Ids of map elements in view that were not detected; what hides some, the map cannot know."""
+    false: tuple[int, ...]
+    """Observed rows that are nothing real."""
+
+
+def detection_failed(run: Run, record: FrameRecord) -> Failed:
+    """Of what a detector saw, real or simulated; people's labels fail otherwise.
+
+    Nothing is missed where no true pose and no sure answer say what is in view.
+    """
+    if run.info.observations in ("", "labels"):
+        return Failed((), ())
+    truth, one = truth_of(run, record), record.localization
+    false = tuple(np.flatnonzero(record.element_id == FALSE).tolist())
+    if truth is None and one.status != "ok":
+        return Failed((), false)
+    case = Case.of(one, run.semantic_map, truth, detector_of(run))
+    return Failed(tuple(case.nearby.id[case.missed].tolist()), false)
 
 
 def detector_of(run: Run) -> DetectorModel:

@@ -1,12 +1,13 @@
 """Why a frame came out as it did, in words and numbers."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from semviz.pose_errors import Errors, difference, errors_of
 from semviz.recording.run import FrameRecord, Run
-from semviz.verdicts import blamed_elements, explained, verdict
+from semviz.verdicts import blamed_elements, detection_failed, explained, verdict
 from semviz_core.arrays import IntArray
 from semviz_core.classes import ClassSet
 from semviz_core.explaining.told import Verdict
@@ -21,7 +22,7 @@ def why_card(run: Run, record: FrameRecord) -> dict[str, Any]:
     """Title, what the solver and the verdict say, and rows of (label, value)."""
     one, told, title = record.localization, explained(run, record), verdict(run, record)
     answer, errors = one.T_camera_map, errors_of(record)
-    rows = _rows(record, errors, run.semantic_map.classes)
+    rows = [*_failed(run, record), *_rows(record, errors, run.semantic_map.classes)]
     explains = title == told.kind != "healthy"
     # of rivals the solver has said all itself; elsewhere the verdict needs the room
     adds = explains and told.kind != "ambiguous geometry"
@@ -43,6 +44,21 @@ def _noticed(told: Verdict) -> str:
     """What is wrong in a frame that came out well all the same."""
     kinds = [one.kind for one in told.noticed] if told.kind == "healthy" else []
     return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+
+
+def _failed(run: Run, record: FrameRecord) -> list[tuple[str, str]]:
+    """What the detector missed and made up."""
+    failed = detection_failed(run, record)
+    return [
+        ("Missed or hidden", _some([run.semantic_map.name_of(one) for one in failed.missed])),
+        ("Nothing real", _some([f"#{row}" for row in failed.false])),
+    ]
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of them, and how many more there are."""
+    left = [f"{len(names) - LISTED} more"] if len(names) > LISTED else []
+    return ", ".join([*names[:LISTED], *left])
 
 
 def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list[tuple[str, str]]:
@@ -72,14 +88,12 @@ def _misfits(record: FrameRecord, classes: ClassSet) -> tuple[str, str]:
         inlier = one.refinement.inlier
     else:
         return "", ""
-    worst = [row for row in np.argsort(-size_px) if not inlier[row]]
     named = []
-    for row in worst[:LISTED]:
+    for row in (row for row in np.argsort(-size_px) if not inlier[row]):
         mapped = int(pairs[row, 1])
         name = classes.element_name(int(one.submap.class_id[mapped]), int(one.submap.id[mapped]))
         named.append(f"{name} {size_px[row]:.0f} px")
-    left = [f"{len(worst) - LISTED} more"] if len(worst) > LISTED else []
-    return label, ", ".join(named + left)
+    return label, _some(named)
 
 
 def true_pairs(record: FrameRecord) -> IntArray:

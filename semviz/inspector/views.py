@@ -9,7 +9,7 @@ from semviz.inspector.session import State
 from semviz.pose_errors import errors_of, sure_and_wrong
 from semviz.projection import Projected, offsets, project_elements
 from semviz.recording.run import FrameRecord, Run
-from semviz.verdicts import verdict
+from semviz.verdicts import detection_failed, verdict
 from semviz.why import why_card
 from semviz_core.arrays import IntArray
 from semviz_core.camera import Camera
@@ -47,13 +47,14 @@ def run_head(name: str, run: Run) -> Json:
 
 
 def frame_view(run: Run, position: int) -> Json:
-    """One frame: detections, map under estimate and truth, pairs, probabilities, the why card."""
+    """One frame: detections, map under estimate and truth, pairs, probabilities, where detection
+    failed (rows of map and detections), the why card."""
     record = run.frames[position]
     one = record.localization
     truth = record.frame.T_map_camera
     estimated = _projected(one, one.T_camera_map)
     true = _projected(one, None if truth is None else truth.inverse())
-    mapped = _mapped_columns(record)
+    mapped, failed = _mapped_columns(record), detection_failed(run, record)
     return {
         "position": position,
         "index": record.frame.index,
@@ -63,6 +64,8 @@ def frame_view(run: Run, position: int) -> Json:
         "pairs": _pairs(one, estimated),
         "truePairs": _true_pairs(one, mapped, true),
         "matrix": _matrix(one),
+        "missed": np.flatnonzero(np.isin(one.submap.id, failed.missed)).tolist(),
+        "false": list(failed.false),
         "why": why_card(run, record),
         **_frame_row(run, record),
     }

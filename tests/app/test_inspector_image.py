@@ -29,6 +29,7 @@ from semviz.recording.run import FrameRecord, Run
 from semviz.web.door import Door
 from semviz_core.camera import Rig
 from semviz_core.errors import SemvizError
+from semviz_core.explaining.told import FALSE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -55,7 +56,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = record_street(folder / "first.rrd", FRAMES, sides=BOTH, spoil=mistake)
     run = load_run(path)
     saved(one_eyed(run), folder / "one-eyed.rrd")
+    saved(by_detector(run), folder / "detected.rrd")
     return path
+
+
+def by_detector(run: Run) -> Run:
+    """As if a detector had seen it, and its first detection in each frame were nothing real."""
+    frames = tuple(replace(one, element_id=np.r_[FALSE, one.element_id[1:]]) for one in run.frames)
+    return replace(run, info=replace(run.info, observations="detected by X"), frames=frames)
 
 
 def one_eyed(run: Run) -> Run:
@@ -70,7 +78,7 @@ def run(recorded: Path) -> Run:
 
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
-    others = [recorded.with_name(name) for name in ("bare.rrd", "one-eyed.rrd")]
+    others = [recorded.with_name(f"{name}.rrd") for name in ("bare", "one-eyed", "detected")]
     with Door(Inspector([recorded, *others])).running() as url:
         yield url
 
@@ -81,8 +89,9 @@ def sight(page: "Page", frame: Any, mode: str) -> Any:
         """async ([frame, mode]) => {
           const { Sight } = await import("/page/image_model.js");
           const one = new Sight(frame, mode, { width: 1241, height: 376 });
-          const { about, isPossible, mapped, vectors, observed } = one;
-          return { about, isPossible, mapped, vectors, seen: observed.length };
+          const { about, isPossible, mapped, missed, vectors, observed } = one;
+          const failed = { missed, false: one.false };
+          return { about, isPossible, mapped, ...failed, vectors, seen: observed.length };
         }""",
         [frame, mode],
     )
@@ -173,6 +182,41 @@ def test_the_three_pictures_of_the_paper(url: str, page: "Page", run: Run) -> No
     assert all(tuple(one["end"]) in ends for one in error["vectors"])
     assert len(error["vectors"]) > 10
     assert max(one["px"] for one in error["vectors"]) < 20
+
+
+def test_a_frame_says_what_was_missed_and_made_up(run: Run) -> None:
+    record = run.frames[0]
+    lost = int(record.element_id[0])
+    frame = frame_view(by_detector(run), 0)
+    assert frame["false"] == [0]
+    assert lost in {frame["mapped"][row]["id"] for row in frame["missed"]}
+    assert not {frame["mapped"][row]["id"] for row in frame["missed"]} & set(record.element_id[1:])
+    rows = dict(frame["why"]["rows"])
+    assert rows["Nothing real"] == "#0"
+    assert "Missed or hidden" in rows
+    labelled = frame_view(replace(run, info=replace(run.info, observations="labels")), 0)
+    assert (labelled["missed"], labelled["false"]) == ([], [])
+
+
+@pytest.mark.browser
+def test_where_detection_failed_is_marked_in_the_image(url: str, page: "Page", run: Run) -> None:
+    open_blank(page, url)
+    frame = frame_view(by_detector(run), 0)
+    seen = sight(page, frame, "truth")
+    assert seen["missed"] == frame["missed"]
+    assert seen["about"].endswith(f"{len(frame['missed'])} missed, 1 false")
+    error = sight(page, frame, "error")
+    assert (error["missed"], error["false"]) == ([], [])
+    open_flat(page, url)
+    before = pixels(page, "#image-canvas")
+    open_flat(page, url, "run=detected")
+    wait_for(page, lambda: in_url(page, "run") == "detected", "the run")
+    about = page.locator("#image-about")
+    wait_for(page, lambda: "1 false" in (about.text_content() or ""), "the marks")
+    picture = pixels(page, "#image-canvas")
+    assert near(picture[:-90], CANNOT) > near(before[:-90], CANNOT) + 50
+    legend = picture[-28:, :270], before[-28:, :270]  # its last line
+    assert near(legend[0], CANNOT) > near(legend[1], CANNOT) + 10
 
 
 @pytest.mark.browser

@@ -102,6 +102,13 @@ class Case:
         return np.asarray(camera.contains(camera.project(middle_c)) & in_range)
 
     @cached_property
+    def missed(self) -> BoolArray:
+        """(n,) nearby elements in view that are no row: not found, or hidden from the camera."""
+        unseen = np.ones(len(self.nearby), dtype=bool)
+        unseen[self.pairs[:, 1]] = False
+        return np.asarray(self.in_view & unseen)
+
+    @cached_property
     def in_submap(self) -> BoolArray:
         """(n,) nearby elements that the solver was given."""
         return np.asarray(np.isin(self.nearby.id, self.localization.submap.id))

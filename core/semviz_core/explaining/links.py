@@ -34,6 +34,8 @@ STRANGER: Kind = "false or not mapped"
 COSTS_A_PAIR: tuple[Kind, ...] = (
     "wrong class", "moved in the map", "missing in the map", STRANGER,
 )  # fmt: skip
+NAMED = 3
+"""So many elements that were not seen are named."""
 _AHEAD_SHARE = 0.23
 """Of all around, so much is in an image of about 80 deg."""
 
@@ -207,10 +209,21 @@ def _too_few(case: Case, seen: int) -> Fault:
     kind: Kind = "missed detection" if mapped >= NEEDED_ELEMENTS else "too few elements"
     sentence = (
         f"{about}{mapped} mapped elements are in view, {seen} of them seen; "
-        f"{NEEDED_ELEMENTS} are needed."
+        f"{NEEDED_ELEMENTS} are needed.{_unseen(case)}"
     )
     evidence = (Evidence("seen", seen), Evidence("in view", mapped))
     return Fault(kind, sentence[0].upper() + sentence[1:], evidence)
+
+
+def _unseen(case: Case) -> str:
+    """The elements in view that were not seen, by name, the nearest first."""
+    missed = np.flatnonzero(case.missed)
+    if case.truth is None or not len(missed):
+        return ""
+    depth_m = case.truth.apply(case.nearby.anchor_m[missed])[:, 2]
+    names = [case.name(int(j)) for j in missed[np.argsort(depth_m)]]
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f" Not seen: {', '.join(names[:NAMED])}{more}."
 
 
 def _within_reach(case: Case) -> int:

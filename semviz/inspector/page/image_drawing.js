@@ -1,12 +1,14 @@
 /* Draws a sight on a canvas, or into an SVG: all that is needed comes as arguments. */
 
-import { ON_IMAGE, drawArrow, drawGlyph, drawHandle, drawLine, residualColor } from "/static/glyphs.js";
-import { endState, placeOf } from "./image_model.js";
+import { ON_IMAGE, drawArrow, drawGlyph, drawFalse, drawHandle, drawLine, drawMissed, residualColor, traceRing } from "/static/glyphs.js";
+import { endState, middle, placeOf } from "./image_model.js";
 import { Labels } from "./labels.js";
 import { drawLegend } from "./legend.js";
 
 const POSE_COLOR = { estimate: ON_IMAGE.estimate, truth: ON_IMAGE.truth };
 const ARROW_PX = 16; // of an end that is cut off
+const MISSED_PX = 9; // radius of the ring around what was missed
+const FALSE_PX = 6; // of the cross on what is nothing
 
 /** `sight` seen through `view`, in an area of `width` x `height`. `look` says what else belongs to
  * it: classes, the selection `{observed, element}`, whether vectors and legend are drawn. */
@@ -14,6 +16,7 @@ export function drawSight(context, sight, view, width, height, look) {
   const painter = new Painter(context, sight, view, look, new Labels(context, width, height));
   for (const pose of painter.poses()) painter.map(pose);
   painter.observed();
+  painter.failures();
   if (look.vectors) painter.vectors();
   painter.selection();
   painter.labels.draw();
@@ -98,7 +101,7 @@ class Painter {
       const isMatched = sight.matched.has(row);
       drawMapped(this.context, look.classes.get(one.class), place, this.at, color, isMatched);
       const chosen = one.id === look.element && !sight.observed[look.observed];
-      const isNamed = !sight.observed.length || (!isMatched && sight.mode === "truth");
+      const isNamed = !sight.observed.length || (!isMatched && sight.mode === "truth") || sight.missed.includes(row);
       if (pose === sight.pose && (chosen || isNamed)) this.labels.add(one.name, this.at(place[0]), { color, weight: isMatched ? 600 : 400, first: chosen });
     }
   }
@@ -111,6 +114,16 @@ class Painter {
       const weight = sight.pairOf.has(row) ? 600 : 400;
       if (row !== look.observed) this.labels.add(sight.nameOf(row), this.at(one.anchor), { weight });
     });
+  }
+
+  /** Where detection failed: a dashed ring around what was missed, a cross on what is nothing. */
+  failures() {
+    const { context, sight } = this;
+    for (const row of sight.missed) {
+      const [anchor, end] = sight.place(row);
+      drawMissed(context, this.at(anchor), this.at(end ?? anchor), MISSED_PX);
+    }
+    for (const row of sight.false) drawFalse(context, ...this.at(middle(...placeOf(sight.observed[row]))), FALSE_PX);
   }
 
   vectors() {
@@ -154,11 +167,7 @@ class Painter {
 
 /** The mark of the selection around a point or a line on the canvas. */
 export function drawRing(context, from, to = from, radius = 12) {
-  const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
-  context.beginPath();
-  context.arc(...from, radius, angle + Math.PI / 2, angle - Math.PI / 2);
-  context.arc(...to, radius, angle - Math.PI / 2, angle + Math.PI / 2);
-  context.closePath();
+  traceRing(context, from, to, radius);
   context.strokeStyle = ON_IMAGE.accent;
   context.lineWidth = 2.2;
   context.stroke();

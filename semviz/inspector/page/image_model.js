@@ -49,6 +49,20 @@ export class Sight {
     return this.mode === "pairs" ? rows.filter((row) => this.matched.has(row)) : rows;
   }
 
+  /** Map rows that a detector should have found in this image and did not. */
+  get missed() {
+    return this.#isDetected ? this.frame.missed.filter((row) => this.isPossible && this.place(row)) : [];
+  }
+
+  /** Observed rows that are nothing real. */
+  get false() {
+    return this.#isDetected ? this.frame.false : [];
+  }
+
+  get #isDetected() {
+    return !this.right && this.mode !== "error";
+  }
+
   /** In the right image only poses can be compared. */
   get hasVectors() {
     return !this.right || this.mode === "error";
@@ -110,7 +124,9 @@ export class Sight {
   get about() {
     if (!this.isPossible) return MISSING[this.mode];
     const title = this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
-    return this.hasVectors ? title : `detections are of the left image; ${title}`;
+    const failed = [[this.missed, "missed"], [this.false, "false"]].filter(([rows]) => rows.length);
+    const counts = failed.map(([rows, what]) => `${rows.length} ${what}`);
+    return this.hasVectors ? [title, ...counts].join(", ") : `detections are of the left image; ${title}`;
   }
 
   #countPairs() {

@@ -1,6 +1,6 @@
 /* The legend on the image: what its lines, marks, and the residual colours and lengths mean. */
 
-import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawHandle } from "/static/glyphs.js";
+import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawFalse, drawHandle, drawMissed } from "/static/glyphs.js";
 import { endState } from "./image_model.js";
 
 const WIDTH = 268;
@@ -22,7 +22,8 @@ export function drawLegend(context, height, sight, scale) {
     return;
   }
   const marks = unknownEnds(sight);
-  const tall = 44 + (marks.size ? ROW : 0);
+  const failed = sight.missed.length + sight.false.length > 0;
+  const tall = 44 + (marks.size ? ROW : 0) + (failed ? ROW : 0);
   const [x, y] = [8, height - tall - 8];
   drawGround(context, x, y, WIDTH, tall);
   write(context, TITLES[sight.mode], x + 8, y + 12);
@@ -30,6 +31,7 @@ export function drawLegend(context, height, sight, scale) {
   drawScale(context, x + 8, y + 22);
   drawKey(context, x + 132, y + 30, sight);
   drawMarks(context, x + 8, y + 52, marks);
+  if (failed) drawFailures(context, x + 8, y + tall - 10, sight);
 }
 
 function drawSmall(context, height, sight) {
@@ -99,6 +101,19 @@ function drawMarks(context, x, y, marks) {
   if (!marks.has("cut")) return;
   drawArrow(context, [left, y], [left + 13, y], SEEN, 2);
   write(context, "cut by the border", left + 20, y);
+}
+
+/** How it is drawn where detection failed. */
+function drawFailures(context, x, y, { missed, false: invented }) {
+  let left = x;
+  if (missed.length) {
+    drawMissed(context, [left + 5, y], [left + 9, y], 5);
+    write(context, "missed or hidden", left + 20, y);
+    left += 118;
+  }
+  if (!invented.length) return;
+  drawFalse(context, left + 6, y, 4);
+  write(context, "false: nothing real", left + 18, y);
 }
 
 function unknownEnds({ observed, size }) {

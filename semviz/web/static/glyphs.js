@@ -86,6 +86,26 @@ export function drawHandle(context, kind, x, y, color, known = true) {
   }
 }
 
+/** A ring around a line, or around the point that `from` and `to` are, as the current path. */
+export function traceRing(context, from, to, radius) {
+  const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  context.beginPath();
+  context.arc(...from, radius, angle + Math.PI / 2, angle - Math.PI / 2);
+  context.arc(...to, radius, angle - Math.PI / 2, angle + Math.PI / 2);
+  context.closePath();
+}
+
+/** Around an element that a detector missed: a dashed ring. */
+export function drawMissed(context, from, to, radius) {
+  traceRing(context, from, to, radius);
+  strokeCased(context, ON_IMAGE.cannot, 1.6, [5, 4]);
+}
+
+/** On a detection of nothing: a cross. */
+export function drawFalse(context, x, y, radius) {
+  for (const turn of [radius, -radius]) drawLine(context, [x - radius, y - turn], [x + radius, y + turn], ON_IMAGE.cannot, 2.2);
+}
+
 /** Text with a dark outline, for labels on images. */
 export function drawText(context, text, x, y, { color = "#FFFFFF", weight = 600, align = "left", size = 11 } = {}) {
   context.font = `${weight} ${size}px Inter, "Liberation Sans", Arial, sans-serif`;
