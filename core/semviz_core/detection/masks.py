@@ -74,10 +74,10 @@ def mask_regions(
     specks dropped. Signs that touch stay one.
     """
     in_image = placing.maps(maps)
-    likeliest = in_image.argmax(axis=0)
     regions: list[Region] = []
     for index, target in enumerate(classes.wanted):
-        mask = likeliest == index
+        others = np.delete(in_image, index, axis=0).max(axis=0)
+        mask = in_image[index] > others
         pieces = _poles(mask) if target in classes.lines else _signs(mask)
         regions += [_region(one, target, in_image[index]) for one in pieces]
     return [one for one in regions if one.score >= least_score]
