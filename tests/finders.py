@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
+from pathlib import Path
 from time import sleep
 
 import numpy as np
@@ -11,38 +12,51 @@ from semviz_core.arrays import ByteImage
 from semviz_core.classes import POLE
 from semviz_core.detection.region import Region
 from semviz_core.detection.rendered import rendered_truth
+from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 
-
-@dataclass
-class Knowing:
-    """Finds what a street's image shows but for every seventh, and something false in each."""
-
-    street: Street
-    wait_s: float = 0.0
-    """How long an image takes."""
-    name: str = "knowing"
-    _seen: dict[str, tuple[Region, ...]] = field(default_factory=dict)
-
-    def find(self, image: ByteImage) -> Sequence[Region]:
-        sleep(self.wait_s)
-        regions = self._regions(image)
-        kept = [one for row, one in enumerate(regions) if row % 7 != 3]
-        return [*kept, FALSE]
-
-    def _regions(self, image: ByteImage) -> tuple[Region, ...]:
-        """Images are told apart by their pixels: a finder knows nothing else of them."""
-        if not self._seen:
-            for frame in self.street.frames:
-                for side in ("left", "right"):
-                    pixels = self.street.image(frame.index, side).tobytes()
-                    truth = rendered_truth(self.street, frame.index, side)
-                    self._seen[sha256(pixels).hexdigest()] = truth.regions
-        return self._seen[sha256(image.tobytes()).hexdigest()]
-
-
+SIDES: tuple[Side, ...] = ("left", "right")
 FALSE = Region(
     POLE, 0.3, np.array([600.0, 20.0, 604.0, 90.0]),
     ends_px=np.array([[602.0, 20.0], [602.0, 90.0]]), ends_known=(True, False),
 )  # fmt: skip
 """A pole in the sky."""
+
+
+@dataclass
+class Knowing:
+    """Finds what a street's images show but for every seventh, and a pole in the sky of each."""
+
+    street: Street
+    name: str = "knowing"
+    _known: dict[str, tuple[Region, ...]] = field(default_factory=dict)
+
+    def find(self, image: ByteImage) -> Sequence[Region]:
+        if not self._known:
+            for frame in self.street.frames:
+                for side in SIDES:
+                    shown = self.street.image(frame.index, side)
+                    truth = rendered_truth(self.street, frame.index, side)
+                    self._known[_digest(shown)] = truth.regions
+        regions = self._known[_digest(image)]
+        return [*(one for row, one in enumerate(regions) if row % 7 != 3), FALSE]
+
+
+def _digest(image: ByteImage) -> str:
+    """Images are told apart by their pixels: a finder knows nothing else of them."""
+    return sha256(image.tobytes()).hexdigest()
+
+
+@dataclass
+class Slow:
+    """Finds the pole in the sky, takes its time, and writes a line into a file for each image."""
+
+    diary: Path
+    wait_s: float = 0.0
+    name: str = "slow"
+
+    def find(self, image: ByteImage) -> Sequence[Region]:
+        sleep(self.wait_s)
+        with self.diary.open("a") as file:
+            file.write(f"{_digest(image)}\n")
+        return [FALSE]
