@@ -1,0 +1,200 @@
+"""From pixels to poses: images, what is detected in them, where the camera is.
+
+    python bench/pixels.py [/data/kitti] [--model MODEL]
+
+On rendered streets that nothing was trained on, in the true map and in a map built from labels of
+the even frames; on KITTI odometry 02, frames 0 to 19, in the map built from our labels of the even
+ones (docs/kitti02/labels.jsonl). Measured on the odd frames, with simulated GPS fixes 5-10 m off.
+Beside it the same frames with labels, and with the simulated detector, in place of detections.
+Prints the table of docs/detector.md.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from semviz.detecting import DetectOptions, detect_images, images_of
+from semviz.drive import CROP_RADIUS_M, DriveOptions, drive_workspace
+from semviz.observing import Noise, Observations
+from semviz.pose_errors import errors_of, sure_and_wrong
+from semviz.tables import Table
+from semviz.workspace import TRUTH, Workspace
+from semviz_annotation.formats.plan import ImportLabels
+from semviz_annotation.labels import Observation
+from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.options import BuildOptions
+from semviz_annotation.storing.exchange import import_operations
+from semviz_annotation.street_labels import careful, label_street
+from semviz_core.camera import Camera
+from semviz_core.detection.models import load_detector
+from semviz_core.evaluation.detection import HELD_OUT_SEED
+from semviz_core.evaluation.metrics import summarize
+from semviz_core.explaining.told import FALSE
+from semviz_core.localization import Localization
+from semviz_core.map_file import save_map
+from semviz_core.pose import Pose
+
+LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
+STREETS, FRAMES = 4, 40
+LABEL_SIGMA_PX = 1.0
+EVEN = "even"
+KITTI_SEEDS, STREET_SEEDS = range(20), range(5)
+"""Of the simulated GPS fixes."""
+Seen = tuple[Observations, Noise]
+HEADER = (
+    "images", "map", "seen by", "frames", "elements", "false", "ok %", "ambiguous %", "RTE m",
+    "RRE deg", "< 1 m %", "ok and wrong",
+)  # fmt: skip
+"""Elements and false ones are means of a frame; errors medians over all frames with an answer."""
+
+
+@dataclass
+class Found:
+    """What came of one way to see."""
+
+    localizations: list[Localization] = field(default_factory=list)
+    truths: list[Pose | None] = field(default_factory=list)
+    seen: list[int] = field(default_factory=list)
+    """Elements in each frame."""
+    false: list[int] = field(default_factory=list)
+    """Of those, nothing real; on labelled images nobody knows."""
+    sure_and_wrong: int = 0
+    """Frames that are ok and more than 1 m or 1 deg off."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kitti", nargs="?", type=Path)
+    parser.add_argument("--model")
+    chosen = parser.parse_args()
+    rows: list[tuple[str, ...]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        streets = [made_street(Path(folder), seed) for seed in range(STREETS)]
+        for one in streets:
+            look(one, chosen.model)
+        ways: list[Seen] = [
+            ("labels", "low"), ("simulated", "low"), ("simulated", "paper"), ("detected", "low")
+        ]  # fmt: skip
+        for name in (TRUTH, EVEN):
+            for way in ways:
+                rows.append(row("rendered", name, way, found(streets, name, way, STREET_SEEDS)))
+        if chosen.kitti is not None:
+            kitti = [made_kitti(Path(folder), chosen.kitti)]
+            look(kitti[0], chosen.model)
+            for way in (ways[0], ways[-1]):
+                rows.append(row("KITTI 02", EVEN, way, found(kitti, EVEN, way, KITTI_SEEDS)))
+    print(Table("From pixels to poses", HEADER, tuple(rows), words=3).as_markdown())
+
+
+def made_street(folder: Path, number: int) -> Workspace:
+    """Labelled in every frame by somebody careful who knows which things are one."""
+    seed = HELD_OUT_SEED + number
+    workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
+    street = workspace.street
+    labels = label_street(careful(street, LABEL_SIGMA_PX, seed), range(FRAMES), FRAMES).labels
+    rows = tuple(inside(one, street.rig.left) for one in labels.observations.values())
+    with workspace.open_labels() as store:
+        store.apply(ImportLabels(tuple(labels.elements.values()), rows), "bench")
+    build_even(workspace)
+    return workspace
+
+
+def inside(row: Observation, camera: Camera) -> Observation:
+    """A label that an unsteady hand drew beyond the image's border ends there."""
+    corner = np.array([camera.width - 1.0, camera.height - 1.0])
+    (u, v), end = np.clip(row.anchor_px, 0.0, corner).tolist(), row.end_px
+    if end is not None:
+        x, y = np.clip(end, 0.0, corner).tolist()
+        end = (x, y)
+    return replace(row, anchor_px=(u, v), end_px=end)
+
+
+def made_kitti(folder: Path, root: Path) -> Workspace:
+    """With our own labels."""
+    workspace = Workspace.create_kitti(folder / "kitti", root, "02", (2, 3), range(20))
+    with workspace.open_labels() as store:
+        import_operations(LABELS, store)
+    build_even(workspace)
+    return workspace
+
+
+def build_even(workspace: Workspace) -> None:
+    """The map that the labels of the even frames give."""
+    indices = [one.index for one in workspace.source.frames]
+    even = range(0, len(indices), 2)
+    built, _ = build_map(workspace.read_labels(), workspace.source, BuildOptions(), even)
+    save_map(built, workspace.map_path(EVEN))
+
+
+def look(workspace: Workspace, model: str | None) -> None:
+    """Detects in the odd left images."""
+    options = DetectOptions(model)
+    images = images_of(workspace, odd(workspace), ("left",))
+    start_s = perf_counter()
+    proposals = detect_images(workspace, load_detector(model), options, images)
+    each_ms = 1e3 * (perf_counter() - start_s) / len(images)
+    print(f"{workspace.name}: {len(proposals)} in {len(images)} images, {each_ms:.0f} ms each")
+
+
+def odd(workspace: Workspace) -> range:
+    return range(1, len(workspace.source.frames), 2)
+
+
+def found(workspaces: Sequence[Workspace], map_name: str, way: Seen, seeds: range) -> Found:
+    """All frames of all workspaces, each with several GPS fixes."""
+    result = Found()
+    for workspace in workspaces:
+        for options in each_seed(way, seeds):
+            for record in drive_workspace(workspace, map_name, options, odd(workspace)):
+                truth = record.frame.T_map_camera
+                result.localizations.append(record.localization)
+                result.truths.append(None if truth is None else truth.inverse())
+                result.seen.append(len(record.element_id))
+                result.false.append(int((record.element_id == FALSE).sum()))
+                result.sure_and_wrong += sure_and_wrong(record.localization, errors_of(record))
+    return result
+
+
+def each_seed(way: Seen, seeds: range) -> Iterator[DriveOptions]:
+    observations, noise = way
+    radius_m = CROP_RADIUS_M[observations]
+    for seed in seeds:
+        yield DriveOptions(
+            observations=observations, noise=noise, crop_radius_m=radius_m, seed=seed
+        )
+
+
+def row(images: str, map_name: str, way: Seen, result: Found) -> tuple[str, ...]:
+    """Of the table."""
+    told = summarize(result.localizations, result.truths)
+    everything = told.accuracy
+    share = {name: 100.0 * one.frames / everything.frames for name, one in told.by_status.items()}
+    observations, noise = way
+    knows = observations != "labels" and images == "rendered"
+    return (
+        images,
+        map_name,
+        f"{observations}, {noise}" if observations == "simulated" else observations,
+        str(everything.frames),
+        f"{np.mean(result.seen):.1f}",
+        f"{np.mean(result.false):.2f}" if knows else "-",
+        f"{share['ok']:.0f}",
+        f"{share['ambiguous']:.0f}",
+        number(everything.rte_m.q2),
+        number(everything.rre_deg.q2),
+        f"{100.0 * (everything.share_below_1m or 0.0):.0f}",
+        str(result.sure_and_wrong),
+    )
+
+
+def number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+if __name__ == "__main__":
+    main()
