@@ -81,10 +81,10 @@ def _map(
     one = record.localization
     seen: Projected = project_elements(one.submap, T_camera_map, one.camera)
     traces = [
-        _trace(classes[int(one.submap.class_id[row])], seen.anchor_px[row], seen.end_px[row])
+        trace(classes[int(one.submap.class_id[row])], seen.anchor_px[row], seen.end_px[row])
         for row in np.flatnonzero(seen.shown)
     ]
-    return _cased("".join(traces), color, width)
+    return cased("".join(traces), color, width)
 
 
 def _seen(record: FrameRecord, classes: ClassSet) -> list[Html]:
@@ -93,8 +93,8 @@ def _seen(record: FrameRecord, classes: ClassSet) -> list[Html]:
     lines = []
     for kind in classes:
         rows = np.flatnonzero(seen.class_id == kind.id)
-        traces = [_trace(kind, seen.anchor_px[row], seen.end_px[row]) for row in rows]
-        lines.append(_cased("".join(traces), kind.color, 3.0))
+        traces = [trace(kind, seen.anchor_px[row], seen.end_px[row]) for row in rows]
+        lines.append(cased("".join(traces), kind.color, 3.0))
     return [*lines, *_labels(record, classes)]
 
 
@@ -115,7 +115,7 @@ def _labels(record: FrameRecord, classes: ClassSet) -> list[Html]:
     return labels
 
 
-def _trace(kind: ElementClass, anchor: FloatArray, end: FloatArray) -> str:
+def trace(kind: ElementClass, anchor: FloatArray, end: FloatArray) -> str:
     """Path data: a pole's line with a cap at its peak, or a sign's glyph."""
     x, y = anchor
     if kind.kind == "line":
@@ -129,7 +129,7 @@ def _trace(kind: ElementClass, anchor: FloatArray, end: FloatArray) -> str:
     return "M" + "L".join(f"{u:.1f} {v:.1f}" for u, v in corners) + "Z"
 
 
-def _cased(trace: str, color: str, width: float) -> Html:
+def cased(trace: str, color: str, width: float) -> Html:
     """A line with a dark rim."""
     rim = element("path", d=trace, stroke=CASING, stroke_width=width + 2.2)
     return element("g", rim, element("path", d=trace, stroke=color, stroke_width=width))

@@ -30,7 +30,7 @@ class Judged:
     found: Elements2D
     truth: Truth
     seconds: float
-    """That the detector took."""
+    """That the detector took of the processor."""
 
     @cached_property
     def matches(self) -> IntArray:
