@@ -64,7 +64,7 @@ class Found:
     false: list[int] = field(default_factory=list)
     """Of those, nothing real; on labelled images nobody knows."""
     sure_and_wrong: int = 0
-    """Frames that are ok and more than 1 m or 1 deg off."""
+    """Frames that are ok and more than 1 m off."""
 
 
 def main() -> None:
