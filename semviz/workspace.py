@@ -244,7 +244,7 @@ class Workspace:
 
     @property
     def proposals_path(self) -> Path:
-        """What a detector proposes; there is none before 'semviz detect' or 'semviz labels propose'."""
+        """What a detector proposes, by 'semviz detect' or brought in by 'semviz labels propose'."""
         return self.path / "proposals.parquet"
 
     def map_path(self, name: str) -> Path:
