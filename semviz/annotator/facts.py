@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz.annotator.disagreement import Disagreement
 from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
 from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation
@@ -28,6 +29,8 @@ class FrameFacts:
     proposed: int
     """Mapped elements that are expected in its images and neither labelled nor turned down there,
     and what a detector found. Geometry alone: nobody has looked."""
+    disagreement: Disagreement | None
+    """None where no detector looked."""
 
 
 class Facts:
@@ -79,7 +82,7 @@ class Facts:
     def _learnt(self, frame_index: int, labels: Labels) -> FrameFacts:
         residuals = list(self._residuals_px(labels.in_frame(frame_index), labels))
         worst_px, worst_id = max(residuals, default=(0.0, None), key=lambda one: one[0])
-        return FrameFacts(worst_px, worst_id, self._proposing.count(frame_index, labels))
+        return FrameFacts(worst_px, worst_id, *self._proposing.survey(frame_index, labels))
 
     def _residuals_px(
         self, rows: Iterable[Observation], labels: Labels

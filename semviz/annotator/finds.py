@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from semviz.annotator.cameras import Cameras
 from semviz.annotator.offers import DETECTED_PX, Detected, Offer, Settle
 from semviz.annotator.panes import Pane
 from semviz_annotation.assist.pairs import stereo_pairs
-from semviz_annotation.assist.shot import Mark
+from semviz_annotation.assist.shot import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels import Labels, proposal_id
 from semviz_annotation.proposals import Proposal, Proposals
 from semviz_annotation.rows import derived_id
@@ -25,6 +27,14 @@ class Find:
     def element_id(self) -> str:
         """Of the element that it becomes when it is accepted."""
         return derived_id(f"thing {self.proposals[0].id}")
+
+    @property
+    def score(self) -> float:
+        """The detector's own, of the image where it is surer."""
+        return max(one.score for one in self.proposals)
+
+    def is_turned_down(self, labels: Labels) -> bool:
+        return any(one.id in labels.dismissals for one in self.proposals)
 
 
 def finds_in(panes: Mapping[Side, Pane], detected: Proposals, cameras: Cameras) -> tuple[Find, ...]:
@@ -47,25 +57,28 @@ def offers_of(finds: Iterable[Find], panes: Mapping[Side, Pane], labels: Labels)
 
     A find in one image is offered in the other too, where the images show its partner.
     """
+    finds = [one for one in finds if not one.is_turned_down(labels)]
+    labelled = _labelled([one for find in finds for one in find.proposals], panes, labels)
     return [
         offer
         for find in finds
-        if not any(_is_settled(one, labels) for one in find.proposals)
+        if not any(one.id in labelled for one in find.proposals)
         for offer in _offers(find, panes.values())
     ]
 
 
-def _is_settled(one: Proposal, labels: Labels) -> bool:
-    """Accepted, turned down, or where something of its kind is labelled anyhow."""
-    mark = _mark(one)
-    return (
-        one.id in labels.observations
-        or one.id in labels.dismissals
-        or any(
-            mark.is_line == (row.end_px is not None) and mark.gap_px(Mark.of(row)) < DETECTED_PX
-            for row in labels.in_frame(one.frame_index, one.side)
-        )
-    )
+def _labelled(
+    proposals: Sequence[Proposal], panes: Mapping[Side, Pane], labels: Labels
+) -> set[str]:
+    """Ids of those that were accepted, or where something of their kind is labelled anyhow."""
+    found = {one.id for one in proposals if one.id in labels.observations}
+    for pane in panes.values():
+        here = [one for one in proposals if pane == Pane(one.frame_index, one.side)]
+        rows = labels.in_frame(pane.frame_index, pane.side)
+        ends, others = both_ends_px(map(mark_of, here)), both_ends_px(map(Mark.of, rows))
+        near = np.argwhere(gaps_px(ends, others) < DETECTED_PX)
+        found |= {here[row].id for row, _ in near.tolist()}
+    return found
 
 
 def _offers(find: Find, panes: Iterable[Pane]) -> Sequence[Offer]:
@@ -73,14 +86,14 @@ def _offers(find: Find, panes: Iterable[Pane]) -> Sequence[Offer]:
     seen = {Pane(one.frame_index, one.side): one for one in find.proposals}
     others = [pane for pane in panes if pane not in seen]
     class_id = find.proposals[0].class_id
-    found = tuple(Detected(pane, _mark(one), one.score) for pane, one in seen.items())
+    found = tuple(Detected(pane, mark_of(one), one.score) for pane, one in seen.items())
     question = Settle(class_id, found, others[0] if others else None)
 
     def offer(pane: Pane, name: str, mark: Mark | None) -> Offer:
         return Offer(name, pane, class_id, "detector", find.element_id, mark, question=question)
 
     return [
-        *(offer(pane, one.id, _mark(one)) for pane, one in seen.items()),
+        *(offer(pane, one.id, mark_of(one)) for pane, one in seen.items()),
         *(offer(one, _name(find, one), None) for one in others),
     ]
 
@@ -90,5 +103,6 @@ def _name(find: Find, pane: Pane) -> str:
     return proposal_id(find.element_id, pane.frame_index, pane.side)
 
 
-def _mark(one: Proposal) -> Mark:
+def mark_of(one: Proposal) -> Mark:
+    """What a detector marked."""
     return Mark(one.anchor_px, one.end_px, one.anchor_known, one.end_known)

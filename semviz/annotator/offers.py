@@ -274,7 +274,7 @@ def _is_labelled(
 ) -> bool:
     """Whether a label lies where something is offered; of one class only where that is given."""
     return offer.mark is not None and any(
-        Mark.of(row).is_line == offer.mark.is_line and offer.mark.gap_px(Mark.of(row)) < within_px
+        offer.mark.gap_px(Mark.of(row)) < within_px
         for row in labels.in_frame(offer.pane.frame_index, offer.pane.side)
         if class_id in (None, labels.element(row.element_id).class_id)
     )
@@ -284,7 +284,7 @@ def _is_at(found: Offer, other: Offer) -> bool:
     """Whether a detector's find and another offer are of one place, whatever class it may have."""
     if found.mark is None or other.mark is None or found.pane != other.pane:
         return False
-    return found.mark.is_line == other.mark.is_line and found.mark.gap_px(other.mark) < DETECTED_PX
+    return found.mark.gap_px(other.mark) < DETECTED_PX
 
 
 def _same(one: Offer, two: Offer) -> bool:

@@ -1,9 +1,11 @@
 """Everything that is proposed for a frame: what geometry expects, as the images confirm it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 from semviz.annotator.cameras import Cameras
+from semviz.annotator.disagreement import Disagreement, disagreement, known_in, looked_at
 from semviz.annotator.finds import Find, finds_in, offers_of
 from semviz.annotator.ghosts import Ghost, ghosts_in
 from semviz.annotator.looker import Looker
@@ -23,6 +25,8 @@ class _Geometry:
     """What is proposed for a frame before anybody has looked at its images."""
 
     offers: tuple[Offer, ...]
+    ghosts: tuple[Ghost, ...]
+    """Mapped elements, where they should be."""
     nearby: tuple[Nearby, ...]
 
 
@@ -62,10 +66,32 @@ class Proposing:
         """Elements that are labelled around here, but have no place in space yet."""
         return self._geometry(frame_index, labels).nearby
 
-    def count(self, frame_index: int, labels: Labels) -> int:
-        """Elements that are proposed for a frame by geometry, and a detector's finds."""
-        offers = self._found(frame_index, labels).offers
-        return len({one.element_id for one in offers if one.origin != "partner"})
+    def survey(self, frame_index: int, labels: Labels) -> tuple[int, Disagreement | None]:
+        """Elements that are proposed by geometry, and a detector's finds: how many; and where that
+        detector and the labels disagree, None where none looked."""
+        geometry = self._found(frame_index, labels)
+        count = len({one.element_id for one in geometry.offers if one.origin != "partner"})
+        shown = [
+            one for one in self._panes.of(frame_index).values() if one.frame_index == frame_index
+        ]
+        looked = looked_at(shown, self._detected)
+        if not looked:
+            return count, None
+        known = known_in(looked, geometry.ghosts, labels, self._depth_m(frame_index, labels))
+        return count, disagreement(looked, self._finds(frame_index), known, labels)
+
+    def _depth_m(self, frame_index: int, labels: Labels) -> Callable[[str], float]:
+        """How far ahead of a frame's left camera a mapped element is; 0 where nobody knows."""
+        T_camera_map = self._cameras.T_camera_map(frame_index)
+        near = self._places.near(labels, frame_index)
+
+        def depth_m(element_id: str) -> float:
+            place = near.get(element_id)
+            if place is None or T_camera_map is None:
+                return 0.0
+            return float(T_camera_map.apply(place.anchor_m[None])[0, 2])
+
+        return depth_m
 
     def ghosts(self, pane: Pane, labels: Labels) -> list[Ghost]:
         """Mapped elements that are expected in an image and not labelled there."""
@@ -96,7 +122,8 @@ class Proposing:
             for pane in panes.values()
             for ghost in self.ghosts(pane, labels)
         ]
-        known = {one.ghost.element_id for one in expected}
+        ghosts = tuple(one.ghost for one in expected)
+        known = {one.element_id for one in ghosts}
         nearby = nearby_in(frame_index, self._order, known, labels, self._cameras, self._places)
         expected += [
             Expected(Pane(frame_index, ghost.side), ghost, None)
@@ -105,4 +132,4 @@ class Proposing:
         ]
         offers = offers_in(panes, expected, labels, self._place_in_time)
         offers += offers_of(self._finds(frame_index), panes, labels)
-        return _Geometry(tuple(offers), nearby)
+        return _Geometry(tuple(offers), ghosts, nearby)

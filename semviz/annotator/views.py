@@ -102,6 +102,8 @@ def frame_json(labels: Labels, index: int, facts: FrameFacts | None) -> Json:
     if facts is not None:
         worst = {"px": facts.worst_px, "element": facts.worst_id}
         summary |= {"worst": worst, "proposed": facts.proposed}
+        if facts.disagreement is not None:
+            summary |= {"disagreement": vars(facts.disagreement)}
     return summary
 
 

@@ -1,6 +1,7 @@
 """Which finds of two images are one thing: by epipolar lines and plausible depths alone."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,50 +49,74 @@ def misfits(
         return result
     places = transfer(here, there, starts.reshape(-1, 2), depths)
     places = places.reshape(len(depths), len(ones), 2, 2)
-    for row, one in enumerate(ones):
-        for column, other in enumerate(others):
-            if one.class_id == other.class_id:
-                result[row, column] = _misfit(one, other, places[:, row])
+    for class_id in {one.class_id for one in ones} & {one.class_id for one in others}:
+        rows, columns = (
+            [n for n, one in enumerate(found) if one.class_id == class_id]
+            for found in (ones, others)
+        )
+        mine, theirs = _Marks.of([ones[n] for n in rows]), _Marks.of([others[n] for n in columns])
+        near = _pole_misfits if theirs.is_line else _sign_misfits
+        result[np.ix_(rows, columns)] = near(mine, theirs, places[:, rows])
     return result
 
 
-def _misfit(one: Proposal, other: Proposal, places: FloatArray) -> float:
-    """Of the places (d, 2, 2) of one's ends at each depth, in the image of the other."""
-    if other.end_px is None:
-        off = np.linalg.norm(places[:, 0] - np.array(other.anchor_px), axis=1)
-        return _least(off / _tolerance_px(one.sigma_px, other.sigma_px, _LEAST_PX))
-    ends = _ends(other)
-    length = max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
-    along = (ends[1] - ends[0]) / length
-    gaps = places - ends[0]
-    across = np.abs(gaps @ np.array([along[1], -along[0]])).max(axis=1)
-    off = across / _tolerance_px(one.sigma_px, other.sigma_px, _LEAST_PX)
-    reached = gaps @ along  # (d, 2) of one's ends, from the other's peak
-    for end, is_known in enumerate(_known(one, other)):
-        if is_known:
-            miss = np.abs(reached[:, end] - end * length)
-            off = np.maximum(off, miss / _along_px(one, other))
-    beside = np.minimum(reached.max(axis=1), length) > np.maximum(reached.min(axis=1), 0.0)
+@dataclass(frozen=True, eq=False)
+class _Marks:
+    """Finds of one class in one image."""
+
+    ends_px: FloatArray
+    """(n, 2, 2); both ends of a sign are its middle."""
+    known: BoolArray
+    """(n, 2)"""
+    sigma_px: FloatArray
+    """(n, 2) across and along."""
+    is_line: bool
+
+    @classmethod
+    def of(cls, found: Sequence[Proposal]) -> "_Marks":
+        return cls(
+            ends_px=np.array([_ends(one) for one in found]),
+            known=np.array([(one.anchor_known, one.end_known) for one in found]),
+            sigma_px=np.array(
+                [(one.sigma_px, one.sigma_along_px or one.sigma_px) for one in found]
+            ),
+            is_line=found[0].end_px is not None,
+        )
+
+
+def _sign_misfits(mine: _Marks, theirs: _Marks, places: FloatArray) -> FloatArray:
+    """(n, m) of places (d, n, 2, 2) of my finds at each depth in the image of theirs."""
+    off_px = np.linalg.norm(places[:, :, None, 0] - theirs.ends_px[:, 0], axis=3)
+    return _least(off_px / _tolerance_px(mine, theirs, 0, _LEAST_PX))
+
+
+def _pole_misfits(mine: _Marks, theirs: _Marks, places: FloatArray) -> FloatArray:
+    """As ``_sign_misfits``: across their lines and, for ends that both know, along them."""
+    steps = theirs.ends_px[:, 1] - theirs.ends_px[:, 0]
+    length = np.maximum(np.linalg.norm(steps, axis=1), 1e-9)
+    along = steps / length[:, None]  # (m, 2)
+    gaps = places[:, :, None] - theirs.ends_px[:, None, 0]  # (d, n, m, 2, 2)
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)[:, None]
+    off_px = np.abs((gaps * across).sum(axis=4)).max(axis=3)  # (d, n, m)
+    off = off_px / _tolerance_px(mine, theirs, 0, _LEAST_PX)
+    reached = (gaps * along[:, None]).sum(axis=4)  # (d, n, m, 2) from their peaks
+    both_known = mine.known[:, None] & theirs.known  # (n, m, 2)
+    miss = np.abs(reached - np.stack([np.zeros_like(length), length], axis=1))
+    miss = np.where(both_known, miss, 0.0).max(axis=3)
+    off = np.maximum(off, miss / _tolerance_px(mine, theirs, 1, _LEAST_ALONG_PX))
+    beside = np.minimum(reached.max(axis=3), length) > np.maximum(reached.min(axis=3), 0.0)
     return _least(np.where(beside, off, np.inf))
 
 
-def _least(off: FloatArray) -> float:
-    return float(np.nanmin(np.where(np.isfinite(off), off, np.inf)))
+def _least(off: FloatArray) -> FloatArray:
+    """(n, m) of (d, n, m), where NaN is behind a camera."""
+    return np.asarray(np.where(np.isfinite(off), off, np.inf).min(axis=0))
 
 
-def _known(one: Proposal, other: Proposal) -> BoolArray:
-    """(2,) whether an end is seen in both images."""
-    return np.array([one.anchor_known and other.anchor_known, one.end_known and other.end_known])
-
-
-def _along_px(one: Proposal, other: Proposal) -> float:
-    sigma_px, other_px = (each.sigma_along_px or each.sigma_px for each in (one, other))
-    return _tolerance_px(sigma_px, other_px, _LEAST_ALONG_PX)
-
-
-def _tolerance_px(one_px: float, other_px: float, least_px: float) -> float:
-    sigmas = np.clip([one_px, other_px], least_px, max(least_px, _MOST_PX))
-    return _SIGMAS * float(np.hypot(*sigmas))
+def _tolerance_px(mine: _Marks, theirs: _Marks, axis: int, least_px: float) -> FloatArray:
+    """(n, m)"""
+    one, other = (np.clip(each.sigma_px[:, axis], least_px, _MOST_PX) for each in (mine, theirs))
+    return _SIGMAS * np.hypot(one[:, None], other)
 
 
 def _ends(one: Proposal) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,24 +59,33 @@ class Mark:
         """(2, 2) of a pole; (1, 2) of a sign."""
         return np.array([one for one in (self.anchor_px, self.end_px) if one is not None])
 
-    @property
-    def is_line(self) -> bool:
-        return self.end_px is not None
-
     def gap_px(self, other: Mark) -> float:
-        """Between anchors; between poles across the line of the other, at the two ends of this one.
+        """As ``gaps_px``."""
+        return float(gaps_px(both_ends_px([self]), both_ends_px([other]))[0, 0])
 
-        Infinite for poles that are not beside each other.
-        """
-        if self.end_px is None or other.end_px is None:
-            return float(np.hypot(*np.subtract(self.anchor_px, other.anchor_px)))
-        along = np.subtract(other.end_px, other.anchor_px)
-        length = max(float(np.hypot(*along)), 1e-9)
-        gaps = np.subtract([self.anchor_px, self.end_px], other.anchor_px)
-        across = np.abs(gaps @ np.array([along[1], -along[0]])) / length
-        shares = gaps @ along / length**2
-        overlap = min(shares.max(), 1.0) - max(shares.min(), 0.0)
-        return float(across.max()) if overlap > 0.0 else float("inf")
+
+def both_ends_px(marks: Iterable[Mark]) -> FloatArray:
+    """(n, 2, 2) anchor and end, which is NaN for signs."""
+    ends = [(one.anchor_px, one.end_px or (np.nan, np.nan)) for one in marks]
+    return np.array(ends, dtype=np.float64).reshape(-1, 2, 2)
+
+
+def gaps_px(ones: FloatArray, others: FloatArray) -> FloatArray:
+    """(n, m) how far marks (n, 2, 2) are from others (m, 2, 2), anchor and end, NaN for signs.
+
+    Between signs' middles; between poles across the line of the other, at the two ends of the
+    first. Infinite between poles and signs, and for poles that are not beside each other.
+    """
+    middles = np.linalg.norm(ones[:, None, 0] - others[None, :, 0], axis=2)
+    along = others[:, 1] - others[:, 0]
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    gaps = ones[:, None] - others[None, :, :1]  # (n, m, 2, 2)
+    across = np.abs(gaps[..., 0] * along[:, 1:] - gaps[..., 1] * along[:, :1]).max(axis=2) / length
+    shares = (gaps * along[:, None]).sum(axis=3) / length[:, None] ** 2
+    beside = np.minimum(shares.max(axis=2), 1.0) > np.maximum(shares.min(axis=2), 0.0)
+    poles = np.isfinite(ones[:, 1, 0])[:, None], np.isfinite(others[:, 1, 0])
+    alike = np.where(poles[0] & poles[1] & beside, across, np.inf)
+    return np.where(poles[0] | poles[1], alike, middles)
 
 
 @dataclass(frozen=True)

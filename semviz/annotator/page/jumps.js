@@ -5,20 +5,26 @@ import { Kept, badge, row } from "./widgets.js";
 
 const FEW = 4; // elements that a frame needs for a pose without doubt
 
-/** Every list of frames: what belongs in it, which comes first, and what its row shows. */
+/** Every list of frames: what belongs in it, which comes first, what its row shows, and the element
+ * that it is about. */
 export const JUMPS = {
   unreviewed: {
     title: "Unreviewed", has: ({ state }) => !state.startsWith("reviewed"), about: (frames) => frames.length,
   },
   worst: {
     title: "Worst residual", has: ({ worst }) => worst?.px > 0, rank: (one) => -one.worst.px,
-    about: ([first]) => (first ? `${first.worst.px.toFixed(1)} px` : "none"),
+    about: ([first]) => (first ? `${first.worst.px.toFixed(1)} px` : "none"), meant: ({ worst }) => worst?.element,
   },
   few: {
     title: `Under ${FEW} elements`, has: ({ elements }) => elements < FEW, about: (frames) => frames.length,
   },
   proposals: {
     title: "With proposals", has: ({ proposed }) => proposed > 0, about: (frames) => frames.length,
+  },
+  disagree: {
+    title: "Detector disagrees", has: ({ disagreement }) => disagreement?.weight > 0, rank: (one) => -one.disagreement.weight,
+    about: ([first]) => (first ? `${first.disagreement.new} new, ${first.disagreement.unseen} unseen` : "none"),
+    meant: ({ disagreement }) => disagreement?.worst_id,
   },
 };
 
@@ -54,13 +60,14 @@ function jump(state, actions, by) {
   if (here >= 0) actions.go(frames[here + by] ?? null);
   else if (JUMPS[state.jump].rank) actions.go(frames[0]);
   else actions.go((by > 0 ? frames.find((one) => one > state.frame) : frames.findLast((one) => one < state.frame)) ?? frames[0]);
-  if (state.jump === "worst") selectWorst(state, actions);
+  selectMeant(state, actions);
 }
 
-/** The label that is meant is in hand at once. */
-function selectWorst(state, actions) {
+/** What the list is about in this frame is in hand at once. */
+function selectMeant(state, actions) {
   const frame = state.labels.frames.find(({ index }) => index === state.frame);
-  if (frame?.worst?.element) actions.select(frame.worst.element);
+  const element = frame && JUMPS[state.jump].meant?.(frame);
+  if (element) actions.select(element);
 }
 
 /** The panel of jump lists. */
