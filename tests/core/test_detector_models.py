@@ -5,6 +5,7 @@ weights, whose answers are read by transformers' own code too.
 """
 
 import json
+import re
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -17,13 +18,15 @@ import pytest
 import safetensors.numpy
 
 from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.classes import POLE, RECTANGULAR, TRIANGULAR
+from semviz_core.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, TRIANGULAR
 from semviz_core.detection.boxes import MOST_BOXES
 from semviz_core.detection.image_rules import Size
-from semviz_core.detection.model_classes import usual_classes
+from semviz_core.detection.model_classes import model_classes, usual_classes
 from semviz_core.detection.models import load_finder
+from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.detection.region import Region
-from semviz_core.detection.transformers_model import TransformersFinder
+from semviz_core.detection.settings_file import read_settings
+from semviz_core.detection.transformers_model import TransformersFinder, TransformersSettings
 from semviz_core.errors import SemvizError
 
 onnx = pytest.importorskip("onnx", reason="makes ONNX models; pip install 'semviz[test]'")
@@ -31,6 +34,7 @@ pytest.importorskip("onnxruntime", reason="runs ONNX models; pip install 'semviz
 
 from planted_models import COLORS, answering, describe, painted  # noqa: E402
 
+REPOSITORY = Path(__file__).parents[2]
 SIZE = (256, 128)
 """Of the models' inputs, which are not the image's."""
 IMAGE_SIZE = (310, 94)
@@ -241,6 +245,21 @@ def test_specks_and_what_is_no_upright_are_dropped(tmp_path: Path) -> None:
     image[50:60, 60:160] = COLORS["pole"]
     image[20:23, 100:120] = COLORS["sign"]
     assert not seen(tmp_path, image)
+
+
+def test_the_tomls_of_the_docs_are_whole(tmp_path: Path) -> None:
+    page = (REPOSITORY / "docs" / "detector.md").read_text().split("\n## Other models\n")[1]
+    blocks = re.findall(r"^```toml\n(.*?)^```", page.split("\n## ")[0], re.MULTILINE | re.DOTALL)
+    for number, block in enumerate(blocks):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(block)
+        if "kind = " not in block:
+            read_settings(path, TransformersSettings)
+            continue
+        settings = read_settings(path, OnnxSettings)
+        model_classes(settings.label_names, settings.classes, DEFAULT_CLASSES, path)
+        assert f"`{settings.kind}`" in page
+    assert len(blocks) == 4
 
 
 Mutation = tuple[dict[str, Any], str]
