@@ -12,6 +12,7 @@ from semviz.commands.annotate import Annotate
 from semviz.commands.benchmark import Benchmark
 from semviz.commands.compare import Compare
 from semviz.commands.detect import Detect
+from semviz.commands.detect_evaluate import DetectEvaluate
 from semviz.commands.evaluate import Evaluate
 from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
@@ -50,11 +51,19 @@ LabelCommands = Annotated[
     | Annotated[LabelsRestore, subcommand("restore")],
     subcommand("labels", description="Labels in and out, checked, backed up; proposals in."),
 ]
+DetectCommands = Annotated[
+    Annotated[Detect, subcommand("run")] | Annotated[DetectEvaluate, subcommand("evaluate")],
+    subcommand(
+        "detect",
+        description="Poles and signs found in the images of a workspace: detect [run] WORKSPACE; "
+        "and how well.",
+    ),
+]
 Command = (
     Annotated[Serve, subcommand("serve")]
     | Annotated[New, subcommand("new")]
     | Annotated[Annotate, subcommand("annotate")]
-    | Annotated[Detect, subcommand("detect")]
+    | DetectCommands
     | MapCommands
     | Annotated[Localize, subcommand("localize")]
     | Annotated[Evaluate, subcommand("evaluate")]
@@ -70,12 +79,15 @@ Command = (
 )
 
 
+_BELOW_DETECT: tuple[list[str], ...] = (["run"], ["train"], ["evaluate"], ["-h"], ["--help"], [])
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted,
     141 nobody reads the output any more."""
     command = tyro.cli(
         Command,
-        args=arguments,
+        args=_spelled_out(list(sys.argv[1:] if arguments is None else arguments)),
         prog="semviz",
         description="See and mend localization in sparse semantic maps of poles and traffic signs.",
         config=(OmitArgPrefixes, OmitSubcommandPrefixes),
@@ -95,6 +107,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("semviz: interrupted", file=sys.stderr)
         status = 130
     sys.exit(status)
+
+
+def _spelled_out(arguments: list[str]) -> list[str]:
+    """``semviz detect WORKSPACE`` is ``semviz detect run WORKSPACE``: commands with others below
+    them have no default in tyro. A workspace that is called like one of those is ``./train``."""
+    if arguments[:1] != ["detect"] or arguments[1:2] in _BELOW_DETECT:
+        return arguments
+    return ["detect", "run", *arguments[1:]]
 
 
 def _refuse(why: str) -> int:
