@@ -27,7 +27,7 @@ from semviz_annotation.assist.snap import CLEAR, best_snap
 from semviz_annotation.labels import Observation
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.classes import DEFAULT_CLASSES, POLE, ElementClass
 from semviz_core.pose import Pose
 from semviz_core.sources.source import Side
@@ -454,8 +454,13 @@ def print_found(rows: list[Answer]) -> None:
 
 
 def print_reliability(rows: list[Answer]) -> None:
-    said = np.array([one.probability for one in rows])
-    right = np.array([_right(one) for one in rows])
+    print_shares(
+        np.array([one.probability for one in rows]), np.array([_right(one) for one in rows])
+    )
+
+
+def print_shares(said: FloatArray, right: BoolArray) -> None:
+    """Of answers that were said to be right with some probability, how many are."""
     print("  said      answers  right")
     for low, high in ((0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
         of = (said >= low) & (said < high)
@@ -486,17 +491,22 @@ def print_times() -> None:
 
 
 def print_fit(all_answers: list[Answer]) -> None:
-    """Logistic regression of what is right, by kind (Newton's method, a small ridge)."""
+    """Logistic regression of what is right, by kind."""
     for what in sorted({one.what for one in all_answers}):
         rows = [one for one in all_answers if one.what == what]
         X = np.array([[1.0, *one.evidence] for one in rows])
         y = np.array([_right(one) for one in rows], dtype=float)
-        weights = np.zeros(X.shape[1])
-        for _ in range(60):
-            p = 1.0 / (1.0 + np.exp(-X @ weights))
-            H = (X * (p * (1.0 - p) + 1e-9)[:, None]).T @ X + 0.1 * np.eye(len(weights))
-            weights = weights + np.linalg.solve(H, X.T @ (y - p) - 0.1 * weights)
-        print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in weights)}),')
+        print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in fitted(X, y))}),')
+
+
+def fitted(X: FloatArray, y: FloatArray) -> FloatArray:
+    """(k,) weights of evidence (n, k) for what is right (n,): Newton's method, a small ridge."""
+    weights = np.zeros(X.shape[1])
+    for _ in range(60):
+        p = 1.0 / (1.0 + np.exp(-X @ weights))
+        H = (X * (p * (1.0 - p) + 1e-9)[:, None]).T @ X + 0.1 * np.eye(len(weights))
+        weights = weights + np.linalg.solve(H, X.T @ (y - p) - 0.1 * weights)
+    return weights
 
 
 def main() -> None:

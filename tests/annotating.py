@@ -5,16 +5,24 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
 from semviz.web.door import Door
 from semviz.workspace import Workspace
+from semviz_annotation.detections import as_proposals
 from semviz_annotation.labels import Labels, Observation, new_id
+from semviz_annotation.proposals import Proposal, Proposals
+from semviz_core.sources.source import Side
+from semviz_core.sources.street.street import Street
+
+SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass
@@ -88,3 +96,17 @@ class Killable:
             os.kill(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self.process = None
+
+
+def true_finds(street: Street, frame: int, sides: Sequence[Side]) -> Proposals:
+    """What a detector without fault finds, within 30 m and whole."""
+    elements = street.truth_map.elements
+    far_m = np.linalg.norm(elements.anchor_m - street.view(frame, "left").center_m, axis=1)
+    near = elements.id[far_m < 30.0]
+    found: list[Proposal] = []
+    for side in sides:
+        seen, ids = street.labels(frame, side)
+        kept = np.isin(ids, near) & seen.anchor_known & (seen.end_known | ~seen.is_line)
+        exact = replace(seen[kept], score=np.full(kept.sum(), 0.9))
+        found += as_proposals(frame, side, exact, street.rig.left, "true")
+    return Proposals.of(found)

@@ -1,12 +1,12 @@
 """What a detector found, as a person gets to see it: one thing, one offer, in both images."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from annotating import SIDES, true_finds
 
 from semviz.annotator.session import LabelSession
 from semviz.workspace import Workspace
@@ -22,26 +22,10 @@ from semviz_core.classes import ROUNDED, TRIANGULAR
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 
-SIDES: tuple[Side, Side] = ("left", "right")
-
 
 def look(session: LabelSession, frame: int) -> None:
     for question in session.unanswered(frame):
         session.looker.answer(question)
-
-
-def true_finds(street: Street, frame: int, sides: Sequence[Side]) -> Proposals:
-    """What a detector without fault finds, within 30 m and whole."""
-    elements = street.truth_map.elements
-    far_m = np.linalg.norm(elements.anchor_m - street.view(frame, "left").center_m, axis=1)
-    near = elements.id[far_m < 30.0]
-    found: list[Proposal] = []
-    for side in sides:
-        seen, ids = street.labels(frame, side)
-        kept = np.isin(ids, near) & seen.anchor_known & (seen.end_known | ~seen.is_line)
-        exact = replace(seen[kept], score=np.full(kept.sum(), 0.9))
-        found += as_proposals(frame, side, exact, street.rig.left, "true")
-    return Proposals.of(found)
 
 
 def detector_offers(session: LabelSession, frame: int) -> list[dict[str, Any]]:

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotating import Served, annotating
+from annotating import SIDES, Served, annotating, true_finds
 from journeys.driver import POLE, ROUNDED, LabelDriver, Pixel, Side
 
 from semviz.workspace import Workspace
 from semviz_annotation.labels import new_id
+from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_core.camera import Rig
 from semviz_core.sources.street.street import Street
 
@@ -124,6 +125,52 @@ def test_a_mapped_element_is_followed_into_the_next_frame(
         peak, _ = truth(street_of(served), 1, side, element)
         assert abs(row.anchor_px[0] - peak[0]) < 2.0
     assert "Accept P-01" in driver.page.inner_text("#history .row >> nth=0")
+
+
+def test_one_key_accepts_what_a_detector_found_in_both_images(
+    page: "Page", workspace: Workspace
+) -> None:
+    """One of its finds, then all that are sure; the next frame knows them by their names."""
+    found = true_finds(workspace.street, 0, SIDES).joined(true_finds(workspace.street, 1, SIDES))
+    save_proposals(found, workspace.proposals_path)
+    with annotating(workspace) as served:
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        page.wait_for_function("() => semviz.state.sureOffers.length > 1")
+        driver.settle()
+        page.locator('#elements .row:has-text("new pole"):has(.score)').last.click()
+        before = driver.operation
+        driver.press_and_save("Space")
+        assert driver.operation == before + 1  # both images in one operation
+        (element,) = served.labels.elements
+        assert {row.side for row in served.labels.of_element(element)} == set(SIDES)
+        assert served.labels.elements[element].class_id == POLE
+        driver.press_and_save("Control+Enter")
+        page.wait_for_function("() => semviz.state.frame === 1")
+        driver.settle()
+        assert len(served.labels.elements) > 1
+        for one in served.labels.elements:
+            assert {row.side for row in served.labels.of_element(one)} == set(SIDES)
+        offered = served.annotator.session.frame(1)["offers"]
+        mapped = {one["name"] for one in offered if one["origin"] == "map"}
+        assert "P-01" in mapped
+        assert len(mapped) > len([one for one in offered if one["origin"] == "detector"])
+        page.goto("about:blank")
+
+
+def test_the_jump_list_leads_to_where_the_detector_disagrees(
+    page: "Page", workspace: Workspace
+) -> None:
+    at = (620.0, 330.0)
+    planted = Proposal(new_id(), 3, "left", ROUNDED, at, None, True, False, 0.9, 1.0)
+    save_proposals(Proposals.of([planted]), workspace.proposals_path)
+    with annotating(workspace) as served:
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        page.click("#jumps .row:has-text('Detector disagrees'):has-text('1 new, 0 unseen')")
+        page.wait_for_selector('.tile.current[data-frame="3"]')
+        page.wait_for_function("() => semviz.state.currentOffer?.name === 'new rounded sign'")
+        page.goto("about:blank")
 
 
 @pytest.mark.parametrize(("key", "why"), [("x", "rejected"), ("n", "absent"), ("o", "occluded")])
