@@ -1,5 +1,6 @@
 """Verdicts: a fault planted is the fault named; what is healthy stays healthy."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -12,6 +13,7 @@ import pytest
 from semviz_core.evaluation.planted import PLANTED, WHOLE, Given, Planted, plant
 from semviz_core.evaluation.planted_runs import PlantedRun, plant_in_run
 from semviz_core.evaluation.problems import DETECTOR, default_road, make_problem, mapped_elements
+from semviz_core.explaining import case
 from semviz_core.explaining.case import is_healthy
 from semviz_core.explaining.explain import explain
 from semviz_core.explaining.places import Sights, meeting_places
@@ -138,6 +140,24 @@ def test_a_row_of_which_nothing_is_known_is_not_called_false() -> None:
     assert ids is not None
     unknown = replace(one.truth, element_id=np.where(ids < 0, UNKNOWN, ids))
     assert first(told(one, unknown)).kind in UNDECIDED
+
+
+def test_what_is_seen_far_away_is_not_missing_in_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """People label further than a detector sees."""
+    monkeypatch.setattr(case, "NEARBY_M", 10.0)
+    for one in planted("healthy"):
+        assert told(one, one.truth).noticed == ()
+
+
+def test_what_a_detector_missed_is_named() -> None:
+    for one in planted("missed detection"):
+        seen = one.truth.element_id
+        assert seen is not None
+        sentence = first(told(one, one.truth)).sentence
+        names = re.findall(r"[A-Z]-(\d+)", sentence.split("Not seen: ")[1])
+        assert 0 < len(names) <= 3
+        assert not {int(name) for name in names} & set(seen.tolist())
+        assert {int(name) for name in names} <= set(one.semantic_map.elements.id.tolist())
 
 
 # --- runs ---

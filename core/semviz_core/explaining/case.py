@@ -8,7 +8,7 @@ import numpy as np
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements3D
+from semviz_core.elements import Elements3D, joined
 from semviz_core.explaining.told import Truth
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose, angle_between
@@ -60,10 +60,16 @@ class Case:
 
     @cached_property
     def nearby(self) -> Elements3D:
-        """(n) elements of the whole map around ``reference``."""
+        """(n) elements of the whole map around ``reference``, and those further off that are
+        known to be seen."""
         if self.reference is None:
             return self.localization.submap
-        return self.semantic_map.crop(self.reference.inverse().translation, NEARBY_M)
+        near = self.semantic_map.crop(self.reference.inverse().translation, NEARBY_M)
+        if self.ids is None:
+            return near
+        elements = self.semantic_map.elements
+        far = np.isin(elements.id, np.setdiff1d(self.ids, near.id))
+        return joined(near, elements[far]) if far.any() else near
 
     @cached_property
     def scene(self) -> Scene:
