@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 from annotating import SIDES, true_finds
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from semviz.annotator.session import LabelSession
 from semviz.workspace import Workspace
@@ -18,7 +21,7 @@ from semviz_annotation.labels import Observation, new_id
 from semviz_annotation.looked import Looked
 from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.street_labels import careful, label_street
-from semviz_core.classes import ROUNDED, TRIANGULAR
+from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 
@@ -33,10 +36,10 @@ def detector_offers(session: LabelSession, frame: int) -> list[dict[str, Any]]:
 
 
 def accepted(session: LabelSession, frame: int, offers: list[dict[str, Any]]) -> None:
-    """As the page accepts a detector's offers."""
+    """As the page accepts offers."""
     marks = [
         {
-            "observation_id": offer[side]["id"],
+            "observation_id": offer[side]["id"] if is_new(offer) else new_id(),
             "element_id": offer["id"],
             "frame_index": frame,
             "side": side,
@@ -44,13 +47,18 @@ def accepted(session: LabelSession, frame: int, offers: list[dict[str, Any]]) ->
             "end_px": offer[side]["end"],
             "anchor_known": offer[side]["anchor_known"],
             "end_known": offer[side]["end_known"],
-            "class_id": offer["class"],
         }
+        | ({"class_id": offer["class"]} if is_new(offer) else {})
         for offer in offers
         for side in SIDES
         if side in offer
     ]
-    session.do(new_id(), {"kind": "accept", "marks": marks})
+    if marks:
+        session.do(new_id(), {"kind": "accept", "marks": marks})
+
+
+def is_new(offer: dict[str, Any]) -> bool:
+    return bool(offer["origin"] == "detector")
 
 
 @pytest.mark.parametrize("sides", [SIDES, ("left",), ("right",)])
@@ -115,6 +123,49 @@ def test_what_is_mapped_is_not_offered_again_as_something_new(tmp_path: Path) ->
 
 def mark_of(offered: dict[str, Any]) -> Mark:
     return Mark(tuple(offered["anchor"]), offered["end"] and tuple(offered["end"]))
+
+
+@st.composite
+def marks(draw: st.DrawFn) -> tuple[str, int, tuple[float, float], tuple[float, float] | None]:
+    """Side, class, anchor and end of something, often where something else is."""
+    u = draw(st.sampled_from([400.0, 404.0, 420.0, 800.0]) | st.floats(20.0, 1200.0))
+    v = draw(st.sampled_from([100.0, 103.0]) | st.floats(20.0, 200.0))
+    class_id = draw(st.sampled_from([POLE, ROUNDED, TRIANGULAR]))
+    end = (u + draw(st.floats(-4.0, 4.0)), v + draw(st.floats(20.0, 150.0)))
+    side = draw(st.sampled_from(SIDES))
+    return side, class_id, (u, v), end if class_id == POLE else None
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(marks(), max_size=4), st.lists(marks(), min_size=1, max_size=12, unique=True))
+def test_whatever_a_detector_finds_what_a_person_drew_stays(
+    drawn: list[tuple[Side, int, tuple[float, float], tuple[float, float] | None]],
+    found: list[tuple[Side, int, tuple[float, float], tuple[float, float] | None]],
+) -> None:
+    """Also when all is accepted, of which nothing lies where something is labelled."""
+    with TemporaryDirectory() as folder:
+        workspace = Workspace.create_street(Path(folder) / "street", 7, range(0, 2))
+        rows = [
+            Proposal(new_id(), 0, side, class_id, at, end, True, end is not None, 0.9, 2.0)
+            for side, class_id, at, end in found
+        ]
+        save_proposals(Proposals.of(rows), workspace.proposals_path)
+        session = LabelSession(workspace, "tester")
+        for side, class_id, at, end in drawn:
+            one = {"kind": "draw", "observation_id": new_id(), "element_id": new_id()}
+            where = {"frame_index": 0, "side": side, "anchor_px": at, "end_px": end}
+            session.do(new_id(), one | where | {"class_id": class_id})
+        before = dict(session.labels.observations)
+        look(session, 0)
+        for offer in detector_offers(session, 0):
+            for row in before.values():
+                shown = offer.get(row.side)
+                assert shown is None or mark_of(shown).gap_px(Mark.of(row)) >= 6.0
+        accepted(session, 0, session.frame(0)["offers"])
+        assert before.items() <= dict(session.labels.observations).items()
+        seen = [(row.element_id, row.side) for row in session.labels.in_frame(0)]
+        assert len(seen) == len(set(seen))
+        session.close()
 
 
 def test_of_two_finds_of_one_place_the_surer_one_is_offered(tmp_path: Path) -> None:
