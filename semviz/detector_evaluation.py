@@ -1,6 +1,6 @@
 """A detector looks at images of which is known what they show; what comes of it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from time import process_time
@@ -46,9 +46,13 @@ class Evaluation:
 
 
 def evaluate(
-    detector: Detector, images: Sequence[KnownImage], least_score: float | None = None
+    detector: Detector,
+    images: Sequence[KnownImage],
+    least_score: float | None = None,
+    told: Mapping[str, str] | None = None,
 ) -> Evaluation:
-    """Of one image or more; ``least_score`` as the threshold of ``detection_figures``.
+    """Of one image or more; ``least_score`` as the threshold of ``detection_figures``, ``told`` is
+    what else belongs to the settings.
 
     Times are the processor's, whatever else is at work, after a first call that is not counted.
     """
@@ -61,6 +65,7 @@ def evaluate(
         "images": _where(images),
         "threshold": f"{figures.threshold:.3f}, "
         + ("chosen on these images" if least_score is None else "as given"),
+        **(told or {}),
     }
     return Evaluation(settings, tuple(_notes(images)), tuple(images), judged, figures)
 

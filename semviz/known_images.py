@@ -16,7 +16,7 @@ from semviz_annotation.triangulate import Triangulated
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.elements import Elements2D, joined
 from semviz_core.errors import SemvizError
-from semviz_core.evaluation.detection import HELD_OUT_SEED, Truth
+from semviz_core.evaluation.detection import HELD_OUT_SEED, REACH_M, Truth
 from semviz_core.evaluation.street_truth import street_truth
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
@@ -42,7 +42,7 @@ class KnownImage:
 
 
 def street_images(
-    streets: int, frames_a_street: int, sides: Sequence[Side]
+    streets: int, frames_a_street: int, sides: Sequence[Side], reach_m: float = REACH_M
 ) -> tuple[KnownImage, ...]:
     """Of the first ``streets`` streets that nothing is trained or tuned on, spread evenly."""
     return tuple(
@@ -51,7 +51,7 @@ def street_images(
             index,
             side,
             partial(street.image, index, side),
-            partial(street_truth, street, index, side),
+            partial(street_truth, street, index, side, reach_m),
         )
         for street in map(Street, range(HELD_OUT_SEED, HELD_OUT_SEED + streets))
         for index in _spread(len(street.frames), frames_a_street)
@@ -66,7 +66,10 @@ def _spread(count: int, chosen: int) -> list[int]:
 
 
 def labelled_images(
-    workspace: Workspace, frames: range | None, sides: Sequence[Side]
+    workspace: Workspace,
+    frames: range | None,
+    sides: Sequence[Side],
+    reach_m: float = REACH_M,
 ) -> tuple[KnownImage, ...]:
     """The images of a workspace that people labelled or reviewed.
 
@@ -74,7 +77,7 @@ def labelled_images(
     is not labelled, does not count, unless somebody said that it is not there; nor do elements that
     are to be left out of maps.
     """
-    labelled = _Labelled(workspace)
+    labelled = _Labelled(workspace, reach_m)
     found = tuple(labelled.images(frames, sides))
     if not found:
         among = "" if frames is None else f" in frames {frames.start}:{frames.stop}"
@@ -88,7 +91,8 @@ def labelled_images(
 class _Labelled:
     """A workspace's labels, and where they are in space."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, reach_m: float) -> None:
+        self._reach_m = reach_m
         self._name, self._source = workspace.name, workspace.source
         self._labels: Labels = workspace.read_labels()
         self._cameras = Cameras(self._source.rig, self._source.frames)
@@ -122,6 +126,7 @@ class _Labelled:
             joined(labelled, unlabelled),
             distance_m=np.array(distance + [np.nan] * len(unlabelled)),
             ignored=np.array(left_out, dtype=bool),
+            reach_m=self._reach_m,
         )
 
     def _is_left_out(self, row: Observation) -> bool:

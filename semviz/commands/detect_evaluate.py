@@ -37,6 +37,8 @@ class DetectEvaluate:
     """FIRST:END[:STEP]: in these frames of the workspaces only."""
     sides: Literal["left", "both"] = "left"
     """Look at left images, or at right ones too."""
+    reach_m: float = 40.0
+    """What is farther away does not count: neither missed nor false."""
     least_score: OptionalFloat = None
     """Figures of the detections that score so much; by default as few as give 0.2 false a frame."""
     out: OptionalPath = None
@@ -62,7 +64,8 @@ class DetectEvaluate:
         if self.out is not None:
             check_replaceable(self.out / REPORT)
         detector = load_detector(self.model, self.measuring)
-        evaluation = evaluate(detector, self._images(), self.least_score)
+        told = {"reach": f"{self.reach_m:g} m"}
+        evaluation = evaluate(detector, self._images(), self.least_score, told)
         if self.out is not None:
             page = as_html(evaluation, self.pictures)
             with replacing(self.out / REPORT) as temporary:
@@ -71,6 +74,8 @@ class DetectEvaluate:
         return 0
 
     def _check(self) -> None:
+        from semviz_core.evaluation.detection import NEAREST_M
+
         for number, option, least in (
             (self.streets, "--streets", 1),
             (self.frames_a_street, "--frames-a-street", 1),
@@ -78,6 +83,8 @@ class DetectEvaluate:
         ):
             if number < least:
                 raise SemvizError(f"{option} {number}: give {least} or more")
+        if not self.reach_m > NEAREST_M:
+            raise SemvizError(f"--reach-m {self.reach_m:g}: give more than {NEAREST_M:g} m")
         if self.least_score is not None and not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"--least-score {self.least_score:g}: give a number from 0 to 1")
         if self.frames is not None and not self.workspaces:
@@ -90,7 +97,9 @@ class DetectEvaluate:
 
         sides: tuple[Side, ...] = ("left", "right") if self.sides == "both" else ("left",)
         if not self.workspaces:
-            return list(street_images(self.streets, self.frames_a_street, sides))
+            return list(street_images(self.streets, self.frames_a_street, sides, self.reach_m))
         frames = parse_frames(self.frames)
         opened = [Workspace.open(path) for path in self.workspaces]
-        return [image for one in opened for image in labelled_images(one, frames, sides)]
+        return [
+            image for one in opened for image in labelled_images(one, frames, sides, self.reach_m)
+        ]

@@ -1,10 +1,10 @@
 """The plots of a detector's evaluation."""
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from semviz.plot_style import add_grid, add_legend, line_style, new_figure, plain_numbers
-from semviz_core.evaluation.detection_figures import DISTANCES_M, FALSE_A_FRAME, DetectionFigures
+from semviz.reporting.detector_tables import held_distances
+from semviz_core.evaluation.detection_figures import FALSE_A_FRAME, DetectionFigures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,13 +46,13 @@ def _against_false(figures: DetectionFigures) -> "Figure":
 def _against_distance(figures: DetectionFigures) -> "Figure":
     figure = new_figure(9.0, 3.2)
     axis = figure.subplots()
-    middles = [(low + high) / 2.0 for low, high in pairwise(DISTANCES_M)]
+    bins = held_distances(figures)
     for number, (name, one) in enumerate(figures.classes.items()):
-        shares = [_percent(share.share) for share in one.recall_by_distance]
-        axis.plot(middles, shares, marker=MARKERS[number], label=name, **line_style(number))
-    axis.set(xlabel="distance (m)", ylabel="recall (%)", ylim=(0.0, 102.0))
-    axis.set_xlim(DISTANCES_M[0], DISTANCES_M[-1])
-    axis.set_xticks(DISTANCES_M)
+        shares = [_percent(one.recall_by_distance[place].share) for place in bins]
+        axis.plot(
+            list(bins.values()), shares, marker=MARKERS[number], label=name, **line_style(number)
+        )
+    axis.set(xlabel="distance", ylabel="recall (%)", ylim=(0.0, 102.0))
     add_grid(axis)
     add_legend(figure)
     return figure

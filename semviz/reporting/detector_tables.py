@@ -37,9 +37,10 @@ RULE = (
     "A sign is found within 4 px of its middle, or a quarter of its size; a pole where the visible "
     "parts share 30 % of what both cover, the line is within 4 px there and turned by less than "
     "5 deg. The best score takes the nearest of its class; a wrong class is a miss and a false "
-    "one. What is beyond 40 m or nearer than 3 m, and poles of which less than 8 px are visible, "
-    "do not count. Errors are found minus true: lateral and longitudinal are u and v of signs, "
-    "across the line for poles. ME: mean, SDE: standard deviation."
+    "one. What is out of reach (beyond 40 m, unless said otherwise, or nearer than 3 m), and poles "
+    "of which less than 8 px are visible, do not count. Errors are found minus true: lateral and "
+    "longitudinal are u and v of signs, across the line for poles. ME: mean, SDE: standard "
+    "deviation."
 )
 STATED_RATES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0)
 NOTHING = "nothing"
@@ -114,12 +115,21 @@ def _curve(figures: DetectionFigures) -> Table:
 
 
 def _distances(figures: DetectionFigures) -> Table:
-    bins = tuple(f"{low:g} to {high:g} m" for low, high in pairwise(DISTANCES_M))
+    bins = held_distances(figures)
     rows = tuple(
-        (_short(name), *(_percent_of(share) for share in one.recall_by_distance))
+        (_short(name), *(_percent_of(one.recall_by_distance[place]) for place in bins))
         for name, one in figures.classes.items()
     )
-    return Table("Recall by distance", ("", *bins), rows, words=1)
+    return Table("Recall by distance", ("", *bins.values()), rows, words=1)
+
+
+def held_distances(figures: DetectionFigures) -> dict[int, str]:
+    """Bins of distances that hold anything, by their place among all."""
+    return {
+        place: f"{low:g} to {high:g} m"
+        for place, (low, high) in enumerate(pairwise(DISTANCES_M))
+        if any(one.recall_by_distance[place].of for one in figures.classes.values())
+    }
 
 
 def _ends(figures: DetectionFigures) -> Table:

@@ -285,6 +285,7 @@ def test_the_report_asks_for_nothing_and_nothing_overlaps(
         ({"streets": 0}, "--streets 0: give 1 or more"),
         ({"frames_a_street": -1}, "--frames-a-street -1"),
         ({"pictures": -1}, "--pictures -1"),
+        ({"reach_m": 3.0}, "--reach-m 3: give more than 3 m"),
         ({"least_score": 1.5}, "--least-score 1.5"),
         ({"frames": "0:3"}, "--frames is for workspaces"),
         ({"model": "none.toml"}, "none.toml"),

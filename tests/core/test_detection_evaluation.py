@@ -153,10 +153,11 @@ def test_recall_by_distance() -> None:
     distance = np.array([5.0, 15.0, 25.0, 35.0, 15.0, 50.0, *np.full(6, np.nan)])
     image = Judged(true[[1, 2]], Truth.of(true, distance), 0.1)
     pole = figures([image]).classes["pole"]
-    assert [(one.count, one.of) for one in pole.recall_by_distance] == [
-        (0, 1), (1, 2), (1, 1), (0, 1),
-    ]  # fmt: skip
+    counts = [(one.count, one.of) for one in pole.recall_by_distance]
+    assert counts == [(0, 1), (1, 2), (1, 1), (0, 1), (0, 0), (0, 0), (0, 0)]
     assert pole.recall.of == 5  # what is 50 m away does not count
+    far = figures([Judged(true[[5]], Truth.of(true, distance, reach_m=60.0), 0.1)])
+    assert far.classes["pole"].recall_by_distance[4].share == 1.0
 
 
 def test_what_does_not_count_makes_nothing_right_or_false() -> None:

@@ -26,6 +26,8 @@ from semviz_core.sources.street.detector import RANGE_M
 
 HELD_OUT_SEED = 30_000
 """Simulated streets from this seed on are for figures: nothing is trained or tuned on them."""
+NEAREST_M, REACH_M = RANGE_M
+"""Elements nearer or farther do not count, unless another reach is asked for."""
 TOLERANCE_PX, TOLERANCE_SHARE = 4.0, 0.25
 """Of a sign's middle or a pole's line: the larger of that, and of that share of its size."""
 LEAST_SHARED = 0.3
@@ -56,14 +58,14 @@ class Truth:
         distance_m: FloatArray | None = None,
         size_px: FloatArray | None = None,
         ignored: BoolArray | None = None,
+        reach_m: float = REACH_M,
     ) -> "Truth":
-        """What counts: all that is not ``ignored``, is 3 to 40 m away as far as is known, and of
-        poles what shows ``SHORTEST_PX``."""
+        """What counts: all that is not ``ignored``, is ``NEAREST_M`` to ``reach_m`` away as far as
+        is known, and of poles what shows ``SHORTEST_PX``."""
         unknown = np.full(len(elements), np.nan)
         distance = unknown if distance_m is None else distance_m
         length = np.linalg.norm(elements.end_px - elements.anchor_px, axis=1)
-        near, far = RANGE_M
-        counts = ~((distance < near) | (distance > far) | (length < SHORTEST_PX))
+        counts = ~((distance < NEAREST_M) | (distance > reach_m) | (length < SHORTEST_PX))
         if ignored is not None:
             counts &= ~ignored
         return cls(elements, counts, distance, unknown if size_px is None else size_px)

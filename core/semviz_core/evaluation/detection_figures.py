@@ -19,7 +19,7 @@ FALSE_A_FRAME = 0.2
 CURVE_RATES = (*np.arange(0.0, 0.5, 0.02).round(2).tolist(),
                *np.arange(0.5, 2.01, 0.1).round(1).tolist())  # fmt: skip
 """False detections a frame at which the curve is drawn."""
-DISTANCES_M = (3.0, 10.0, 20.0, 30.0, 40.0)
+DISTANCES_M = (3.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0, 200.0)
 """Limits of the bins that recall is told in."""
 
 

@@ -5,13 +5,13 @@ from numpy.typing import NDArray
 
 from semviz_core.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.elements import Elements2D, joined
-from semviz_core.evaluation.detection import Truth
+from semviz_core.evaluation.detection import REACH_M, Truth
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
 from semviz_core.sources.street.visibility import paint_ranks
 
 
-def street_truth(street: Street, index: int, side: Side) -> Truth:
+def street_truth(street: Street, index: int, side: Side, reach_m: float = REACH_M) -> Truth:
     """What a careful person would label, and, as what does not count, all else that shows at
     least a pixel: what is far off, all but hidden, or hidden in the middle."""
     labelled, ids = street.labels(index, side)
@@ -29,6 +29,7 @@ def street_truth(street: Street, index: int, side: Side) -> Truth:
         distance_m=_distance_m(street, all_ids, index, side),
         size_px=np.array([size.min() for size in sizes], dtype=np.float64),
         ignored=np.arange(len(elements)) >= len(labelled),
+        reach_m=reach_m,
     )
 
 
