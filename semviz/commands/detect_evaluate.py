@@ -4,9 +4,9 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from semviz.commands.benchmark import ONE_THREAD
 from semviz.commands.parsing import OptionalFloat, OptionalPath, OptionalText, parse_frames
@@ -23,10 +23,10 @@ class DetectEvaluate:
     """Say how good a detector is: what it finds and invents, class by class, how far off, how
     honest its sigma is, how fast. On rendered streets that nothing was trained on, or on labels."""
 
-    workspaces: Positional[tuple[Path, ...]] = ()
+    workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="WORKSPACE")] = ()
     """Workspaces whose labels are the truth; rendered streets if none is given."""
-    model: OptionalText = None
-    """*.safetensors, *.toml, a folder or hf:NAME; what comes with semviz if not given."""
+    model: Annotated[str | None, arg(metavar="MODEL", help_behavior_hint="")] = None
+    """As for 'semviz detect'; what comes with semviz if not given."""
     measuring: Literal["edges", "paper"] = "edges"
     """How regions become elements."""
     streets: int = 20
@@ -63,9 +63,10 @@ class DetectEvaluate:
         cv2.setNumThreads(1)
         if self.out is not None:
             check_replaceable(self.out / REPORT)
+        images = self._images()
         detector = load_detector(self.model, self.measuring)
         told = {"reach": f"{self.reach_m:g} m"}
-        evaluation = evaluate(detector, self._images(), self.least_score, told)
+        evaluation = evaluate(detector, images, self.least_score, told)
         if self.out is not None:
             page = as_html(evaluation, self.pictures)
             with replacing(self.out / REPORT) as temporary:
