@@ -6,13 +6,14 @@ On rendered streets that nothing was trained on, in the true map and in a map bu
 the even frames; on KITTI odometry 02, frames 0 to 19, in the map built from our labels of the even
 ones (docs/kitti02/labels.jsonl). Measured on the odd frames, with simulated GPS fixes 5-10 m off.
 Beside it the same frames with labels, and with the simulated detector, in place of detections.
-Prints the table of docs/detector.md.
+Prints the table of docs/detector.md, and the rates that semviz_core.detection.rates states.
 """
 
 import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
@@ -22,6 +23,7 @@ from semviz.detecting import DetectOptions, detect_images, images_of
 from semviz.drive import CROP_RADIUS_M, DriveOptions, drive_workspace
 from semviz.observing import Noise, Observations
 from semviz.pose_errors import errors_of, sure_and_wrong
+from semviz.recording.run import FrameRecord
 from semviz.tables import Table
 from semviz.workspace import TRUTH, Workspace
 from semviz_annotation.formats.plan import ImportLabels
@@ -30,6 +32,7 @@ from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.options import BuildOptions
 from semviz_annotation.storing.exchange import import_operations
 from semviz_annotation.street_labels import careful, label_street
+from semviz_core.arrays import BoolArray
 from semviz_core.camera import Camera
 from semviz_core.detection.models import load_detector
 from semviz_core.evaluation.detection import HELD_OUT_SEED
@@ -38,6 +41,7 @@ from semviz_core.explaining.told import FALSE
 from semviz_core.localization import Localization
 from semviz_core.map_file import save_map
 from semviz_core.pose import Pose
+from semviz_core.sources.street.street import Street
 
 LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 STREETS, FRAMES = 4, 40
@@ -45,6 +49,7 @@ LABEL_SIGMA_PX = 1.0
 EVEN = "even"
 KITTI_SEEDS, STREET_SEEDS = range(20), range(5)
 """Of the simulated GPS fixes."""
+DEPTHS_M = (3, 10, 20, 30, 40, 50, 60, 80)
 Seen = tuple[Observations, Noise]
 HEADER = (
     "images", "map", "seen by", "frames", "elements", "false", "ok %", "ambiguous %", "RTE m",
@@ -77,6 +82,7 @@ def main() -> None:
         streets = [made_street(Path(folder), seed) for seed in range(STREETS)]
         for one in streets:
             look(one, chosen.model)
+        print_rates(streets)
         ways: list[Seen] = [
             ("labels", "low"), ("simulated", "low"), ("simulated", "paper"), ("detected", "low")
         ]  # fmt: skip
@@ -139,6 +145,41 @@ def look(workspace: Workspace, model: str | None) -> None:
     proposals = detect_images(workspace, load_detector(model), options, images)
     each_ms = 1e3 * (perf_counter() - start_s) / len(images)
     print(f"{workspace.name}: {len(proposals)} in {len(images)} images, {each_ms:.0f} ms each")
+
+
+def print_rates(streets: Sequence[Workspace]) -> None:
+    """Of all mapped elements in view, the hidden ones too, how many are found, by depth; how many
+    detections are nothing real; how many bottoms are given that cannot be seen."""
+    depths, finds, false, bottoms = [], [], [], []
+    options = next(each_seed(("detected", "low"), range(1)))
+    for workspace in streets:
+        street, camera = workspace.street, workspace.source.rig.left
+        mapped = street.truth_map.elements
+        is_line = mapped.is_line[:, None]
+        middle_m = np.where(is_line, (mapped.anchor_m + mapped.end_m) / 2.0, mapped.anchor_m)
+        for record in drive_workspace(workspace, TRUTH, options, odd(workspace)):
+            pose = record.frame.T_map_camera
+            assert pose is not None
+            middle_c = pose.inverse().apply(middle_m)
+            in_view = camera.contains(camera.project(middle_c)) & (middle_c[:, 2] > 1.0)
+            depths.append(middle_c[in_view, 2])
+            finds.append(np.isin(mapped.id, record.element_id)[in_view])
+            false.append((record.element_id == FALSE).sum())
+            bottoms.append(invented_bottoms(street, record))
+    depth_m, is_found = np.concatenate(depths), np.concatenate(finds)
+    print(f"false detections in an image: {np.mean(false):.2f}")
+    print(f"bottoms given that cannot be seen: {np.concatenate(bottoms).mean():.3f}")
+    for low, high in pairwise(DEPTHS_M):
+        rows = (depth_m >= low) & (depth_m < high)
+        print(f"in view, {low} to {high} m: {is_found[rows].mean():.2f} of {rows.sum()} found")
+
+
+def invented_bottoms(street: Street, record: FrameRecord) -> BoolArray:
+    """(k,) of the bottoms that are given, whether something hides the true one."""
+    labels, ids = street.labels(record.frame.index, "left")
+    seen = record.localization.observed
+    hidden = ids[labels.is_line & ~labels.end_known]
+    return np.isin(record.element_id[seen.end_known], hidden)
 
 
 def odd(workspace: Workspace) -> range:
