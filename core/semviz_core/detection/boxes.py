@@ -61,8 +61,8 @@ def detr_boxes(logits: Output, boxes: Output, labels: int, input_size: tuple[int
     if boxes.shape != (1, logits.shape[1], 4):
         raise SemvizError(f"boxes of shape {boxes.shape}; they are (1, {logits.shape[1]}, 4)")
     values = logits[0].astype(np.float64)
-    sigmoid = values.shape[1] == labels
-    scores = 0.5 * (1.0 + np.tanh(0.5 * values)) if sigmoid else softmax(values, 1)[:, :labels]
+    alone = values.shape[1] == labels
+    scores = sigmoid(values) if alone else softmax(values, 1)[:, :labels]
     width, height = input_size
     return _best(_edges(boxes[0].astype(np.float64)) * [width, height, width, height], scores)
 
@@ -71,6 +71,11 @@ def softmax(values: NDArray[Any], axis: int) -> NDArray[Any]:
     """Odds to probabilities that add up to 1 along an axis."""
     powers = np.exp(values - values.max(axis=axis, keepdims=True))
     return np.asarray(powers / powers.sum(axis=axis, keepdims=True))
+
+
+def sigmoid(values: NDArray[Any]) -> NDArray[Any]:
+    """Each by itself."""
+    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * values))
 
 
 def box_regions(

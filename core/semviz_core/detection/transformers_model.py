@@ -1,15 +1,16 @@
-"""Models of Hugging Face transformers: semantic segmentation and object detection."""
+"""Models of Hugging Face transformers: segmentation and object detection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from semviz_core.arrays import ByteImage
 from semviz_core.classes import ClassSet
-from semviz_core.detection.boxes import box_regions, detr_boxes
+from semviz_core.detection.boxes import box_regions, detr_boxes, sigmoid, softmax
 from semviz_core.detection.image_rules import ImageRules, Size, read_image_rules
 from semviz_core.detection.masks import mask_regions, segmentation_maps
 from semviz_core.detection.model_classes import ModelClasses, model_classes, usual_classes
@@ -27,6 +28,7 @@ SETTINGS = "classes.toml"
 """In a model's folder, where people want something else than what is usual."""
 _HEADS = {
     "ForSemanticSegmentation": "AutoModelForSemanticSegmentation",
+    "ForUniversalSegmentation": "AutoModelForUniversalSegmentation",
     "ForObjectDetection": "AutoModelForObjectDetection",
 }
 """Of the names of architectures, and the classes that load them."""
@@ -99,13 +101,25 @@ class TransformersFinder:
             raise SemvizError(f"cannot run on {tensor.shape}: {told}") from None
 
     def _regions(self, output: Any, placing: Placing) -> list[Region]:
-        logits = _finite(output.logits)
         if "pred_boxes" in output:
-            boxes = _finite(output.pred_boxes)
+            logits, boxes = _finite(output.logits), _finite(output.pred_boxes)
             found = detr_boxes(logits, boxes, len(self.classes), placing.input_size)
             return box_regions(found, self.classes, placing, self.least_score)
+        universal = "masks_queries_logits" in output
+        logits = _universal(output) if universal else _finite(output.logits)
         maps = segmentation_maps(logits, self.classes)
         return mask_regions(maps, self.classes, placing, self.least_score)
+
+
+def _universal(output: Any) -> Any:
+    """(1, classes, h, w) logits of Mask2Former and its kin, which tell masks and a class for each.
+
+    A pixel's odds are those of all masks it is in, added up.
+    """
+    label = softmax(_finite(output.class_queries_logits)[0], 1)[:, :-1]  # the last is nothing
+    inside = sigmoid(_finite(output.masks_queries_logits)[0])
+    odds = np.einsum("qc,qhw->chw", label, inside)
+    return np.log(np.maximum(odds, 1e-12))[None]
 
 
 def _finite(tensor: "Tensor") -> Any:
@@ -151,7 +165,7 @@ def _load_network(folder: Path) -> Any:
         loader = next((kind for head, kind in _HEADS.items() if names[0].endswith(head)), None)
         if loader is None:
             raise SemvizError(
-                f"a model of architecture {names[0]}; semviz takes those for semantic "
+                f"a model of architecture {names[0]}; semviz takes those for semantic or universal "
                 "segmentation and for object detection"
             )
         network, told = getattr(transformers, loader).from_pretrained(
