@@ -23,7 +23,7 @@ class DetectEvaluate:
     """Say how good a detector is: what it finds and invents, class by class, how far off, how
     honest its sigma is, how fast. On rendered streets that nothing was trained on, or on labels."""
 
-    workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="WORKSPACE")] = ()
+    workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
     """Workspaces whose labels are the truth; rendered streets if none is given."""
     model: Annotated[str | None, arg(metavar="MODEL", help_behavior_hint="")] = None
     """As for 'semviz detect'; what comes with semviz if not given."""

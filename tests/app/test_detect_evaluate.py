@@ -23,6 +23,7 @@ from semviz.known_images import KnownImage, labelled_images, street_images
 from semviz.workspace import Workspace
 from semviz_annotation.edits import Judge, ReviewFrame
 from semviz_annotation.rows import judged
+from semviz_annotation.storing.exchange import import_operations
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.elements import Elements2D, joined
 from semviz_core.errors import SemvizError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 STREETS, FRAMES = 2, 2
 TAKEN = "taken for a rounded sign"
+LABELS = Path(__file__).parents[2] / "docs" / "kitti02" / "labels.jsonl"
 LABELLED = range(0, 9, EVERY)
 NO_SLIP = -1
 NAMED = SimpleNamespace(name="<planted>")
@@ -194,6 +196,20 @@ def test_what_is_left_out_of_maps_does_not_count(labelled: Path, tmp_path: Path)
     assert before.counts[row]
     assert not after.counts[row]
     assert after.counts.sum() == before.counts.sum() - 1
+
+
+@pytest.mark.realdata
+def test_labels_of_real_images(kitti_root: Path, tmp_path: Path) -> None:
+    """Most of what is labelled in KITTI 02 is farther away than counts by default."""
+    workspace = Workspace.create_kitti(tmp_path / "town", kitti_root, "02", (2, 3), range(20))
+    with workspace.open_labels() as store:
+        import_operations(LABELS, store)
+    rows = workspace.read_labels().observations.values()
+    for reach_m, count in ((40.0, 98), (200.0, sum(one.side == "left" for one in rows))):
+        images = labelled_images(workspace, None, ("left",), reach_m)
+        assert len(images) == 20
+        assert all(one.is_complete for one in images)
+        assert sum(int(one.truth().counts.sum()) for one in images) == count
 
 
 def test_frames_that_nobody_reviewed_are_noted(
