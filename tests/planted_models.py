@@ -55,6 +55,14 @@ def painted(path: Path, size: tuple[int, int], stride: int, label_map: bool = Fa
     return _save(path, nodes, [_image(*size)], [labels if label_map else logits], constants)
 
 
+def choosy(path: Path, size: tuple[int, int]) -> Path:
+    """A model that says to take images of any size, and runs on one alone."""
+    shape = numpy_helper.from_array(np.array([1, 3, size[1], size[0]]), "shape")
+    nodes = [helper.make_node("Reshape", ["image", "shape"], ["logits"])]
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 3, size[1], size[0]])
+    return _save(path, nodes, [_image("width", "height")], [logits], [shape])
+
+
 def describe(onnx_file: Path, size: tuple[int, int], **told: Any) -> Path:
     """The TOML beside a model: of a segmenter, or with what is told instead."""
     settings = {
@@ -71,7 +79,7 @@ def describe(onnx_file: Path, size: tuple[int, int], **told: Any) -> Path:
     return path
 
 
-def _image(width: int, height: int) -> Any:
+def _image(width: int | str, height: int | str) -> Any:
     return helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, height, width])
 
 

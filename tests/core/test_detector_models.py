@@ -32,7 +32,7 @@ from semviz_core.errors import SemvizError
 onnx = pytest.importorskip("onnx", reason="makes ONNX models; pip install 'semviz[test]'")
 pytest.importorskip("onnxruntime", reason="runs ONNX models; pip install 'semviz[onnx]'")
 
-from planted_models import COLORS, answering, describe, painted  # noqa: E402
+from planted_models import COLORS, answering, choosy, describe, painted  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[2]
 SIZE = (256, 128)
@@ -327,6 +327,16 @@ def test_other_outputs_than_told_are_refused(
     assert "planted.onnx" in str(raised.value)
 
 
+def test_a_model_that_fails_on_its_input_is_one_line(tmp_path: Path) -> None:
+    told = describe(choosy(tmp_path / "choosy.onnx", (64, 64)), SIZE)
+    with pytest.raises(
+        SemvizError, match=r"choosy\.onnx: cannot run on \(1, 3, 128, 256\)"
+    ) as raised:
+        load_finder(str(told))
+    assert "\n" not in str(raised.value)
+    assert not load_finder(str(describe(told.with_suffix(".onnx"), (64, 64)))).find(gray())
+
+
 def test_images_that_are_none_and_names_that_are_no_model(tmp_path: Path) -> None:
     model = painted(tmp_path / "painted.onnx", SIZE, 1)
     finder = load_finder(str(describe(model, SIZE)))
@@ -337,7 +347,7 @@ def test_images_that_are_none_and_names_that_are_no_model(tmp_path: Path) -> Non
     for name, message in {
         str(model): "name the TOML",
         str(tmp_path / "none.toml"): "no such file",
-        str(tmp_path): "has no config.json",
+        str(tmp_path): "a folder of a transformers model, or hf:NAME",
         "yolov5s.pt": "no model that semviz knows",
     }.items():
         with pytest.raises(SemvizError, match=message):
@@ -349,6 +359,7 @@ def test_a_missing_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
     told = describe(painted(tmp_path / "painted.onnx", SIZE, 1), SIZE)
+    (tmp_path / "config.json").write_text("{}")
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "onnx"}.get(package, package)
     with pytest.raises(SemvizError, match=rf"pip install 'semviz\[{extra}\]'"):

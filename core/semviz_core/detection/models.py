@@ -24,7 +24,7 @@ def load_finder(model: str | None = None, classes: ClassSet = DEFAULT_CLASSES) -
         return load_own(path, classes)
     if path.suffix == ".toml":
         return OnnxFinder.load(path, classes)
-    if str(model).startswith(HUB) or path.is_dir():
+    if str(model).startswith(HUB) or (path / "config.json").is_file():
         return TransformersFinder.load(str(model), classes)
     if path.suffix == ".onnx":
         raise SemvizError(f"{path}: name the TOML that says how to read it (docs/detector.md)")

@@ -114,7 +114,8 @@ class OnnxFinder:
 
     def _regions(self, outputs: list[Any], placing: Placing) -> list[Region]:
         for name, one in zip(self.settings.outputs, outputs, strict=True):
-            if not isinstance(one, np.ndarray) or not np.isfinite(one).all():
+            numbers = isinstance(one, np.ndarray) and one.dtype.kind in "fiu"
+            if not numbers or not np.isfinite(one).all():
                 raise SemvizError(f"output {name!r} is not of finite numbers")
         least, kind, labels = self.settings.least_score, self.settings.kind, len(self.classes)
         if kind == "segmentation":

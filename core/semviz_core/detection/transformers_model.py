@@ -65,8 +65,6 @@ class TransformersFinder:
         """
         _check_installed(model)
         folder = _downloaded(model) if model.startswith(HUB) else Path(model)
-        if not (folder / "config.json").is_file():
-            raise SemvizError(f"{folder}: no model of transformers, it has no config.json")
         settings, told_in = TransformersSettings(), folder / SETTINGS
         if told_in.exists():
             settings = read_settings(told_in, TransformersSettings)
