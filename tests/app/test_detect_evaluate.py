@@ -21,12 +21,13 @@ from semviz.commands.detect_evaluate import REPORT, DetectEvaluate
 from semviz.demo_labels import EVERY, demo_labels
 from semviz.known_images import KnownImage, labelled_images, street_images
 from semviz.workspace import Workspace
-from semviz_annotation.edits import Judge, ReviewFrame
+from semviz_annotation.edits import DeleteObservation, Judge, ReviewFrame
 from semviz_annotation.rows import judged
 from semviz_annotation.storing.exchange import import_operations
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.elements import Elements2D, joined
 from semviz_core.errors import SemvizError
+from semviz_core.evaluation.detection import IGNORED, matched
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -196,6 +197,21 @@ def test_what_is_left_out_of_maps_does_not_count(labelled: Path, tmp_path: Path)
     assert before.counts[row]
     assert not after.counts[row]
     assert after.counts.sum() == before.counts.sum() - 1
+
+
+def test_what_is_mapped_and_not_labelled_does_not_count(labelled: Path, tmp_path: Path) -> None:
+    workspace = Workspace.open(shutil.copytree(labelled, tmp_path / "town"))
+    (before, *_) = labelled_images(workspace, None, ("left",))
+    truth = before.truth()
+    row = int(np.flatnonzero(truth.counts & truth.elements.is_line)[0])
+    with workspace.open_labels() as store:
+        one = workspace.read_labels().in_frame(before.frame_index, "left")[row]
+        store.apply(DeleteObservation(one.id), "tester")
+    after = labelled_images(workspace, None, ("left",))[0].truth()
+    found = truth.elements[[row]]
+    assert matched(found, truth).tolist() == [row]
+    assert matched(found, after).tolist() == [IGNORED]
+    assert after.counts.sum() == truth.counts.sum() - 1
 
 
 @pytest.mark.realdata
