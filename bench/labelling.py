@@ -207,13 +207,19 @@ class Labeller:
         self.whole()
 
     def point_at(self, offer: dict[str, Any]) -> None:
-        """The pointer over a proposal, so that the keys are for it."""
+        """The pointer over a proposal, so that the keys are for it; where another is on top of it,
+        a click on its row."""
         self.work.thoughts += 1
         self.work.points += 1
         side = "left" if "left" in offer else "right"
         mark = offer[side]
         ends = np.array([one for one in (mark["anchor"], mark["end"]) if one is not None])
         self.page.mouse.move(*self.on_screen(side, ends.mean(axis=0)))
+        if self.page.evaluate("semviz.state.currentOffer?.id") != offer["id"]:
+            shown = "({ elements, expected, nearby }) => [...elements, ...expected, ...nearby]"
+            ids = self.page.evaluate(f"({shown})(semviz.state).map((one) => one.id)")
+            self.page.locator("#elements .row").nth(ids.index(offer["id"])).click()
+            self.work.clicks += 1
 
     # -- what there is
 
