@@ -11,7 +11,8 @@ import pytest
 import semviz
 
 REPOSITORY = Path(__file__).parents[1]
-HEAVY = {"torch", "open3d", "viser", "rerun", "aiohttp", "trimesh", "pyproj", "lanelet2"}
+HEAVY = {"torch", "open3d", "viser", "rerun", "aiohttp", "trimesh", "pyproj"}
+HEAVY |= {"lanelet2", "onnxruntime", "transformers"}  # extras
 TOLD_AS_ONE = ("commands", "inspector", "annotator", "web")
 """Packages of which the page on architecture says what they do as a whole."""
 IMPORT_ALL = """

@@ -597,6 +597,25 @@ def test_usual_words_for_poles_and_signs_are_known() -> None:
     }
 
 
+def test_a_model_of_the_hub_is_fetched_without_pickles_or_code(
+    segmenter: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub = pytest.importorskip("huggingface_hub")
+
+    def fetch(name: str, allow_patterns: list[str]) -> str:
+        if name != "some/model":
+            raise OSError("no network\nat all")
+        assert set(allow_patterns) == {"*.json", "*.safetensors"}
+        return str(segmenter)
+
+    monkeypatch.setattr(hub, "snapshot_download", fetch)
+    finder = load_finder("hf:some/model")
+    assert finder.name == "hf:some/model"
+    assert finder.find(blobs())
+    with pytest.raises(SemvizError, match=r"hf:other: cannot be fetched \(no network at all\)"):
+        load_finder("hf:other")
+
+
 def copied(segmenter: Path, folder: Path) -> Path:
     shutil.copytree(segmenter, folder)
     return folder
