@@ -29,6 +29,8 @@ _WORK_PX = 8.0
 """Half size to which the image is scaled to try one."""
 _OFF = 5
 """How far the click is from the middle at most, in these pixels."""
+_NEAR = (0.8, 1.0)
+"""Of a size that is about known, what is tried; borders lead further out."""
 _EDGE = 12.0
 _PER_SIDE = 12
 
@@ -96,6 +98,18 @@ def find_outlines(
         found += [fitted, *_further_out(picture, shape, fitted)]
         if len(tried) == count:
             break
+    return sorted(found, key=lambda one: -one.score)
+
+
+def fit_outlines(
+    picture: Picture, middle_px: FloatArray, half_px: FloatArray, shape: str
+) -> list[Outline]:
+    """Outlines round a sign whose middle and half size (2,) are about known, likeliest first."""
+    search = float(np.clip(0.2 * half_px.mean(), 1.5, 6.0))
+    found: list[Outline] = []
+    for scale in _NEAR:
+        fitted = _fitted(picture, shape, middle_px, np.maximum(scale * half_px, 2.0), search)
+        found += [fitted, *_further_out(picture, shape, fitted)]
     return sorted(found, key=lambda one: -one.score)
 
 

@@ -1,5 +1,6 @@
 """An image, sampled between its pixels."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,15 +24,18 @@ class Picture:
         import cv2
 
         height, width = self.image.shape[:2]
-        points = np.clip(points_px, [-1.0, -1.0], [width, height])
-        points = np.nan_to_num(points, nan=-1.0)
-        low = np.floor(points.min(axis=(0, 1))).astype(int) - 1
-        high = np.ceil(points.max(axis=(0, 1))).astype(int) + 2
-        (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, [width, height])
-        x0, y0 = min(x0, width - 1), min(y0, height - 1)
-        window = self.image[y0 : max(y1, y0 + 1), x0 : max(x1, x0 + 1)].astype(np.float32)
-        u, v = np.moveaxis((points - [x0, y0]).astype(np.float32), -1, 0)
-        found = cv2.remap(window, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        u, v = points_px[..., 0], points_px[..., 1]
+        reach = (float(u.min()), float(v.min()), float(u.max()), float(v.max()))
+        if not (min(reach) >= -1.0 and reach[2] <= width and reach[3] <= height):  # or NaN
+            u = np.nan_to_num(np.clip(u, -1.0, width), nan=-1.0)
+            v = np.nan_to_num(np.clip(v, -1.0, height), nan=-1.0)
+            reach = (float(u.min()), float(v.min()), float(u.max()), float(v.max()))
+        x0 = min(max(math.floor(reach[0]) - 1, 0), width - 1)
+        y0 = min(max(math.floor(reach[1]) - 1, 0), height - 1)
+        x1, y1 = max(math.ceil(reach[2]) + 2, x0 + 1), max(math.ceil(reach[3]) + 2, y0 + 1)
+        window = self.image[y0:y1, x0:x1].astype(np.float32)
+        x, y = (u - x0).astype(np.float32), (v - y0).astype(np.float32)
+        found = cv2.remap(window, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
 
     def shrunk(self, middle_px: FloatArray, scale: float, half: int) -> Samples:

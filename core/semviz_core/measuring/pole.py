@@ -14,8 +14,7 @@ from semviz_core.arrays import FloatArray
 from semviz_core.measuring.picture import Picture, Samples
 
 STEP_PX = 0.5
-_WIDTHS = range(2, 85)
-"""In steps."""
+WIDEST_PX = 42.0
 _ROWS = (12, 24)
 """Fewest and most samples along a pole; those of longer ones are means."""
 _EDGE = 6.0
@@ -66,12 +65,18 @@ def shifted(ends_px: FloatArray, at_first_px: float, at_last_px: float) -> Float
     return np.asarray(ends_px + np.array([[at_first_px], [at_last_px]]) * across(ends_px))
 
 
-def find_axes(picture: Picture, ends_px: FloatArray, reach_px: float, count: int = 3) -> list[Axis]:
+def find_axes(
+    picture: Picture,
+    ends_px: FloatArray,
+    reach_px: float,
+    count: int = 3,
+    widest_px: float = WIDEST_PX,
+) -> list[Axis]:
     """Up to ``count`` candidates for a pole's axis near a line, likeliest first; to 0.5 px.
 
     Their ends are at most ``reach_px`` across from the line's.
     """
-    grid = _grid(reach_px)
+    grid = _grid(reach_px, widest_px)
     features = _features(straighten(picture, ends_px, grid.offsets), grid)
     scores = features @ WEIGHTS
     found: list[Axis] = []
@@ -110,19 +115,19 @@ class _Grid:
 
 
 @lru_cache(maxsize=16)
-def _grid(reach_px: float) -> _Grid:
-    half = int(np.ceil((reach_px + max(_WIDTHS) * STEP_PX / 2.0 + 4.0) / STEP_PX))
+def _grid(reach_px: float, widest_px: float) -> _Grid:
+    half = int(np.ceil((reach_px + widest_px / 2.0 + 4.0) / STEP_PX))
     offsets = np.asarray(np.arange(-half, half + 1) * STEP_PX, dtype=np.float64)
     count = int(reach_px / STEP_PX)
     tilts = np.asarray(np.arange(-count, count + 1) * STEP_PX, dtype=np.float64)
-    steps = np.array(_WIDTHS)
+    steps = np.arange(2, round(widest_px / STEP_PX) + 1)
     left = half + np.arange(-count, count + 1) - (steps // 2)[:, None]
     right = left + steps[:, None]
     return _Grid(
         reach_px,
         offsets,
         tilts,
-        steps * STEP_PX,
+        np.asarray(steps * STEP_PX, dtype=np.float64),
         (offsets[left] + offsets[right]) / 2.0,
         left,
         right,
