@@ -28,6 +28,7 @@ _OUTPUTS: dict[Kind, tuple[str, ...]] = {
     "detr": ("logits", "boxes"),
     "segmentation": ("logits or labels",),
 }
+_MOST_LABELS = 10_000
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
@@ -54,8 +55,9 @@ class OnnxSettings(BaseModel):
         wanted = _OUTPUTS[self.kind]
         if len(self.outputs) != len(wanted):
             raise ValueError(f"outputs of kind {self.kind} are {len(wanted)}: {', '.join(wanted)}")
-        if not self.label_names:
-            raise ValueError("labels: a model has one at least")
+        number = self.labels if isinstance(self.labels, int) else len(self.labels)
+        if not 1 <= number <= _MOST_LABELS:
+            raise ValueError(f"labels: {number} of them; 1 to {_MOST_LABELS} will do")
 
     @property
     def label_names(self) -> tuple[str, ...]:
