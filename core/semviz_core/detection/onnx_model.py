@@ -137,11 +137,9 @@ class OnnxFinder:
             raise SemvizError(f"{self.path}: takes {taken}; semviz gives one image of floats")
         wanted = (1, 3, self.settings.input.height, self.settings.input.width)
         shape = inputs[0].shape
-        fixed = [isinstance(one, int) for one in shape]  # others are free: names
-        if len(shape) != 4 or any(
-            is_fixed and one != want
-            for is_fixed, one, want in zip(fixed, shape, wanted, strict=True)
-        ):
+        sides = zip(shape, wanted, strict=False)
+        fits = all(one == want or not isinstance(one, int) for one, want in sides)
+        if len(shape) != 4 or not fits:  # names, not numbers, are free
             raise SemvizError(f"{self.path}: takes {shape}, and {path} says {list(wanted)}")
         has = [one.name for one in self.session.get_outputs()]
         for name in self.settings.outputs:
