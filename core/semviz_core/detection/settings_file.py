@@ -22,7 +22,11 @@ def read_settings(path: Path, kind: type[Settings]) -> Settings:
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        told = first["msg"].removeprefix("Value error, ")
-        raise SemvizError(f"{path}: {where}{': ' if where else ''}{told}; repair it") from None
+        raise SemvizError(f"{path}: {first_fault(error)}; repair it") from None
+
+
+def first_fault(error: ValidationError) -> str:
+    """Where it is and what, for people."""
+    first = error.errors()[0]
+    told = first["msg"].removeprefix("Value error, ")
+    return ": ".join([*filter(None, [".".join(str(part) for part in first["loc"])]), told])
