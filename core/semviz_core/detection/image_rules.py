@@ -1,11 +1,11 @@
 """How a transformers model wants its images: what its ``preprocessor_config.json`` says."""
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from semviz_core.detection.model_input import LARGEST_SIDE, ModelInput
+from semviz_core.detection.settings_file import first_fault
 from semviz_core.errors import SemvizError
 
 FILE = "preprocessor_config.json"
@@ -57,10 +57,9 @@ class ImageRules(BaseModel):
                 std=self.image_std if self.do_normalize else (1.0, 1.0, 1.0),
             )
         except ValidationError as error:
-            first = error.errors()[0]
             raise SemvizError(
                 f"an image of {width} x {height} would become {columns} x {rows} "
-                f"({'.'.join(map(str, first['loc']))}: {first['msg']})"
+                f"({first_fault(error)})"
             ) from None
 
 
@@ -72,8 +71,4 @@ def read_image_rules(folder: Path) -> ImageRules:
     except OSError:
         raise SemvizError(f"{path}: cannot be read; it says how the model wants images") from None
     except ValidationError as error:
-        first: Any = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "file"
-        raise SemvizError(
-            f"{path}: {where}: {first['msg']}; save it with a newer version"
-        ) from None
+        raise SemvizError(f"{path}: {first_fault(error)}; save it with a newer version") from None

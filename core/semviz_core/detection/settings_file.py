@@ -29,4 +29,5 @@ def first_fault(error: ValidationError) -> str:
     """Where it is and what, for people."""
     first = error.errors()[0]
     told = first["msg"].removeprefix("Value error, ")
-    return ": ".join([*filter(None, [".".join(str(part) for part in first["loc"])]), told])
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {told}" if where else told
