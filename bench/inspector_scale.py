@@ -3,21 +3,20 @@
     python bench/inspector_scale.py [ELEMENTS]
 
 Takes the demo's frames and puts copies of its street beside each other until the map has ELEMENTS
-(100,000). Wants an idle machine, Chromium and the test extra. A picture counts as shown when its
-pixels can be read back. Without a graphics card all is drawn by the processor, and says so.
+(100,000). Wants an idle machine, Chromium and the test extra. A picture in 3D counts as shown when
+its pixels were read back, an image and a card one screen refresh after they were drawn.
 """
 
 import os
 import shutil
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pages import CHROMIUM, PAUSE_MS, report, serving, until
+from pages import CHROMIUM, LOOKED_MS, opened, report, scene, serving, turns, until
+from pages import steps as image_steps
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.demo import ensure_demo
@@ -36,55 +35,6 @@ STEPS = 50
 TURNS = 10
 SETTLED_MS = 6_000
 
-WATCH = """
-const now = () => performance.timeOrigin + performance.now();
-let pressed = 0, fresh = 0, small = null, before = null, seen = null;
-const drawImage = CanvasRenderingContext2D.prototype.drawImage;
-const bitmaps = new WeakSet();
-window.imageMs = [];
-CanvasRenderingContext2D.prototype.drawImage = function (picture, ...rest) {
-  if (picture instanceof ImageBitmap && !bitmaps.has(picture)) {
-    bitmaps.add(picture);
-    requestAnimationFrame(() => window.imageMs.push(now() - pressed));
-  }
-  return drawImage.call(this, picture, ...rest);
-};
-const press = (event) => { pressed = performance.timeOrigin + event.timeStamp; };
-addEventListener('keydown', press, true);
-function pixels() { // of the 3D canvas, small
-  const canvas = document.querySelector('canvas[data-engine]');
-  small ??= Object.assign(document.createElement('canvas'), { width: 180, height: 80 });
-  const context = small.getContext('2d', { willReadFrequently: true });
-  drawImage.call(context, canvas, 0, 0, 180, 80);
-  return context.getImageData(0, 0, 180, 80).data;
-}
-window.pressed = () => pressed;
-window.watch = () => { before = pixels(); seen = null; look(); };
-window.seen = () => seen;
-function look() {
-  const after = pixels();
-  let changed = 0;
-  for (let i = 0; i < after.length; i += 4) changed += Math.abs(after[i] - before[i]) > 12;
-  if (changed > 10) seen = now(); else requestAnimationFrame(look);
-}
-const drawArrays = WebGL2RenderingContext.prototype.drawArrays;
-window.dots = null;
-WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
-  drawArrays.call(this, mode, first, count);
-  if (mode !== this.POINTS || count < 50000 || window.dots) return;
-  window.dots = true;
-  requestAnimationFrame(() => { // it is drawn with this frame; reading waits for that
-    this.readPixels(0, 0, 1, 1, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(4));
-    window.dots = now();
-  });
-};
-"""
-ANSWERED = """
-(() => {
-  const place = history.replaceState.bind(history);
-  history.replaceState = (...all) => { window.answered = performance.now(); place(...all); };
-})()
-"""
 ARRIVED = """
 (() => {
   const about = document.getElementById('space-about');
@@ -92,6 +42,12 @@ ARRIVED = """
     .observe(about, { childList: true, characterData: true, subtree: true });
   window.arrived = null;
 })()
+"""
+CLICKED = "addEventListener('pointerup', (event) => { window.clicked = event.timeStamp; }, true)"
+ANSWERED = """
+new MutationObserver(() => requestAnimationFrame(() => {
+  window.answered ??= performance.timeOrigin + performance.now();
+})).observe(document.getElementById('selected-rest'), { childList: true })
 """
 
 
@@ -124,72 +80,45 @@ def merged(parts: list[Elements3D]) -> Elements3D:
     return joined(merged(parts[:half]), merged(parts[half:]))
 
 
-def scene(page: Page) -> Any:
-    """The 3D pane's own document."""
-    return next(frame for frame in page.frames if "/view/" in frame.url)
-
-
 def load(page: Page, url: str) -> None:
     """Opens the demo, then the city: the 3D pane is there already, the map comes."""
-    page.goto(url)
+    page.goto(f"{url}?card=selected")
     page.wait_for_selector("#frame-list li")
     page.wait_for_selector("#scene.ready", timeout=60_000)
     page.wait_for_timeout(SETTLED_MS)
     page.evaluate(ARRIVED)
     chosen = page.evaluate("performance.timeOrigin + performance.now()")
     page.select_option("#run", "city")
-    until(page, "window.arrived !== null")
-    for _ in range(500):
-        if isinstance(scene(page).evaluate("window.dots"), float | int):
-            break
-        page.wait_for_timeout(20)
-    arrived, shown = page.evaluate("window.arrived"), scene(page).evaluate("window.dots")
-    print(f"{'city: run chosen to run in the page':<48} {arrived - chosen:6.0f} ms")
-    print(f"{'city: run in the page to all elements on screen':<48} {shown - arrived:6.0f} ms")
-
-
-def steps(page: Page, key: str, times: int, with_image: bool) -> tuple[list[float], list[float]]:
-    """Milliseconds from ``key`` to the new image, and to changed pixels in the 3D pane."""
-    images, spaces = [], []
     page.wait_for_timeout(SETTLED_MS)
-    for _ in range(times):
-        page.evaluate("window.imageMs = []")
-        scene(page).evaluate("window.watch()")
-        page.keyboard.press(key)
-        if with_image:
-            until(page, "window.imageMs.length > 0")
-            images.append(page.evaluate("Math.max(...window.imageMs)"))
-        spaces.append(changed(page) - page.evaluate("window.pressed()"))
-        page.wait_for_timeout(PAUSE_MS)
-    return images, spaces
+    arrived = page.evaluate("window.arrived")
+    shown, _ = scene(page).evaluate("window.changes.at(-1)")
+    print(f"{'city: run chosen to run in the page':<48} {arrived - chosen:6.0f} ms")
+    print(f"{'city: run in the page to the last change in 3D':<48} {shown - arrived:6.0f} ms")
 
 
-def changed(page: Page) -> float:
-    """When the 3D pane's pixels had changed."""
-    for _ in range(500):
-        shown = scene(page).evaluate("window.seen()")
-        if shown is not None:
-            return float(shown)
-        page.wait_for_timeout(10)
-    raise RuntimeError("the 3D pane stayed as it was")
+def steps(page: Page, what: str, key: str, times: int) -> None:
+    """From ``key`` to the new picture in the 3D pane, and to its last change."""
+    first, last = turns(page, key, times)
+    report(f"city: {what}, key to new 3D", first)
+    report("  to its last change", last)
 
 
-def clicks(page: Page, run: Run) -> list[float]:
-    """Milliseconds from a click on an element in 3D to the answer that it is selected."""
+def clicks(page: Page, record: FrameRecord) -> list[float]:
+    """Milliseconds from a click on an element in 3D to one refresh after the card tells of it."""
     page.keyboard.press("u")
     page.wait_for_timeout(SETTLED_MS)
-    record = run.frames[STEPS]  # where the steps ended
     answers: list[float] = []
     page.evaluate(ANSWERED)
+    scene(page).evaluate(CLICKED)
     box = page.locator("#scene").bounding_box()
     assert box is not None
     for x, y in above(record, box["width"], box["height"])[:TURNS]:
         page.evaluate("window.answered = null")
-        start = time.perf_counter()
         page.mouse.click(box["x"] + x, box["y"] + y)
         until(page, "window.answered !== null")
-        answers.append(1000 * (time.perf_counter() - start))
-        page.wait_for_timeout(PAUSE_MS)
+        clicked = scene(page).evaluate("performance.timeOrigin + window.clicked")
+        answers.append(page.evaluate("window.answered") - clicked)
+        page.wait_for_timeout(LOOKED_MS)
     return answers
 
 
@@ -213,11 +142,10 @@ def above(record: FrameRecord, width: float, height: float) -> list[tuple[float,
 
 def measure(page: Page, url: str, run: Run) -> None:
     load(page, url)
-    images, spaces = steps(page, ".", STEPS, with_image=True)
-    report("city: frame step, key to new image", images)
-    report("city: frame step, key to new 3D", spaces)
-    report("city: other colours of the map, key to new 3D", steps(page, "v", TURNS, False)[1])
-    report("city: click on an element to its selection", clicks(page, run))
+    report("city: frame step, key to new image", image_steps(page, pictures=1))
+    steps(page, "frame step", ".", STEPS)
+    steps(page, "other colours of the map", "v", TURNS)
+    report("city: click on an element to its card", clicks(page, run.frames[2 * STEPS]))
 
 
 def main() -> None:
@@ -233,9 +161,8 @@ def main() -> None:
         print(f"{elements} elements, {size_mb:.0f} MB; load before: {load:.1f}", flush=True)
         with serving("serve", str(demo), str(city)) as (url, _), sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM)
-            page = browser.new_page(viewport={"width": 1600, "height": 950})
-            page.add_init_script(WATCH)
-            measure(page, url, run)
+            with opened(browser, with_3d=True) as page:
+                measure(page, url, run)
             browser.close()
 
 

@@ -92,7 +92,7 @@ class SceneView:
         self._scene.draw_road(self._trajectory_m)
         if len(self._trajectory_m) > 1:
             accent = self._scene.palette.accent
-            self._scene.draw_path("/trajectory", self._trajectory_m, accent, 1.4)
+            self._scene.draw_path("/trajectory", self._trajectory_m, accent)
 
     def _draw_frame(self, shown: Shown) -> None:
         pose = shown.T_map_camera or NOWHERE

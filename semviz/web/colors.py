@@ -95,6 +95,11 @@ def scene_rgb(color: str) -> Rgb:
     return red, green, blue
 
 
+def scene_light(color: str) -> FloatArray:
+    """(3,) ``scene_rgb`` as shares of light, which is how glTF models have colours."""
+    return _linear(np.array(scene_rgb(color)) / 255.0)
+
+
 def _linear(encoded: FloatArray) -> FloatArray:
     low = encoded <= 0.04045
     return np.where(low, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

@@ -6,11 +6,12 @@ stays equal of a node is not sent again (viser sees to that).
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 
 from semviz.web.colors import rgb, scene_rgb
+from semviz.web.line_model import line_model
 from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.pose import Pose
 
@@ -20,7 +21,16 @@ if TYPE_CHECKING:
     Held = dict[str, viser.SceneNodeHandle]
 
 Anchor = Literal["bottom-center", "center-left", "center-right"]
+NOT_MOVED = Pose.identity()
+MIDDLE = np.zeros(3)
 PointShape = Literal["square", "diamond", "circle", "sparkle"]
+
+
+class Place(TypedDict):
+    """Of a node, as viser's functions take it."""
+
+    wxyz: FloatArray
+    position: FloatArray
 
 
 class Nodes:
@@ -61,19 +71,61 @@ class Drawing:
         self.paths: set[str] = set()
         """Of what has been drawn so far."""
 
-    def lines(self, part: str, segments: FloatArray, color: str, width_px: float) -> None:
+    def lines(
+        self,
+        part: str,
+        segments: FloatArray,
+        color: str,
+        width_px: float,
+        T_map_local: Pose = NOT_MOVED,
+    ) -> None:
         """Segments (k, 2, 3), ``width_px`` wide on the screen; nothing where there are none."""
         if not len(segments):
             return
         points, colors = segments.astype(np.float32), np.array(scene_rgb(color), dtype=np.uint8)
+        place = _place(T_map_local)
         self._put(
             part,
             lambda path: self._api.add_line_segments(
-                path, points, colors, thickness=width_px, thickness_units="screen"
+                path, points, colors, thickness=width_px, thickness_units="screen", **place
             ),
             points=points,
             colors=colors,
             thickness=width_px,
+            **place,
+        )
+
+    def hairlines(
+        self,
+        part: str,
+        segments: FloatArray,
+        light: FloatArray,
+        middle_m: FloatArray = MIDDLE,
+        scale: float = 1.0,
+    ) -> None:
+        """Segments (k, 2, 3) around ``middle_m``, a pixel wide: for what is many and stays.
+
+        ``light`` is their colour (3,), or that of each (k, 3), as ``scene_light`` gives it.
+
+        Where the processor draws, it takes 24 us for each of the wide lines and 5 us for these. A
+        change of place or scale is quick; other segments are read anew a picture or two later.
+        """
+        if not len(segments):
+            return
+        model = line_model(segments, light)
+        self._put(
+            part,
+            lambda path: self._api.add_glb(
+                path,
+                model,
+                scale=scale,
+                position=middle_m,
+                cast_shadow=False,
+                receive_shadow=False,
+            ),
+            glb_data=model,
+            scale=scale,
+            position=middle_m,
         )
 
     def points(
@@ -168,8 +220,7 @@ class Drawing:
 
     def image(self, part: str, T_map_camera: Pose, corners: FloatArray, image: ByteImage) -> None:
         """``image`` between corners (4, 3), clockwise from the top left one."""
-        x, y, z, w = T_map_camera.as_quaternion()
-        place = {"wxyz": (w, x, y, z), "position": corners.mean(axis=0)}
+        place = {**_place(T_map_camera), "position": corners.mean(axis=0)}
         self._put(
             part,
             lambda path: self._api.add_image(
@@ -216,6 +267,11 @@ class Drawing:
             return
         for name, value in changing.items():
             setattr(self._held[path], name, value)
+
+
+def _place(T_map_local: Pose) -> Place:
+    x, y, z, w = T_map_local.as_quaternion()
+    return {"wxyz": np.array([w, x, y, z]), "position": T_map_local.translation}
 
 
 def _ball() -> tuple[FloatArray, IntArray]:

@@ -1,17 +1,18 @@
 """A map and camera poses, drawn into a viser server.
 
 Elements are lines of a fixed width on the screen, one viser node a colour: the only thing in viser
-that stays legible from afar and whose colour comes out exact.
+that stays legible from afar and whose colour comes out exact. What is faint and many is hairlines.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from semviz.web import shapes
-from semviz.web.colors import PALETTES, Palette, Theme, mix, rgb
+from semviz.web.colors import PALETTES, Palette, Theme, mix, scene_light
 from semviz.web.nodes import Anchor, Nodes, PointShape
 from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.camera import Camera
@@ -26,6 +27,9 @@ CAMERA_HEIGHT_M = 1.65
 """The road lies so far below the trajectory of the cameras (KITTI's car)."""
 
 FRUSTUM_DEPTH_M = 2.0
+GRID_M = 10.0
+HAIRLINE_PX = 1.0
+"""Elements whose lines are no wider are drawn as hairlines."""
 BACKDROP_DEPTH_M = 150.0
 FIELD_OF_VIEW_DEG = 55.0
 AMBIENT = float(np.pi)
@@ -74,12 +78,28 @@ class Scene:
         self.set_theme(theme)
         server.initial_camera.fov = float(np.deg2rad(FIELD_OF_VIEW_DEG))
 
+    @contextmanager
+    def in_one_piece(self) -> Iterator[None]:
+        """What is drawn meanwhile, and where it is looked at from, is sent together and at once.
+
+        viser sends cameras apart from the rest, and each up to 17 ms late, as more might come.
+        """
+        clients = self.server.get_clients().values()
+        senders: tuple[viser.ViserServer | viser.ClientHandle, ...]
+        senders = (*clients, self.server)  # cameras first, as they are quick to apply
+        with ExitStack() as held:
+            for sender in reversed(senders):
+                held.enter_context(sender.atomic())
+            yield
+        for sender in senders:
+            sender.flush()
+
     @property
     def palette(self) -> Palette:
         return PALETTES[self.theme]
 
     def set_theme(self, theme: Theme) -> None:
-        """Empties the scene and sets its ground; whoever drew into it draws again."""
+        """Empties the scene; whoever drew into it draws again. The ground is the page's."""
         self.theme: Theme = theme
         scene = self.server.scene
         self.clear_under("")
@@ -88,8 +108,6 @@ class Scene:
         scene.configure_environment_map(None)
         with self._nodes.drawing("/light") as drawing:
             drawing.light(AMBIENT)
-        ground = np.array([[rgb(self.palette.scene)]], dtype=np.uint8)
-        scene.set_background_image(ground, format="png")
 
     def class_looks(
         self, classes: ClassSet, strength: float = 1.0, width_px: float = 1.7
@@ -101,8 +119,11 @@ class Scene:
 
     def draw_grid(self, around_m: FloatArray) -> None:
         """A level grid of 10 m on the road around a camera centre (3,)."""
-        floor = np.array([*around_m[:2], around_m[2] - CAMERA_HEIGHT_M])
-        self.draw_lines("/grid", shapes.grid_segments(floor, 120.0, 10.0), self.palette.grid, 1.0)
+        middle = np.array([*(np.round(around_m[:2] / GRID_M) * GRID_M), around_m[2]])
+        middle[2] -= CAMERA_HEIGHT_M
+        with self._nodes.drawing("/grid") as drawing:
+            segments = shapes.grid_segments(120.0, GRID_M)
+            drawing.hairlines("", segments, scene_light(self.palette.grid), middle)
 
     def draw_road(self, trajectory_m: FloatArray) -> None:
         """The road under camera centres (k, 3)."""
@@ -139,7 +160,18 @@ class Scene:
             for number, look in enumerate(looks):
                 rows = np.flatnonzero(look_of == number)
                 segments = shapes.element_segments(elements[rows], classes, facing_rad[rows])
-                drawing.lines(str(number), segments, look.color, look.width_px)
+                if look.width_px > HAIRLINE_PX:
+                    drawing.lines(str(number), segments, look.color, look.width_px)
+                else:
+                    drawing.hairlines(f"thin-{number}", segments, scene_light(look.color))
+
+    def draw_far(
+        self, name: str, elements: Elements3D, looks: Sequence[ElementLook], look_of: IntArray
+    ) -> None:
+        """One hairline for each element, however many; ``look_of`` as in ``draw_elements``."""
+        light = np.array([scene_light(look.color) for look in looks])
+        with self._nodes.drawing(name) as drawing:
+            drawing.hairlines("", shapes.strokes(elements), light[look_of])
 
     def draw_points(
         self,
@@ -187,16 +219,18 @@ class Scene:
         with self._nodes.drawing(name) as drawing:
             drawing.lines("", cut, color, width_px)
 
-    def draw_path(self, name: str, points_m: FloatArray, color: str, width_px: float) -> None:
-        """A line through points (k, 3); gaps at NaN."""
+    def draw_path(self, name: str, points_m: FloatArray, color: str) -> None:
+        """A line through points (k, 3), a pixel wide; gaps at NaN."""
         segments = np.stack([points_m[:-1], points_m[1:]], axis=1)
         whole = segments[np.isfinite(segments).all(axis=(1, 2))]
-        self.draw_lines(name, whole, color, width_px)
+        with self._nodes.drawing(name) as drawing:
+            drawing.hairlines("", whole, scene_light(color))
 
     def draw_circle(self, name: str, center_m: FloatArray, radius_m: float, color: str) -> None:
-        """A dashed level circle, such as the uncertainty of a prior."""
-        ring = shapes.circle_segments(center_m, radius_m)
-        self.draw_lines(name, ring[::2], color, 1.2)
+        """A dashed level circle, such as the uncertainty of a prior, a pixel wide."""
+        ring = shapes.circle_segments(np.zeros(3), 1.0)
+        with self._nodes.drawing(name) as drawing:
+            drawing.hairlines("", ring[::2], scene_light(color), center_m, radius_m)
 
     def draw_camera(
         self,
@@ -208,11 +242,11 @@ class Scene:
     ) -> None:
         """A frustum, with ``image`` on its far plane where given."""
         color = str(getattr(self.palette, look.role))
-        segments = shapes.frustum_segments(T_map_camera, camera, FRUSTUM_DEPTH_M)
+        segments = shapes.frustum_segments(camera, FRUSTUM_DEPTH_M)
         cut = segments if look.dash_m is None else shapes.dashed(segments, *look.dash_m)
         corners = shapes.frustum_corners(T_map_camera, camera, FRUSTUM_DEPTH_M)
         with self._nodes.drawing(name) as drawing:
-            drawing.lines("lines", cut, color, look.width_px)
+            drawing.lines("lines", cut, color, look.width_px, T_map_camera)
             if image is not None:
                 drawing.image("image", T_map_camera, corners, image)
             elif look.fill:

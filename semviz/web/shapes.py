@@ -51,6 +51,15 @@ def element_segments(elements: Elements3D, classes: ClassSet, facing_rad: FloatA
     return np.concatenate(pieces)
 
 
+def strokes(elements: Elements3D) -> FloatArray:
+    """One segment for each element: a pole's shaft, and one as high as the glyph of a sign."""
+    half = np.array([0.0, 0.0, GLYPH_RADIUS_M])
+    line = elements.is_line[:, None]
+    low = np.where(line, elements.end_m, elements.anchor_m - half)
+    high = np.where(line, elements.anchor_m, elements.anchor_m + half)
+    return np.stack([low, high], axis=1)
+
+
 def ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Half axes (k, 3) of 1 sigma, and rotations (k, 4) as w, x, y, z, of covariances (k, 3, 3)."""
     from scipy.spatial.transform import Rotation
@@ -81,11 +90,10 @@ def frustum_corners(T_map_camera: Pose, camera: Camera, depth_m: float) -> Float
     return T_map_camera.apply(depth_m * rays)
 
 
-def frustum_segments(T_map_camera: Pose, camera: Camera, depth_m: float) -> FloatArray:
-    """Four rays from the camera centre, and the image's border."""
-    corners = frustum_corners(T_map_camera, camera, depth_m)
-    center = np.broadcast_to(T_map_camera.translation, corners.shape)
-    rays = np.stack([center, corners], axis=1)
+def frustum_segments(camera: Camera, depth_m: float) -> FloatArray:
+    """Four rays from the camera centre, and the image's border, in the camera's frame."""
+    corners = frustum_corners(Pose.identity(), camera, depth_m)
+    rays = np.stack([np.zeros_like(corners), corners], axis=1)
     border = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     return np.concatenate([rays, border])
 
@@ -123,15 +131,13 @@ def dashed(segments: FloatArray, dash_m: float, gap_m: float) -> FloatArray:
     return np.concatenate(pieces) if pieces else segments
 
 
-def grid_segments(center_m: FloatArray, half_m: float, step_m: float) -> FloatArray:
-    """A level square grid on whole multiples of ``step_m`` around ``center_m``."""
-    middle = np.round(np.asarray(center_m)[:2] / step_m) * step_m
+def grid_segments(half_m: float, step_m: float) -> FloatArray:
+    """A level square grid around the origin."""
     offsets = np.arange(-half_m, half_m + step_m / 2, step_m)
     low, high = np.full(len(offsets), -half_m), np.full(len(offsets), half_m)
     along_y = np.stack([np.stack([offsets, low], 1), np.stack([offsets, high], 1)], axis=1)
-    flat = np.concatenate([along_y, along_y[:, :, ::-1]]) + middle
-    height = np.full((*flat.shape[:2], 1), float(center_m[2]))
-    return np.concatenate([flat, height], axis=2)
+    flat = np.concatenate([along_y, along_y[:, :, ::-1]])
+    return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
 
 
 def ribbon(points_m: FloatArray, width_m: float) -> tuple[FloatArray, IntArray]:

@@ -48,6 +48,9 @@ def test_scene_shows_exact_colours_through_the_door(page: "Page", theme: str) ->
         for column, color in enumerate(colors):
             post = np.array([[[column - 1.0, 0.0, -1.0], [column - 1.0, 0.0, 1.0]]])
             scene.draw_lines(f"/line/{column}", post, color, 40.0)
+            aside = post[:, :, [0]] * [1.0, 0, 0] + [[0.3, 0, -1.0], [0.3, 0, 1.0]]
+            many = aside + np.linspace(0.0, 0.1, 200)[:, None, None] * [1.0, 0, 0]
+            scene.draw_path(f"/hair/{column}", many.reshape(-1, 3), color)  # a field of hairlines
         Viewer(server).show(Viewpoint(np.array([0.0, -4.0, 0.0]), np.zeros(3)))
         page.goto(f"{url}view/one/")
         for _ in range(300):
@@ -65,8 +68,9 @@ def test_scene_shows_exact_colours_through_the_door(page: "Page", theme: str) ->
             x = round(box["width"] / 2 + (column - 1.0) * focal / 4.0)
             if theme == "light" and color == scene.palette.road:
                 continue  # brighter than the tone curve reaches
+            hair = x + round(0.35 * focal / 4.0)
             assert np.abs(shot[middle_y, x] - rgb(color)).max() <= 2, color
-        assert np.abs(shot[20, 20] - rgb(scene.palette.scene)).max() <= 1
+            assert np.abs(shot[middle_y, hair] - rgb(color)).max() <= 2, color
 
 
 def displayed(given_rgb: tuple[int, int, int]) -> np.ndarray:

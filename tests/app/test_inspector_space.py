@@ -1,5 +1,6 @@
 """The 3D pane: what is clicked, what colours say, what is sent when something changes."""
 
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from semviz.inspector.desk import Desk
 
 REACH_RAD = 0.02
+STROKE_BYTES = 2 * 2 * 3 * 4
+"""Places and colours of both ends of a hairline."""
 
 
 # What is clicked
@@ -175,7 +178,8 @@ def sent() -> Iterator[tuple[SceneView, list[tuple[str, str, int]]]]:
         def note(message: Any) -> None:
             props = getattr(message, "props", None)
             values = getattr(message, "updates", {}) if props is None else vars(props)
-            size = sum(one.nbytes for one in values.values() if isinstance(one, np.ndarray))
+            arrays = [one for one in values.values() if isinstance(one, np.ndarray | bytes)]
+            size = sum(memoryview(one).nbytes for one in arrays)
             messages.append((type(message).__name__, getattr(message, "name", ""), size))
             queue(message)
 
@@ -206,44 +210,45 @@ def test_next_frame_sends_nothing_of_the_map(
     view, messages = sent
     run, state = city(20), State(run="city")
     view.show_run(run, state)
-    assert {"/far", "/map/0"} <= {name for _, name, _ in messages}
+    assert {"/far", "/map/thin-0"} <= {name for _, name, _ in messages}
     messages.clear()
     view.show_frame(run, replace(state, position=1))
     assert messages
     assert not [name for _, name, _ in messages if name.startswith(("/map", "/far", "/ways"))]
-    made = [name for kind, name, _ in messages if kind == "LineSegmentsMessage"]
+    made = [name for kind, name, _ in messages if kind in ("LineSegmentsMessage", "GlbMessage")]
     assert not [name for name in made if not name.startswith(("/pairs", "/submap"))]
     assert sum(size for *_, size in messages) < 60_000
 
 
-def test_other_colours_send_no_places_of_what_is_far(
-    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
-    view, messages = sent
-    run, state = city(20), State(run="city")
-    view.show_run(run, state)
-    messages.clear()
-    view.recolor(run, replace(state, colors="times"))
-    far = len(run.semantic_map) - 50
-    assert [size for _, name, size in messages if name == "/far"] == [3 * far]
-
-
-def test_all_elements_are_drawn_and_the_nearest_as_lines(
+def test_every_element_is_a_stroke_and_the_nearest_have_glyphs(
     sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
     view, messages = sent
     run = city(20)
     view.show_run(run, State(run="city"))
-    (dots,) = (size for _, name, size in messages if name == "/far" and size)
-    assert dots == (len(run.semantic_map) - 50) * (3 * 4 + 3)
+    (size,) = (size for _, name, size in messages if name == "/far" and size)
+    strokes = len(run.semantic_map) * STROKE_BYTES
+    assert strokes < size < strokes + 20_000  # each once, and what describes them
     layer = view._map
     center = run.frames[0].localization.prior.position_m
     away = np.linalg.norm(layer.middles_m[:, :2] - center[:2], axis=1)
     near = layer._near(center)
     assert len(near) == 50
     assert away[near].max() <= np.delete(away, near).min()
+
+
+def test_what_is_near_changes_without_sending_what_is_far(
+    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_layer, "DRAWN_WHOLE", 50)
+    monkeypatch.setattr(map_layer, "MOVED_M", 0.0)
+    view, messages = sent
+    run, state = city(20), State(run="city")
+    view.show_run(run, state)
+    messages.clear()
+    view.show_frame(run, replace(state, position=1))
+    assert not [name for _, name, _ in messages if name == "/far"]
 
 
 def test_marks_are_where_frames_are_and_ways_have_gaps(
@@ -257,9 +262,8 @@ def test_marks_are_where_frames_are_and_ways_have_gaps(
     view, messages = sent
     view.show_run(run, State(run="first"))
     size = {name: bytes_ for _, name, bytes_ in messages if bytes_}
-    segment = 2 * 3 * 4
-    assert size["/ways/truth"] == 5 * segment + 3
-    assert size["/ways/estimate"] == 3 * segment + 3  # neither to 14 nor from it
+    # to 14 and from it there is no estimate
+    assert size["/ways/truth"] - size["/ways/estimate"] == pytest.approx(2 * STROKE_BYTES, abs=40)
     assert {name for name in size if name in ("/ways/ok", "/ways/ambiguous", "/ways/cannot")} == {
         "/ways/ok",
         "/ways/ambiguous",
@@ -301,12 +305,18 @@ def wait_for(page: "Page", happened: Callable[[], bool], what: str) -> None:
 
 @pytest.mark.browser
 def test_marks_colours_and_viewpoints(url: str, page: "Page", tool: Inspector) -> None:
+    from PIL import Image
+
     mark = mark_places(small_run())[3]
     eye = mark + np.array([0.0, -0.02, 10.0])
     page.goto(f"{url}?eye={','.join(str(one) for one in (*eye, *mark))}")
     page.wait_for_selector("#scene.ready")
     (server,) = tool.scenes._servers.values()
     wait_for(page, lambda: bool(server.get_clients()), "the 3D client")
+    shot = Image.open(io.BytesIO(page.locator("#scene").screenshot())).convert("RGB")
+    seen = [color for count, color in shot.getcolors(shot.width * shot.height) if count > 1000]
+    assert rgb(PALETTES["light"].scene) in seen  # the page's ground, and not viser's
+
     (client,) = server.get_clients().values()
     wait_for(page, lambda: np.allclose(client.camera.position, eye, atol=0.05), "the link's view")
 

@@ -15,7 +15,7 @@ from semviz_core.semantic_map import SemanticMap
 
 FAINT = 0.45
 """Strength of elements beyond the submap where colours say the class."""
-FAINT_PX = 1.2
+FAINT_PX = 1.0
 WIDTHS_PX = (1.4, 1.8, 2.2, 2.7, 3.2)
 """By level: the width says what the colour says."""
 NEVER_PX = 1.0

@@ -1,10 +1,9 @@
-"""The run's map: what is near as lines, what is far as dots, so that a whole city stays fluid."""
+"""The run's map: what is near with glyphs, what is far as strokes, so that a city stays fluid."""
 
 import numpy as np
 
 from semviz.inspector.scene.coloring import Coloring
 from semviz.web import shapes
-from semviz.web.colors import rgb
 from semviz.web.picking import Offer, Picker
 from semviz.web.scene import Scene, class_rows, elements_ends
 from semviz_core.arrays import FloatArray, IntArray
@@ -12,10 +11,9 @@ from semviz_core.elements import Elements3D
 from semviz_core.semantic_map import SemanticMap
 
 DRAWN_WHOLE = 600
-"""So many elements, those nearest to the frame, are drawn as lines: more are slow without a GPU."""
+"""So many elements, those nearest to the frame, have glyphs: more are slow without a GPU."""
 MOVED_M = 50.0
 """The nearest are chosen anew when the frame is so far from where they were."""
-DOT_M = 0.8
 
 
 class MapLayer:
@@ -41,6 +39,8 @@ class MapLayer:
         moved_m = np.inf if self._center_m is None else np.linalg.norm(around_m - self._center_m)
         if coloring is self._coloring and (self._is_small or moved_m < MOVED_M):
             return
+        if coloring is not self._coloring and not self._is_small:  # under the nearest, too
+            self._scene.draw_far("/far", self._map.elements, coloring.looks, coloring.look_of)
         self._center_m, self._coloring = around_m, coloring
         near = self._near(around_m)
         elements = self._map.elements
@@ -52,10 +52,6 @@ class MapLayer:
             coloring.looks,
             coloring.look_of[near],
         )
-        far = np.ones(len(elements), dtype=bool)
-        far[near] = False
-        table = np.array([rgb(look.color) for look in coloring.looks])
-        self._scene.draw_points("/far", self.middles_m[far], table[coloring.look_of[far]], DOT_M)
 
     def draw_submap(self, submap: Elements3D) -> None:
         """What was given to the solver, by class, stronger than the rest."""

@@ -63,7 +63,7 @@ class SceneView:
     def show_run(self, run: Run, state: State) -> None:
         """Map and ways, all anew; then the state's frame."""
         self._route, self._forecast, self._usage = route(run), None, usage_of(run)
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             self._scene.set_theme(state.theme)
             self._map = MapLayer(self._scene, self._picker, run.semantic_map, self._route)
             self._recolor(run, state)
@@ -74,7 +74,7 @@ class SceneView:
     def show_frame(self, run: Run, state: State) -> None:
         """The state's frame: submap, prior, truth, estimate, alternatives, pairs, selection."""
         record = run.frames[state.position]
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             self._draw_around(run, record, state)
             self._draw_map(record, state)
             draw_prior(self._scene, run, record, state.view)
@@ -83,16 +83,16 @@ class SceneView:
             label_poses(self._scene, record, state)
             draw_pairs(self._scene, record.localization)
             self._select(run, state)
-        self._follow(record, state)
+            self._follow(record, state)
 
     def select(self, run: Run, state: State) -> None:
         """The ring around the selected element."""
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             self._select(run, state)
 
     def recolor(self, run: Run, state: State) -> None:
         """The map in the state's colours, with or without ellipsoids."""
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             self._recolor(run, state)
             self._draw_map(run.frames[state.position], state)
 
@@ -122,7 +122,7 @@ class SceneView:
     def show_forecast(self, predicted: Localizability | None, run: Run, state: State) -> None:
         """What the map lets a camera know along the route; None takes it away."""
         self._forecast = predicted
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             if predicted is None or state.view == "camera":  # it would hide the image
                 self._scene.clear_under(FORECAST)
             else:
@@ -130,17 +130,17 @@ class SceneView:
 
     def show_tried(self, tried: Localization | None, state: State) -> None:
         """The camera of an answer that is being tried; None takes it away."""
-        with self._scene.server.atomic():  # through the camera its frustum would be in the way
+        with self._scene.in_one_piece():  # through the camera its frustum would be in the way
             draw_tried(self._scene, None if state.view == "camera" else tried)
 
     def show_hypothesis(self, shown: Hypothesis | None, state: State) -> None:
         """The camera of a pose of the search; None takes it away."""
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             draw_hypothesis(self._scene, None if state.view == "camera" else shown)
 
     def show_base(self, base: BaseFrame | None, state: State) -> None:
         """The frame as another run has it; None takes it away."""
-        with self._scene.server.atomic():
+        with self._scene.in_one_piece():
             draw_base(self._scene, None if state.view == "camera" else base)
 
     def _recolor(self, run: Run, state: State) -> None:

@@ -29,8 +29,8 @@ def draw_ways(scene: Scene, run: Run) -> None:
     palette = scene.palette
     truth = _below([one.frame.T_map_camera for one in run.frames])
     found = _below([estimate(one) for one in run.localizations])
-    scene.draw_path(f"{WAYS}/truth", truth, mix(palette.truth, palette.scene, 0.5), 1.0)
-    scene.draw_path(f"{WAYS}/estimate", found, mix(palette.estimate, palette.scene, 0.8), 1.2)
+    scene.draw_path(f"{WAYS}/truth", truth, mix(palette.truth, palette.scene, 0.5))
+    scene.draw_path(f"{WAYS}/estimate", found, mix(palette.estimate, palette.scene, 0.8))
     places = mark_places(run)
     for status, shape in MARKS.items():
         rows = [one.status == status for one in run.localizations]
