@@ -11,8 +11,8 @@ from semviz.reporting.plots import as_svg
 from semviz.reporting.sheet import html_page, plot, table_section
 
 LEGEND = (
-    "White: what is truly there, grey where it does not count. Thin, in the colours of their "
-    "classes: what was found with a score that is high enough."
+    "What a picture is about is in its middle. White: what is truly there, grey where it does not "
+    "count. Thin, in the colours of their classes: what was found with a score that is high enough."
 )
 
 
