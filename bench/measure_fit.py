@@ -152,13 +152,13 @@ def _plain(weights: FloatArray, mean: FloatArray, spread: FloatArray) -> tuple[f
 
 
 def _known_weights(images: Regions) -> tuple[float, ...]:
-    """Logistic regression of an end being the pole's own."""
+    """Logistic regression of an end being the pole's own, where the model does not tell."""
     X, y = [], []
     for one, regions, rows in images:
         signs = [region for region in regions if not is_pole(region)]
         for region, row in zip(regions, rows, strict=True):
             line = best_line(one.picture, region) if is_pole(region) else None
-            if line is None:
+            if line is None or region.ends_known is not None:
                 continue
             ends = [best_end(one.picture, region, line, signs, which) for which in range(2)]
             middle, along = course(line)
@@ -167,7 +167,7 @@ def _known_weights(images: Regions) -> tuple[float, ...]:
             truth = one.whole.elements
             known = (truth.anchor_known[row], truth.end_known[row])
             for which in np.flatnonzero(~cut):
-                X.append(end_evidence(one.picture, region, line, ends_px, ends[which]))
+                X.append(end_evidence(one.picture, line, ends_px, ends[which]))
                 y.append(known[which])
     return _logistic(np.array(X), np.array(y, dtype=np.float64))
 

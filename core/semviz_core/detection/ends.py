@@ -59,7 +59,11 @@ def extent(picture: Picture, region: Region, line: Line, signs: Sequence[Region]
     on_border, cut = within_image(picture, ends_px)
     if (on_border[1] - on_border[0]) @ along < SHORTEST_PX:
         return None
-    own = ~cut & [known(end_evidence(picture, region, line, on_border, one)) for one in ends]
+    told = region.ends_known
+    if told is None:
+        evidence = [end_evidence(picture, line, on_border, one) for one in ends]
+        told = known(evidence[0]), known(evidence[1])
+    own = ~cut & told
     sigmas = np.array([one.sigma_px for one in ends])
     of = sigmas[own] if own.any() else sigmas
     return Extent(on_border, (bool(own[0]), bool(own[1])), float(np.sqrt((of**2).mean())))
@@ -164,19 +168,14 @@ def within_image(picture: Picture, ends_px: FloatArray) -> tuple[FloatArray, Boo
     return ends_px[0] + share[:, None] * step, cut
 
 
-def end_evidence(
-    picture: Picture, region: Region, line: Line, ends_px: FloatArray, end: End
-) -> FloatArray:
-    """(k,) of whether an end is the pole's own: what the model says of it, and what is beside."""
-    told = 0.0 if region.ends_known is None else (1.0 if region.ends_known[end.which] else -1.0)
+def end_evidence(picture: Picture, line: Line, ends_px: FloatArray, end: End) -> FloatArray:
+    """(k,) of whether an end is the pole's own, and not that of something in front of it."""
     return np.array(
         [
-            told,
             float(end.kind == "end by edges"),
             float(end.kind == "end at sign"),
             crossing(picture, ends_px, line.width_px, end.which),
             float(end.which),
-            float(end.which) * (region.ends_known is None),
         ]
     )
 

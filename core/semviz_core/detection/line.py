@@ -8,12 +8,14 @@ from semviz_core.arrays import FloatArray
 from semviz_core.detection.region import Region
 from semviz_core.detection.sigma import sigma_px
 from semviz_core.measuring.picture import Picture
-from semviz_core.measuring.pole import WIDEST_PX, across, find_axes, stripe, support
+from semviz_core.measuring.pole import WIDEST_PX, Axis, across, find_axes, stripe, support
 from semviz_core.measuring.profile import refine
 
 SHORTEST_PX = 3.0
 _REACHES_PX = (1.5, 2.5, 4.0)
 """How far from a first line edges are looked for: the fewest that two sigmas need."""
+_THIN_PX, _DIFFERS = 4.0, 0.35
+"""A thinner pole must differ from both sides in this share of its rows."""
 _WIDTHS_PX = (8.0, 14.0, 24.0, WIDEST_PX)
 
 
@@ -62,14 +64,15 @@ def line_by_edges(picture: Picture, region: Region, first: Line) -> Line | None:
     axes = find_axes(picture, first.ends_px, reach, 2, widest)
     if not axes:
         return None
-    axis = refine(picture, axes[0])
-    margin = axes[0].score - axes[1].score if len(axes) > 1 else 5.0
+    chosen = next((one for one in axes if not _is_step(picture, one)), axes[0])
+    axis = refine(picture, chosen)
+    margin = min([5.0, *(chosen.score - one.score for one in axes if one is not chosen)])
     moved = np.abs((axis.ends_px - first.ends_px) @ across(first.ends_px)).max()
     evidence = np.array(
         [
             *support(picture, axis.ends_px, axis.width_px),
             stripe(picture, axis.ends_px, axis.width_px),
-            np.clip(margin, 0.0, 3.0),
+            np.clip(margin, -3.0, 3.0),
             np.log(moved / first.sigma_px + 0.5),
             np.log(first.sigma_px),
             np.log(axis.width_px),
@@ -78,6 +81,12 @@ def line_by_edges(picture: Picture, region: Region, first: Line) -> Line | None:
         ]
     )
     return Line("line by edges", axis.ends_px, axis.width_px, evidence)
+
+
+def _is_step(picture: Picture, axis: Axis) -> bool:
+    """Whether both edges are flanks of one: what is between them differs from neither side."""
+    thin = axis.width_px < _THIN_PX
+    return bool(thin and stripe(picture, axis.ends_px, axis.width_px) < _DIFFERS)
 
 
 def _by_ends(region: Region) -> Line | None:

@@ -39,6 +39,8 @@ class Middle:
 def best_middle(picture: Picture, region: Region) -> tuple[int, Middle]:
     """A sign's class and the middle with the least sigma."""
     first = first_middle(region)
+    if region.class_id is not None and region.class_id not in DEFAULT_CLASSES:
+        return region.class_id, first  # nobody told its shape
     classes = SHAPES if region.class_id is None else (region.class_id,)
     found = {one: middles_by_outline(picture, first, one) for one in classes}
     told = [shape_evidence(region, one, found[one]) @ SHAPE for one in classes]

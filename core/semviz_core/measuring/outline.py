@@ -105,7 +105,7 @@ def fit_outlines(
     picture: Picture, middle_px: FloatArray, half_px: FloatArray, shape: str
 ) -> list[Outline]:
     """Outlines round a sign whose middle and half size (2,) are about known, likeliest first."""
-    search = float(np.clip(0.2 * half_px.mean(), 1.5, 6.0))
+    search = float(np.clip(0.35 * half_px.mean(), 2.0, 8.0))
     found: list[Outline] = []
     for scale in _NEAR:
         fitted = _fitted(picture, shape, middle_px, np.maximum(scale * half_px, 2.0), search)
