@@ -30,6 +30,7 @@ def write_weights(training: Path, folder: Path) -> Path:
         name.removeprefix(NETWORK): value.numpy()
         for name, value in checkpoint.tensors.items()
         if name.startswith(NETWORK)
+        and value.is_floating_point()  # counts of batches are no weights
     }
     Weights(identity["task"], identity["options"], tensors).save(path)
     card = {

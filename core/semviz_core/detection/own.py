@@ -1,0 +1,69 @@
+"""Our own network as a finder: from an image to the regions that it tells."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz_core.arrays import ByteImage
+from semviz_core.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.detection.maps import Channels, regions_in
+from semviz_core.detection.region import Region
+from semviz_core.errors import SemvizError
+from semviz_core.learning.weights import read_weights, weights_file
+
+if TYPE_CHECKING:
+    from semviz_core.learning.networks.detector import DetectorNet
+
+TASK = "detector"
+SIDES = 32
+"""The network's coarsest cells: images are filled up to multiples of so many pixels."""
+BORDER = 114
+"""Grey of what is outside an image."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnFinder:
+    """The network of ``semviz detect train`` with its weights."""
+
+    network: "DetectorNet"
+    classes: ClassSet
+    name: str = "semviz"
+
+    def find(self, image: ByteImage) -> list[Region]:
+        """What it sees in an image (height, width, 3) sRGB of any size, the surest first."""
+        import torch
+
+        from semviz_core.learning.networks.detector import masks_of
+
+        if image.ndim != 3 or image.shape[2] != 3 or not image.size:
+            raise SemvizError(f"an image of shape {image.shape}; give (height, width, 3)")
+        height, width = image.shape[:2]
+        below, beside = -height % SIDES, -width % SIDES
+        filled = np.pad(image, ((0, below), (0, beside), (0, 0)), constant_values=BORDER)
+        with torch.inference_mode():
+            maps = self.network(torch.from_numpy(filled)[None])
+            masks = masks_of(maps, Channels(len(self.classes)))[0]
+        threshold = self.network.threshold.double().numpy()
+        return regions_in(maps[0].numpy(), masks.numpy(), threshold, self.classes, (height, width))
+
+
+def load_own(path: Path | None = None, classes: ClassSet = DEFAULT_CLASSES) -> OwnFinder:
+    """With the weights at ``path``, or those that come with semviz.
+
+    Raises SemvizError where there are none, or they are for something else.
+    """
+    return _loaded(*weights_file(TASK, path), classes)
+
+
+@lru_cache(maxsize=4)
+def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> OwnFinder:
+    from semviz_core.learning.networks.detector import DetectorNet
+
+    weights = read_weights(path)
+    weights.check(TASK, classes, path)
+    network = DetectorNet(len(classes))
+    weights.put_into(network, path)
+    return OwnFinder(network.eval().folded(), classes)
