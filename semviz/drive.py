@@ -38,9 +38,8 @@ from semviz_core.sources.source import Source
 
 Know = Callable[[Frame], Prior]
 """What is known of a frame's pose beforehand."""
-CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 70.0, "simulated": 50.0}
-"""The simulated detector sees 40 m far, a real one a little further; people label as far as they
-can see."""
+CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 120.0, "simulated": 50.0}
+"""The simulated detector sees 40 m far; people and detectors, as far as things are large enough."""
 ROAD_RADIUS_M = 60.0
 """Of the road round the fix that the prior holds."""
 

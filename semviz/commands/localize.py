@@ -54,8 +54,7 @@ class Localize:
     """Standard deviation of a simulated compass; the heading is unknown if not given."""
     crop_radius: OptionalFloat = None
     """Radius of the submap round the GPS fix, in metres; 50 for the simulated detector, which
-    sees 40 m far, 70 for what is detected, and 120 for labels, which people draw as far as they
-    can see."""
+    sees 40 m far, and 120 for labels and detections, which reach as far as can be seen."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
     images: Literal["embedded", "both", "reference", "none"] = "embedded"
