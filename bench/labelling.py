@@ -43,6 +43,8 @@ FRAMES = 8
 REACH_M = 40.0
 RIGHT_PX, RIGHT_M = 2.0, 0.04
 """A mark this near to the truth, by one or the other, is right: across a pole, to a middle."""
+ALONG_PX, ALONG_M = 6.0, 0.12
+"""And along a pole, where the mark says that an end is seen and it is."""
 TREMOR_CSS_PX = 1.5
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -101,8 +103,22 @@ class Truth:
     def is_right(self, element: int, side: Side, anchor: Any, end: Any) -> bool:
         if side not in self.marks[element]:
             return False
-        tolerance_px = max(RIGHT_PX, RIGHT_M * self.focal_px / self.depth_m[element])
-        return error_px((anchor, end), self.marks[element][side]) <= tolerance_px
+        return error_px((anchor, end), self.marks[element][side]) <= self.within_px(
+            element, RIGHT_PX, RIGHT_M
+        )
+
+    def are_ends_right(self, element: int, side: Side, offered: dict[str, Any]) -> bool:
+        """Of a proposed mark that ``is_right``: those that it says are seen, and are."""
+        if offered["end"] is None:
+            return True
+        both_known = np.array([offered["anchor_known"], offered["end_known"]])
+        both_known &= self.known[element][side]
+        ends = np.array([offered["anchor"], offered["end"]])
+        gaps = np.linalg.norm(ends - self.marks[element][side], axis=1)
+        return bool((gaps[both_known] <= self.within_px(element, ALONG_PX, ALONG_M)).all())
+
+    def within_px(self, element: int, pixels: float, metres: float) -> float:
+        return max(pixels, metres * self.focal_px / self.depth_m[element])
 
 
 class Labeller:
@@ -380,6 +396,7 @@ def meant(offer: dict[str, Any], truth: Truth) -> int | None:
     for element in truth.marks:
         if truth.class_id[element] == offer["class"] and all(
             truth.is_right(element, side, offer[side]["anchor"], offer[side]["end"])
+            and truth.are_ends_right(element, side, offer[side])
             for side in sides
         ):
             return element
@@ -442,13 +459,14 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
 
 
 def run(
-    seed: int, folder: Path, browser: Any, detector: str
+    seed: int, folder: Path, browser: Any, detector: str, model: str | None
 ) -> tuple[Work, list[float], float, str]:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
         simulated_proposals(workspace, seed)
     elif detector == "own":
-        subprocess.run(["semviz", "detect", str(workspace.path)], check=True)
+        which = [] if model is None else ["--model", model]
+        subprocess.run(["semviz", "detect", str(workspace.path), *which], check=True)
     annotator = Annotator(workspace, author="script")
     street = workspace.street
     try:
@@ -473,6 +491,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1001, 1002, 1003])
     parser.add_argument("--detector", choices=["none", "simulated", "own"], default="none")
+    parser.add_argument("--model", help="of --detector own, as 'semviz detect' takes it")
     arguments = parser.parse_args()
     seeds = arguments.seeds
     inputs = labels = least = 0
@@ -480,7 +499,9 @@ def main() -> None:
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         for seed in seeds:
-            work, errors, flags, said = run(seed, Path(folder), browser, arguments.detector)
+            work, errors, flags, said = run(
+                seed, Path(folder), browser, arguments.detector, arguments.model
+            )
             right = [one for one in errors if one <= RIGHT_PX]
             print(
                 f"street {seed}: {len(errors)} observations in {FRAMES} frames, "

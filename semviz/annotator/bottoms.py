@@ -1,8 +1,13 @@
-"""Whether the bottom of a pole that is being drawn is hidden: the ground is clearly below it.
+"""Whether the bottom of a pole that is being drawn, or that a detector found, is hidden: the ground
+is clearly below it.
 
 Depth is that of its likely partner in the other image. Where the ground is, the drive tells, and
 the bottoms of poles that are mapped nearby, or will be once their partners are accepted.
 """
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +15,7 @@ from semviz.annotator.cameras import Cameras
 from semviz.annotator.fit import misfit_px
 from semviz.annotator.hand import Drawing
 from semviz.annotator.looker import Looker
-from semviz.annotator.offers import FindPartner
+from semviz.annotator.offers import FindPartner, Offer
 from semviz.annotator.pairing import CONSISTENT_PX
 from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
@@ -54,6 +59,32 @@ class Bottoms:
             found = self._looker.found(question, there)
             if found is not None and found.sure:
                 place = self._place({here: drawing.mark, there: found.mark})
+        return self._is_above_ground(place, frame_index, labels)
+
+    def judged(self, offers: Iterable[Offer], frame_index: int, labels: Labels) -> list[Offer]:
+        """Offers, with the bottoms of a detector's poles hidden where the ground is clearly
+        below them."""
+        found: dict[str, dict[Pane, Mark]] = defaultdict(dict)
+        if self._cameras.T_map_camera[frame_index] is not None:
+            for one in offers:
+                if one.is_detected and one.mark is not None and one.mark.end_px is not None:
+                    found[one.element_id][one.pane] = one.mark
+        hidden = {
+            name
+            for name, marks in found.items()
+            if len(marks) > 1 and all(one.end_known for one in marks.values())
+            if self._is_above_ground(self._place(marks), frame_index, labels)
+        }
+        return [
+            replace(one, mark=replace(one.mark, end_known=False))
+            if one.element_id in hidden and one.mark is not None
+            else one
+            for one in offers
+        ]
+
+    def _is_above_ground(
+        self, place: Triangulated | None, frame_index: int, labels: Labels
+    ) -> bool:
         if place is None:
             return False
         sigma = float(np.sqrt(place.covariance_m2[5, 5]))

@@ -149,7 +149,7 @@ class LabelSession:
         self._known(index)
         labels = self.labels
         panes = self._panes.of(index)
-        offers = self._proposing.offers(index, labels)
+        offers = self._bottoms.judged(self._proposing.offers(index, labels), index, labels)
         nearby = self._proposing.nearby(index, labels)
         return {
             "index": index,

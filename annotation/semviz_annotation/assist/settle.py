@@ -9,11 +9,14 @@ from semviz_annotation.assist.partner import Partners, find_partner
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import CLEAR, best_snap
+from semviz_annotation.assist.warp import end_on_line
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
 
 _PARTNER = 0.5
 """A partner that is less likely is none."""
+_SAME_END_PX = 6.0
+"""What two images say of an end of a pole is of one point if it differs by less, along the pole."""
 _MOST_LOGIT = 5.0
 _MOST_GAP_PX = 10.0
 
@@ -49,8 +52,8 @@ class Settled:
 def settle(found: Sequence[Found], other: Shot | None, element_class: ElementClass) -> Settled:
     """What a detector found in one image or in two, on the edges that it is meant to be on.
 
-    ``other`` is the second image where it was found in one. A pole's end that is not seen in both
-    images counts as hidden.
+    ``other`` is the second image where it was found in one. An end of a pole counts as seen where
+    both images show it, at one point of the pole.
     """
     kind = "pole" if element_class.kind == "line" else "sign"
     marks, clear = zip(*(_snapped(one, element_class) for one in found), strict=True)
@@ -58,14 +61,15 @@ def settle(found: Sequence[Found], other: Shot | None, element_class: ElementCla
     if len(found) == 2:
         partners = find_partner(found[0].shot, found[1].shot, marks[0], element_class)
         alike = _agreement(partners, marks[1])
-        return Settled(_alike(*marks), f"found pair {kind}", np.array([*scores, *clear, *alike]))
+        both = _agreed(found[0].shot, found[1].shot, *marks)
+        return Settled(both, f"found pair {kind}", np.array([*scores, *clear, *alike]))
     partners = (
         None if other is None else find_partner(found[0].shot, other, marks[0], element_class)
     )
     if partners is None or partners.best.score < _PARTNER:
         return Settled(marks, f"found alone {kind}", np.array([*scores, *clear]))
     evidence = np.array([*scores, *clear, _logit(partners.best.score)])
-    return Settled(_alike(marks[0], partners.best.mark), f"found one {kind}", evidence)
+    return Settled((marks[0], partners.best.mark), f"found one {kind}", evidence)
 
 
 def _snapped(found: Found, element_class: ElementClass) -> tuple[Mark, float]:
@@ -88,10 +92,17 @@ def _agreement(partners: Partners | None, mark: Mark) -> tuple[float, float]:
     return _logit(one.score), float(np.log1p(gap))
 
 
-def _alike(one: Mark, other: Mark) -> tuple[Mark, Mark]:
-    """With the ends as known that both images show."""
-    peak = one.anchor_known and other.anchor_known
-    bottom = one.end_known and other.end_known
+def _agreed(here: Shot, there: Shot, one: Mark, other: Mark) -> tuple[Mark, Mark]:
+    """With the ends as known that both images show, at one point of the pole."""
+    known = [True, True]
+    if one.end_px is not None and other.end_px is not None:
+        ends, others = one.ends_px, other.ends_px
+        along = (others[1] - others[0]) / max(float(np.linalg.norm(others[1] - others[0])), 1e-9)
+        for k in range(2):
+            place = end_on_line(here.view, there.view, ends, others, k)
+            known[k] = place is None or abs(float((place - others[k]) @ along)) < _SAME_END_PX
+    peak = known[0] and one.anchor_known and other.anchor_known
+    bottom = known[1] and one.end_known and other.end_known
     first, second = (replace(each, anchor_known=peak, end_known=bottom) for each in (one, other))
     return first, second
 

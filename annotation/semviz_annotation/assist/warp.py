@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from semviz_annotation.stereo import PLAUSIBLE_DEPTH_M
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
 
@@ -57,3 +58,23 @@ def depth_on_line(
             return None
         inverse = max(inverse - 2.0 * step * off[1] / slope, 0.2 * inverse)
     return np.asarray(transfer(here, there, pixel_px[None], np.array([1.0 / inverse]))[0, 0])
+
+
+def end_on_line(
+    here: View, there: View, ends_px: FloatArray, line_px: FloatArray, end: int
+) -> FloatArray | None:
+    """(2,) px in ``there`` of one end of a pole (2, 2) whose line there is (2, 2), wherever on it.
+
+    None where the images do not tell.
+    """
+    depths = inverse_depths(here, there, ends_px[end], PLAUSIBLE_DEPTH_M, 4.0)
+    if not len(depths):
+        return None
+    along = line_px[1] - line_px[0]
+    across = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
+    places = transfer(here, there, ends_px[end][None], depths)[:, 0]
+    off = np.abs((places - line_px[0]) @ across)
+    if not np.isfinite(off).any():
+        return None
+    nearest = float(depths[int(np.nanargmin(off))])
+    return depth_on_line(here, there, ends_px[end], line_px, nearest)
