@@ -211,6 +211,7 @@ class Refusing:
     [
         (("detect", "nowhere"), "nowhere: no such workspace"),
         (("detect", "TOWN", "--model", "m.doc"), "m.doc: no model that semviz knows"),
+        (("detect", "TOWN", "--model", "none.safetensors"), "none.safetensors: no such weights"),
         (("detect", "TOWN", "--frames", "90:95"), "no frames are left"),
         (("detect", "TOWN", "--least-score", "2"), "score 2: give a number from 0 to 1"),
         (("localize", "TOWN", "--map", "truth", "--observations", "detected"), "nothing is detect"),

@@ -83,7 +83,7 @@ def weights_file(task: str, path: Path | None) -> tuple[Path, int]:
 def read_weights(path: Path) -> Weights:
     """Raises SemvizError where they are missing, damaged, of another version, or not finite."""
     if not path.is_file():
-        raise SemvizError(f"{path}: no such weights; train some, or name a file with --weights")
+        raise SemvizError(f"{path}: no such weights; train some, or name another file")
     try:
         with safe_open(path, framework="numpy") as file:
             told = json.loads((file.metadata() or {})[_KEY])
