@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
@@ -141,10 +140,8 @@ def look(workspace: Workspace, model: str | None) -> None:
     """Detects in the odd left images."""
     options = DetectOptions(model)
     images = images_of(workspace, odd(workspace), ("left",))
-    start_s = perf_counter()
     proposals = detect_images(workspace, load_detector(model), options, images)
-    each_ms = 1e3 * (perf_counter() - start_s) / len(images)
-    print(f"{workspace.name}: {len(proposals)} in {len(images)} images, {each_ms:.0f} ms each")
+    print(f"{workspace.name}: {len(proposals)} found in {len(images)} images")
 
 
 def print_rates(streets: Sequence[Workspace]) -> None:

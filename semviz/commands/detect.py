@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Detect:
     """Find poles and signs in the images of a workspace; what is found is proposed for labelling,
-    and can be localized with. The same command again goes on where it was stopped.
-
-    'semviz detect train' and 'semviz detect evaluate' are commands of their own."""
+    and can be localized with. The same command again goes on where it was stopped. The word 'run'
+    may be left out."""
 
     workspace: Positional[Path]
     """The workspace."""
