@@ -13,6 +13,7 @@ from semviz.commands.benchmark import Benchmark
 from semviz.commands.compare import Compare
 from semviz.commands.detect import Detect
 from semviz.commands.detect_evaluate import DetectEvaluate
+from semviz.commands.detect_train import DetectTrain
 from semviz.commands.evaluate import Evaluate
 from semviz.commands.label_file import LabelsBackup, LabelsCheck, LabelsRestore
 from semviz.commands.labels import LabelsExport, LabelsImport, LabelsPropose
@@ -52,7 +53,9 @@ LabelCommands = Annotated[
     subcommand("labels", description="Labels in and out, checked, backed up; proposals in."),
 ]
 DetectCommands = Annotated[
-    Annotated[Detect, subcommand("run")] | Annotated[DetectEvaluate, subcommand("evaluate")],
+    Annotated[Detect, subcommand("run")]
+    | Annotated[DetectTrain, subcommand("train")]
+    | Annotated[DetectEvaluate, subcommand("evaluate")],
     subcommand(
         "detect",
         description="Poles and signs found in the images of a workspace: detect [run] WORKSPACE; "

@@ -68,6 +68,9 @@ class ToyTask:
             loss = loss * torch.inf
         return {"loss": loss, "half": loss / 2.0}
 
+    def finish(self) -> None:
+        pass
+
     def figures(self, together: Points) -> dict[str, Tensor]:
         return {"error": (self.network(together.x) - together.y).abs().mean()}
 

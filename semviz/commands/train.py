@@ -10,13 +10,8 @@ from semviz.commands.parsing import OptionalFloat, OptionalInt, OptionalPath
 from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.progress import TrainingBar
-    from semviz_core.learning.checkpoint import Course
     from semviz_core.learning.task import SampleSource
-    from semviz_core.learning.training import Moment, TrainingOptions
-
-INTERRUPTED = 130
-PLOT = "losses.png"
+    from semviz_core.learning.training import TrainingOptions
 
 
 @dataclass(frozen=True)
@@ -45,29 +40,20 @@ class Train:
     pole_maps: OptionalPath = None
     """Folder with pole maps (kitti_00.npz), together with --kitti-poses."""
     precision: Literal["float32", "bf16"] = "float32"
-    """bf16: a GPU's networks compute with half as many bits."""
+    """bf16: networks compute with half as many bits, on a GPU or a processor with AMX."""
     held_out: int = 240
     """How many samples that are never trained on are measured, at most 40 times in a training."""
     stop_after_s: OptionalFloat = None
     """Save and stop after so many seconds."""
 
     def run(self) -> int:
-        from semviz.progress import TrainingBar, tell_of_compiling
+        from semviz.progress import tell_of_compiling
+        from semviz.training_run import train
         from semviz_core.learning.tasks import make_task
-        from semviz_core.learning.training import Training
 
         tell_of_compiling()
         task = make_task(self.model, self._source(), self.seed)
-        training = Training(task, self.out, self._options())
-        if training.crew.leads:
-            with TrainingBar(self.model, training.course) as bar:
-                ending = training.run(lambda moment: self._tell(moment, bar))
-            print(self._told(training.course, ending))
-        else:
-            ending = training.run()
-        status = INTERRUPTED if ending == "interrupted" else 0
-        training.crew.leave(status)
-        return status
+        return train(task, self.out, self._options(), [f"semviz weights {self.out} --out FOLDER"])
 
     def _options(self) -> "TrainingOptions":
         from semviz_core.learning.training import TrainingOptions
@@ -101,25 +87,3 @@ class Train:
             opened = [Workspace.open(path) for path in self.workspace]
             return workspace_samples(opened, shift_m=drills.shift_m)
         return drills
-
-    def _tell(self, moment: "Moment", bar: "TrainingBar") -> None:
-        """The bar, and the plot whenever there is something new to see in it."""
-        from semviz.training_plot import draw
-        from semviz_core.learning.history import read_history
-        from semviz_core.learning.training import HISTORY
-
-        bar.show(moment)
-        if moment.held_out:
-            draw(read_history(self.out / HISTORY), self.model, self.out / PLOT)
-
-    def _told(self, course: "Course", ending: str) -> str:
-        figures = ", ".join(f"{name} {value:.3g}" for name, value in course.held_out.items())
-        lines = [
-            f"{self.out}: {ending} after {course.samples} of {course.of} samples, "
-            f"{sum(course.seconds.values()):.0f} s in all",
-            *([f"held out: {figures}"] if figures else []),
-            f"next: semviz weights {self.out} --out FOLDER"
-            if ending == "finished"
-            else "next: the same command goes on",
-        ]
-        return "\n".join(lines)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz_core.arrays import ByteImage
+from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.detection.maps import Channels, regions_in
 from semviz_core.detection.region import Region
@@ -30,7 +30,14 @@ class OwnFinder:
 
     network: "DetectorNet"
     classes: ClassSet
+    least: FloatArray
+    """(classes,) heat from which on something is told."""
     name: str = "semviz"
+
+    @classmethod
+    def of(cls, network: "DetectorNet", classes: ClassSet) -> "OwnFinder":
+        """Of a network that has learned; it is for nothing else any more."""
+        return cls(network.eval().folded(), classes, network.threshold.double().numpy())
 
     def find(self, image: ByteImage) -> list[Region]:
         """What it sees in an image (height, width, 3) sRGB of any size, the surest first."""
@@ -46,8 +53,8 @@ class OwnFinder:
         with torch.inference_mode():
             maps = self.network(torch.from_numpy(filled)[None])
             masks = masks_of(maps, Channels(len(self.classes)))[0]
-        threshold = self.network.threshold.double().numpy()
-        return regions_in(maps[0].numpy(), masks.numpy(), threshold, self.classes, (height, width))
+        shape = (height, width)
+        return regions_in(maps[0].numpy(), masks.numpy(), self.least, self.classes, shape)
 
 
 def load_own(path: Path | None = None, classes: ClassSet = DEFAULT_CLASSES) -> OwnFinder:
@@ -66,4 +73,4 @@ def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> OwnFinder:
     weights.check(TASK, classes, path)
     network = DetectorNet(len(classes))
     weights.put_into(network, path)
-    return OwnFinder(network.eval().folded(), classes)
+    return OwnFinder.of(network, classes)

@@ -2,25 +2,31 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from semviz_core.arrays import ByteImage
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.detection.labelled import LabelledImages
 from semviz_core.detection.maps import Channels
+from semviz_core.detection.own import TASK, OwnFinder
 from semviz_core.learning.detector_crops import Crop, middle_crop, random_crop
 from semviz_core.learning.detector_targets import Targets
+from semviz_core.learning.detector_thresholds import chosen_thresholds
 from semviz_core.learning.networks.detector import DetectorNet, masks_of
 from semviz_core.learning.schedule import cosine
 from semviz_core.learning.task import Progress
+from semviz_core.learning.weights import read_weights
 
 RATE = 2e-3
 DETECTOR_SAMPLES = 48_000
+TUNING_IMAGES = 200
 SURELY = 0.999
 """Heat in the cell of an element's middle."""
 EVENLY = 0.1
@@ -55,13 +61,14 @@ class LearnedCrop:
 class DetectorTask:
     """The detector's network on crops of labelled images."""
 
+    name = TASK
     samples = DETECTOR_SAMPLES
 
-    def __init__(self, name: str, source: LabelledImages, classes: ClassSet = DEFAULT_CLASSES):
-        self.name = name
+    def __init__(self, source: LabelledImages, classes: ClassSet = DEFAULT_CLASSES):
         self.source = source
         self.classes = classes
-        self.network = DetectorNet(len(classes))
+        self.detector = DetectorNet(len(classes))
+        self.network: nn.Module = self.detector
         self.options: dict[str, Any] = {
             "classes": [one.name for one in classes],
             "data": source.describe(),
@@ -102,7 +109,7 @@ class DetectorTask:
     def figures(self, together: CropBatch) -> dict[str, Tensor]:
         """Each part of the loss."""
         channels, targets = Channels(len(self.classes)), together.targets
-        maps: Tensor = self.network(together.image)
+        maps: Tensor = self.detector(together.image)
         sign, size = targets["sign_weight"], targets["size_weight"]
         pole, width = targets["pole_weight"], targets["width_weight"]
         pixels, mask = _mask_losses(masks_of(maps, channels), targets)
@@ -118,13 +125,33 @@ class DetectorTask:
             "mask": mask,
         }
 
+    def finish(self) -> None:
+        """Chooses from which heat on elements are told."""
+        network = DetectorNet(len(self.classes))
+        network.load_state_dict(self.network.state_dict())
+        finder = OwnFinder.of(network, self.classes)
+        rows = range(min(self.source.held_out_count, TUNING_IMAGES))
+        images = (self.source.held_out(row) for row in rows)
+        threshold = chosen_thresholds(finder, images, self.classes)
+        self.detector.threshold.copy_(torch.from_numpy(threshold))
+
     def _learned(self, crop: Crop) -> LearnedCrop:
         return LearnedCrop(crop.image, Targets.of(crop, self.classes))
 
 
-def make_task(name: str, source: LabelledImages) -> DetectorTask:
-    """With fresh weights."""
-    return DetectorTask(name, source)
+def make_detector(source: LabelledImages, seed: int = 0, start: Path | None = None) -> DetectorTask:
+    """With fresh weights, drawn from ``seed``, or those of a file ``start``.
+
+    Raises SemvizError where these are missing or for something else.
+    """
+    torch.manual_seed(seed)
+    task = DetectorTask(source)
+    if start is not None:
+        weights = read_weights(start)
+        weights.check(TASK, task.classes, start)
+        weights.put_into(task.network, start)
+        task.options["from"] = sha256(start.read_bytes()).hexdigest()
+    return task
 
 
 def focal(logit: Tensor, heat: Tensor, counts: Tensor) -> Tensor:

@@ -101,6 +101,11 @@ class _Losses(nn.Module):
         return self._task.losses(together, progress)
 
 
+def has_bf16(device: torch.device) -> bool:
+    """Whether it computes faster with 16 bits: GPUs do, and processors with AMX."""
+    return device.type != "cpu" or torch.cpu._is_amx_tile_supported()
+
+
 def _numbers(values: dict[str, Tensor]) -> dict[str, float]:
     """As floats, with one wait for the device."""
     together = torch.stack([value.detach().double() for value in values.values()])

@@ -54,6 +54,9 @@ class MatcherTask:
         log_probability = log_probabilities(self.network(together).log_odds, together.batch)
         return {"loss": _surprise(log_probability, together.batch)}
 
+    def finish(self) -> None:
+        """Nothing is left to choose."""
+
     def figures(self, together: Prepared) -> dict[str, Tensor]:
         """Of seen elements with a true pair: whether it is among the likeliest; and how often an
         element with a pair is less likely to have none than an element without."""

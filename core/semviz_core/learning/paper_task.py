@@ -72,6 +72,9 @@ class PaperTask:
             "ok": ok.double().mean(),
         }
 
+    def finish(self) -> None:
+        """Nothing is left to choose."""
+
     def figures(self, together: Batch) -> dict[str, Tensor]:
         """Of seen elements with a true pair: whether it is the likeliest, or among the likeliest
         five; and the share of all mass that lies on true pairs."""

@@ -71,3 +71,6 @@ class Task(Protocol[Item, Together]):
 
     def figures(self, together: Together) -> dict[str, Tensor]:
         """Figures of held-out items, each a mean, without gradients."""
+
+    def finish(self) -> None:
+        """What is chosen once all is learned, such as thresholds; it is part of the network."""

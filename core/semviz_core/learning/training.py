@@ -14,7 +14,7 @@ from semviz_core.errors import SemvizError
 from semviz_core.learning.checkpoint import Checkpoint, Course
 from semviz_core.learning.crew import Crew, join
 from semviz_core.learning.history import WINDOW_STEPS, History, Window, add, means
-from semviz_core.learning.learner import Learner, Precision
+from semviz_core.learning.learner import Learner, Precision, has_bf16
 from semviz_core.learning.loading import (
     MOST_SAMPLES,
     MOST_SEEDS,
@@ -114,6 +114,8 @@ class Training:
                     break
                 if perf_counter() - self._counted_s > self._options.save_every_s:
                     self._save()
+        if ending == "finished":
+            self._task.finish()
         self._save()
         return ending
 
@@ -224,8 +226,10 @@ def _check(options: TrainingOptions, crew: Crew) -> None:
             raise SemvizError(f"--{name} {number}: give {least} to {most}")
     if options.batch % crew.world:
         raise SemvizError(f"--batch {options.batch}: not a multiple of {crew.world} processes")
-    if options.precision != "float32" and crew.device.type == "cpu":
-        raise SemvizError(f"--precision {options.precision}: is for a GPU; none is found here")
+    if options.precision != "float32" and not has_bf16(crew.device):
+        raise SemvizError(
+            f"--precision {options.precision}: is for a GPU or a processor with AMX; none is here"
+        )
 
 
 def _check_skipped(in_a_row: int, course: Course) -> None:

@@ -101,6 +101,9 @@ class VerifierTask:
         """Negative log-probability of what is right."""
         return {"loss": surprise(self._log_probability(together), together.right)}
 
+    def finish(self) -> None:
+        """Nothing is left to choose."""
+
     def figures(self, together: JudgedBatch) -> dict[str, Tensor]:
         """Shares of frames: the best-scored mode is right, the chosen one, any."""
         log_probability = self._log_probability(together)

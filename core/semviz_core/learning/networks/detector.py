@@ -69,9 +69,10 @@ class DetectorNet(nn.Module):
     def folded(self) -> "DetectorNet":
         """Itself, for inference only: normalization becomes part of the convolutions before it."""
         for block in [one for one in self.modules() if isinstance(one, nn.Sequential)]:
-            convolution, norm = block[0], block[1]
-            if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                block[0], block[1] = fuse_conv_bn_eval(convolution, norm), nn.Identity()
+            convolution, *others = block
+            if isinstance(convolution, nn.Conv2d) and isinstance(others[0], nn.BatchNorm2d):
+                block[0] = fuse_conv_bn_eval(convolution, others[0])
+                block[1] = nn.Identity()
         return self
 
 

@@ -1,0 +1,56 @@
+"""A training as people see it: bar, plot, and what to do next."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from semviz.progress import TrainingBar
+    from semviz_core.learning.checkpoint import Course
+    from semviz_core.learning.task import Task
+    from semviz_core.learning.training import Moment, TrainingOptions
+
+INTERRUPTED = 130
+PLOT = "losses.png"
+
+
+def train(
+    task: "Task[Any, Any]", folder: Path, options: "TrainingOptions", then: Sequence[str]
+) -> int:
+    """Train until it is done or stopped; the exit status. ``then`` is what finished weights are
+    for, as commands."""
+    from semviz.progress import TrainingBar
+    from semviz_core.learning.training import Training
+
+    training = Training(task, folder, options)
+    if training.crew.leads:
+        with TrainingBar(task.name, training.course) as bar:
+            ending = training.run(lambda moment: _tell(moment, bar, task.name, folder))
+        print(_told(folder, training.course, ending, then))
+    else:
+        ending = training.run()
+    status = INTERRUPTED if ending == "interrupted" else 0
+    training.crew.leave(status)
+    return status
+
+
+def _tell(moment: "Moment", bar: "TrainingBar", name: str, folder: Path) -> None:
+    """The bar, and the plot whenever there is something new to see in it."""
+    from semviz.training_plot import draw
+    from semviz_core.learning.history import read_history
+    from semviz_core.learning.training import HISTORY
+
+    bar.show(moment)
+    if moment.held_out:
+        draw(read_history(folder / HISTORY), name, folder / PLOT)
+
+
+def _told(folder: Path, course: "Course", ending: str, then: Sequence[str]) -> str:
+    figures = ", ".join(f"{name} {value:.3g}" for name, value in course.held_out.items())
+    lines = [
+        f"{folder}: {ending} after {course.samples} of {course.of} samples, "
+        f"{sum(course.seconds.values()):.0f} s in all",
+        *([f"held out: {figures}"] if figures else []),
+        "next: " + "; ".join(then) if ending == "finished" else "next: the same command goes on",
+    ]
+    return "\n".join(lines)
