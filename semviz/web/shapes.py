@@ -132,10 +132,11 @@ def dashed(segments: FloatArray, dash_m: float, gap_m: float) -> FloatArray:
 
 
 def grid_segments(half_m: float, step_m: float) -> FloatArray:
-    """A level square grid around the origin."""
-    offsets = np.arange(-half_m, half_m + step_m / 2, step_m)
-    low, high = np.full(len(offsets), -half_m), np.full(len(offsets), half_m)
-    along_y = np.stack([np.stack([offsets, low], 1), np.stack([offsets, high], 1)], axis=1)
+    """A level square grid around the origin, each side of each square by itself: a hairline with an
+    end behind the eye is not drawn at all."""
+    at = np.arange(-half_m, half_m + step_m / 2, step_m)
+    across, low = (one.ravel() for one in np.meshgrid(at, at[:-1]))
+    along_y = np.stack([np.stack([across, low], 1), np.stack([across, low + step_m], 1)], axis=1)
     flat = np.concatenate([along_y, along_y[:, :, ::-1]])
     return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
 
