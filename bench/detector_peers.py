@@ -1,13 +1,15 @@
 """How long looking at an image of 1241 x 376 takes on one core: our network, and what others use.
 
-    OMP_NUM_THREADS=1 python bench/detector_peers.py
+    OMP_NUM_THREADS=1 python bench/detector_peers.py [WEIGHTS]
 
+Our own is the network that comes with semviz, or that of ``WEIGHTS``.
 The others are off-the-shelf architectures with random weights, which change no time of a network;
 what they find is noise, so their time from regions to elements is left out. Times are those of the
 processor, best of ``REPEATED``, so that a busy machine counts little. Needs semviz[test].
 """
 
 import json
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +27,6 @@ from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.detection.detector import Detector, Finder
 from semviz_core.detection.models import load_finder
 from semviz_core.detection.onnx_model import OnnxFinder
-from semviz_core.learning.weights import shipped_weights
 from semviz_core.sources.street.street import Street
 
 SIZE = (1248, 384)
@@ -41,10 +42,9 @@ def main() -> None:
     image = Street(0).image(0, "left")
     assert image.shape == (376, 1241, 3)
     print(f"{'':34}{'parameters M':>14}{'ms an image':>14}")
-    if shipped_weights("detector").is_file():
-        finder = load_finder()
-        _print("our own, regions", None, finder.find, image)
-        _print("our own, elements", None, Detector(finder).detect, image)
+    finder = load_finder(*sys.argv[1:])
+    _print("our own, regions", None, finder.find, image)
+    _print("our own, regions and elements", None, Detector(finder).detect, image)
     with tempfile.TemporaryDirectory() as name:
         for label, network, outputs in (
             ("SegFormer-b0", _segformer(), ["logits"]),
