@@ -1,6 +1,7 @@
 """How exactly regions become elements, and how honest their sigmas are, on rendered streets.
 
     python bench/measure.py [--quick] [--plot PNG]    figures, on streets held out
+    python bench/measure.py --planted                 without the network's regions
     python bench/measure.py --fit                     the weights of semviz_core.detection.sigma
 
 Regions are of two kinds: true ones that are off as a network's are (ends by px, masks grown,
@@ -156,13 +157,14 @@ def plot(path: Path, all_answers: dict[str, Answers]) -> None:
     figure.savefig(path, dpi=110)
 
 
-def images_of(seeds: range) -> dict[str, Regions]:
+def images_of(seeds: range, model: str | None, with_model: bool) -> dict[str, Regions]:
     """By what made the regions."""
-    finder = load_finder(None, DEFAULT_CLASSES)
-    result: dict[str, Regions] = {"planted": [], finder.name: []}
+    finder = load_finder(model, DEFAULT_CLASSES) if with_model else None
+    result: dict[str, Regions] = defaultdict(list)
     for one in shown(seeds):
         result["planted"].append((one, *planted(one)))
-        result[finder.name].append((one, *found(one, finder)))
+        if finder is not None:
+            result[finder.name].append((one, *found(one, finder)))
     return result
 
 
@@ -170,13 +172,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="four streets instead of 25")
     parser.add_argument("--fit", action="store_true", help="fit the weights instead")
+    parser.add_argument("--planted", action="store_true", help="no network's regions")
+    parser.add_argument("--model", help="another than the network that ships")
     parser.add_argument("--plot", type=Path, help="write the plot of sigmas here")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     first = TUNING_SEED if arguments.fit else HELD_OUT_SEED
     seeds = range(first, first + (4 if arguments.quick else 25))
     print(f"rendered streets, seeds {seeds[0]} to {seeds[-1]}, frames {FRAMES}, left images")
-    images = images_of(seeds)
+    images = images_of(seeds, arguments.model, not arguments.planted)
     if arguments.fit:
         print(fit([image for every in images.values() for image in every]))
         return

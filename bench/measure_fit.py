@@ -11,15 +11,14 @@ from scipy.optimize import minimize
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.detection import sigma
 from semviz_core.detection.ends import (
-    End,
+    all_ends,
     best_end,
     course,
     end_evidence,
     first_ends,
-    visible_end_near,
     within_image,
 )
-from semviz_core.detection.line import Line, best_line, first_lines, line_by_edges
+from semviz_core.detection.line import best_line, first_lines, line_by_edges
 from semviz_core.detection.measure import is_pole, measure
 from semviz_core.detection.middle import (
     SHAPES,
@@ -29,12 +28,14 @@ from semviz_core.detection.middle import (
 )
 from semviz_core.detection.region import Region
 from semviz_core.elements import Elements2D
+from semviz_core.measuring import rows as rows_end
 
 STAGES = (
     ("line by ends", "line by mask", "line by box", "middle by box", "middle by mask"),
     ("line by edges", "middle by outline"),
     ("end by model", "end by mask", "end by box"),
-    ("end by edges", "end at sign"),
+    ("end at sign", "end by rows"),
+    ("end by edges",),
 )
 """Each kind's evidence holds sigmas of kinds before it."""
 _LARGEST_PX = 8.0
@@ -53,6 +54,8 @@ class Sample(NamedTuple):
 def fit(images: Regions) -> str:
     """The weights, as they stand in the module."""
     for stage in STAGES:
+        if "end by rows" in stage:
+            rows_end.WEIGHTS = np.array(_row_weights(images))
         by_kind = defaultdict(list)
         for sample in _samples(images):
             by_kind[sample.kind].append(sample)
@@ -62,10 +65,11 @@ def fit(images: Regions) -> str:
     sigma.SHAPE = _shape_weights(images)
     sigma.KNOWN = _known_weights(images)
     sigma.PAPER = _paper_sigmas(images)
-    rows = [f'    "{kind}": {_listed(weights)},' for kind, weights in sigma.WEIGHTS.items()]
+    listed = [f'    "{kind}": {_listed(weights)},' for kind, weights in sigma.WEIGHTS.items()]
     return "\n".join(
         [
-            "WEIGHTS = {", *rows, "}", f"KNOWN = {_listed(sigma.KNOWN)}",
+            "WEIGHTS = {", *listed, "}", f"KNOWN = {_listed(sigma.KNOWN)}",
+            f"measuring.rows.WEIGHTS = np.array({_listed(rows_end.WEIGHTS)})",
             f"SHAPE = np.array({_listed(sigma.SHAPE)})", f"PAPER = {_listed(sigma.PAPER)}",
         ]
     )  # fmt: skip
@@ -100,19 +104,8 @@ def _pole_samples(one: Shown, region: Region, row: int, signs: list[Region]) -> 
     for which, known in enumerate((truth.anchor_known[row], truth.end_known[row])):
         if known:
             place = float((true[which] - middle) @ course_along)
-            for end in _ends(one, region, best, signs, which):
+            for end in all_ends(one.picture, region, best, signs, which):
                 yield Sample(end.kind, end.evidence, end.place_px - place)
-
-
-def _ends(one: Shown, region: Region, line: Line, signs: list[Region], which: int) -> list[End]:
-    ends = first_ends(region, line, which)
-    best = best_end(one.picture, region, line, signs, which)
-    visible = visible_end_near(one.picture, line, signs, min(ends, key=lambda end: end.sigma_px))
-    return [
-        *ends,
-        *([] if visible is None else [visible]),
-        *([best] if "sign" in best.kind else []),
-    ]
 
 
 def _sign_samples(one: Shown, region: Region, row: int) -> Iterator[Sample]:
@@ -149,6 +142,29 @@ def _plain(weights: FloatArray, mean: FloatArray, spread: FloatArray) -> tuple[f
     """Of evidence as it is, from those of standardized evidence."""
     slopes = weights[1:] / spread
     return (round(float(weights[0] - slopes @ mean), 4), *(round(float(w), 4) for w in slopes))
+
+
+def _row_weights(images: Regions) -> tuple[float, ...]:
+    """Logistic regression of a row being the pole's, within 20 px of where the model ends it."""
+    X, y = [], []
+    for one, regions, true_rows in images:
+        for region, row in zip(regions, true_rows, strict=True):
+            line = best_line(one.picture, region) if is_pole(region) else None
+            for which in range(2 if line is not None else 0):
+                assert line is not None
+                middle, along = course(line)
+                first = min(first_ends(region, line, which), key=lambda end: end.sigma_px)
+                end, other = middle + first.place_px * along, line.ends_px[1 - which]
+                truth = one.whole.elements
+                true = (truth.anchor_px, truth.end_px)[which][row]
+                out = along if which else -along
+                if (end - other) @ out > 6.0:
+                    off, evidence = rows_end.row_evidence(
+                        one.picture, other, end, line.width_px, 20.0
+                    )
+                    X.append(evidence)
+                    y.append(off < (true - end) @ out)
+    return _logistic(np.concatenate(X), np.concatenate(y).astype(np.float64))
 
 
 def _known_weights(images: Regions) -> tuple[float, ...]:

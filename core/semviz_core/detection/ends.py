@@ -12,13 +12,20 @@ from semviz_core.detection.sigma import known, sigma_px
 from semviz_core.measuring.ends import visible_end
 from semviz_core.measuring.picture import Picture
 from semviz_core.measuring.pole import across
+from semviz_core.measuring.rows import end_by_rows
 
-_REACH_PX = 8.0
-"""How far from where the model says a visible end is looked for."""
+_SHORTEST_PX = 6.0
+_MOST_PX = 12.0
+"""Sigma of where rows are looked at, at most."""
+_REACH_PX = 3.0
+"""How far from there a visible end is looked for."""
 _AT_BORDER_PX = 2.0
-_BESIDE_SIGN_PX = 4.0
+_BESIDE_SIGN_PX = 8.0
+"""So near above a sign a peak is said to be that is truly at the sign."""
 _BELOW_SIGN = 0.4
 """How far below its sign, of the sign's height, a model may see a pole begin."""
+_ABOVE_SIGN_PX = 6.0
+"""Sigma of how far it goes on above."""
 _STEP = 12.0
 """Levels at which the edge of something in front of a pole has half a vote."""
 
@@ -73,26 +80,45 @@ def best_end(
     picture: Picture, region: Region, line: Line, signs: Sequence[Region], which: int
 ) -> End:
     """The candidate with the least sigma."""
-    first = min(first_ends(region, line, which), key=lambda one: one.sigma_px)
-    at_sign = None if which else end_at_sign(line, signs, first)
-    if at_sign is not None:
-        return at_sign
-    visible = visible_end_near(picture, line, signs, first)
-    return first if visible is None or visible.sigma_px > first.sigma_px else visible
+    return min(all_ends(picture, region, line, signs, which), key=lambda one: one.sigma_px)
 
 
-def end_at_sign(line: Line, signs: Sequence[Region], first: End) -> End | None:
-    """A peak that the model sees below a sign or within it: what it saw is the part below. The
-    pole goes on behind, to the sign's top or a little further."""
+def all_ends(
+    picture: Picture, region: Region, line: Line, signs: Sequence[Region], which: int
+) -> list[End]:
+    """Every candidate; a peak at a sign has only what is seen there."""
+    ends = first_ends(region, line, which)
+    first = min(ends, key=lambda one: one.sigma_px)
+    sign = None if which else _sign_at(line, signs, first)
+    if sign is not None:
+        return [end_at_sign(picture, line, sign)]
+    rows = end_in_image(picture, line, first)
+    return ends if rows is None else [*ends, rows, *visible_end_near(picture, line, first, rows)]
+
+
+def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
+    """The sign that hides a pole where its peak is said to be; what was seen is what is below."""
     middle, along = course(line)
-    height, column = (middle + first.place_px * along)[1], line.ends_px[:, 0].mean()
+    column, height = middle + first.place_px * along
     for one in signs:
         left, top, right, bottom = one.box_px
-        below = bottom + _BELOW_SIGN * (bottom - top)
-        if left <= column <= right and top + 1.0 < height < below:
-            place = float((top - middle[1]) * along[1])
-            return End("end at sign", 0, place, np.log([bottom - top + 1.0, line.width_px]))
+        above, below = _BESIDE_SIGN_PX, _BELOW_SIGN * (bottom - top)
+        if left <= column <= right and top - above < height < bottom + below:
+            return one
     return None
+
+
+def end_at_sign(picture: Picture, line: Line, sign: Region) -> End:
+    """A peak at the top of a sign, or further up where the pole goes on above it."""
+    middle, along = course(line)
+    _, top, _, bottom = sign.box_px
+    place = float((top - middle[1]) * along[1])
+    start, width = middle + place * along, line.width_px
+    height = np.log(bottom - top + 1.0)
+    rows = end_by_rows(picture, line.ends_px[1], start, width, _ABOVE_SIGN_PX, hidden=True)
+    beyond = 0.0 if rows is None else rows.off_px
+    evidence = np.array([height, np.log(width), np.log(beyond + 1.0)])
+    return End("end at sign", 0, place - beyond, evidence)
 
 
 def first_ends(region: Region, line: Line, which: int) -> list[End]:
@@ -119,38 +145,52 @@ def first_ends(region: Region, line: Line, which: int) -> list[End]:
     return found
 
 
-def visible_end_near(
-    picture: Picture, line: Line, signs: Sequence[Region], first: End
-) -> End | None:
-    """Where the pole's colour gives way to another, near what the model says."""
-    middle, along = course(line)
-    out = along if first.which else -along
-    end = middle + first.place_px * along
-    if any(_near_box(one.box_px, end) for one in signs):
+def end_in_image(picture: Picture, line: Line, first: End) -> End | None:
+    """Where rows stop to look like the pole, near what the model says."""
+    other, end = _from_to(line, first)
+    if np.linalg.norm(end - other) < _SHORTEST_PX:
         return None
-    other = line.ends_px[1 - first.which]
-    if (end - other) @ out < 6.0:
+    sigma = min(2.0 * first.sigma_px, _MOST_PX)
+    rows = end_by_rows(picture, other, end, line.width_px, sigma)
+    if rows is None:
         return None
-    reach = min(_REACH_PX, max(3.0, 2.5 * first.sigma_px))
-    off = visible_end(picture, other, end, line.width_px, reach)
-    if off is None:
-        return None
-    place = first.place_px + (off if first.which else -off)
     evidence = np.array(
         [
-            np.log(abs(off) / first.sigma_px + 0.5),
-            np.log(first.sigma_px),
-            np.log(line.width_px),
-            np.log(line.sigma_px),
-            first.which,
+            min(rows.margin, 8.0),
+            np.log(abs(rows.off_px) / first.sigma_px + 0.5),
+            *_usual(line, first),
         ]
     )
-    return End("end by edges", first.which, place, evidence)
+    return End("end by rows", first.which, _beyond(first, rows.off_px), evidence)
 
 
-def _near_box(box_px: FloatArray, point: FloatArray) -> bool:
-    low, high = box_px[:2] - _BESIDE_SIGN_PX, box_px[2:] + _BESIDE_SIGN_PX
-    return bool(((point >= low) & (point <= high)).all())
+def visible_end_near(picture: Picture, line: Line, first: End, rows: End) -> list[End]:
+    """Where the pole's colour gives way to another, near where its rows end; none if unclear."""
+    other, end = _from_to(line, rows)
+    if np.linalg.norm(end - other) < _SHORTEST_PX:
+        return []
+    off = visible_end(picture, other, end, line.width_px, _REACH_PX)
+    if off is None:
+        return []
+    place = _beyond(rows, off)
+    moved = np.log(abs(place - first.place_px) / first.sigma_px + 0.5)
+    evidence = np.array([rows.evidence[0], np.log(abs(off) + 0.5), moved, *_usual(line, first)])
+    return [End("end by edges", first.which, place, evidence)]
+
+
+def _from_to(line: Line, end: End) -> tuple[FloatArray, FloatArray]:
+    """(2,) each: a line's other end, and this one."""
+    middle, along = course(line)
+    return line.ends_px[1 - end.which], middle + end.place_px * along
+
+
+def _beyond(end: End, off_px: float) -> float:
+    return end.place_px + (off_px if end.which else -off_px)
+
+
+def _usual(line: Line, first: End) -> tuple[float, ...]:
+    sigmas = np.log([first.sigma_px, line.width_px, line.sigma_px])
+    return (*sigmas.tolist(), float(first.which))
 
 
 def within_image(picture: Picture, ends_px: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -172,7 +212,7 @@ def end_evidence(picture: Picture, line: Line, ends_px: FloatArray, end: End) ->
     """(k,) of whether an end is the pole's own, and not that of something in front of it."""
     return np.array(
         [
-            float(end.kind == "end by edges"),
+            float(end.kind in ("end by edges", "end by rows")),
             float(end.kind == "end at sign"),
             crossing(picture, ends_px, line.width_px, end.which),
             float(end.which),

@@ -188,6 +188,15 @@ def _inside(edges: FloatArray, a: NDArray[np.int64], b: NDArray[np.int64]) -> Fl
 
 def _votes(strip: Samples) -> tuple[FloatArray, FloatArray]:
     """(rows, columns) each: how much of an edge, and how smooth along the pole; 0 to 1."""
+    change = np.empty_like(strip)
+    change[:-1] = strip[1:] - strip[:-1]
+    change[-1] = change[-2]
+    smooth = 1.0 / (1.0 + (change**2).mean(axis=2) / _CHANGE**2)
+    return edge_votes(strip), smooth.astype(np.float64)
+
+
+def edge_votes(strip: Samples) -> FloatArray:
+    """(rows, columns) how much of an edge along a pole each sample is, 0 to 1."""
     slope = np.zeros_like(strip)
     # a smoothed central difference: [1 2 1] * [1 0 -1]
     slope[:, 2:-2] = (
@@ -200,12 +209,7 @@ def _votes(strip: Samples) -> tuple[FloatArray, FloatArray]:
         after[:, :-k] = np.minimum(after[:, :-k], size[:, k:])
     above = size - np.maximum(before, after)
     square = above**2
-    edge = square / (square + _EDGE**2)
-    change = np.empty_like(strip)
-    change[:-1] = strip[1:] - strip[:-1]
-    change[-1] = change[-2]
-    smooth = 1.0 / (1.0 + (change**2).mean(axis=2) / _CHANGE**2)
-    return edge.astype(np.float64), smooth.astype(np.float64)
+    return np.asarray(square / (square + _EDGE**2), dtype=np.float64)
 
 
 @lru_cache(maxsize=64)
@@ -222,7 +226,7 @@ def support(picture: Picture, ends_px: FloatArray, width_px: float) -> FloatArra
     half = width_px / 2.0 + 4.0
     offsets = np.arange(-half, half + STEP_PX / 2, STEP_PX)
     strip = straighten(picture, ends_px, offsets)
-    edge, _ = _votes(strip)
+    edge = edge_votes(strip)
     left, right = (
         edge[:, np.abs(offsets - at) <= 0.75].max(axis=1) for at in (-width_px / 2, width_px / 2)
     )
