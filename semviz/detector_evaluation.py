@@ -12,6 +12,7 @@ from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.detection.detector import Detector
 from semviz_core.errors import SemvizError
 from semviz_core.evaluation.detection_figures import (
+    FALSE_A_FRAME,
     DetectionFigures,
     Judged,
     detection_figures,
@@ -63,8 +64,7 @@ def evaluate(
         "model": detector.finder.name,
         "measuring": detector.measuring,
         "images": _where(images),
-        "threshold": f"{figures.threshold:.3f}, "
-        + ("chosen on these images" if least_score is None else "as given"),
+        "threshold": _threshold(figures.threshold, least_score),
         **(told or {}),
     }
     return Evaluation(settings, tuple(_notes(images)), tuple(images), judged, figures)
@@ -78,6 +78,14 @@ def _judge(detector: Detector, image: KnownImage) -> Judged:
     except SemvizError as error:
         raise SemvizError(f"{image.name}: {error}") from None
     return Judged(found, truth, process_time() - start_s)
+
+
+def _threshold(threshold: float, asked: float | None) -> str:
+    if asked is not None:
+        return f"{asked:g}, as given"
+    if threshold == 0.0:
+        return f"none, what the model tells is within {FALSE_A_FRAME:g} false a frame"
+    return f"{threshold:.3f}, chosen on these images"
 
 
 def _where(images: Sequence[KnownImage]) -> str:

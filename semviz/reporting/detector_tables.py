@@ -78,10 +78,9 @@ def _papers(figures: DetectionFigures) -> Table:
     header = [""]
     for name in figures.classes:
         header += [f"{_short(name)}: paper", "here"]
-    title = (
-        f"Found: at {figures.false_a_frame:.2f} false a frame, {figures.frames} images "
-        f"(score {figures.threshold:.3f} or more)"
-    )
+    title = f"Found: at {figures.false_a_frame:.2f} false a frame, {figures.frames} images"
+    if figures.threshold > 0.0:
+        title += f" (score {figures.threshold:.3f} or more)"
     kinds = list(figures.classes.values())
     rows = [
         ("recall", [_percent(one.recall) for one in kinds]),
