@@ -1,11 +1,16 @@
 """From pixels to poses: images, what is detected in them, where the camera is.
 
-    python bench/pixels.py [/data/kitti] [--model MODEL]
+    python bench/pixels.py [/data/kitti] [--model MODEL] [--tuned WEIGHTS]
 
 On rendered streets that nothing was trained on, in the true map and in a map built from labels of
 the even frames; on KITTI odometry 02, frames 0 to 19, in the map built from our labels of the even
 ones (docs/kitti02/labels.jsonl). Measured on the odd frames, with simulated GPS fixes 5-10 m off.
-Beside it the same frames with labels, and with the simulated detector, in place of detections.
+Beside it the same frames with labels, and with the simulated detector, in place of detections; and
+on KITTI with weights that were tuned on the even frames:
+
+    semviz detect train WORKSPACE --frames 0:20:2 --from shipped --streets 0 --samples 1600
+    semviz weights detector --out FOLDER
+
 Prints the table of docs/detector.md, and the rates that semviz_core.detection.rates states.
 """
 
@@ -75,6 +80,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kitti", nargs="?", type=Path)
     parser.add_argument("--model")
+    parser.add_argument("--tuned")
     chosen = parser.parse_args()
     rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -93,6 +99,10 @@ def main() -> None:
             look(kitti[0], chosen.model)
             for way in (ways[0], ways[-1]):
                 rows.append(row("KITTI 02", EVEN, way, found(kitti, EVEN, way, KITTI_SEEDS)))
+            if chosen.tuned is not None:
+                look(kitti[0], chosen.tuned)
+                there = found(kitti, EVEN, ways[-1], KITTI_SEEDS)
+                rows.append(row("KITTI 02, tuned", EVEN, ways[-1], there))
     print(Table("From pixels to poses", HEADER, tuple(rows), words=3).as_markdown())
 
 
