@@ -151,7 +151,7 @@ def plot(path: Path, all_answers: dict[str, Answers]) -> None:
             said, true, _ = zip(*binned(*pairs), strict=True)
             axis.plot(said, true, marker="os^"[number], label=what, **line_style(number))
         add_grid(axis)
-        plain_numbers(axis)
+        plain_numbers(axis.xaxis, axis.yaxis)
     panels[0].set_ylabel("RMS of errors (px)")
     add_legend(figure)
     figure.savefig(path, dpi=110)
