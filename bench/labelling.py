@@ -47,6 +47,8 @@ ALONG_PX, ALONG_M = 6.0, 0.12
 """And along a pole, where the mark says that an end is seen and it is."""
 TREMOR_CSS_PX = 1.5
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
+PATIENCE_MS = 300_000
+"""On a busy machine."""
 SIDES: tuple[Side, Side] = ("left", "right")
 BY_HAND = """
 Inputs that a pole in both images of a frame needs, counted by its steps (other tools were not run):
@@ -472,6 +474,7 @@ def run(
     try:
         with Door(annotator).running() as url:
             page = browser.new_page(viewport={"width": 1600, "height": 950})
+            page.set_default_timeout(PATIENCE_MS)
             page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
             page.goto(url)
             page.wait_for_selector("#saved.saved")

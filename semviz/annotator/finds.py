@@ -53,17 +53,17 @@ def finds_in(panes: Mapping[Side, Pane], detected: Proposals, cameras: Cameras) 
 
 
 def offers_of(finds: Iterable[Find], panes: Mapping[Side, Pane], labels: Labels) -> list[Offer]:
-    """Finds that no label has spent and nobody has turned down, before anybody has looked.
+    """Finds that no label has spent, before anybody has looked.
 
     A find in one image is offered in the other too, where the images show its partner.
     """
-    finds = [one for one in finds if not one.is_turned_down(labels)]
+    finds = list(finds)
     labelled = _labelled([one for find in finds for one in find.proposals], panes, labels)
     return [
         offer
         for find in finds
         if not any(one.id in labelled for one in find.proposals)
-        for offer in _offers(find, panes.values())
+        for offer in _offers(find, panes.values(), find.is_turned_down(labels))
     ]
 
 
@@ -81,7 +81,7 @@ def _labelled(
     return found
 
 
-def _offers(find: Find, panes: Iterable[Pane]) -> Sequence[Offer]:
+def _offers(find: Find, panes: Iterable[Pane], turned_down: bool) -> Sequence[Offer]:
     """One for each image, all with the same question."""
     seen = {Pane(one.frame_index, one.side): one for one in find.proposals}
     others = [pane for pane in panes if pane not in seen]
@@ -90,7 +90,16 @@ def _offers(find: Find, panes: Iterable[Pane]) -> Sequence[Offer]:
     question = Settle(class_id, found, others[0] if others else None)
 
     def offer(pane: Pane, name: str, mark: Mark | None) -> Offer:
-        return Offer(name, pane, class_id, "detector", find.element_id, mark, question=question)
+        return Offer(
+            name,
+            pane,
+            class_id,
+            "detector",
+            find.element_id,
+            mark,
+            question=question,
+            turned_down=turned_down,
+        )
 
     return [
         *(offer(pane, one.id, mark_of(one)) for pane, one in seen.items()),

@@ -117,6 +117,8 @@ class Offer:
     runner_up: Proposed | None = None
     depth_m: float | None = None
     question: Question | None = None
+    turned_down: bool = False
+    """Nobody wants to see it; but what else is found in its place is turned down with it."""
 
     @property
     def is_detected(self) -> bool:
@@ -158,7 +160,7 @@ def offers_in(
     partners = {one.id: one for one in _partners(panes, labels, places)}
     for both in mapped.keys() & partners.keys():  # the other image of the same moment says more
         partners[both] = replace(partners[both], mark=mapped[both].mark)
-    return [one for one in (mapped | partners).values() if one.id not in turned_down]
+    return [replace(one, turned_down=one.id in turned_down) for one in (mapped | partners).values()]
 
 
 def _partners(
@@ -229,12 +231,13 @@ def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
     """Answered offers, unsure where a label or another offer is in the same place.
 
     What a detector found there is left out: more is known of an element. It may know better though
-    where that is.
+    where that is. What was turned down is left out, with all that a detector found there.
     """
-    known = _known(offers, labels)
+    known = _known([one for one in offers if not one.turned_down], labels)
+    down = [one for one in offers if one.turned_down]
     found: dict[str, list[Offer]] = defaultdict(list)
     for one in offers:
-        if one.is_detected:
+        if one.is_detected and not one.turned_down:
             found[one.element_id].append(one)
     new: list[Offer] = []
     for thing in sorted(found.values(), key=lambda marks: -(marks[0].score or 0.0)):
@@ -242,7 +245,9 @@ def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
         for n in meant:
             known[n] = _joined(known[n], thing)
         taken = any(_is_labelled(one, labels, DETECTED_PX) for one in thing)
-        if not (meant or taken or any(_is_at(one, other) for one in thing for other in new)):
+        if not (
+            meant or taken or any(_is_at(one, other) for one in thing for other in [*down, *new])
+        ):
             new += thing
     return [*known, *new]
 

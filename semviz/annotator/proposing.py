@@ -70,7 +70,8 @@ class Proposing:
         """Elements that are proposed by geometry, and a detector's finds: how many; and where that
         detector and the labels disagree, None where none looked."""
         geometry = self._found(frame_index, labels)
-        count = len({one.element_id for one in geometry.offers if one.origin != "partner"})
+        offers = [one for one in geometry.offers if not one.turned_down]
+        count = len({one.element_id for one in offers if one.origin != "partner"})
         shown = [
             one for one in self._panes.of(frame_index).values() if one.frame_index == frame_index
         ]

@@ -232,3 +232,32 @@ def test_where_detector_and_labels_disagree_is_told_the_worst_first(tmp_path: Pa
     session.news()
     assert learnt(session, 1)["disagreement"]["weight"] == 0.0
     session.close()
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_what_is_turned_down_does_not_come_back_as_another_find(
+    tmp_path: Path, paired: bool
+) -> None:
+    """One thing that was found in both images, whether or not anybody knew that it is one."""
+    workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 2))
+    rows = true_finds(workspace.street, 0, SIDES).rows()
+    if not paired:  # the same mark twice: two could be the partner
+        rows += tuple(replace(row, id=new_id()) for row in rows)
+    save_proposals(Proposals.of(rows), workspace.proposals_path)
+    session = LabelSession(workspace, "tester")
+    look(session, 0)
+    offers = [one for one in detector_offers(session, 0) if all(side in one for side in SIDES)]
+    assert offers
+    for offer in offers:
+        down = [
+            {"id": offer[side]["id"], "frame_index": 0, "side": side, "why": "rejected"}
+            for side in SIDES
+        ]
+        down = [one | {"element_id": None} for one in down]
+        session.do(new_id(), {"kind": "dismiss", "dismissals": down})
+        look(session, 0)
+        for other in detector_offers(session, 0):
+            for side in SIDES:
+                if side in other:
+                    assert mark_of(other[side]).gap_px(mark_of(offer[side])) >= 6.0
+    session.close()
