@@ -51,10 +51,14 @@ class DetectTrain:
     """Save and stop after so many seconds of training."""
 
     def run(self) -> int:
+        if self.workers < 1:
+            raise SemvizError(f"--workers {self.workers}: give 1 or more")
+
         from semviz.training_run import train
         from semviz_core.learning.detector_task import make_detector
 
-        task = make_detector(self._source(), self.seed, self._start())
+        start = self._start()
+        task = make_detector(self._source(), self.seed, start)
         weights = "FOLDER/detector.safetensors"
         then = [
             f"semviz weights {self.out} --out FOLDER",
@@ -64,11 +68,13 @@ class DetectTrain:
         return train(task, self.out, self._options(), then)
 
     def _start(self) -> Path | None:
-        from semviz_core.learning.weights import shipped_weights
+        from semviz_core.learning.weights import read_weights, shipped_weights
 
-        if self.start == "shipped":
-            return shipped_weights("detector")
-        return None if self.start is None else Path(self.start)
+        if self.start is None:
+            return None
+        path = shipped_weights("detector") if self.start == "shipped" else Path(self.start)
+        read_weights(path)  # said before streets are rendered, not after
+        return path
 
     def _source(self) -> "LabelledImages":
         """Rendered streets, made where they are missing; labels; or both in turn."""
@@ -101,8 +107,6 @@ class DetectTrain:
 
         images = StreetImages(self.out / IMAGES, streets, max(2, streets // 20))
         missing = images.missing()
-        if self.workers < 1:
-            raise SemvizError(f"--workers {self.workers}: give 1 or more")
         with ProcessPoolExecutor(self.workers) as pool:
             for _ in track(pool.map(images.render, missing), "rendering streets", len(missing)):
                 pass

@@ -19,6 +19,7 @@ from toy_task import TOGETHER, ToyTask, fresh_network
 from semviz_core.errors import SemvizError
 from semviz_core.learning.checkpoint import Checkpoint
 from semviz_core.learning.history import WINDOW_STEPS, read_history
+from semviz_core.learning.learner import has_bf16
 from semviz_core.learning.training import (
     CHECKPOINT,
     HISTORY,
@@ -301,10 +302,24 @@ def test_a_torn_line_of_the_history_is_dropped(tmp_path: Path) -> None:
         ({"batch": 0}, "--batch 0"),
         ({"seed": 100}, "--seed 100: give 0 to 99"),
         ({"workers": -1}, "--workers -1"),
-        ({"precision": "bf16"}, "--precision bf16: is for a GPU"),
     ],
 )
 def test_options_that_make_no_sense(tmp_path: Path, options: dict[str, object], line: str) -> None:
     with pytest.raises(SemvizError, match=line):
         trained(tmp_path, **options)
     assert not list(tmp_path.iterdir())
+
+
+def test_few_bits_are_refused_where_they_are_slow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("semviz_core.learning.training.has_bf16", lambda device: False)
+    with pytest.raises(SemvizError, match="--precision bf16: is for a GPU or a processor with AMX"):
+        trained(tmp_path, precision="bf16")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this processor has no AMX")
+def test_it_learns_with_few_bits_too(tmp_path: Path) -> None:
+    exact, rough = trained(tmp_path / "exact"), trained(tmp_path / "rough", precision="bf16")
+    assert rough.course.held_out["error"] < 2.0 * exact.course.held_out["error"]

@@ -59,7 +59,9 @@ def _best(found: Found, class_id: int, price: float) -> tuple[float, float]:
     best = int(np.argmax(worth))
     if best == 0:
         return 1.0, 0.0
-    return float(found.score[rows[best - 1]]), float(false[best - 1])
+    beyond = found.score[rows[best]] if best < len(rows) else LOWEST
+    between = 0.5 * (found.score[rows[best - 1]] + beyond)  # however weights are rounded
+    return float(between), float(false[best - 1])
 
 
 def _found(finder: OwnFinder, images: Iterable[LabelledImage], classes: ClassSet) -> Found:

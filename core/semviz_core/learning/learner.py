@@ -66,8 +66,11 @@ class Learner:
         network = self._task.network
         network.load_state_dict({name: state[f"{NETWORK}{name}"] for name in network.state_dict()})
         moments = {
-            number: {moment: state[f"adam.{moment}.{name}"] for moment in _MOMENTS}
-            for number, (name, _) in enumerate(network.named_parameters())
+            number: {
+                moment: _laid_out_as(parameter, state[f"adam.{moment}.{name}"])
+                for moment in _MOMENTS
+            }
+            for number, (name, parameter) in enumerate(network.named_parameters())
             if f"adam.step.{name}" in state
         }
         groups = self._adam.state_dict()["param_groups"]
@@ -99,6 +102,13 @@ class _Losses(nn.Module):
 
     def forward(self, together: Any, progress: Progress) -> dict[str, Tensor]:
         return self._task.losses(together, progress)
+
+
+def _laid_out_as(parameter: Tensor, moment: Tensor) -> Tensor:
+    """In memory as the parameter is, such as channels last: fused Adam goes by that."""
+    if moment.shape != parameter.shape:  # the number of steps
+        return moment
+    return torch.empty_like(parameter, requires_grad=False).copy_(moment)
 
 
 def has_bf16(device: torch.device) -> bool:

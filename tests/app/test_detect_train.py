@@ -1,0 +1,88 @@
+"""semviz detect train: rendered streets, learned from, gone on with, kept and looked with."""
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from calling import Call, call
+from safetensors.torch import load_file
+
+from semviz_core.learning.training import CHECKPOINT
+from semviz_core.learning.weights import shipped_weights
+
+TINY = ("--streets", 1, "--samples", 12, "--batch", 4)
+
+
+@pytest.fixture
+def train(capsys: pytest.CaptureFixture[str]) -> Call:
+    """Exit status, output and error output of ``semviz detect train``."""
+    return partial(call, capsys, "detect", "train")
+
+
+def test_streets_to_weights_and_on_from_wherever_it_stopped(
+    train: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, parts, folder = tmp_path / "whole", tmp_path / "parts", tmp_path / "weights"
+    status, output, errors = train("--out", whole, *TINY)
+    assert status == 0, errors
+    assert "finished after 12 of 12" in output
+    assert len(list((whole / "streets").iterdir())) == 3  # one to learn from, two to tune on
+    shutil.copytree(whole / "streets", parts / "streets")
+    for _ in range(5):  # each goes on for one step
+        status, output, _ = train("--out", parts, "--stop-after-s", 0, *TINY)
+        assert status == 0
+        if "finished" in output:
+            break
+    one, other = load_file(whole / CHECKPOINT), load_file(parts / CHECKPOINT)
+    assert one.keys() == other.keys()
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+    assert call(capsys, "weights", whole, "--out", folder)[0] == 0
+    card = json.loads((folder / "detector.json").read_text())
+    assert (card["task"], card["samples"], card["options"]["data"]["streets"]) == (
+        "detector", 12, 1,
+    )  # fmt: skip
+    weights = folder / "detector.safetensors"
+    street = tmp_path / "street"
+    assert call(capsys, "new", street, "--simulate", 30_000, "--frames", "0:1")[0] == 0
+    assert call(capsys, "detect", street, "--model", weights)[0] == 0
+
+
+def test_what_ships_has_a_card_and_begins_a_training(train: Call, tmp_path: Path) -> None:
+    weights = shipped_weights("detector")
+    card = json.loads(weights.with_suffix(".json").read_text())
+    assert card["task"] == "detector"
+    assert card["bytes"] == weights.stat().st_size < 15e6
+    status, _, errors = train("--out", tmp_path, "--from", "shipped", "--stop-after-s", 0, *TINY)
+    assert status == 0, errors
+    state = load_file(tmp_path / CHECKPOINT)
+    shipped = load_file(weights)
+    name = "head.0.weight"
+    moved = (state[f"network.{name}"] - shipped[name].float()).abs().max()
+    assert 0.0 < moved < 0.01  # by one step
+    status, _, errors = train("--out", tmp_path, "--stop-after-s", 0, *TINY)
+    assert status == 2
+    assert str(tmp_path) in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("--streets", -1), "--streets -1: give 0 to 9000"),
+        (("--streets", 0), "nothing is left to learn from"),
+        (("--frames", "0:5"), "name a workspace"),
+        (("--workers", 0), "--workers 0: give 1 or more"),
+        (("--from", "nowhere.safetensors", "--streets", 1), "nowhere.safetensors: no such weights"),
+        (("missing-workspace",), "no such workspace"),
+    ],
+)
+def test_what_makes_no_sense_is_one_line(
+    train: Call, tmp_path: Path, arguments: tuple[object, ...], line: str
+) -> None:
+    status, output, errors = train(*arguments, "--out", tmp_path / "out")
+    assert (status, output) == (2, "")
+    assert line in errors
+    assert errors.count("\n") == 1

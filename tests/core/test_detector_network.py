@@ -1,0 +1,237 @@
+"""The detector's network: what its maps tell comes back, and what it is asked to learn is right."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from semviz_core.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, ROUNDED
+from semviz_core.detection.joined import JoinedImages
+from semviz_core.detection.labelled import LabelledImage
+from semviz_core.detection.maps import MASKS, STRIDE, Channels, regions_in
+from semviz_core.detection.own import OwnFinder, load_own
+from semviz_core.detection.region import Region
+from semviz_core.elements import Elements2D
+from semviz_core.errors import SemvizError
+from semviz_core.learning.detector_crops import HEIGHT, WIDTH, Crop, middle_crop, random_crop
+from semviz_core.learning.detector_targets import Targets
+from semviz_core.learning.detector_task import DetectorTask, focal
+from semviz_core.learning.detector_thresholds import chosen_thresholds
+from semviz_core.learning.networks.detector import DetectorNet
+from semviz_core.learning.street_images import IGNORED
+from semviz_core.learning.training import Training, TrainingOptions
+from semviz_core.learning.weights import Weights
+
+CHANNELS = Channels(len(DEFAULT_CLASSES))
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def an_image() -> LabelledImage:
+    """A dark pole and a bright sign on grey, as tall as a crop and as wide."""
+    image = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+    image[60:301, 98:105] = 30
+    image[100:141, 200:241] = (230, 40, 40)
+    elements = Elements2D.from_ends(
+        [[101.0, 60.0], [220.0, 120.0]], [[101.0, 300.0], [np.nan, np.nan]], [POLE, RECTANGULAR]
+    )
+    regions = (
+        Region(POLE, 1.0, np.array([98.0, 60, 104, 300]), np.ones((241, 7), bool), (98, 60)),
+        Region(RECTANGULAR, 1.0, np.array([200.0, 100, 240, 140]), np.ones((41, 41), bool),
+               (200, 100)),
+    )  # fmt: skip
+    return LabelledImage(image, elements, regions)
+
+
+@dataclass(frozen=True)
+class Images:
+    """The same image, of which ``count`` are counted."""
+
+    labelled: LabelledImage
+    count: int = 2
+    held_out_count: int = 1
+
+    def image(self, number: int) -> LabelledImage:
+        return self.labelled
+
+    def held_out(self, number: int) -> LabelledImage:
+        return self.labelled
+
+    def describe(self) -> dict[str, object]:
+        return {"images": self.count}
+
+
+def as_maps(targets: Targets) -> tuple[np.ndarray, np.ndarray]:
+    """The maps and masks of a network that has learned its targets."""
+    height, width = targets.counts.shape
+    maps = np.zeros((CHANNELS.count, height, width), np.float32)
+    heat = np.clip(targets.heat, 1e-4, 1.0 - 1e-4)
+    maps[CHANNELS.heat] = np.log(heat / (1.0 - heat))
+    maps[CHANNELS.middle], maps[CHANNELS.size] = targets.sign[:2], targets.sign[2:]
+    maps[CHANNELS.ends], maps[CHANNELS.width] = targets.pole[:4], targets.pole[4:]
+    maps[CHANNELS.known] = 8.0 * targets.known - 4.0
+    return maps, 8.0 * targets.mask - 4.0
+
+
+def told(crop: Crop) -> list[Region]:
+    maps, masks = as_maps(Targets.of(crop, DEFAULT_CLASSES))
+    return regions_in(maps, masks, np.full(4, 0.5), DEFAULT_CLASSES, (HEIGHT, WIDTH))
+
+
+def test_what_maps_are_asked_to_tell_comes_back_as_regions() -> None:
+    crop = middle_crop(an_image(), 0.5)
+    pole, sign = sorted(told(crop), key=lambda one: one.class_id or 0)
+    assert (pole.class_id, sign.class_id) == (POLE, RECTANGULAR)
+    assert pole.ends_px is not None
+    np.testing.assert_allclose(pole.ends_px, [[101.0, 60.0], [101.0, 300.0]], atol=0.01)
+    np.testing.assert_allclose(sign.middle_px, [220.0, 120.0], atol=0.01)
+    np.testing.assert_allclose(sign.box_px[2:] - sign.box_px[:2], [41.0, 41.0], atol=0.6)
+    assert pole.ends_known == (True, True)
+    assert sign.mask is not None
+    assert abs(int(sign.mask.sum()) - 41 * 41) < 41 * 6
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_elements_of_random_crops_come_back(seed: int) -> None:
+    """Larger or smaller, mirrored, cut off: what is learned of a crop is what it shows."""
+    crop = random_crop(an_image(), np.random.default_rng(seed))
+    found = told(crop)
+    assert len(found) == len(crop.elements)
+    for row, element_class in enumerate(crop.elements.class_id.tolist()):
+        (one,) = [region for region in found if region.class_id == element_class]
+        if element_class == POLE:
+            assert one.ends_px is not None
+            np.testing.assert_allclose(one.ends_px[0], crop.elements.anchor_px[row], atol=0.05)
+            np.testing.assert_allclose(one.ends_px[1], crop.elements.end_px[row], atol=0.05)
+            known = (crop.elements.anchor_known[row], crop.elements.end_known[row])
+            assert one.ends_known == known
+        else:
+            shown = crop.rows == row + 1
+            assert shown.any()
+            if crop.elements.anchor_px[row].min() > 40.0:
+                np.testing.assert_allclose(one.middle_px, crop.elements.anchor_px[row], atol=0.7)
+
+
+def test_nothing_is_learned_where_nobody_knows() -> None:
+    labelled = an_image()
+    ignored = np.zeros((HEIGHT, WIDTH), bool)
+    ignored[200:260, 280:340] = True
+    targets = Targets.of(middle_crop(replace(labelled, ignored=ignored), 0.5), DEFAULT_CLASSES)
+    cells = slice(200 // STRIDE, 260 // STRIDE), slice(280 // STRIDE, 340 // STRIDE)
+    assert not targets.counts[cells].any()
+    assert targets.counts.mean() > 0.9
+    logit = torch.zeros(1, 4, *targets.counts.shape)
+    wrong = logit.clone()
+    wrong[0, 1][cells] = 9.0
+    heat, counts = torch.from_numpy(targets.heat)[None], torch.from_numpy(targets.counts)[None]
+    assert focal(wrong, heat, counts) == focal(logit, heat, counts)
+    assert focal(wrong, heat, torch.ones_like(counts)) > focal(logit, heat, counts)
+
+
+def test_labels_without_masks_teach_no_sizes() -> None:
+    targets = Targets.of(middle_crop(replace(an_image(), regions=None), 0.5), DEFAULT_CLASSES)
+    assert targets.sign_weight.any()
+    assert targets.pole_weight.any()
+    assert not targets.size_weight.any()
+    assert not targets.width_weight.any()
+    assert not targets.mask_weight.any()
+    assert targets.mask_weight.shape == tuple(MASKS * side for side in targets.counts.shape)
+
+
+def test_pixels_of_an_element_are_those_of_its_row() -> None:
+    crop = middle_crop(an_image(), 0.5)
+    assert (crop.rows == 1).sum() == 241 * 7
+    assert (crop.rows == 2).sum() == 41 * 41
+    assert not (crop.rows == IGNORED).any()
+
+
+def test_it_learns_an_image_by_heart(tmp_path: Path) -> None:
+    """Finds both elements after training, nothing before; and tells from which heat on."""
+    torch.manual_seed(0)
+    task = DetectorTask(Images(an_image()))
+    before = OwnFinder.of(DetectorNet(4), DEFAULT_CLASSES)
+    assert not before.find(an_image().image)
+    task.make = lambda number: task.held_out(0)  # type: ignore[method-assign]
+    Training(task, tmp_path, TrainingOptions(samples=160, batch=2, workers=0, held_out=1)).run()
+    network = DetectorNet(4)
+    network.load_state_dict(task.network.state_dict())
+    found = OwnFinder.of(network, DEFAULT_CLASSES).find(an_image().image)
+    assert sorted(one.class_id or 0 for one in found) == [POLE, RECTANGULAR]
+    (pole,) = [one for one in found if one.class_id == POLE]
+    assert pole.ends_px is not None
+    assert np.abs(pole.ends_px[:, 0] - 101.0).max() < 4.0
+    assert task.detector.threshold[ROUNDED] == 1.0  # there was none to choose it by
+
+
+def test_an_image_of_any_size_is_looked_at() -> None:
+    finder = OwnFinder.of(DetectorNet(4), DEFAULT_CLASSES)
+    for shape in ((1, 1, 3), (33, 47, 3), (376, 1241, 3)):
+        assert finder.find(np.zeros(shape, np.uint8)) == []
+    with pytest.raises(SemvizError, match=r"shape \(5, 5\)"):
+        finder.find(np.zeros((5, 5), np.uint8))
+
+
+def test_folded_networks_answer_alike() -> None:
+    torch.manual_seed(1)
+    network = DetectorNet(4)
+    image = torch.randint(0, 256, (2, 64, 96, 3), dtype=torch.uint8)
+    network.train()
+    network(image)
+    network.eval()
+    with torch.no_grad():
+        before = network(image)
+        torch.testing.assert_close(network.folded()(image), before, rtol=1e-3, atol=1e-3)
+
+
+def test_thresholds_keep_what_is_false_within_the_limit() -> None:
+    """A finder whose false ones are all below 0.5: what is told is above them."""
+
+    class Planted(OwnFinder):
+        def find(self, image: np.ndarray) -> list[Region]:
+            right = Region(RECTANGULAR, 0.8, np.array([200.0, 100, 240, 140]))
+            false = [
+                Region(RECTANGULAR, 0.4 + 0.01 * k, np.array([20.0 * k, 340, 20.0 * k + 15, 355]))
+                for k in range(1, 5)
+            ]
+            least = float(self.least[RECTANGULAR])
+            return [one for one in (right, *false) if one.score >= least]
+
+    finder = Planted(DetectorNet(4), DEFAULT_CLASSES, np.full(4, 0.3))
+    threshold = chosen_thresholds(finder, [an_image()] * 4,
+                                  DEFAULT_CLASSES)  # fmt: skip
+    assert 0.45 < threshold[RECTANGULAR] <= 0.8
+    assert threshold[POLE] == 1.0
+
+
+def test_images_of_each_kind_come_in_turn() -> None:
+    other = replace(an_image(), regions=None)
+    joined = JoinedImages((Images(an_image(), 5), Images(other, 2, 3)))
+    assert joined.count == 10
+    assert joined.held_out_count == 6
+    has_masks = [joined.image(row).regions is not None for row in range(joined.count)]
+    assert has_masks == [True, False] * 5
+
+
+@pytest.mark.parametrize(
+    ("weights", "told"),
+    [
+        (Weights("verifier", {"classes": []}, {}), "weights of verifier"),
+        (Weights("detector", {"classes": ["pole"]}, {}), "trained for the classes pole"),
+        (
+            Weights("detector", {"classes": [one.name for one in DEFAULT_CLASSES]}, {}),
+            "of another version",
+        ),
+    ],
+)
+def test_other_weights_are_refused_in_one_line(weights: Weights, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "detector.safetensors"
+    weights.save(path)
+    with pytest.raises(SemvizError, match=told) as error:
+        load_own(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
