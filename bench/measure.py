@@ -178,7 +178,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     first = TUNING_SEED if arguments.fit else HELD_OUT_SEED
-    seeds = range(first, first + (4 if arguments.quick else 25))
+    seeds = range(first, first + (4 if arguments.quick else 12 if arguments.fit else 25))
     print(f"rendered streets, seeds {seeds[0]} to {seeds[-1]}, frames {FRAMES}, left images")
     images = images_of(seeds, arguments.model, not arguments.planted)
     if arguments.fit:

@@ -18,7 +18,7 @@ from semviz_core.measuring.picture import Picture
 from semviz_core.sources.street.street import Street
 
 FRAMES = (5, 20, 35, 50)
-_MODEL_SIGMA_PX = 1.2
+_MODEL_SIGMA_PX = 0.8
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ _APART_PX = 3.0
 _FEWEST = 4
 _MOST_SHARE = 0.4
 """Of a pole's length, that its end may be before where it was thought to be."""
-WEIGHTS = np.array([-3.3974, 2.1773, 1.9612, 3.3202])
+WEIGHTS = np.array([-3.5281, 2.2309, 2.1028, 3.3147])
 """Log-odds of a row of the pole: constant, weaker and stronger edge, colour. Fitted on simulated
 streets with seeds from 20_000 by ``python bench/measure.py --fit``."""
 
