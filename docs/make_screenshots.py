@@ -18,6 +18,7 @@ import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
+from semviz.commands.detect_evaluate import REPORT, DetectEvaluate
 from semviz.commands.localize import Localize
 from semviz.commands.map_localizability import MapLocalizability
 from semviz.commands.report import Report
@@ -217,6 +218,16 @@ def take_report(page: Page) -> None:
         page.goto("about:blank")
 
 
+def take_detector_report(page: Page) -> None:
+    """Where pictures of what was missed begin."""
+    with tempfile.TemporaryDirectory() as folder:
+        DetectEvaluate(out=Path(folder)).run()
+        page.goto((Path(folder) / REPORT).as_uri())
+        page.evaluate("document.querySelector('.crops').scrollIntoView(); scrollBy(0, -300)")
+        page.screenshot(path=IMAGES / "detector-report.png")
+        page.goto("about:blank")
+
+
 def take_rerun() -> None:
     """A run in rerun's own viewer, drawn on the processor; its title bar speaks of that only."""
     import cv2
@@ -322,6 +333,7 @@ def main() -> None:
         take_what_if(page)
         take_label(page)
         take_report(page)
+        take_detector_report(page)
         take_annotator(page)
         take_review(page)
     for path in sorted(IMAGES.glob("*.png")):
