@@ -5,8 +5,8 @@
 
 The detector that ships looks at both images of some frames; what it finds is paired, settled on the
 edges, its partner is looked for, and each offer gets its score: as the page does it. An offer is
-right where all its marks are within 2 px of one element of its class: across a pole, and along it
-within 6 px where both say that an end is seen.
+right where all its marks are within 2 px of one element of its class, across a pole; where a pole
+ends is not judged.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from semviz_core.sources.street.street import Street
 SIDES: tuple[Side, Side] = ("left", "right")
 TUNING, HELD_OUT = 20_000, 30_000
 FRAMES = (3, 17, 31, 45)
-RIGHT_PX, RIGHT_ALONG_PX = 2.0, 6.0
+RIGHT_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +95,7 @@ def _fits(mark: Mark, shown: Picture, element: int, class_id: int, wide: float) 
     truth = shown.marks.get(element)
     if truth is None or shown.classes[element] != class_id:
         return False
-    if max(mark.gap_px(truth), truth.gap_px(mark)) > wide * RIGHT_PX:
-        return False
-    if mark.end_px is None or wide > 1.0:
-        return True
-    both_known = (mark.anchor_known and truth.anchor_known, mark.end_known and truth.end_known)
-    gaps = np.linalg.norm(mark.ends_px - truth.ends_px, axis=1)
-    return bool((gaps[list(both_known)] < RIGHT_ALONG_PX).all())
+    return max(mark.gap_px(truth), truth.gap_px(mark)) <= wide * RIGHT_PX
 
 
 def mark_of(one: Proposal) -> Mark:

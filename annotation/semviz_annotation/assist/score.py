@@ -2,7 +2,8 @@
 
 Logistic functions of a few measures each (for snapping: of being within 1 px), fitted on
 simulated streets with seeds below 1000 by ``python bench/assist.py --fit``. On others,
-``python bench/assist.py`` measures how reliable they are.
+``python bench/assist.py`` measures how reliable they are. Those of a detector's finds are fitted by
+``python bench/found.py --fit``, with the detector that ships.
 """
 
 import numpy as np
@@ -30,12 +31,12 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
         -0.77,
     ),
     "follow sign": (4.09, 5.59, 2.26, -3.89, -0.33, 10.58, -0.50, 0.46, 1.11, -0.33, -0.36),
-    "found alone pole": (0.65, 1.73, 0.49),
-    "found alone sign": (-0.16, 0.06, 0.79),
-    "found one pole": (-1.15, 1.25, 0.05, 0.36),
-    "found one sign": (-0.91, 1.3, 0.24, 0.14),
-    "found pair pole": (-0.4, -0.75, 0.06, 1.3, 0.12, 0.18, -0.93),
-    "found pair sign": (-0.25, 0.29, 0.47, 0.33, -0.05, 0.44, -2.18),
+    "found alone pole": (1.1, 0.38, 0.05),
+    "found alone sign": (-0.12, -0.17, 0.68),
+    "found one pole": (-0.63, 0.66, 0.1, 0.29),
+    "found one sign": (-0.03, 1.99, 0.19, 0.01),
+    "found pair pole": (0.67, 0.69, 0.23, 0.17, -0.28, 0.42, -0.91),
+    "found pair sign": (0.06, 0.57, 0.07, 0.05, 0.35, 0.17, -0.9),
     "partner pole": (
         2.30,
         -0.22,
