@@ -58,8 +58,8 @@ DetectCommands = Annotated[
     | Annotated[DetectEvaluate, subcommand("evaluate")],
     subcommand(
         "detect",
-        description="Poles and signs found in the images of a workspace: detect [run] WORKSPACE; "
-        "and how well.",
+        description="Poles and signs found in the images of a workspace: detect WORKSPACE. And "
+        "what finds them: trained, evaluated.",
     ),
 ]
 Command = (
