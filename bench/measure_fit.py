@@ -61,7 +61,7 @@ def fit(images: Regions) -> str:
             by_kind[sample.kind].append(sample)
         for kind in stage:
             if len(by_kind[kind]) > 20:
-                sigma.WEIGHTS[kind] = _likeliest(by_kind[kind])
+                sigma.WEIGHTS[kind] = likeliest(by_kind[kind])
     sigma.SHAPE = _shape_weights(images)
     sigma.KNOWN = _known_weights(images)
     sigma.PAPER = _paper_sigmas(images)
@@ -117,10 +117,10 @@ def _sign_samples(one: Shown, region: Region, row: int) -> Iterator[Sample]:
             yield Sample(middle.kind, middle.evidence, float(off))
 
 
-def _likeliest(samples: list[Sample]) -> tuple[float, ...]:
+def likeliest(samples: list[Sample], largest_px: float = _LARGEST_PX) -> tuple[float, ...]:
     """Weights under which errors are likeliest: their sigma is exp of the weighted evidence."""
     X = np.array([one.evidence for one in samples])
-    error = np.clip([one.error_px for one in samples], -_LARGEST_PX, _LARGEST_PX)
+    error = np.clip([one.error_px for one in samples], -largest_px, largest_px)
     mean, spread = X.mean(axis=0), X.std(axis=0) + 1e-6
     A = np.column_stack([np.ones(len(X)), (X - mean) / spread])
 

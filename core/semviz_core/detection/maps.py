@@ -155,7 +155,7 @@ def _found(
     high = np.where(
         is_line[:, None], ends.max(axis=1) + (width / 2.0) * (1, 0), middle + size / 2.0
     )
-    box = np.concatenate([np.clip(low, 0.0, last), np.clip(high, 0.0, last)], axis=1)
+    box = np.concatenate([low, high], axis=1)  # beyond the image, too: its middle is the sign's
     known = told[:, channels.known] > 0.0
     return _Found(is_line, ends, width[:, 0], middle, size.min(axis=1), box, known)
 

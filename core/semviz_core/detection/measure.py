@@ -14,6 +14,7 @@ from semviz_core.detection.measured import Measured, elements, without_repeats
 from semviz_core.detection.middle import best_middle
 from semviz_core.detection.paper import by_the_paper
 from semviz_core.detection.region import Region
+from semviz_core.detection.sigma import chosen_sigma_px
 from semviz_core.elements import Elements2D
 from semviz_core.measuring.picture import Picture
 
@@ -51,13 +52,14 @@ def _pole(picture: Picture, region: Region, signs: Sequence[Region]) -> Measured
     found = extent(picture, region, line, signs)
     if found is None:
         return None
-    sigma = (line.sigma_px, found.sigma_along_px)
+    across = chosen_sigma_px("across", line.sigma_px)
+    sigma = (across, chosen_sigma_px("along", found.sigma_along_px))
     return Measured(POLE, region.score, found.ends_px, sigma, found.known, line.width_px)
 
 
 def _sign(picture: Picture, region: Region) -> Measured | None:
     class_id, middle = best_middle(picture, region)
-    sigma = (middle.sigma_px, middle.sigma_px)
+    sigma = (chosen_sigma_px("middle", middle.sigma_px),) * 2
     size = float(middle.half_px.min())
     return Measured(class_id, region.score, middle.middle_px[None], sigma, (True, False), size)
 

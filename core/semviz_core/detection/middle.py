@@ -13,6 +13,9 @@ from semviz_core.measuring.picture import Picture
 
 SHAPES = (TRIANGULAR, RECTANGULAR, ROUNDED)
 """Told apart where the model does not."""
+STRAY_PX, STRAY_SHARE = 2.6, 0.02
+"""An outline whose middle is further from the model's than this and this share of the sign's size
+is another one: its border's inner edge, or the sign's picture."""
 _FILLED = {TRIANGULAR: 0.5, RECTANGULAR: 1.0, ROUNDED: np.pi / 4.0}
 """Share of its box that each covers."""
 
@@ -43,30 +46,36 @@ def best_middle(picture: Picture, region: Region) -> tuple[int, Middle]:
         return region.class_id, first  # nobody told its shape
     classes = SHAPES if region.class_id is None else (region.class_id,)
     found = {one: middles_by_outline(picture, first, one) for one in classes}
-    told = [shape_evidence(region, one, found[one]) @ SHAPE for one in classes]
+    told = [shape_evidence(region, one, found[one] or [first]) @ SHAPE for one in classes]
     class_id = classes[int(np.argmax(told))]
     return class_id, min([first, *found[class_id]], key=lambda one: one.sigma_px)
 
 
 def first_middle(region: Region) -> Middle:
-    """What the model says: the middle of what its mask covers, or of its box."""
-    kind, low, high, bare = "middle by box", region.box_px[:2], region.box_px[2:], 0.0
+    """What the model says: the middle of its box, or of what its mask covers."""
+    found = [_between("middle by box", region.box_px[:2], region.box_px[2:], 0.0)]
     if region.mask is not None and region.mask.any():
-        kind = "middle by mask"
         rows = np.flatnonzero(region.mask.any(axis=1))
         columns = np.flatnonzero(region.mask.any(axis=0))
         low = region.corner_px + np.array([columns[0], rows[0]], dtype=np.float64)
         high = region.corner_px + np.array([columns[-1], rows[-1]], dtype=np.float64)
-        bare = 1.0 - _filled(region)
-    half = np.asarray((high - low + 1.0) / 2.0)
+        found.append(_between("middle by mask", low, high, 1.0 - _filled(region)))
+    return min(found, key=lambda one: one.sigma_px)
+
+
+def _between(kind: str, low_px: FloatArray, high_px: FloatArray, bare: float) -> Middle:
+    """In the middle of two corners; ``bare`` is the share of it that no mask covers."""
+    half = np.asarray((high_px - low_px + 1.0) / 2.0)
     evidence = np.array([np.log(half.mean()), abs(np.log(half[0] / half[1])), bare])
-    return Middle(kind, np.asarray((low + high) / 2.0), half, evidence)
+    return Middle(kind, np.asarray((low_px + high_px) / 2.0), half, evidence)
 
 
 def middles_by_outline(picture: Picture, first: Middle, class_id: int) -> list[Middle]:
     """Middles of outlines of a class's shape, near and about as large as what the model says."""
     shape = DEFAULT_CLASSES[class_id].shape
-    found = fit_outlines(picture, first.middle_px, first.half_px, shape)
+    fitted = fit_outlines(picture, first.middle_px, first.half_px, shape)
+    stray = STRAY_PX + STRAY_SHARE * 2.0 * first.half_px.mean()
+    found = [one for one in fitted if np.linalg.norm(one.middle_px - first.middle_px) <= stray]
     return [_by_outline(one, first, found) for one in found]
 
 

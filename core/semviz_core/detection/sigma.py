@@ -55,6 +55,9 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
     ),
 }
 
+CHOSEN = {"across": (0.6232, 1.3036), "along": (0.621, 0.9382), "middle": (0.9229, 1.5179)}
+"""Of the least sigma among several, which is often the least by luck: constant and factor of what
+its logarithm becomes. Fitted last, by ``python bench/measure_chosen.py``."""
 KNOWN = (3.4748, 1.3858, 1.2949, -1.8758, -3.6015)
 """Of an end being the pole's own: a logistic function of what ``ends.end_evidence`` gives."""
 SHAPE = np.array((-0.1859, 0.7102, -0.5243, -3.4111, 4.0103, 3.3384, -0.9434))
@@ -68,6 +71,12 @@ def sigma_px(kind: str, evidence: FloatArray) -> float:
     weights = WEIGHTS[kind]
     exponent = weights[0] + sum(map(mul, weights[1:], evidence.tolist()))
     return min(max(math.exp(min(exponent, 10.0)), _LEAST_PX), _MOST_PX)
+
+
+def chosen_sigma_px(what: str, least_px: float) -> float:
+    """Of a candidate that was chosen because its predicted sigma is the least."""
+    constant, factor = CHOSEN[what]
+    return min(max(math.exp(constant + factor * math.log(least_px)), _LEAST_PX), _MOST_PX)
 
 
 def known(evidence: FloatArray) -> bool:

@@ -32,16 +32,25 @@ def check_sigma(found: Elements2D, true: Elements2D) -> dict[str, tuple[SigmaBin
     Of a sign both axes count, of a pole how far its ends are across the true line, and, where an
     end can be seen and was said to be, along it.
     """
+    told = errors_and_sigmas(found, true)
+    return {name: tuple(_bins(error, sigma)) for name, (error, sigma) in told.items()}
+
+
+def errors_and_sigmas(
+    found: Elements2D, true: Elements2D
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Errors and what sigma says of each, as ``check_sigma`` holds them against each other."""
     line, point = found.is_line, ~found.is_line
     offset = found.anchor_px[point] - true.anchor_px[point]
     across, along = _pole_errors(found[line], true[line])
     sigma = found.sigma_px[line]
     known = np.stack([_both_know("anchor", found, true), _both_know("end", found, true)], axis=1)
     return {
-        "signs": tuple(_bins(offset.ravel(), found.sigma_px[point].ravel())),
-        "poles, across": tuple(_bins(across.ravel(), np.repeat(sigma[:, 0], 2))),
-        "poles, along": tuple(
-            _bins(along[known[line]], np.repeat(sigma[:, 1:], 2, axis=1)[known[line]])
+        "signs": (offset.ravel(), found.sigma_px[point].ravel()),
+        "poles, across": (across.ravel(), np.repeat(sigma[:, 0], 2)),
+        "poles, along": (
+            along[known[line]],
+            np.repeat(sigma[:, 1:], 2, axis=1)[known[line]],
         ),
     }
 
