@@ -1,7 +1,9 @@
 """semviz detect train"""
 
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -107,9 +109,15 @@ class DetectTrain:
 
         images = StreetImages(self.out / IMAGES, streets, max(2, streets // 20))
         missing = images.missing()
-        with ProcessPoolExecutor(self.workers) as pool:
-            for _ in track(pool.map(images.render, missing), "rendering streets", len(missing)):
-                pass
+        try:
+            with ProcessPoolExecutor(self.workers, get_context("spawn")) as pool:
+                rendered = pool.map(images.render, missing)
+                for _ in track(rendered, "rendering streets", len(missing)):
+                    pass
+        except BrokenProcessPool:
+            raise SemvizError(
+                "a process that renders died (out of memory?); the same command goes on"
+            ) from None
         return images
 
     def _options(self) -> "TrainingOptions":
