@@ -174,7 +174,7 @@ def test_frames_are_filtered_by_element_status_and_verdict_together(url: str, pa
     ok = [k for k in with_pole if run.frames[k].localization.status == "ok"]
     shown = int(page.locator("#filters button[title=ok]").inner_text())
     assert shown == len(ok)
-    assert in_url(page, "only") == str(pole)
+    wait_for(page, lambda: in_url(page, "only") == str(pole), "the address")
     wait_for(page, lambda: in_url(page, "status") == "ok", "the status in the address")
     page.locator("#element-filter").click()
     page.locator("#filters button").first.click()
