@@ -1,6 +1,6 @@
 """Lines that a pole's axis could be: as the model sees it, and as edges in the image show it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,10 +8,12 @@ from semviz_core.arrays import FloatArray
 from semviz_core.detection.region import Region
 from semviz_core.detection.sigma import sigma_px
 from semviz_core.measuring.picture import Picture
-from semviz_core.measuring.pole import WIDEST_PX, Axis, across, find_axes, stripe, support
+from semviz_core.measuring.pole import WIDEST_PX, Axis, across, find_axes, shifted, stripe, support
 from semviz_core.measuring.profile import refine
 
 SHORTEST_PX = 3.0
+AGREE_SIGMAS, WORSE = 3.0, 2.0
+"""Lines agree within so many sigmas; one of a sigma so many times as large is much worse."""
 _REACHES_PX = (1.5, 2.5, 4.0)
 """How far from a first line edges are looked for: the fewest that two sigmas need."""
 _THIN_PX, _DIFFERS = 4.0, 0.35
@@ -39,12 +41,29 @@ class Line:
 
 
 def best_line(picture: Picture, region: Region) -> Line | None:
-    """The axis of a pole with the least sigma; None where the region has no length."""
-    first = min(first_lines(region), key=lambda one: one.sigma_px, default=None)
-    if first is None:
+    """The axis of a pole with the least sigma, and what others that agree say of it; None where
+    the region has no length."""
+    lines = first_lines(region)
+    if not lines:
         return None
-    edges = line_by_edges(picture, region, first)
-    return first if edges is None or edges.sigma_px > first.sigma_px else edges
+    edges = line_by_edges(picture, region, min(lines, key=lambda one: one.sigma_px))
+    every = [*lines, *([] if edges is None else [edges])]
+    return _agreed(min(every, key=lambda one: one.sigma_px), every)
+
+
+def _agreed(best: Line, lines: list[Line]) -> Line:
+    """The best line, moved to the mean, by 1 / sigma^2, of all that agree with it and are not much
+    worse: they say little that is new, and what they are off by is no noise."""
+    total, weights = np.zeros(2), 0.0
+    normal = across(best.ends_px)
+    for one in [line for line in lines if line.sigma_px <= WORSE * best.sigma_px]:
+        gap = one.ends_px[0] - best.ends_px
+        off = (gap @ across(one.ends_px)) / max(float(normal @ across(one.ends_px)), 0.1)
+        if np.abs(off).max() <= AGREE_SIGMAS * np.hypot(one.sigma_px, best.sigma_px):
+            total += off / one.sigma_px**2
+            weights += 1.0 / one.sigma_px**2
+    moved = total / weights
+    return replace(best, ends_px=shifted(best.ends_px, float(moved[0]), float(moved[1])))
 
 
 def first_lines(region: Region) -> list[Line]:
