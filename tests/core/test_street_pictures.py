@@ -17,7 +17,7 @@ from semviz_core.sources.street.street import Street
 from semviz_core.sources.street.things import UP, Car, Pole, Sign
 from semviz_core.sources.street.trajectory import camera_axes
 from semviz_core.sources.street.view import View
-from semviz_core.sources.street.visibility import visible_elements
+from semviz_core.sources.street.visibility import paint_ranks, visible_elements
 
 
 @pytest.fixture(scope="module")
@@ -181,8 +181,8 @@ def test_a_parked_car_hides_the_bottom_of_the_pole_behind_it(street: Street) -> 
     car = Car(car_place, 0.3, (1.0, 1.0, 1.0), True, (150.0, 30.0, 30.0))
     truth = Elements3D.from_ends([1], [pole.peak_m], [pole.bottom_m], [POLE])
     alone = replace(empty(street.layout), poles=(pole,))
-    free, _ = visible_elements(alone, truth, view)
-    hidden, _ = visible_elements(replace(alone, cars=(car,)), truth, view)
+    free, _ = visible_elements(paint_ranks(alone, view), truth, view)
+    hidden, _ = visible_elements(paint_ranks(replace(alone, cars=(car,)), view), truth, view)
     assert free.end_known.all()
     assert hidden.anchor_known.all()
     assert not hidden.end_known.any()
@@ -208,7 +208,7 @@ def test_labels_end_where_the_picture_does(street: Street) -> None:
             axis = axis[view.camera.contains(axis)]
             u, v = np.round(axis).astype(int).T
             shown = axis[changed[v, u] > 5]
-            labels, _ = visible_elements(among, street.truth_map.elements, view)
+            labels, _ = visible_elements(paint_ranks(among, view), street.truth_map.elements, view)
             assert np.linalg.norm(shown[0] - labels.anchor_px[0]) < 2.0
             assert np.linalg.norm(shown[-1] - labels.end_px[0]) < 2.0
             hidden += not labels.end_known[0]
@@ -228,8 +228,8 @@ def test_a_sign_behind_a_nearer_one_has_no_label(street: Street) -> None:
         [near.class_id, far.class_id],
     )
     both, alone = (replace(empty(street.layout), signs=one) for one in ((near, far), (far,)))
-    assert visible_elements(both, truth, view)[1].tolist() == [1]
-    assert visible_elements(alone, truth, view)[1].tolist() == [2]
+    assert visible_elements(paint_ranks(both, view), truth, view)[1].tolist() == [1]
+    assert visible_elements(paint_ranks(alone, view), truth, view)[1].tolist() == [2]
     u, v = np.round(view.project(far.middle_m)[0]).astype(int)
     only_near = furniture(replace(both, signs=(near,)), view)
     assert (furniture(both, view)[v, u] == only_near[v, u]).all()

@@ -18,6 +18,8 @@ from semviz_core.detection.region import Region
 
 Maps = NDArray[np.float32]
 STRIDE = 4
+BORDER = 114
+"""Grey of what is outside an image."""
 MASKS = 2
 """Masks have so many cells along each side of a map's cell."""
 MOST = 100

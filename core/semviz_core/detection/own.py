@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.detection.maps import Channels, regions_in
+from semviz_core.detection.maps import BORDER, Channels, regions_in
 from semviz_core.detection.region import Region
 from semviz_core.errors import SemvizError
 from semviz_core.learning.weights import read_weights, weights_file
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 TASK = "detector"
 SIDES = 32
 """The network's coarsest cells: images are filled up to multiples of so many pixels."""
-BORDER = 114
-"""Grey of what is outside an image."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from semviz_core.detection.region import Region
 from semviz_core.elements import Elements2D
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
-from semviz_core.sources.street.visibility import paint_ranks
 
 
 class RenderedTruth(NamedTuple):
@@ -26,18 +25,18 @@ class RenderedTruth(NamedTuple):
 def rendered_truth(street: Street, index: int, side: Side) -> RenderedTruth:
     """Of one image of a street."""
     elements, element_id = street.labels(index, side)
-    order, ranks = paint_ranks(street.layout, street.view(index, side))
+    order, ranks = street.painted(index, side)
     regions: list[Region] = []
     for row in range(len(elements)):
-        rows, columns = np.nonzero(order == ranks[int(element_id[row])])
+        shown = order == ranks[int(element_id[row])]
+        rows, columns = np.nonzero(shown)
         top, left = int(rows.min()), int(columns.min())
-        mask = order[top : rows.max() + 1, left : columns.max() + 1]
         regions.append(
             Region(
                 class_id=int(elements.class_id[row]),
                 score=1.0,
                 box_px=np.array([left, top, columns.max(), rows.max()], dtype=np.float64),
-                mask=mask == ranks[int(element_id[row])],
+                mask=shown[top : rows.max() + 1, left : columns.max() + 1],
                 corner_px=(left, top),
                 ends_px=_ends(elements, row),
                 ends_known=(bool(elements.anchor_known[row]), bool(elements.end_known[row])),

@@ -8,14 +8,13 @@ from semviz_core.elements import Elements2D, joined
 from semviz_core.evaluation.detection import REACH_M, Truth
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.street import Street
-from semviz_core.sources.street.visibility import paint_ranks
 
 
 def street_truth(street: Street, index: int, side: Side, reach_m: float = REACH_M) -> Truth:
     """What a careful person would label, and, as what does not count, all else that shows at
     least a pixel: what is far off, all but hidden, or hidden in the middle."""
     labelled, ids = street.labels(index, side)
-    order, ranks = paint_ranks(street.layout, street.view(index, side))
+    order, ranks = street.painted(index, side)
     seen = np.unique(order)
     others = np.array(
         [id for id, rank in ranks.items() if rank in seen and id not in ids], dtype=np.int64
@@ -26,7 +25,7 @@ def street_truth(street: Street, index: int, side: Side, reach_m: float = REACH_
     sizes = [boxes[id][1] for id in all_ids.tolist()]
     return Truth.of(
         elements,
-        distance_m=_distance_m(street, all_ids, index, side),
+        distance_m=street.distance_m(all_ids, index, side),
         size_px=np.array([size.min() for size in sizes], dtype=np.float64),
         ignored=np.arange(len(elements)) >= len(labelled),
         reach_m=reach_m,
@@ -62,10 +61,3 @@ def _remainders(street: Street, ids: IntArray, boxes: dict[int, _Box]) -> Elemen
         anchor_known=known | ~rows.is_line,
         end_known=known,
     )
-
-
-def _distance_m(street: Street, ids: IntArray, index: int, side: Side) -> FloatArray:
-    """(k,) from the camera, horizontally."""
-    mapped = street.truth_map.elements
-    offset = mapped.anchor_m[np.searchsorted(mapped.id, ids)] - street.view(index, side).center_m
-    return np.asarray(np.linalg.norm(offset[:, :2], axis=1))

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from semviz_core.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.detection.labelled import LabelledImage
+from semviz_core.detection.maps import BORDER
 from semviz_core.elements import Elements2D
 from semviz_core.learning.street_images import IGNORED, paint
 
 HEIGHT, WIDTH = 384, 352
 """A crop is as tall as images are, so that it holds whole poles."""
-BORDER = 114
-"""Grey of what is outside an image."""
 SCALES = 0.65, 1.6
 SHORTEST_PX, SMALLEST_PX = 8.0, 5.0
 """Less of a pole is not learned, nor a smaller sign."""

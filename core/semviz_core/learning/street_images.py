@@ -23,7 +23,6 @@ from semviz_core.sources.street.detector import RANGE_M
 from semviz_core.sources.street.layout import Section, StreetOptions
 from semviz_core.sources.street.street import Street
 from semviz_core.sources.street.things import SectionKind
-from semviz_core.sources.street.visibility import paint_ranks
 
 TRAINING_SEED, TUNING_SEED = 10_000, 20_000
 """Streets to learn from have seeds from the one on, those that thresholds are chosen on from the
@@ -118,7 +117,8 @@ _NAMES = ("image", "rows", "anchor", "end", "class", "anchor_known", "end_known"
 def _seen(street: Street, index: int, side: Side) -> dict[str, NDArray[Any]]:
     """What is kept of an image."""
     truth = rendered_truth(street, index, side)
-    counts = _counts(street, truth.element_id, index, side)
+    away = street.distance_m(truth.element_id, index, side)
+    counts = (away >= RANGE_M[0]) & (away <= RANGE_M[1])
     elements = truth.elements[counts]
     regions = [one for one, does in zip(truth.regions, counts.tolist(), strict=True) if does]
     rows = _ignored(street, truth.element_id[counts], index, side) * np.uint8(IGNORED)
@@ -131,17 +131,9 @@ def _seen(street: Street, index: int, side: Side) -> dict[str, NDArray[Any]]:
     return dict(zip(_NAMES, values, strict=True))
 
 
-def _counts(street: Street, element_id: NDArray[np.int64], index: int, side: Side) -> BoolArray:
-    """(m,) which elements are near enough to be found, and not too near."""
-    truth = street.truth_map.elements
-    offset = truth.anchor_m[np.searchsorted(truth.id, element_id)]
-    away = np.linalg.norm((offset - street.view(index, side).center_m)[:, :2], axis=1)
-    return np.asarray((away >= RANGE_M[0]) & (away <= RANGE_M[1]))
-
-
 def _ignored(street: Street, counting: NDArray[np.int64], index: int, side: Side) -> BoolArray:
     """(height, width) pixels of elements that do not count: far, or all but hidden."""
-    order, ranks = paint_ranks(street.layout, street.view(index, side))
+    order, ranks = street.painted(index, side)
     known = set(counting.tolist())
     return np.isin(order, [rank for id, rank in ranks.items() if id not in known])
 

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from semviz_core.arrays import ByteImage, IntArray
+from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.camera import Camera, Rig
 from semviz_core.classes import POLE
 from semviz_core.elements import Elements2D, Elements3D
@@ -17,7 +17,7 @@ from semviz_core.sources.street.layout import Layout, StreetOptions, lay_out
 from semviz_core.sources.street.painter import Painter
 from semviz_core.sources.street.trajectory import drive
 from semviz_core.sources.street.view import View
-from semviz_core.sources.street.visibility import visible_elements
+from semviz_core.sources.street.visibility import Painted, paint_ranks, visible_elements
 
 BASELINE_M = 0.54
 FRAME_RATE_HZ = 10.0
@@ -38,6 +38,7 @@ class Street:
         self._painter = Painter(self.layout, seed)
         self.truth_map = _truth_map(self.layout, self._map_frame, poses)
         self._visible = lru_cache(maxsize=256)(self._look)
+        self._painted = lru_cache(maxsize=2)(self._paint)
 
     @property
     def map_frame(self) -> MapFrame:
@@ -59,6 +60,16 @@ class Street:
         """What is truly to be seen in an image, and its ids (m,) in ``truth_map``."""
         return self._visible(index, side)
 
+    def painted(self, index: int, side: Side) -> Painted:
+        """In which order what an image shows is painted: which pixels show what."""
+        return self._painted(index, side)
+
+    def distance_m(self, ids: IntArray, index: int, side: Side) -> FloatArray:
+        """(k,) of elements of ``truth_map``, by id, from a camera, horizontally."""
+        truth = self.truth_map.elements
+        offset = truth.anchor_m[np.searchsorted(truth.id, ids)] - self.view(index, side).center_m
+        return np.asarray(np.linalg.norm(offset[:, :2], axis=1))
+
     def view(self, index: int, side: Side) -> View:
         """One of a frame's cameras at its true place."""
         if not 0 <= index < len(self._frames):
@@ -72,7 +83,11 @@ class Street:
         return View(rig.right, pose @ rig.T_right_left.inverse())
 
     def _look(self, index: int, side: Side) -> tuple[Elements2D, IntArray]:
-        return visible_elements(self.layout, self.truth_map.elements, self.view(index, side))
+        painted, view = self.painted(index, side), self.view(index, side)
+        return visible_elements(painted, self.truth_map.elements, view)
+
+    def _paint(self, index: int, side: Side) -> Painted:
+        return paint_ranks(self.layout, self.view(index, side))
 
 
 def _rig() -> Rig:

@@ -30,13 +30,23 @@ class _Seen(NamedTuple):
     end_known: bool
 
 
-def visible_elements(layout: Layout, truth: Elements3D, view: View) -> tuple[Elements2D, IntArray]:
+class Painted(NamedTuple):
+    """The order in which things were painted."""
+
+    order: NDArray[np.int32]
+    """(height, width) number of what was painted last."""
+    ranks: dict[int, int]
+    """Each element's number, by its id."""
+
+
+def visible_elements(
+    painted: Painted, truth: Elements3D, view: View
+) -> tuple[Elements2D, IntArray]:
     """What ``view`` shows of the elements (n,), and the ids (m,) of those it shows.
 
-    The order of painting is drawn into an image: an element's point is visible where nothing
-    later was painted over it.
+    An element's point is visible where nothing later was painted over it.
     """
-    order, ranks = paint_ranks(layout, view)
+    order, ranks = painted
     distance = np.linalg.norm((truth.anchor_m - view.center_m)[:, :2], axis=1)
     in_range = (distance > NEAREST_M) & (distance < FARTHEST_M)
     seen: list[_Seen] = []
@@ -52,8 +62,8 @@ def visible_elements(layout: Layout, truth: Elements3D, view: View) -> tuple[Ele
     return _elements(seen)
 
 
-def paint_ranks(layout: Layout, view: View) -> tuple[NDArray[np.int32], dict[int, int]]:
-    """(height, width) number of what was painted last, and each element's number."""
+def paint_ranks(layout: Layout, view: View) -> Painted:
+    """In which order what ``view`` shows is painted."""
     order = np.zeros((view.camera.height, view.camera.width), np.int32)
     ranks: dict[int, int] = {}
     for rank, thing in enumerate(standing_in_order(layout, view), start=1):
@@ -61,7 +71,7 @@ def paint_ranks(layout: Layout, view: View) -> tuple[NDArray[np.int32], dict[int
             fill_mask(order, polygon, rank)
         if not isinstance(thing, Car):
             ranks[thing.id] = rank
-    return order, ranks
+    return Painted(order, ranks)
 
 
 def _see_pole(pole: Elements3D, view: View, order: NDArray[np.int32], rank: int) -> _Seen | None:
