@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from semviz_core.learning.networks.edges import edge_mean
 from semviz_core.learning.networks.graph import GraphNetwork, Rows, context_norm, nearest
 
 INPUTS, NEIGHBOURS = 10, 4
@@ -70,6 +71,22 @@ def test_a_layer_is_the_average_of_a_perceptron_over_anchors_and_edges(
             hidden = functional.relu(functional.linear(both, weight, bias[0] + bias[1]))
             expected[item, i] += layer.after(hidden).mean(dim=0)
     torch.testing.assert_close(layer(features, rows), expected)
+
+
+def test_the_mean_over_edges_and_its_gradient_are_those_of_edges_one_by_one() -> None:
+    ends = torch.randn(9, 12, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    near = torch.randint(0, 9, (9, 4), generator=torch.Generator().manual_seed(4))
+    ends.requires_grad_()
+    anchor, neighbour = ends.chunk(2, dim=1)
+    one_by_one = functional.relu(anchor[:, None] + neighbour[near]).mean(dim=1)
+    torch.testing.assert_close(edge_mean(ends, near), one_by_one)
+    assert torch.autograd.gradcheck(lambda given: edge_mean(given, near), (ends,))
+
+
+def test_numbers_of_16_bits_are_summed_as_32() -> None:
+    ends = torch.randn(9, 12, generator=torch.Generator().manual_seed(5)).bfloat16()
+    near = torch.zeros(9, 4, dtype=torch.int64)
+    torch.testing.assert_close(edge_mean(ends, near), edge_mean(ends.float(), near))
 
 
 def test_the_nearest_leave_out_the_element_itself_unless_there_are_too_few() -> None:

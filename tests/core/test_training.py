@@ -20,6 +20,7 @@ from semviz_core.errors import SemvizError
 from semviz_core.learning.checkpoint import Checkpoint
 from semviz_core.learning.history import WINDOW_STEPS, read_history
 from semviz_core.learning.learner import has_bf16
+from semviz_core.learning.task import Progress
 from semviz_core.learning.training import (
     CHECKPOINT,
     HISTORY,
@@ -244,8 +245,15 @@ def test_bad_data_is_one_line(tmp_path: Path, task: ToyTask, line: str, workers:
         trained(tmp_path, task, workers=workers)
 
 
-def test_a_worker_that_dies_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step_s", [0.0, 0.1])
+def test_a_worker_that_dies_is_one_line(tmp_path: Path, step_s: float) -> None:
+    """While its batch is waited for, and in the middle of a step."""
+
     class Deadly(ToyTask):
+        def learning_rate(self, progress: Progress) -> float:
+            time.sleep(step_s if progress.samples > 180 else 0.0)
+            return super().learning_rate(progress)
+
         def make(self, number: int) -> np.ndarray:
             if number == 200:
                 os.kill(os.getpid(), signal.SIGKILL)

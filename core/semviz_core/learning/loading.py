@@ -2,7 +2,8 @@
 
 import pickle
 import signal
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from typing import Any
 
@@ -43,7 +44,8 @@ class Batches(Dataset[bytes]):
 
 
 def load(batches: Batches, steps: range, workers: int) -> Generator[Any, None, None]:
-    """Those batches, in order. Raises SemvizError where one cannot be made or a worker dies."""
+    """Those batches, in order, within ``telling_of_dead_workers``. Raises SemvizError where one
+    cannot be made."""
     loader = DataLoader(
         batches,
         batch_size=None,
@@ -54,13 +56,20 @@ def load(batches: Batches, steps: range, workers: int) -> Generator[Any, None, N
         worker_init_fn=_start_worker,
         generator=torch.Generator(),
     )
+    for content in loader:
+        batch = pickle.loads(content)
+        if isinstance(batch, SemvizError):
+            raise batch
+        yield batch
+
+
+@contextmanager
+def telling_of_dead_workers() -> Iterator[None]:
+    """Raises SemvizError where a worker dies. torch tells of it by a signal, so that its error
+    comes up wherever the process happens to be, in the middle of a step too."""
     try:
-        for content in loader:
-            batch = pickle.loads(content)
-            if isinstance(batch, SemvizError):
-                raise batch
-            yield batch
-    except RuntimeError as error:  # what torch says of a worker that was killed
+        yield
+    except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise
         raise SemvizError(

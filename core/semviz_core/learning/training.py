@@ -21,6 +21,7 @@ from semviz_core.learning.loading import (
     Batches,
     held_out_batches,
     load,
+    telling_of_dead_workers,
 )
 from semviz_core.learning.machine import describe_machine
 from semviz_core.learning.task import Progress, Task
@@ -102,7 +103,11 @@ class Training:
         """
         ending: Ending = "finished"
         in_a_row = 0
-        with _asked_to_stop() as asked, closing(self._batches()) as batches:
+        with (
+            _asked_to_stop() as asked,
+            telling_of_dead_workers(),
+            closing(self._batches()) as batches,
+        ):
             for batch in batches:
                 moment, done = self._step(batch)
                 tell(moment)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from semviz_core.learning.networks.edges import edge_mean
 from semviz_core.learning.networks.graph_numpy import CHANNELS, EPSILON, LAYERS
 
 
@@ -78,10 +79,7 @@ class _EdgeLayer(nn.Module):
         normal = context_norm(features, rows.share)
         near = nearest(normal.detach(), rows, self.neighbours)
         elements = normal.flatten(0, 1).index_select(0, rows.place)
-        anchor, neighbour = self.before(elements).chunk(2, dim=1)
-        others = neighbour.index_select(0, near.flatten())
-        edges = others.view(-1, self.neighbours, CHANNELS) + anchor[:, None]
-        change = self.after(edges.relu_().sum(dim=1) / self.neighbours)
+        change = self.after(edge_mean(self.before(elements), near))
         return features.flatten(0, 1).index_add(0, rows.place, change).view_as(features)
 
 

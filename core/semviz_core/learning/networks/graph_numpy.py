@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from semviz_core.learning.networks.edge_kernels import mean_of_edges
+
 CHANNELS = 128
 LAYERS = 12
 EPSILON = 1e-3
@@ -32,11 +34,8 @@ def graph_features(
     for layer in range(LAYERS):
         normal = _context_norm(features)
         near = _nearest(normal, neighbours)
-        anchor, neighbour = np.split(linear(f"layers.{layer}.before", normal), 2, axis=1)
-        hidden = np.zeros_like(anchor)
-        for one in near.T:
-            hidden += np.maximum(neighbour[one] + anchor, 0.0)
-        features = features + linear(f"layers.{layer}.after", hidden / np.float32(neighbours))
+        hidden = mean_of_edges(linear(f"layers.{layer}.before", normal), near)
+        features = features + linear(f"layers.{layer}.after", hidden)
     return linear("outlet", _context_norm(features))
 
 
