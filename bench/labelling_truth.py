@@ -1,0 +1,181 @@
+"""What a scripted annotator sees of a simulated street, and what counts as right."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from semviz_annotation.labels import Labels
+from semviz_core.classes import DEFAULT_CLASSES
+from semviz_core.elements import Elements2D
+from semviz_core.sources.source import Side
+from semviz_core.sources.street.street import Street
+
+SIDES: tuple[Side, Side] = ("left", "right")
+REACH_M = 40.0
+RIGHT_PX, RIGHT_M = 2.0, 0.04
+"""A mark this near to the truth, by one or the other, is right: across a pole, to a middle."""
+ALONG_PX, ALONG_M = 6.0, 0.12
+"""And along a pole, where the mark says that an end is seen and it is."""
+NEAR_PX = 12.0
+"""What is wrong but so near to an element is meant for it."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is visible in a frame: marks by element, in one image or both."""
+
+    marks: dict[int, dict[str, tuple[np.ndarray, np.ndarray]]]
+    known: dict[int, dict[str, tuple[bool, bool]]]
+    """Whether a pole's peak and bottom are to be seen."""
+    class_id: dict[int, int]
+    depth_m: dict[int, float]
+    focal_px: float
+
+    @property
+    def wanted(self) -> list[int]:
+        """What is to be labelled: near, and in both images. Class by class."""
+        both = [one for one, marks in self.marks.items() if len(marks) == len(SIDES)]
+        near = [one for one in both if self.depth_m[one] < REACH_M]
+        return sorted(near, key=lambda one: (self.class_id[one], self.depth_m[one]))
+
+    def is_right(self, element: int, side: Side, anchor: Any, end: Any) -> bool:
+        if side not in self.marks[element]:
+            return False
+        return error_px((anchor, end), self.marks[element][side]) <= self.within_px(
+            element, RIGHT_PX, RIGHT_M
+        )
+
+    def are_ends_right(self, element: int, side: Side, offered: dict[str, Any]) -> bool:
+        """Of a proposed mark that ``is_right``: those that it says are seen, and are."""
+        if offered["end"] is None:
+            return True
+        both_known = np.array([offered["anchor_known"], offered["end_known"]])
+        both_known &= self.known[element][side]
+        ends = np.array([offered["anchor"], offered["end"]])
+        gaps = np.linalg.norm(ends - self.marks[element][side], axis=1)
+        return bool((gaps[both_known] <= self.within_px(element, ALONG_PX, ALONG_M)).all())
+
+    def named(self, element: int) -> str:
+        name = DEFAULT_CLASSES[self.class_id[element]].name
+        return f"{name} {element} at {self.depth_m[element]:.0f} m"
+
+    def within_px(self, element: int, pixels: float, metres: float) -> float:
+        return max(pixels, metres * self.focal_px / self.depth_m[element])
+
+
+def truth_of(street: Street, frame: int) -> Truth:
+    pose = street.frames[frame].T_map_camera
+    assert pose is not None
+    elements = street.truth_map.elements
+    depths = pose.inverse().apply(elements.anchor_m)[:, 2]
+    seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}
+    visible = sorted(seen["left"].keys() | seen["right"].keys())
+    marks = {
+        one: {side: seen[side][one][:2] for side in SIDES if one in seen[side]} for one in visible
+    }
+    known = {
+        one: {side: seen[side][one][3] for side in SIDES if one in seen[side]} for one in visible
+    }
+    return Truth(
+        marks,
+        known,
+        {one: (seen["left"].get(one) or seen["right"][one])[2] for one in visible},
+        dict(zip(elements.id.tolist(), depths.tolist(), strict=True)),
+        float(street.rig.left.K[0, 0]),
+    )
+
+
+Seen = tuple[np.ndarray, np.ndarray, int, tuple[bool, bool]]
+
+
+def by_id(seen: Elements2D, ids: np.ndarray) -> dict[int, Seen]:
+    """Anchor, end, class, and which ends are known."""
+    known = zip(seen.anchor_known.tolist(), seen.end_known.tolist(), strict=True)
+    rows = zip(seen.anchor_px, seen.end_px, seen.class_id.tolist(), known, strict=True)
+    return dict(zip(ids.tolist(), rows, strict=True))
+
+
+def meant(offer: dict[str, Any], truth: Truth) -> int | None:
+    """The element that all marks of a proposal are right for."""
+    sides = [side for side in SIDES if side in offer]
+    for element in truth.marks:
+        if truth.class_id[element] == offer["class"] and all(
+            truth.is_right(element, side, offer[side]["anchor"], offer[side]["end"])
+            and truth.are_ends_right(element, side, offer[side])
+            for side in sides
+        ):
+            return element
+    return None
+
+
+def error_px(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> float:
+    """Of a sign's middle; across the true line at both ends of a pole, if they overlap at all."""
+    anchor, end = truth
+    if (mark[1] is None) != (not np.isfinite(end).all()):
+        return float("inf")
+    if mark[1] is None:
+        return float(np.hypot(*np.subtract(mark[0], anchor)))
+    along = end - anchor
+    gaps = np.subtract([mark[0], mark[1]], anchor)
+    shares = gaps @ along / (along @ along)
+    if shares.max() < 0.2 or shares.min() > 0.8:
+        return float("inf")
+    across = gaps @ np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    return float(np.abs(across).max())
+
+
+def flags_right(labels: Labels, street: Street) -> float:
+    """Share of the poles' ends in labels that are rightly said to be seen or not."""
+    right = []
+    for row in labels.observations.values():
+        if row.end_px is None:
+            continue
+        marks = list(by_id(*street.labels(row.frame_index, row.side)).values())
+        gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
+        if min(gaps, default=np.inf) <= RIGHT_PX:
+            known = marks[int(np.argmin(gaps))][3]
+            right += [row.anchor_known == known[0], row.end_known == known[1]]
+    return float(np.mean(right))
+
+
+def errors_px(labels: Labels, street: Street) -> list[float]:
+    """How far each label is from the nearest truth of its kind."""
+    errors = []
+    for row in labels.observations.values():
+        marks = by_id(*street.labels(row.frame_index, row.side)).values()
+        gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
+        errors.append(min(gaps, default=float("inf")))
+    return errors
+
+
+def is_about(offer: dict[str, Any], truth: Truth, element: int) -> bool:
+    """Whether a proposal lies near an element, of whatever class, in one of the images."""
+    return any(
+        error_px((offer[side]["anchor"], offer[side]["end"]), marks) < NEAR_PX
+        for side, marks in truth.marks[element].items()
+        if side in offer
+    )
+
+
+def why_wrong(offer: dict[str, Any], truth: Truth) -> str:
+    """What a proposal that is right for nothing has wrong; of an element that it may mean."""
+    about = [one for one in truth.marks if is_about(offer, truth, one)]
+    if not about:
+        return "nothing there"
+    alike = [one for one in about if truth.class_id[one] == offer["class"]]
+    if not alike:
+        return "another class"
+    sides = [side for side in SIDES if side in offer]
+    right = {
+        one: [
+            truth.is_right(one, side, offer[side]["anchor"], offer[side]["end"]) for side in sides
+        ]
+        for one in alike
+    }
+    if any(all(each) for each in right.values()):
+        one = next(one for one, each in right.items() if all(each))
+        if all(truth.are_ends_right(one, side, offer[side]) for side in sides):
+            return "another element than it was"
+        return "an end is off along it"
+    return "off in one image" if any(any(each) for each in right.values()) else "off"
