@@ -22,18 +22,23 @@ def misfit_px(views: Sequence[View], observations: Sequence[Observation]) -> flo
 
     Ends that are known in less than two views don't count. Both ends are taken as points: planes
     through poles in two views always meet, so they alone would fit anything; they count only where
-    no end is known twice. Infinite for views that cannot show one thing, whatever its depth.
+    an observation shows no end that counts. Infinite for views that cannot show one thing,
+    whatever its depth.
     """
     seen = list(zip(views, observations, strict=True))
+    ends = (
+        [(view, one, _anchor(one)) for view, one in seen if one.anchor_known],
+        [(view, one, _end(one)) for view, one in seen if one.end_px and one.end_known],
+    )
+    counted = [points for points in ends if len(points) > 1]
     errors = [
-        _point_misfit_px([view for view, _ in points], [one for _, one in points])
-        for points in (
-            [(view, _anchor(one)) for view, one in seen if one.anchor_known],
-            [(view, _end(one)) for view, one in seen if one.end_px and one.end_known],
-        )
-        if len(points) > 1
+        _point_misfit_px([view for view, _, _ in points], [end for _, _, end in points])
+        for points in counted
     ]
-    worst = max(errors) if errors else _line_misfit_px(views, observations)
+    shown = [one for points in counted for _, one, _ in points]
+    if any(one not in shown for one in observations):
+        errors.append(_line_misfit_px(views, observations))
+    worst = max(errors)
     return worst if np.isfinite(worst) else float("inf")
 
 

@@ -133,6 +133,18 @@ def test_a_hidden_bottom_does_not_hinder_pairing(session: LabelSession) -> None:
     assert draw(session, short) == first
 
 
+@pytest.mark.parametrize(("aside_px", "joins"), [(0.5, True), (20.0, False)])
+def test_a_pole_without_ends_joins_the_selected_one_only_on_its_line(
+    session: LabelSession, aside_px: float, joins: bool
+) -> None:
+    """Its ends say nothing; the selected one's are known in both images of another frame."""
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    hidden = {"anchor_known": False, "end_known": False}
+    one = pole(session, 1, "left", first, shift_px=(aside_px, 0.0), **hidden)
+    assert (draw(session, one) == first) == joins
+
+
 def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:
     """Only where it is asked for, and never where it is seen; what is far away may not be told."""
     workspace = Workspace.create_street(tmp_path / "cars", 2, range(0, 8))

@@ -148,13 +148,13 @@ export class Images {
     return hits[0] ?? null;
   }
 
-  /** The proposal that is under `point` (CSS pixels), or null. */
+  /** The proposal that is nearest to `point` (CSS pixels), of those under it; or null. */
   hitOffer(side, point) {
     const hits = (this.state.aids.ghosts ? this.state.offers : []).flatMap((offer) => {
       const found = offer[side] && paint.hitTest(this.view, offer[side], point);
       return found ? [{ offer, ...found }] : [];
     });
-    hits.sort((a, b) => a.rank - b.rank || a.distance - b.distance);
+    hits.sort((a, b) => a.distance - b.distance);
     return hits[0]?.offer ?? null;
   }
 

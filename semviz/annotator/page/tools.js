@@ -152,7 +152,7 @@ export class Tools {
     const hit = this.images.hit(side, point);
     this.images.hovered = hit;
     this.images.canvas(side).style.cursor = hit ? "grab" : "crosshair";
-    this.#point(hit ? null : this.images.hitOffer(side, point));
+    this.#point(this.images.hitOffer(side, point));
   }
 
   /** The proposal under the pointer is the one that the keys are for. */
