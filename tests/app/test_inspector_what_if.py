@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from inspecting import near, open_flat, pixels, record_street, wait_for
@@ -18,9 +18,10 @@ from semviz.recording.run import FrameRecord, Run
 from semviz.trying.again import again
 from semviz.trying.changes import KINDS, from_json
 from semviz.trying.map_changes import DropElement
+from semviz.trying.solver_changes import UseMethod
 from semviz.web.door import Door
 from semviz.web.scene import Scene
-from semviz_core.localize import Localizer
+from semviz_core.localize import Localizer, methods_at_hand
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -77,13 +78,20 @@ def url(recorded: Path) -> Iterator[str]:
         yield url
 
 
-def all_offers(run: Run, state: State) -> list[dict[str, object]]:
+def all_offers(run: Run, state: State) -> list[dict[str, Any]]:
     return [one for group in offers(run, state) for one in group["offers"]]
+
+
+def all_changes(offer: dict[str, Any]) -> list[dict[str, Any]]:
+    """What an offer can send, with its own numbers."""
+    if (choice := offer.get("choice")) is None:
+        return [offer["change"]]
+    return [offer["change"] | {choice["name"]: one["value"]} for one in choice["options"]]
 
 
 def test_what_is_offered_can_be_tried(run: Run) -> None:
     """Every offer, with its own values, in every frame, whatever is selected."""
-    seen = set()
+    seen, methods = set(), set()
     for position, record in enumerate(run.frames):
         element = int(record.localization.submap.id[0])
         for selection in (
@@ -94,10 +102,14 @@ def test_what_is_offered_can_be_tried(run: Run) -> None:
         ):
             state = replace(State(), run="first", position=position, selection=selection)
             for one in all_offers(run, state):
-                change = from_json(one["change"])
-                seen.add(type(change))
-                again(run, record, (change,))
+                for told in all_changes(one):
+                    change = from_json(told)
+                    seen.add(type(change))
+                    answer = again(run, record, (change,)).localization
+                    if isinstance(change, UseMethod):
+                        methods.add((change.method, answer.method))
     assert {KINDS["drop element"], KINDS["force pair"], KINDS["move prior"]} <= seen
+    assert {(one, one) for one in methods_at_hand()} <= methods
 
 
 def test_what_is_selected_is_offered_first(run: Run) -> None:
@@ -193,6 +205,18 @@ def test_numbers_are_typed_and_nonsense_is_refused_in_one_line(url: str, page: "
     notice = said(page, "#notice")
     wait_for(page, lambda: "crop radius -3 m: give a positive number" in notice(), "why not")
     assert bar().startswith("Trying with a submap of 30 m")
+
+
+@pytest.mark.browser
+def test_another_method_is_chosen_from_all_at_hand(url: str, page: "Page") -> None:
+    open_flat(page, url)
+    page.click("[data-tab=what-if]")
+    box = page.locator("#what-if-body select[aria-label=Method]")
+    wait_for(page, lambda: box.count() == 1, "the methods")
+    assert box.input_value() == "search"
+    box.select_option("wide")
+    bar = said(page, "#trying-text")
+    wait_for(page, lambda: bar().startswith("Trying with method wide: "), "the method")
 
 
 @pytest.mark.browser

@@ -168,7 +168,7 @@ export class WhatIf {
     const attempt = (values = {}) => this.send("try", { change: { ...wanted, ...values } });
     if (choice) {
       const options = choice.options.map(({ value, text: name }) => el("option", { value, text: name, selected: value === wanted[choice.name] ? "" : null }));
-      const box = el("select", { "aria-label": text, onchange: () => attempt({ [choice.name]: Number(box.value) }) }, ...options);
+      const box = el("select", { "aria-label": text, onchange: () => attempt({ [choice.name]: choice.options[box.selectedIndex].value }) }, ...options);
       return el("label", {}, text, box);
     }
     if (!fields) return el("button", { class: "small", text, onclick: () => attempt() });

@@ -103,9 +103,9 @@ def _solver(asked: Asked) -> Iterator[Json]:
     if asked.truth is not None:
         yield _button("From the true pose", StartAtTruth())
     own = () if asked.record.localization.match is None else matched.METHODS
-    for method in (*methods_at_hand(), *own):
-        if method != asked.method:
-            yield _button(f"Method {method}", UseMethod(method))
+    options = [{"value": one, "text": one} for one in (*methods_at_hand(), *own)]
+    choice = {"name": "method", "options": options}
+    yield {"text": "Method", "change": to_json(UseMethod(asked.method)), "choice": choice}
 
 
 def _button(text: str, change: Change) -> Json:
