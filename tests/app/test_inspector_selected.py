@@ -13,14 +13,17 @@ from inspecting import open_flat, wait_for
 from planted import TWICE, element_id, merge, planted_map, street
 from small_runs import off_by, saved, small_run, spoiled, unanswered, without_truth
 
+from semviz.inspector.mending.labelling import LabellingTools
 from semviz.inspector.selection.element_card import element_card, origins_view
 from semviz.inspector.selection.matrix import candidates_of_column, candidates_of_row
 from semviz.inspector.selection.origins import Origins
 from semviz.inspector.selection.selected import SelectedTopic, selected_view
-from semviz.inspector.server import Inspector
+from semviz.inspector.server import Inspector, InspectorSession
 from semviz.inspector.session import Selection, State
+from semviz.inspector.shelf import Shelf
 from semviz.recording.run import FrameRecord, Run
 from semviz.web.door import Door
+from semviz.web.scenes import Scenes
 from semviz.workspace import Workspace
 from semviz_annotation.edits import DeleteMany, MoveObservation
 from semviz_core.errors import SemvizError
@@ -320,11 +323,38 @@ def test_labels_of_what_is_no_longer_selected_are_not_told(workspace: Workspace)
 
     for selected_by_then in (Selection(None, 1), Selection()):
         said.clear()
-        SelectedTopic(Desk()).verbs()["selected"]({})  # type: ignore[arg-type]
+        SelectedTopic(Desk()).verbs()["origins"]({})  # type: ignore[arg-type]
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and thread.name == "origins":
                 thread.join()
-        assert said == (["selected", "origins"] if selected_by_then.element else ["selected"])
+        assert said == (["origins"] if selected_by_then.element else [])
+
+
+def test_the_card_comes_with_whatever_changes_it_and_once(tmp_path: Path) -> None:
+    said: list[Json] = []
+    scenes = Scenes()
+    try:
+        shelf = Shelf([saved(small_run(), tmp_path / "plain.rrd")])
+        session = InspectorSession("one", shelf, LabellingTools(), scenes, said.append)
+        session.receive({"verb": "open", "run": None, "theme": "dark"})
+
+        def cards(message: Json) -> list[Json]:
+            said.clear()
+            session.receive(message)
+            return [one["selected"] for one in said if one["type"] == "selected"]
+
+        (card,) = cards({"verb": "select", "observed": 0})
+        assert card["observed"] == 0
+        assert cards({"verb": "look", "view": "above"}) == []
+        (there,) = cards({"verb": "go", "position": 1})
+        assert there["element"] == card["element"]
+        assert there["place"] != card["place"]
+        assert cards({"verb": "select"}) == [None]
+        said.clear()
+        session.connected()  # a page that is back knows nothing
+        assert [one["selected"] for one in said if one["type"] == "selected"] == [None]
+    finally:
+        scenes.close_all()
 
 
 @pytest.mark.browser

@@ -11,14 +11,15 @@ export class SelectedCard {
   constructor(page) {
     this.page = page;
     this.shown = null; // what the server said of the selection
-    this.asked = ""; // for what it was asked
+    this.origins = null;
+    this.isNew = false; // not asked for its labels yet
     const parts = ["selected-head", "selected-actions", "selected-rest"];
     byId("selected-body").replaceChildren(...parts.map((id) => el("span", { id })));
   }
 
   showRun(run) {
     this.run = run;
-    this.asked = "";
+    this.origins = null;
   }
 
   showTheme() {
@@ -26,27 +27,13 @@ export class SelectedCard {
   }
 
   showTabs() {
-    this.ask();
-  }
-
-  showState(state) {
-    this.state = state;
-    this.ask();
-  }
-
-  /** Only while it is seen, and once for each selection. */
-  ask() {
-    if (this.page.right.shown !== "selected" || !this.page.frame) return;
-    const { observed, element } = this.state;
-    const wanted = `${this.page.frame.position} ${observed} ${element}`;
-    if (wanted === this.asked) return;
-    this.asked = wanted;
-    this.page.socket.send({ verb: "selected" });
+    this.fill();
   }
 
   showSelected(selected) {
+    if (selected?.element !== this.shown?.element) this.origins = null;
     this.shown = selected;
-    this.origins = null;
+    this.isNew = true;
     this.fill();
   }
 
@@ -56,10 +43,19 @@ export class SelectedCard {
     byId("selected-origins")?.replaceChildren(...this.originParts());
   }
 
+  /** Only while it is seen. */
   fill() {
+    if (this.page.right.shown !== "selected") return;
+    this.askForOrigins();
     byId("selected-actions").hidden = !this.shown;
     byId("selected-head").replaceChildren(...(this.shown ? this.headParts(this.shown) : [el("p", { class: "dim", text: HINT })]));
     byId("selected-rest").replaceChildren(...(this.shown ? this.restParts(this.shown) : []));
+  }
+
+  /** Once for what was told: a label file may take a second to read. */
+  askForOrigins() {
+    if (this.isNew && (this.shown?.element ?? null) !== null) this.page.socket.send({ verb: "origins" });
+    this.isNew = false;
   }
 
   headParts({ name, class: id, said }) {

@@ -22,17 +22,29 @@ Json = dict[str, Any]
 
 
 class SelectedTopic(Topic):
-    """Tells the page all about the selection, and then what the label file says of it."""
+    """Tells the page all about the selection, with the frame or state in which it is another; and,
+    when asked, what the label file says of it."""
+
+    _told: Selection | None = None
 
     def verbs(self) -> Verbs:
-        return {"selected": self._tell}
+        return {"origins": self._origins}
 
-    def _tell(self, _: Message) -> None:
-        run, state = self.desk.run, self.desk.state
-        self.desk.say("selected", selected_view(run, state))
-        element = state.selection.element
+    def on_frame(self) -> None:
+        self._tell()
+
+    def on_state(self) -> None:
+        if self.desk.state.selection != self._told:
+            self._tell()
+
+    def _tell(self) -> None:
+        self._told = self.desk.state.selection
+        self.desk.say("selected", selected_view(self.desk.run, self.desk.state))
+
+    def _origins(self, _: Message) -> None:
+        element = self.desk.state.selection.element
         if element is not None:
-            ask = (run, self.desk.kept(Origins), element)
+            ask = (self.desk.run, self.desk.kept(Origins), element)
             work = threading.Thread(
                 target=self._tell_origins, args=ask, name="origins", daemon=True
             )
