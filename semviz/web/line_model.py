@@ -16,10 +16,12 @@ Json = dict[str, Any]
 
 
 def line_model(segments: FloatArray, light: FloatArray) -> bytes:
-    """glTF 2.0 (GLB) of segments (k, 2, 3), k > 0, a pixel wide.
+    """glTF 2.0 (GLB) of segments (k, 2, 3), a pixel wide; empty where there are none.
 
     ``light`` (k, 3) or (3,) are their colours as ``scene_light`` gives them.
     """
+    if not len(segments):
+        return b""
     corners = np.empty((len(segments), 2, 2, 3), dtype="<f4")
     corners[:, :, 0], corners[:, :, 1] = segments, np.reshape(light, (-1, 1, 3))
     tiles = _tiles(segments)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 import numpy as np
 
 from semviz.web.colors import rgb, scene_rgb
-from semviz.web.line_model import line_model
 from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.pose import Pose
 
@@ -21,13 +20,12 @@ if TYPE_CHECKING:
     Held = dict[str, viser.SceneNodeHandle]
 
 Anchor = Literal["bottom-center", "center-left", "center-right"]
-NOT_MOVED = Pose.identity()
 MIDDLE = np.zeros(3)
 PointShape = Literal["square", "diamond", "circle", "sparkle"]
 
 
-class Place(TypedDict):
-    """Of a node, as viser's functions take it."""
+class Place(TypedDict, total=False):
+    """Of a node, as viser's functions take it; empty for one that stays."""
 
     wxyz: FloatArray
     position: FloatArray
@@ -48,6 +46,12 @@ class Nodes:
         yield drawing
         for path in set(held) - drawing.paths:
             held.pop(path).remove()
+
+    def hide(self, name: str) -> None:
+        """What was drawn under ``name`` stays, ready to be seen again; nothing where there is
+        nothing."""
+        for node in self._drawn.get(name, {}).values():
+            node.visible = False
 
     def clear(self, name: str) -> None:
         """Removes what was drawn under ``name``; nothing where there is nothing."""
@@ -77,13 +81,13 @@ class Drawing:
         segments: FloatArray,
         color: str,
         width_px: float,
-        T_map_local: Pose = NOT_MOVED,
+        T_map_local: Pose | None = None,
     ) -> None:
         """Segments (k, 2, 3), ``width_px`` wide on the screen; nothing where there are none."""
         if not len(segments):
             return
         points, colors = segments.astype(np.float32), np.array(scene_rgb(color), dtype=np.uint8)
-        place = _place(T_map_local)
+        place: Place = {} if T_map_local is None else _place(T_map_local)
         self._put(
             part,
             lambda path: self._api.add_line_segments(
@@ -96,23 +100,15 @@ class Drawing:
         )
 
     def hairlines(
-        self,
-        part: str,
-        segments: FloatArray,
-        light: FloatArray,
-        middle_m: FloatArray = MIDDLE,
-        scale: float = 1.0,
+        self, part: str, model: bytes, middle_m: FloatArray = MIDDLE, scale: float = 1.0
     ) -> None:
-        """Segments (k, 2, 3) around ``middle_m``, a pixel wide: for what is many and stays.
-
-        ``light`` is their colour (3,), or that of each (k, 3), as ``scene_light`` gives it.
+        """A ``line_model`` around ``middle_m``, a pixel wide: for what is many and stays.
 
         Where the processor draws, it takes 24 us for each of the wide lines and 5 us for these. A
         change of place or scale is quick; other segments are read anew a picture or two later.
         """
-        if not len(segments):
+        if not model:
             return
-        model = line_model(segments, light)
         self._put(
             part,
             lambda path: self._api.add_glb(
@@ -218,7 +214,14 @@ class Drawing:
             ),
         )
 
-    def image(self, part: str, T_map_camera: Pose, corners: FloatArray, image: ByteImage) -> None:
+    def image(
+        self,
+        part: str,
+        T_map_camera: Pose,
+        corners: FloatArray,
+        image: ByteImage,
+        visible: bool,
+    ) -> None:
         """``image`` between corners (4, 3), clockwise from the top left one."""
         place = {**_place(T_map_camera), "position": corners.mean(axis=0)}
         self._put(
@@ -232,9 +235,11 @@ class Drawing:
                 jpeg_quality=85,
                 cast_shadow=False,
                 receive_shadow=False,
+                visible=visible,
                 **place,
             ),
             image=image,
+            visible=visible,
             **place,
         )
 
@@ -259,14 +264,17 @@ class Drawing:
     def _put(
         self, part: str, make: "Callable[[str], viser.SceneNodeHandle]", **changing: Any
     ) -> None:
-        """Makes a node, or gives the one that is there what is ``changing``."""
+        """Makes a node, or gives the one that is there what is ``changing``: no object that it has
+        already, as viser would encode an image again."""
         path = self._path(part)
         self.paths.add(path)
         if path not in self._held:
             self._held[path] = make(path)
             return
+        node = self._held[path]
         for name, value in changing.items():
-            setattr(self._held[path], name, value)
+            if getattr(node, name) is not value:
+                setattr(node, name, value)
 
 
 def _place(T_map_local: Pose) -> Place:

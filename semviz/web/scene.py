@@ -7,12 +7,14 @@ that stays legible from afar and whose colour comes out exact. What is faint and
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from semviz.web import shapes
 from semviz.web.colors import PALETTES, Palette, Theme, mix, scene_light
+from semviz.web.line_model import line_model
 from semviz.web.nodes import Anchor, Nodes, PointShape
 from semviz_core.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.camera import Camera
@@ -73,6 +75,7 @@ class Scene:
     def __init__(self, server: "viser.ViserServer", theme: Theme = "dark") -> None:
         self.server = server
         self._nodes = Nodes(server.scene)
+        self.hide = self._nodes.hide
         self.clear = self._nodes.clear
         self.clear_under = self._nodes.clear_under
         self.set_theme(theme)
@@ -122,8 +125,7 @@ class Scene:
         middle = np.array([*(np.round(around_m[:2] / GRID_M) * GRID_M), around_m[2]])
         middle[2] -= CAMERA_HEIGHT_M
         with self._nodes.drawing("/grid") as drawing:
-            segments = shapes.grid_segments(120.0, GRID_M)
-            drawing.hairlines("", segments, scene_light(self.palette.grid), middle)
+            drawing.hairlines("", _grid(self.palette.grid), middle)
 
     def draw_road(self, trajectory_m: FloatArray) -> None:
         """The road under camera centres (k, 3)."""
@@ -163,7 +165,8 @@ class Scene:
                 if look.width_px > HAIRLINE_PX:
                     drawing.lines(str(number), segments, look.color, look.width_px)
                 else:
-                    drawing.hairlines(f"thin-{number}", segments, scene_light(look.color))
+                    model = line_model(segments, scene_light(look.color))
+                    drawing.hairlines(f"thin-{number}", model)
 
     def draw_far(
         self, name: str, elements: Elements3D, looks: Sequence[ElementLook], look_of: IntArray
@@ -171,7 +174,7 @@ class Scene:
         """One hairline for each element, however many; ``look_of`` as in ``draw_elements``."""
         light = np.array([scene_light(look.color) for look in looks])
         with self._nodes.drawing(name) as drawing:
-            drawing.hairlines("", shapes.strokes(elements), light[look_of])
+            drawing.hairlines("", line_model(shapes.strokes(elements), light[look_of]))
 
     def draw_points(
         self,
@@ -224,13 +227,12 @@ class Scene:
         segments = np.stack([points_m[:-1], points_m[1:]], axis=1)
         whole = segments[np.isfinite(segments).all(axis=(1, 2))]
         with self._nodes.drawing(name) as drawing:
-            drawing.hairlines("", whole, scene_light(color))
+            drawing.hairlines("", line_model(whole, scene_light(color)))
 
     def draw_circle(self, name: str, center_m: FloatArray, radius_m: float, color: str) -> None:
         """A dashed level circle, such as the uncertainty of a prior, a pixel wide."""
-        ring = shapes.circle_segments(np.zeros(3), 1.0)
         with self._nodes.drawing(name) as drawing:
-            drawing.hairlines("", ring[::2], scene_light(color), center_m, radius_m)
+            drawing.hairlines("", _dashed_circle(color), center_m, radius_m)
 
     def draw_camera(
         self,
@@ -238,28 +240,37 @@ class Scene:
         T_map_camera: Pose,
         camera: Camera,
         look: PoseLook,
-        image: ByteImage | None = None,
+        fill: bool = True,
     ) -> None:
-        """A frustum, with ``image`` on its far plane where given."""
+        """A frustum; ``fill`` is off where something else is on its far plane."""
         color = str(getattr(self.palette, look.role))
         segments = shapes.frustum_segments(camera, FRUSTUM_DEPTH_M)
         cut = segments if look.dash_m is None else shapes.dashed(segments, *look.dash_m)
         corners = shapes.frustum_corners(T_map_camera, camera, FRUSTUM_DEPTH_M)
         with self._nodes.drawing(name) as drawing:
             drawing.lines("lines", cut, color, look.width_px, T_map_camera)
-            if image is not None:
-                drawing.image("image", T_map_camera, corners, image)
-            elif look.fill:
+            if fill and look.fill:
                 faces = np.array([[0, 1, 2], [0, 2, 3]])
                 drawing.mesh("fill", corners, faces, color, opacity=look.fill)
 
-    def draw_backdrop(
-        self, name: str, T_map_camera: Pose, camera: Camera, image: ByteImage
+    def draw_image(
+        self,
+        name: str,
+        T_map_camera: Pose,
+        camera: Camera,
+        depth_m: float,
+        image: ByteImage,
+        visible: bool = True,
     ) -> None:
-        """``image`` behind everything that the camera sees: for looking through the camera."""
-        corners = shapes.frustum_corners(T_map_camera, camera, BACKDROP_DEPTH_M)
+        """``image`` as the camera has it at a depth, such as ``FRUSTUM_DEPTH_M``; or
+        ``BACKDROP_DEPTH_M``, behind everything that the camera sees.
+
+        Browsers take two pictures longer to show another image than to place what is there: have
+        it there beforehand, not ``visible``.
+        """
+        corners = shapes.frustum_corners(T_map_camera, camera, depth_m)
         with self._nodes.drawing(name) as drawing:
-            drawing.image("", T_map_camera, corners, image)
+            drawing.image("", T_map_camera, corners, image, visible)
 
     def draw_label(
         self, name: str, text: str, position_m: FloatArray, anchor: Anchor = "bottom-center"
@@ -267,6 +278,17 @@ class Scene:
         """Text at a point, which is its ``anchor``. Keep them under 100: each costs a draw call."""
         with self._nodes.drawing(name) as drawing:
             drawing.label("", text, position_m, anchor)
+
+
+@lru_cache(maxsize=4)
+def _grid(color: str) -> bytes:
+    return line_model(shapes.grid_segments(120.0, GRID_M), scene_light(color))
+
+
+@lru_cache(maxsize=4)
+def _dashed_circle(color: str) -> bytes:
+    """Of radius 1."""
+    return line_model(shapes.circle_segments(np.zeros(3), 1.0)[::2], scene_light(color))
 
 
 def class_rows(class_id: IntArray, classes: ClassSet) -> IntArray:

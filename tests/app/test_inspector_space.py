@@ -16,18 +16,20 @@ from small_runs import ambiguous, small_run, spoiled, unanswered
 
 from semviz.inspector.scene import map_layer
 from semviz.inspector.scene.coloring import legend, levels
+from semviz.inspector.scene.photos import PHOTOS
 from semviz.inspector.scene.scene_view import SceneView
 from semviz.inspector.scene.space import SpaceTopic
 from semviz.inspector.scene.trajectories import mark_places
 from semviz.inspector.scene.usage import Usage, usage_of
 from semviz.inspector.server import Inspector
-from semviz.inspector.session import MapColors, State
+from semviz.inspector.session import MapColors, State, View
 from semviz.palette import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
 from semviz.recording.run import Run
 from semviz.recording.writer import RunWriter
 from semviz.web.colors import PALETTES, rgb
 from semviz.web.door import Door
-from semviz.web.picking import Offer, apart, pick
+from semviz.web.picking import BEFORE_EYE_M, Offer, apart, pick
+from semviz.web.scene import BACKDROP_DEPTH_M, FRUSTUM_DEPTH_M
 from semviz.web.scenes import Scenes
 from semviz.web.shapes import ellipsoids
 from semviz_core.elements import joined
@@ -83,6 +85,22 @@ def test_click_beside_everything_or_behind_the_eye_means_nothing() -> None:
     assert pick({"element": pole}, eye, np.array([1.0, 0.0, 0.0]), REACH_RAD) == ("element", 7)
     assert pick({"element": pole}, eye, np.array([1.0, 0.1, 0.0]), REACH_RAD) is None
     assert pick({"element": pole}, eye, np.array([-1.0, 0.0, 0.0]), REACH_RAD) is None
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_nothing_that_a_click_may_mean_is_left_out_beforehand(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.normal(scale=10.0, size=(200, 3))
+    high = low + rng.normal(scale=rng.choice([0.0, 0.1, 5.0], (200, 1)), size=(200, 3))
+    offer = Offer(np.arange(200), low, high)
+    origin, direction = rng.normal(scale=5.0, size=3), rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    reach_rad = rng.uniform(0.0, 0.3)
+    apart_m, depth_m = apart(offer, origin, direction)
+    meant = (depth_m > BEFORE_EYE_M) & (apart_m <= reach_rad * depth_m)
+    near = offer.near(origin, direction, reach_rad)
+    assert set(np.flatnonzero(meant)) <= set(near)
+    assert len(near) < 200 or meant.all()
 
 
 def test_nearer_of_two_things_under_the_pointer_is_meant_whatever_its_kind() -> None:
@@ -218,6 +236,77 @@ def test_next_frame_sends_nothing_of_the_map(
     made = [name for kind, name, _ in messages if kind in ("LineSegmentsMessage", "GlbMessage")]
     assert not [name for name in made if not name.startswith(("/pairs", "/submap"))]
     assert sum(size for *_, size in messages) < 60_000
+
+
+def photographed(run: Run) -> Run:
+    """With photos of one grey each, by position: 0, 40, 80 ..."""
+    import cv2
+
+    def photo(position: int) -> bytes:
+        camera = run.frames[position].localization.camera
+        image = np.full((camera.height, camera.width, 3), 40 * position, dtype=np.uint8)
+        return cv2.imencode(".jpg", image)[1].tobytes()
+
+    frames = (replace(one, image=photo(row)) for row, one in enumerate(run.frames))
+    return replace(run, frames=tuple(frames))
+
+
+def shown_photos(view: SceneView) -> list[tuple[int, int, np.ndarray]]:
+    """Of each photo that is seen: its position, by its grey, width in pixels, and where it is."""
+    nodes = view._scene._nodes._drawn
+    handles = [one for name in nodes if name.startswith(PHOTOS) for one in nodes[name].values()]
+    assert len(handles) <= 3
+    photos = (cast(Any, one) for one in handles if one.visible)
+    return [(round(one.image.mean() / 40), one.image.shape[1], one.position) for one in photos]
+
+
+def test_photo_of_the_frame_is_seen_and_no_other_wherever_one_goes(
+    sent: tuple[SceneView, list[tuple[str, str, int]]],
+) -> None:
+    view, _ = sent
+    run, rng = photographed(small_run()), np.random.default_rng(0)
+    run = spoiled(run, {14: lambda one: replace(one, image=None)})
+    view.show_run(run, State(run="first"))
+    looks: tuple[View, ...] = ("behind", "camera", "above")
+    for _ in range(60):
+        position, look = int(rng.integers(len(run.frames))), looks[rng.integers(3)]
+        state = State(run="first", position=position, view=look)
+        view.show_frame(run, state)
+        if rng.random() < 0.7:
+            view.expect_photos(state)
+        seen = shown_photos(view)
+        if position == 2:
+            assert not seen
+            continue
+        ((number, width, place),) = seen
+        one = run.frames[position].localization
+        assert one.T_camera_map is not None
+        through = look == "camera"
+        assert number == position
+        assert width == pytest.approx(one.camera.width / (1 if through else 2), abs=1)
+        depth_m = BACKDROP_DEPTH_M if through else FRUSTUM_DEPTH_M
+        assert one.T_camera_map.apply(place)[2] == pytest.approx(depth_m)
+
+
+def test_step_to_an_expected_frame_makes_and_sends_no_photo(
+    sent: tuple[SceneView, list[tuple[str, str, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import cv2
+
+    view, messages = sent
+    run, state = photographed(small_run()), State(run="first", position=2)
+    view.show_run(run, state)
+    for position in (3, 4, 3):
+        view.expect_photos(state)
+        messages.clear()
+        state = replace(state, position=position)
+        with monkeypatch.context() as patched:
+            patched.delattr(cv2, "imencode")
+            view.show_frame(run, state)
+        assert [size for _, name, size in messages if name.startswith(PHOTOS)]
+        assert not [size for _, name, size in messages if name.startswith(PHOTOS) and size]
+    view.show_frame(run, replace(state, position=0))
+    assert [size for _, name, size in messages if name.startswith(PHOTOS) and size]
 
 
 def test_every_element_is_a_stroke_and_the_nearest_have_glyphs(

@@ -7,8 +7,7 @@ from semviz.palette import residual_level
 from semviz.recording.run import FrameRecord
 from semviz.web.colors import mix
 from semviz.web.scene import ALTERNATIVE, ESTIMATE, TRUTH, Scene
-from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.errors import SemvizError
+from semviz_core.arrays import FloatArray
 from semviz_core.localization import Localization
 from semviz_core.pose import Pose
 
@@ -22,25 +21,13 @@ BESIDE_M = 2.0
 FACING_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def draw_poses(scene: Scene, record: FrameRecord, image: bytes | None, state: State) -> None:
-    """The cameras, one of them with the frame's image, as JPEG or PNG.
-
-    From the camera itself its image is all there is; frusta would be in the way.
-    """
-    camera = record.localization.camera
-    if state.view == "camera":
-        for name in POSES:
-            scene.clear(name)
-        if image is not None:
-            scene.draw_backdrop("/backdrop", vehicle(record), camera, _decoded(image))
-        return
-    scene.clear("/backdrop")
-    shown = _poses(record, state)
-    small = None if image is None else _decoded(image, half=True)
-    framed = "/estimate" if "/estimate" in shown else "/truth"
+def draw_poses(scene: Scene, record: FrameRecord, has_photo: bool, state: State) -> None:
+    """The cameras; from the camera itself frusta would be in the way."""
+    shown = {} if state.view == "camera" else _poses(record, state)
     for name, look in POSES.items():
         if name in shown:
-            scene.draw_camera(name, shown[name], camera, look, small if name == framed else None)
+            camera = record.localization.camera
+            scene.draw_camera(name, shown[name], camera, look, fill=not has_photo)
         else:
             scene.clear(name)
 
@@ -95,9 +82,14 @@ def estimate(localization: Localization) -> Pose | None:
     return None if pose is None else pose.inverse()
 
 
+def photographer(record: FrameRecord) -> Pose | None:
+    """The camera that has the photo: the estimate, else the truth."""
+    return estimate(record.localization) or record.frame.T_map_camera
+
+
 def vehicle(record: FrameRecord) -> Pose:
-    """Where the viewer goes: the estimate, else the truth, else the prior facing along x."""
-    pose = estimate(record.localization) or record.frame.T_map_camera
+    """Where the viewer goes: the photographer, else the prior facing along x."""
+    pose = photographer(record)
     return Pose(FACING_X, record.localization.prior.position_m) if pose is None else pose
 
 
@@ -115,16 +107,3 @@ def _middles(localization: Localization) -> FloatArray:
     submap = localization.submap
     poles = (submap.anchor_m + submap.end_m) / 2
     return np.where(submap.is_line[:, None], poles, submap.anchor_m)
-
-
-def _decoded(encoded: bytes, half: bool = False) -> ByteImage:
-    """A frustum shows its image small: half the size is enough there, and quicker."""
-    import cv2
-
-    image = cv2.imdecode(
-        np.frombuffer(encoded, dtype=np.uint8),
-        cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_COLOR,
-    )
-    if image is None:
-        raise SemvizError("the image of this frame is broken; localize again")
-    return np.asarray(image[:, :, ::-1], dtype=np.uint8)

@@ -12,13 +12,13 @@ from semviz.inspector.scene.ellipsoids import ELLIPSOIDS, draw_ellipsoids
 from semviz.inspector.scene.forecast_band import FORECAST, draw_forecast
 from semviz.inspector.scene.hypothesis import Hypothesis, draw_hypothesis
 from semviz.inspector.scene.map_layer import MapLayer
+from semviz.inspector.scene.photos import Photos
 from semviz.inspector.scene.poses import draw_pairs, draw_poses, label_poses, vehicle
 from semviz.inspector.scene.surroundings import draw_prior, route
 from semviz.inspector.scene.trajectories import WAYS, draw_ways, offer_frames
 from semviz.inspector.scene.tried import draw_tried
 from semviz.inspector.scene.usage import Usage, usage_of
 from semviz.inspector.session import State, View
-from semviz.recording.pictures import picture
 from semviz.recording.run import FrameRecord, Run
 from semviz.web import viewpoint
 from semviz.web.picking import Picker
@@ -43,6 +43,7 @@ class SceneView:
     """
 
     _map: MapLayer
+    _photos: Photos
     _usage: Usage
     _coloring: Coloring
 
@@ -66,6 +67,7 @@ class SceneView:
         with self._scene.in_one_piece():
             self._scene.set_theme(state.theme)
             self._map = MapLayer(self._scene, self._picker, run.semantic_map, self._route)
+            self._photos = Photos(self._scene, run, self._path_of(state.run))
             self._recolor(run, state)
             offer_frames(self._picker, run)
         self._shown = None
@@ -78,12 +80,16 @@ class SceneView:
             self._draw_around(run, record, state)
             self._draw_map(record, state)
             draw_prior(self._scene, run, record, state.view)
-            image = picture(run, self._path_of(state.run), state.position, "left")
-            draw_poses(self._scene, record, image, state)
+            has_photo = self._photos.show(state.position, state.view)
+            draw_poses(self._scene, record, has_photo, state)
             label_poses(self._scene, record, state)
             draw_pairs(self._scene, record.localization)
             self._select(run, state)
             self._follow(record, state)
+
+    def expect_photos(self, state: State) -> None:
+        """Those of the frames beside the state's, so that a step to one of them is quick."""
+        self._photos.expect(state.position)
 
     def select(self, run: Run, state: State) -> None:
         """The ring around the selected element."""

@@ -1,16 +1,21 @@
 """The 3D pane's own verbs: colours of the map, ellipsoids, and viewpoints of a person's own."""
 
+import threading
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from semviz.inspector.scene.ellipsoids import MAGNIFIED
+from semviz.inspector.session import State
 from semviz.inspector.topic import Topic, Verbs
 from semviz.web.sessions import Message
 from semviz.web.viewpoint import Viewpoint
 from semviz_core.arrays import FloatArray, float_array
 from semviz_core.errors import SemvizError
+
+DRAWN_S = 0.05
+"""So long the browser is left to draw a frame before it gets what the next one needs."""
 
 
 class SpaceTopic(Topic):
@@ -24,6 +29,18 @@ class SpaceTopic(Topic):
 
     def on_theme(self) -> None:
         self._tell_legend()
+
+    def on_drawn(self) -> None:
+        ahead = threading.Timer(DRAWN_S, self._expect, args=(self.desk.state,))
+        ahead.daemon = True
+        ahead.start()
+
+    def _expect(self, drawn: State) -> None:
+        """In a thread of its own."""
+        desk = self.desk
+        with desk.lock:
+            if (desk.state.run, desk.state.position) == (drawn.run, drawn.position):
+                desk.scene.expect_photos(desk.state)
 
     def _colors(self, message: Message) -> None:
         """What is not told stays."""
