@@ -4,6 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from semviz.annotator import views
 from semviz.annotator.bottoms import Bottoms
@@ -72,6 +73,7 @@ class LabelSession:
         self._panes = Panes(cameras)
         self._places = Places(cameras)
         self.looker = Looker(self.images, cameras, self.classes)
+        self._snap = lru_cache(maxsize=8)(self.looker.snap)  # what is shown is then saved
         self._hand = Hand(cameras, self._panes, self._places)
         self._proposing = Proposing(cameras, self._panes, self._places, self.looker, detected)
         self._bottoms = Bottoms(cameras, self._panes, self._places, self.looker, self._proposing)
@@ -333,7 +335,7 @@ class LabelSession:
 
     def _on_edges(self, drawing: Drawing, frame_index: int) -> Drawing:
         pane = self._panes.pane(frame_index, drawing.side)
-        found = self.looker.snap(pane, drawing.mark, drawing.class_id)
+        found = self._snap(pane, drawing.mark, drawing.class_id)
         mark = None if found is None else inside(found.mark, camera_of(self.rig, pane.side)[0])
         if mark is None:
             return drawing

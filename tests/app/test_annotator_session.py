@@ -9,8 +9,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from semviz.annotator import looker
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
+from semviz_annotation.assist.snap import snap
 from semviz_annotation.labels import new_id
 from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.storing.backup import backup_labels, restore_labels
@@ -174,6 +176,27 @@ def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:
     said = session.labels.observations[new["observation_id"]]
     assert said.end_known, "whoever says what is seen is believed"
     session.close()
+
+
+def test_what_is_shown_and_then_saved_is_looked_for_once(
+    session: LabelSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[object] = []
+
+    def noted(shot: Any, mark: Any, element_class: Any) -> Any:
+        looks.append(mark)
+        return snap(shot, mark, element_class)
+
+    monkeypatch.setattr(looker, "snap", noted)
+    edit = pole(session, 0, "left", snap=True)
+    anchor, end = tuple(edit["anchor_px"]), tuple(edit["end_px"])
+    for _ in range(2):
+        session.look(Look(0, drawing=Drawing("left", POLE, anchor, end, snap=True)))
+    draw(session, edit)
+    assert len(looks) == 1
+    draw(session, pole(session, 0, "left", snap=True, shift_px=(60.0, 0.0)))
+    draw(session, pole(session, 0, "right", snap=True, anchor_px=anchor, end_px=end))
+    assert len(looks) == 3
 
 
 def test_ghosts_lie_where_the_element_is_in_other_frames(session: LabelSession) -> None:
