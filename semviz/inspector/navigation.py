@@ -32,7 +32,7 @@ class Navigation(Topic):
         self.desk.tell_frame()
 
     def _draw(self, _: Message) -> None:
-        """Asked for once the page has the frame, and not for frames that it rushes through."""
+        """Asked for once the page shows the frame, and not for frames that it rushes through."""
         self.desk.draw_frame()
 
     def _select(self, message: Message) -> None:

@@ -129,7 +129,6 @@ class Page {
       this.go(this.wanted); // keys were faster than the server
     } else {
       this.wanted = frame.position;
-      if (this.stepping) this.socket.send({ verb: "draw" }); // its picture in 3D, which comes later, is made meanwhile
     }
     this.each("showFrame", frame);
     this.showState(state);
@@ -148,6 +147,7 @@ class Page {
     if (this.image.frame !== this.frame) return; // its picture is still to come
     performance.measure("frame switch", { start: this.stepping, end: performance.now() });
     this.stepping = undefined;
+    this.socket.send({ verb: "draw" }); // the 3D pane follows: asked for before, it is no sooner there
     if (this.playing) setTimeout(() => this.playing && this.step(1), 60);
   }
 

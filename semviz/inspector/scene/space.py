@@ -14,8 +14,8 @@ from semviz.web.viewpoint import Viewpoint
 from semviz_core.arrays import FloatArray, float_array
 from semviz_core.errors import SemvizError
 
-DRAWN_S = 0.05
-"""So long the browser is left to draw a frame before it gets what the next one needs."""
+SENT_S = 0.02
+"""So long is waited until a frame is on its way: what the next one needs must not delay it."""
 
 
 class SpaceTopic(Topic):
@@ -31,7 +31,7 @@ class SpaceTopic(Topic):
         self._tell_legend()
 
     def on_drawn(self) -> None:
-        ahead = threading.Timer(DRAWN_S, self._expect, args=(self.desk.state,))
+        ahead = threading.Timer(SENT_S, self._expect, args=(self.desk.state,))
         ahead.daemon = True
         ahead.start()
 
