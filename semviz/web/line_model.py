@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 
 TILE_M = 300.0
 """What lies in the same tile is one object: none out of sight is drawn."""
@@ -22,37 +22,39 @@ def line_model(segments: FloatArray, light: FloatArray) -> bytes:
     """
     if not len(segments):
         return b""
+    order, starts = _tiles(segments)
     corners = np.empty((len(segments), 2, 2, 3), dtype="<f4")
-    corners[:, :, 0], corners[:, :, 1] = segments, np.reshape(light, (-1, 1, 3))
-    tiles = _tiles(segments)
-    data = np.concatenate([corners[rows] for rows in tiles]).tobytes()
-    text = json.dumps(_described([corners[rows, :, 0] for rows in tiles], len(data))).encode()
+    corners[:, :, 0] = segments[order]
+    corners[:, :, 1] = np.broadcast_to(light, (len(segments), 3))[order, None]
+    text = json.dumps(_described(corners[:, :, 0], starts, corners.nbytes)).encode()
     text += b" " * (-len(text) % 4)
-    parts = _chunk(b"JSON", text) + _chunk(b"BIN\0", data)
+    parts = _chunk(b"JSON", text) + _chunk(b"BIN\0", corners.tobytes())
     return struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts
 
 
-def _tiles(segments: FloatArray) -> list[FloatArray]:
-    """Rows of the segments in each tile that has some."""
-    tile = np.floor(segments.mean(axis=1)[:, :2] / TILE_M)
-    number = np.unique(tile, axis=0, return_inverse=True)[1].ravel()
+def _tiles(segments: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows of the segments, tile by tile, and where among them each tile starts."""
+    tile = np.floor((segments[:, 0, :2] + segments[:, 1, :2]) / (2 * TILE_M)).astype(np.int64)
+    east, north = (tile - tile.min(axis=0)).T
+    number = east * (north.max() + 1) + north
     order = np.argsort(number, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    return order, np.flatnonzero(np.diff(number[order], prepend=-1))
 
 
-def _described(tiles: list[FloatArray], size: int) -> Json:
-    """What the data is: in each tile points (k, 2, 3), with a colour after each."""
-    ends = np.cumsum([one.shape[0] * 2 for one in tiles])
+def _described(points: FloatArray, starts: IntArray, size: int) -> Json:
+    """What the data is: in each tile some of the points (k, 2, 3), with a colour after each."""
+    counts = 2 * np.diff(starts, append=len(points))
+    lows = np.minimum.reduceat(np.minimum(points[:, 0], points[:, 1]), starts)
+    highs = np.maximum.reduceat(np.maximum(points[:, 0], points[:, 1]), starts)
     view = {"buffer": 0, "byteLength": size, "byteStride": 24}
     accessors: list[Json] = []
-    for points, end in zip(tiles, ends.tolist(), strict=True):
-        count = points.shape[0] * 2
+    for start, count, low, high in zip(
+        (48 * starts).tolist(), counts.tolist(), lows.tolist(), highs.tolist(), strict=True
+    ):
         kind = {"bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3"}
-        start = 24 * (end - count)
-        low, high = points.min(axis=(0, 1)).tolist(), points.max(axis=(0, 1)).tolist()
         accessors += [{**kind, "byteOffset": start, "min": low, "max": high}]
         accessors += [{**kind, "byteOffset": start + 12}]
-    numbers = range(len(tiles))
+    numbers = range(len(starts))
     lines = [{"POSITION": 2 * tile, "COLOR_0": 2 * tile + 1} for tile in numbers]
     return {
         "asset": {"version": "2.0"},
