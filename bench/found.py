@@ -5,23 +5,30 @@
 
 The detector that ships looks at both images of some frames; what it finds is paired, settled on the
 edges, its partner is looked for, and each offer gets its score: as the page does it. An offer is
-right where all its marks are within 2 px of one element of its class, across a pole; where a pole
-ends is not judged.
+right where all its marks are within 2 px of one element of its class, across a pole, and the ends
+of a pole that it says are seen, and are, within 6 px. What is more than 60 m ahead is left out: the
+page is never sure of it, and what stands there the street does not tell.
+
+The score is fitted with the ends as known that the weights of ``found end`` leave; so where those
+change, fit twice.
 """
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from assist import Picture, fitted, picture, print_shares
 
+from semviz.annotator.ghosts import REACH_M
 from semviz_annotation.assist.pairs import stereo_pairs
-from semviz_annotation.assist.settle import Found, Settled, settle
+from semviz_annotation.assist.score import probability
+from semviz_annotation.assist.settle import END, Found, Settled, settle
 from semviz_annotation.assist.shot import SURE, Mark
 from semviz_annotation.detections import as_proposals
 from semviz_annotation.proposals import Proposal
+from semviz_core.arrays import BoolArray, FloatArray
 from semviz_core.classes import DEFAULT_CLASSES
 from semviz_core.detection.detector import Detector
 from semviz_core.detection.models import load_detector
@@ -31,7 +38,15 @@ from semviz_core.sources.street.street import Street
 SIDES: tuple[Side, Side] = ("left", "right")
 TUNING, HELD_OUT = 20_000, 30_000
 FRAMES = (3, 17, 31, 45)
-RIGHT_PX = 2.0
+RIGHT_PX, ALONG_PX = 2.0, 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """An end of a pole that the detector says is seen, and is."""
+
+    evidence: FloatArray
+    is_right: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +59,7 @@ class Offered:
     is_right: bool
     is_there: bool
     """Whether there is such a thing at all, perhaps not so exactly there."""
+    ends: tuple[End, ...]
 
 
 def offered(seeds: range, detector: Detector) -> Iterator[Offered]:
@@ -66,36 +82,63 @@ def _in_frame(street: Street, index: int, detector: Detector) -> Iterator[Offere
     things = [[found["left"][n], found["right"][m]] for n, m in pairs]
     things += [[one] for side in SIDES for one in found[side] if one.id not in paired]
     for thing in things:
-        yield _judged(thing, both)
+        yield from _judged(thing, both)
 
 
-def _judged(thing: list[Proposal], both: dict[Side, Picture]) -> Offered:
-    seen = [Found(both[one.side].shot, mark_of(one), one.score) for one in thing]
+def _judged(thing: list[Proposal], both: dict[Side, Picture]) -> Iterator[Offered]:
+    """Nothing of what is too far away."""
+    seen = [
+        Found(both[one.side].shot, mark_of(one), one.score, one.sigma_along_px) for one in thing
+    ]
     others = [side for side in SIDES if side not in {one.side for one in thing}]
     class_id = thing[0].class_id
     other = both[others[0]].shot if others else None
     settled = settle(seen, other, DEFAULT_CLASSES[class_id])
+    if (settled.depth_m or 0.0) > REACH_M:
+        return
     sides = [*(one.side for one in thing), *others]
     shown = [both[side] for side in sides[: len(settled.marks)]]
-    own_score = max(one.score for one in thing)
-    is_right, is_there = (
-        any(
-            all(
-                _fits(mark, one, element, class_id, wide)
-                for mark, one in zip(settled.marks, shown, strict=True)
-            )
-            for element in shown[0].marks
-        )
+    meant, roughly = (
+        [one for one in shown[0].marks if _fits(settled.marks, shown, one, class_id, wide)]
         for wide in (1.0, 5.0)
     )
-    return Offered(settled, own_score, is_right, is_there)
+    ends = () if not meant else tuple(_ends(settled, [one.marks[meant[0]] for one in shown]))
+    is_right = bool(meant) and all(
+        _end_is_right(settled.marks, [one.marks[meant[0]] for one in shown], which)
+        for which in range(2)
+    )
+    yield Offered(settled, max(one.score for one in thing), is_right, bool(roughly), ends)
 
 
-def _fits(mark: Mark, shown: Picture, element: int, class_id: int, wide: float) -> bool:
-    truth = shown.marks.get(element)
-    if truth is None or shown.classes[element] != class_id:
-        return False
-    return max(mark.gap_px(truth), truth.gap_px(mark)) <= wide * RIGHT_PX
+def _fits(
+    marks: Sequence[Mark], shown: Sequence[Picture], element: int, class_id: int, wide: float
+) -> bool:
+    """Whether an element of a class is at marks, one in each image."""
+    for mark, one in zip(marks, shown, strict=True):
+        truth = one.marks.get(element)
+        if truth is None or one.classes[element] != class_id:
+            return False
+        if max(mark.gap_px(truth), truth.gap_px(mark)) > wide * RIGHT_PX:
+            return False
+    return True
+
+
+def _ends(settled: Settled, truths: Sequence[Mark]) -> Iterator[End]:
+    for which, evidence in settled.ends.items():
+        if all((one.anchor_known, one.end_known)[which] for one in truths):
+            yield End(evidence, _end_is_right(settled.said, truths, which))
+
+
+def _end_is_right(marks: Sequence[Mark], truths: Sequence[Mark], which: int) -> bool:
+    """Where a mark says that an end is seen, and it is."""
+    for mark, truth in zip(marks, truths, strict=True):
+        known = (
+            one.end_px is not None and (one.anchor_known, one.end_known)[which]
+            for one in (mark, truth)
+        )
+        if all(known) and np.linalg.norm(mark.ends_px[which] - truth.ends_px[which]) > ALONG_PX:
+            return False
+    return True
 
 
 def mark_of(one: Proposal) -> Mark:
@@ -121,12 +164,32 @@ def print_figures(offers: list[Offered]) -> None:
             print_shares(np.array(said), np.array([one.is_right for one in rows]))
 
 
+def print_ends(offers: list[Offered]) -> None:
+    ends = [end for one in offers for end in one.ends]
+    said = np.array([probability("found end", one.evidence) for one in ends])
+    right = np.array([one.is_right for one in ends])
+    sure = said >= END
+    print(
+        f"\nends that the detector sees, and are seen: {len(ends)}, {right.mean():.1%} within "
+        f"{ALONG_PX:g} px; {sure.mean():.1%} are taken for seen, {right[sure].mean():.1%} of those"
+    )
+    print_shares(said, right)
+
+
 def print_fit(offers: list[Offered]) -> None:
     for what in sorted({one.settled.what for one in offers}):
         rows = [one for one in offers if one.settled.what == what]
-        X = np.array([[1.0, *one.settled.evidence] for one in rows])
-        y = np.array([one.is_right for one in rows], dtype=float)
-        print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in fitted(X, y))}),  # {len(rows)}')
+        evidence = np.array([one.settled.evidence for one in rows])
+        print_weights(what, evidence, np.array([one.is_right for one in rows]))
+    ends = [end for one in offers for end in one.ends]
+    evidence = np.array([one.evidence for one in ends])
+    print_weights("found end", evidence, np.array([one.is_right for one in ends]))
+
+
+def print_weights(what: str, evidence: FloatArray, right: BoolArray) -> None:
+    X = np.column_stack([np.ones(len(evidence)), evidence])
+    weights = fitted(X, right.astype(np.float64))
+    print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in weights)}),  # {len(right)}')
 
 
 def main() -> None:
@@ -142,6 +205,7 @@ def main() -> None:
         print_fit(offers)
     print(f"rendered streets, seeds {seeds[0]} to {seeds[-1]}, frames {FRAMES}")
     print_figures(offers)
+    print_ends(offers)
 
 
 if __name__ == "__main__":

@@ -331,4 +331,4 @@ def told(offer: dict[str, Any]) -> str:
         for side in SIDES
         if side in offer
     )
-    return f"{offer['origin']}, class {offer['class']}, score {offer['score']:.2f}: {marks}"
+    return f"{offer['origin']}, class {offer['class']}, score {offer['score'] or 0.0:.2f}: {marks}"

@@ -1,7 +1,7 @@
 """What a detector found, thing by thing, as offers: one key accepts it in both images."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,27 +52,28 @@ def finds_in(panes: Mapping[Side, Pane], detected: Proposals, cameras: Cameras) 
     return (*finds, *(Find((one,)) for one in seen[1] if one.id not in partners))
 
 
-def offers_of(finds: Iterable[Find], panes: Mapping[Side, Pane], labels: Labels) -> list[Offer]:
+def offers_of(
+    finds: Iterable[Find], panes: Mapping[Side, Pane], labels: Labels, refused: Set[str]
+) -> list[Offer]:
     """Finds that no label has spent, before anybody has looked.
 
-    A find in one image is offered in the other too, where the images show its partner.
+    A find in one image is offered in the other too, where the images show its partner. Those whose
+    element ids are among ``refused`` were turned down in another frame.
     """
     finds = list(finds)
-    labelled = _labelled([one for find in finds for one in find.proposals], panes, labels)
+    spent = labelled([one for find in finds for one in find.proposals], labels)
     return [
-        offer
+        replace(offer, refused=find.element_id in refused)
         for find in finds
-        if not any(one.id in labelled for one in find.proposals)
+        if not any(one.id in spent for one in find.proposals)
         for offer in _offers(find, panes.values(), find.is_turned_down(labels))
     ]
 
 
-def _labelled(
-    proposals: Sequence[Proposal], panes: Mapping[Side, Pane], labels: Labels
-) -> set[str]:
+def labelled(proposals: Sequence[Proposal], labels: Labels) -> set[str]:
     """Ids of those that were accepted, or where something of their kind is labelled anyhow."""
     found = {one.id for one in proposals if one.id in labels.observations}
-    for pane in panes.values():
+    for pane in {Pane(one.frame_index, one.side) for one in proposals}:
         here = [one for one in proposals if pane == Pane(one.frame_index, one.side)]
         rows = labels.in_frame(pane.frame_index, pane.side)
         ends, others = both_ends_px(map(mark_of, here)), both_ends_px(map(Mark.of, rows))
@@ -86,7 +87,9 @@ def _offers(find: Find, panes: Iterable[Pane], turned_down: bool) -> Sequence[Of
     seen = {Pane(one.frame_index, one.side): one for one in find.proposals}
     others = [pane for pane in panes if pane not in seen]
     class_id = find.proposals[0].class_id
-    found = tuple(Detected(pane, mark_of(one), one.score) for pane, one in seen.items())
+    found = tuple(
+        Detected(pane, mark_of(one), one.score, one.sigma_along_px) for pane, one in seen.items()
+    )
     question = Settle(class_id, found, others[0] if others else None)
 
     def offer(pane: Pane, name: str, mark: Mark | None) -> Offer:

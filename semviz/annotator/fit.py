@@ -18,11 +18,12 @@ from semviz_core.evaluation.image_errors import across_px
 
 
 def misfit_px(views: Sequence[View], observations: Sequence[Observation]) -> float:
-    """How badly observations fit one thing: reprojection error (rms) of the worse end.
+    """How badly the last of some observations fits one thing with the others, px.
 
-    Ends that are known in less than two views don't count. Both ends are taken as points: planes
-    through poles in two views always meet, so they alone would fit anything; they count only where
-    an observation shows no end that counts. Infinite for views that cannot show one thing,
+    Reprojection error (rms) of the worse end; ends that are known in less than two views don't
+    count. Both are taken as points, for planes through poles in two views always meet. With more
+    views, or where an observation has no end that counts, the last one's error across the line
+    counts too: many good views must not hide it. Infinite for views that cannot show one thing,
     whatever its depth.
     """
     seen = list(zip(views, observations, strict=True))
@@ -36,7 +37,8 @@ def misfit_px(views: Sequence[View], observations: Sequence[Observation]) -> flo
         for points in counted
     ]
     shown = [one for points in counted for _, one, _ in points]
-    if any(one not in shown for one in observations):
+    is_line = observations[0].end_px is not None
+    if is_line and (len(seen) > 2 or any(one not in shown for one in observations)):
         errors.append(_line_misfit_px(views, observations))
     worst = max(errors)
     return worst if np.isfinite(worst) else float("inf")
@@ -93,20 +95,22 @@ def _point_misfit_px(views: Sequence[View], points: Sequence[Observation]) -> fl
 
 
 def _line_misfit_px(views: Sequence[View], poles: Sequence[Observation]) -> float:
-    """Across the line; at infinity that is the mean of the planes through the observed lines."""
+    """Of the last, across the line; at infinity that is the mean of the planes through them all."""
     place = triangulate(views, poles, min_angle_rad=0.0)
-    if not isinstance(place, Failed):
-        return place.rms_px
+    if isinstance(place, Failed):
+        line = _line_at_infinity(views, poles)
+    else:
+        line = np.column_stack([np.stack([place.anchor_m, place.end_m]), np.ones(2)])
+    return _rms(across_px(seen_at(views[-1], line), _pixels(poles[-1])))
+
+
+def _line_at_infinity(views: Sequence[View], poles: Sequence[Observation]) -> FloatArray:
+    """(2, 4) homogeneous."""
     rays = np.array([view.rays(_pixels(one)) for view, one in zip(views, poles, strict=True)])
     normal = np.cross(rays[:, 0], rays[:, 1]).sum(axis=0)
     normal /= max(float(np.linalg.norm(normal)), 1e-12)
-    on_line = rays - (rays @ normal)[..., None] * normal
-    directions = np.concatenate([on_line, np.zeros_like(on_line[..., :1])], axis=-1)
-    errors = [
-        across_px(seen_at(view, pair), _pixels(one))
-        for view, pair, one in zip(views, directions, poles, strict=True)
-    ]
-    return _rms(np.concatenate(errors))
+    on_line = rays[-1] - (rays[-1] @ normal)[:, None] * normal
+    return np.concatenate([on_line, np.zeros((2, 1))], axis=1)
 
 
 def _rms(errors: FloatArray) -> float:

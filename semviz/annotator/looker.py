@@ -81,17 +81,27 @@ class Looker:
             found = follow(sights, question.element, one)
             return {each.there: Answer(best) for each, best in zip(sought, found, strict=True)}
         if isinstance(question, Settle):
-            seen = [Found(self._shot(each.pane), each.mark, each.score) for each in question.found]
-            other = None if question.other is None else self._shot(question.other)
-            panes = (*(each.pane for each in question.found), question.other)
-            settled = settle(seen, other, one).proposed
-            return {pane: Answer(each) for pane, each in zip(panes, settled, strict=False) if pane}
+            return self._settled(question)
         there = self._shot(question.there)
         here = self._shot(question.here)
         partners = find_partner(here, there, question.mark, one, question.element)
         if partners is None:
             return {}
         return {question.there: Answer(partners.best, partners.runner_up)}
+
+    def _settled(self, question: Settle) -> dict[Pane, Answer]:
+        seen = [
+            Found(self._shot(each.pane), each.mark, each.score, each.sigma_along_px)
+            for each in question.found
+        ]
+        other = None if question.other is None else self._shot(question.other)
+        panes = (*(each.pane for each in question.found), question.other)
+        settled = settle(seen, other, self._classes[question.class_id])
+        return {
+            pane: Answer(each, depth_m=settled.depth_m)
+            for pane, each in zip(panes, settled.proposed, strict=False)
+            if pane
+        }
 
     def _shot(self, pane: Pane) -> Shot:
         shot = self._shots.get(pane)

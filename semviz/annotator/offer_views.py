@@ -8,7 +8,7 @@ from semviz.annotator.hand import Drawing
 from semviz.annotator.offers import Offer, inside
 from semviz.annotator.panes import Pane
 from semviz.annotator.views import Json, element_json
-from semviz_annotation.assist.shot import SURE, Mark
+from semviz_annotation.assist.shot import Mark
 from semviz_annotation.labels import Labels
 from semviz_annotation.view import camera_of
 from semviz_core.camera import Rig
@@ -35,16 +35,18 @@ def offers_json(
             continue
         entry = found.setdefault(one.element_id, _offered_json(one, labels, classes))
         entry[shown_as[one.pane]] = _offer_json(one, mark)
+        entry["sure"] = one.sure and entry.get("sure", True)
     for entry in found.values():
         scores = [entry[side]["score"] for side in shown_as.values() if side in entry]
         entry["score"] = None if None in scores else min(scores)
-        entry["sure"] = entry["score"] is not None and entry["score"] >= SURE
     return sorted(found.values(), key=lambda one: (one["sure"], one["depth_m"] or 0.0))
 
 
 def _offered_json(offer: Offer, labels: Labels, classes: ClassSet) -> Json:
     """What is offered, without its marks."""
-    entry: Json = {"id": offer.element_id, "origin": offer.origin, "depth_m": offer.depth_m}
+    depth_m = offer.depth_m if np.isfinite(offer.depth_m or np.inf) else None
+    entry: Json = {"id": offer.element_id, "origin": offer.origin, "depth_m": depth_m}
+    entry["refused"] = offer.refused
     if not offer.is_detected:
         return element_json(labels.element(offer.element_id), classes) | entry
     return entry | {"name": f"new {classes[offer.class_id].name}", "class": offer.class_id}

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz.annotator.ghosts import Ghost
+from semviz.annotator.ghosts import REACH_M, Ghost
 from semviz.annotator.panes import Pane
 from semviz_annotation.assist.shot import SURE, Mark, Proposed, clipped
 from semviz_annotation.labels import Labels, proposal_id
@@ -75,6 +75,7 @@ class Detected:
     pane: Pane
     mark: Mark
     score: float
+    sigma_along_px: float | None
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,8 @@ class Answer:
 
     best: Proposed | None
     runner_up: Proposed | None = None
+    depth_m: float | None = None
+    """Of what a detector found; infinite where the images do not tell."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ class Offer:
     question: Question | None = None
     turned_down: bool = False
     """Nobody wants to see it; but what else is found in its place is turned down with it."""
+    refused: bool = False
+    """The same thing was turned down in another frame: it is shown, but never sure."""
 
     @property
     def is_detected(self) -> bool:
@@ -126,7 +131,9 @@ class Offer:
 
     @property
     def sure(self) -> bool:
-        return self.score is not None and self.score >= SURE
+        """Whether a key may take it along with the others."""
+        too_far = self.is_detected and (self.depth_m or 0.0) > REACH_M
+        return self.score is not None and self.score >= SURE and not (too_far or self.refused)
 
     def answered(self, answer: Answer) -> "Offer":
         """With what the images say. What is expected stays where it was not found, unsure."""
@@ -137,6 +144,7 @@ class Offer:
             mark=answer.best.mark,
             score=answer.best.score,
             runner_up=answer.runner_up,
+            depth_m=self.depth_m if answer.depth_m is None else answer.depth_m,
             question=None,
         )
 

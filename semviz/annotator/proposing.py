@@ -13,6 +13,7 @@ from semviz.annotator.nearby import Nearby, nearby_in
 from semviz.annotator.offers import Expected, Offer, Question, checked, offers_in
 from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
+from semviz.annotator.refusals import Refusals
 from semviz_annotation.labels import Labels
 from semviz_annotation.proposals import Proposals
 
@@ -52,6 +53,7 @@ class Proposing:
         self._known: dict[int, _Geometry] = {}
         """By frame, for these labels."""
         self._finds = lru_cache(KEPT_FINDS)(self._finds_in)
+        self._refusals = Refusals(cameras, self._finds)
 
     def offers(self, frame_index: int, labels: Labels) -> list[Offer]:
         """What is proposed, as far as the images have been looked at."""
@@ -132,5 +134,7 @@ class Proposing:
             for ghost in one.ghosts
         ]
         offers = offers_in(panes, expected, labels, self._place_in_time)
-        offers += offers_of(self._finds(frame_index), panes, labels)
+        finds = self._finds(frame_index)
+        refused = self._refusals.again(frame_index, finds, labels)
+        offers += offers_of(finds, panes, labels, refused)
         return _Geometry(tuple(offers), ghosts, nearby)

@@ -11,9 +11,11 @@ from annotating import SIDES, true_finds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from semviz.annotator.offers import Answer, Offer, Origin
+from semviz.annotator.panes import Pane
 from semviz.annotator.session import LabelSession
 from semviz.workspace import Workspace
-from semviz_annotation.assist.shot import Mark
+from semviz_annotation.assist.shot import Mark, Proposed
 from semviz_annotation.detections import as_proposals
 from semviz_annotation.edits import ReviewFrame
 from semviz_annotation.formats.plan import ImportLabels
@@ -261,3 +263,92 @@ def test_what_is_turned_down_does_not_come_back_as_another_find(
                 if side in other:
                     assert mark_of(other[side]).gap_px(mark_of(offer[side])) >= 6.0
     session.close()
+
+
+def turned_down(session: LabelSession, frame: int, offer: dict[str, Any], why: str) -> None:
+    """As the page turns an offer down."""
+    down = [
+        {"id": offer[side]["id"], "frame_index": frame, "side": side, "why": why}
+        for side in SIDES
+        if side in offer
+    ]
+    down = [one | {"element_id": None} for one in down]
+    session.do(new_id(), {"kind": "dismiss", "dismissals": down})
+
+
+def near(offers: list[dict[str, Any]], marks: dict[Side, Mark]) -> list[dict[str, Any]]:
+    """Those that lie at marks, in each image."""
+    return [
+        one
+        for one in offers
+        if all(
+            side in one and side in marks and mark_of(one[side]).gap_px(marks[side]) < 2.0
+            for side in SIDES
+        )
+    ]
+
+
+def test_what_is_turned_down_in_one_frame_is_not_sure_in_others(tmp_path: Path) -> None:
+    """But it is proposed; and what is only hidden in one frame is as sure as it was in others."""
+    workspace = Workspace.create_street(tmp_path / "street", 7, range(0, 3))
+    street = workspace.street
+    finds = true_finds(street, 0, SIDES).joined(true_finds(street, 2, SIDES))
+    save_proposals(finds, workspace.proposals_path)
+    session = LabelSession(workspace, "tester")
+    look(session, 0)
+    look(session, 2)
+    first, before = (surely(detector_offers(session, frame)) for frame in (0, 2))
+    offer, there = next(
+        (offer, there)
+        for offer in first
+        for element in at_mark(street, 0, "left", offer["left"])
+        if near(before, there := true_marks(street, 2, element))
+    )
+    for why, stays in (("rejected", False), ("absent", False), ("occluded", True)):
+        turned_down(session, 0, offer, why)
+        (again,) = near(detector_offers(session, 2), there)
+        assert again["sure"] == stays
+        sure = {one["id"] for one in surely(detector_offers(session, 2))}
+        assert sure >= {one["id"] for one in before} - {again["id"]}
+        session.do(new_id(), {"kind": "undo"})
+        assert surely(near(detector_offers(session, 2), there))
+    session.close()
+
+
+def surely(offers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [one for one in offers if one["sure"]]
+
+
+def at_mark(street: Street, frame: int, side: Side, shown: dict[str, Any]) -> list[int]:
+    """The elements within 2 px of a mark."""
+    _, ids = street.labels(frame, side)
+    marks = {one: true_marks(street, frame, one).get(side) for one in ids.tolist()}
+    return [one for one, mark in marks.items() if mark and mark_of(shown).gap_px(mark) < 2.0]
+
+
+def true_marks(street: Street, frame: int, element: int) -> dict[Side, Mark]:
+    """Where an element is seen."""
+    found: dict[Side, Mark] = {}
+    for side in SIDES:
+        marks, ids = street.labels(frame, side)
+        for row in np.flatnonzero(ids == element):
+            end = tuple(marks.end_px[row]) if marks.is_line[row] else None
+            found[side] = Mark(tuple(marks.anchor_px[row]), end)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("origin", "depth_m", "sure"),
+    [
+        ("detector", 50.0, True),
+        ("detector", 70.0, False),
+        ("detector", None, True),
+        ("map", 70.0, True),
+    ],
+)
+def test_what_a_detector_found_too_far_ahead_to_label_is_never_sure(
+    origin: Origin, depth_m: float | None, sure: bool
+) -> None:
+    offer = Offer("id", Pane(0, "left"), POLE, origin, "element", Mark((1.0, 2.0), (1.0, 50.0)))
+    answered = offer.answered(Answer(Proposed(Mark((1.0, 2.0), (1.0, 50.0)), 0.9), None, depth_m))
+    assert answered.sure == sure

@@ -6,19 +6,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from annotating import SIDES
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from semviz.annotator import looker
+from semviz.annotator.fit import misfit_px
+from semviz.annotator.pairing import CONSISTENT_PX
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
 from semviz_annotation.assist.snap import snap
-from semviz_annotation.labels import new_id
+from semviz_annotation.labels import Observation, new_id
 from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.storing.backup import backup_labels, restore_labels
+from semviz_annotation.view import rig_view
 from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.errors import SemvizError
 from semviz_core.pose import Pose
+from semviz_core.sources.source import Side
 
 PEAK, BOTTOM = np.array([[3.0, -1.2, 14.0]]), np.array([[3.0, 1.6, 14.0]])
 """A pole in the coordinates of frame 0's left camera."""
@@ -145,6 +150,33 @@ def test_a_pole_without_ends_joins_the_selected_one_only_on_its_line(
     hidden = {"anchor_known": False, "end_known": False}
     one = pole(session, 1, "left", first, shift_px=(aside_px, 0.0), **hidden)
     assert (draw(session, one) == first) == joins
+
+
+@pytest.mark.parametrize("frames", [3, 5])
+def test_however_many_frames_show_a_pole_another_beside_it_does_not_fit_it(
+    session: LabelSession, frames: int
+) -> None:
+    """Many that agree must not hide that the last one does not."""
+    shown: list[tuple[int, Side]] = [(frame, side) for frame in range(frames) for side in SIDES]
+    for aside_px in (0.0, 8.0):
+        shifts = [0.0] * len(shown) + [aside_px]
+        rows = [
+            seen_as(pole(session, frame, side, shift_px=(shift, 0.0)))
+            for (frame, side), shift in zip([*shown, (frames, "left")], shifts, strict=True)
+        ]
+        poses = [session.frames[one.frame_index].T_map_camera for one in rows]
+        views = [
+            rig_view(session.rig, one.side, None if pose is None else pose.inverse())
+            for one, pose in zip(rows, poses, strict=True)
+        ]
+        assert (misfit_px(views, rows) <= CONSISTENT_PX) == (aside_px == 0.0)
+
+
+def seen_as(drawn: dict[str, Any]) -> Observation:
+    return Observation(
+        "", "", drawn["frame_index"], drawn["side"], tuple(drawn["anchor_px"]),
+        tuple(drawn["end_px"]), True, True,
+    )  # fmt: skip
 
 
 def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:

@@ -1,20 +1,26 @@
 """Exactly where is what a detector found, in both images, and how likely it is there at all."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from semviz_annotation.assist.partner import Partners, find_partner
 from semviz_annotation.assist.score import probability
+from semviz_annotation.assist.seen import end_evidence
 from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import CLEAR, best_snap
 from semviz_annotation.assist.warp import end_on_line
+from semviz_annotation.labels import Observation
+from semviz_annotation.triangulate import Failed, triangulate
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
 
 _PARTNER = 0.5
 """A partner that is less likely is none."""
+END = 0.8
+"""An end of a pole that is less likely where it is said to be is not said to be seen."""
 _SAME_END_PX = 6.0
 """What two images say of an end of a pole is of one point if it differs by less, along the pole."""
 _MOST_LOGIT = 5.0
@@ -28,20 +34,41 @@ class Found:
     shot: Shot
     mark: Mark
     score: float
+    sigma_along_px: float | None = None
+    """Of a pole's known ends; None where nobody says."""
 
 
 @dataclass(frozen=True, eq=False)
 class Settled:
     """Where it is in each image, with what speaks for all of that together."""
 
-    marks: tuple[Mark, ...]
-    """In the images where it was found; then in the other, if it was looked for and is there."""
+    said: tuple[Mark, ...]
+    """In the images where it was found; then in the other, if it was looked for and is there. With
+    the ends of a pole as known that the detector says are seen."""
     what: str
     evidence: FloatArray
+    ends: Mapping[int, FloatArray]
+    """What speaks for each of those ends, peak (0) and bottom (1), being where it is said to be."""
+    depth_m: float | None
+    """Of its peak or middle, from the first image; None where only one shows it."""
+
+    @cached_property
+    def marks(self) -> tuple[Mark, ...]:
+        """As ``said``, with those ends as known that are likely where they are said to be."""
+        known = {k for k, one in self.ends.items() if probability("found end", one) >= END}
+        return tuple(
+            replace(
+                one,
+                anchor_known=one.anchor_known and (one.end_px is None or 0 in known),
+                end_known=one.end_known and 1 in known,
+            )
+            for one in self.said
+        )
 
     @property
     def score(self) -> float:
-        """Estimated probability that there is such a thing, and every mark within 2 px of it."""
+        """Estimated probability that there is such a thing, every mark within 2 px of it, and the
+        known ends of a pole within 6 px along it."""
         return probability(self.what, self.evidence)
 
     @property
@@ -58,18 +85,50 @@ def settle(found: Sequence[Found], other: Shot | None, element_class: ElementCla
     kind = "pole" if element_class.kind == "line" else "sign"
     marks, clear = zip(*(_snapped(one, element_class) for one in found), strict=True)
     scores = [_logit(one.score) for one in found]
+    shots = [one.shot for one in found]
     if len(found) == 2:
-        partners = find_partner(found[0].shot, found[1].shot, marks[0], element_class)
+        partners = find_partner(shots[0], shots[1], marks[0], element_class)
         alike = _agreement(partners, marks[1])
-        both = _agreed(found[0].shot, found[1].shot, *marks)
-        return Settled(both, f"found pair {kind}", np.array([*scores, *clear, *alike]))
-    partners = (
-        None if other is None else find_partner(found[0].shot, other, marks[0], element_class)
-    )
-    if partners is None or partners.best.score < _PARTNER:
-        return Settled(marks, f"found alone {kind}", np.array([*scores, *clear]))
-    evidence = np.array([*scores, *clear, _logit(partners.best.score)])
-    return Settled((marks[0], partners.best.mark), f"found one {kind}", evidence)
+        both = _agreed(shots[0], shots[1], *marks)
+        return _settled(found, shots, both, f"found pair {kind}", [*scores, *clear, *alike])
+    partners = None if other is None else find_partner(shots[0], other, marks[0], element_class)
+    if other is None or partners is None or partners.best.score < _PARTNER:
+        return _settled(found, shots, marks, f"found alone {kind}", [*scores, *clear])
+    both = (marks[0], partners.best.mark)
+    evidence = [*scores, *clear, _logit(partners.best.score)]
+    return _settled(found, [*shots, other], both, f"found one {kind}", evidence)
+
+
+def _settled(
+    found: Sequence[Found],
+    shots: Sequence[Shot],
+    marks: tuple[Mark, ...],
+    what: str,
+    evidence: Sequence[float],
+) -> Settled:
+    stated = [one.sigma_along_px for one in found if one.sigma_along_px is not None]
+    sigma_px = max(stated, default=None)
+    known = [
+        marks[0].end_px is not None and all(one.anchor_known for one in marks),
+        marks[0].end_px is not None and all(one.end_known for one in marks),
+    ]
+    ends = {k: end_evidence(shots, marks, k, sigma_px) for k in range(2) if known[k]}
+    depth_m = None if len(marks) < 2 else _depth_m(shots, marks)
+    return Settled(marks, what, np.array(evidence), ends, depth_m)
+
+
+def _depth_m(shots: Sequence[Shot], marks: Sequence[Mark]) -> float:
+    """From the first of two images; infinite where they do not tell."""
+    views = [one.view for one in shots]
+    rows = [
+        Observation("", "", n, "left", one.anchor_px, one.end_px, one.anchor_known, one.end_known)
+        for n, one in enumerate(marks)
+    ]
+    place = triangulate(views, rows, min_angle_rad=0.0)
+    if isinstance(place, Failed):
+        return float("inf")
+    depth = float(views[0].depth_m(place.anchor_m[None])[0])
+    return depth if depth > 0.0 else float("inf")
 
 
 def _snapped(found: Found, element_class: ElementClass) -> tuple[Mark, float]:

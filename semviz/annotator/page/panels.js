@@ -182,7 +182,10 @@ export class Panels {
 }
 
 /** Why an element that is not labelled here is listed. */
-const whence = (one) => (one.labelled_in === undefined ? `proposed, ${about(one)}` : `labelled in frame ${one.labelled_in}`);
+const whence = (one) => {
+  if (one.labelled_in !== undefined) return `labelled in frame ${one.labelled_in}`;
+  return `proposed, ${about(one)}${one.refused ? ", turned down elsewhere" : ""}`;
+};
 
 /** What there is to say of a proposal: its depth, or where it comes from. */
 const about = ({ depth_m, origin }) => (depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
