@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pages import CHROMIUM, LOOKED_MS, opened, report, scene, serving, turns, until
+from pages import CHROMIUM, LOOKED_MS, opened, report, scene, serving, turns, until, watch
 from pages import steps as image_steps
 from playwright.sync_api import Page, sync_playwright
 
@@ -85,6 +85,7 @@ def load(page: Page, url: str) -> None:
     page.goto(f"{url}?card=selected")
     page.wait_for_selector("#frame-list li")
     page.wait_for_selector("#scene.ready", timeout=60_000)
+    watch(page, True)
     page.wait_for_timeout(SETTLED_MS)
     page.evaluate(ARRIVED)
     chosen = page.evaluate("performance.timeOrigin + performance.now()")
@@ -92,6 +93,7 @@ def load(page: Page, url: str) -> None:
     page.wait_for_timeout(SETTLED_MS)
     arrived = page.evaluate("window.arrived")
     shown, _ = scene(page).evaluate("window.changes.at(-1)")
+    watch(page, False)
     print(f"{'city: run chosen to run in the page':<48} {arrived - chosen:6.0f} ms")
     print(f"{'city: run in the page to the last change in 3D':<48} {shown - arrived:6.0f} ms")
 
