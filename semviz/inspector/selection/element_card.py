@@ -1,13 +1,14 @@
 """What is known of one map element: how sure its place is, its part in the run, its labels."""
 
 from collections import defaultdict
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from semviz.inspector.selection.origins import Origin, Origins, map_row, provenance_of
 from semviz.recording.run import FrameRecord, Run
-from semviz_core.arrays import FloatArray
+from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.elements import Elements3D
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import Decision
@@ -87,20 +88,34 @@ def _meaning(run: Run, element_id: int) -> str:
 
 def _in_run(run: Run, element_id: int) -> list[tuple[str, str]]:
     """In how many frames it is paired and, where that is known, seen."""
-    paired = fits = seen = right = 0
-    for record in run.frames:
-        fine, true = record.localization.refinement, record.element_id == element_id
-        seen += bool(true.any())
-        if fine is None:
-            continue
-        mine = record.localization.submap.id[fine.pairs[:, 1]] == element_id
-        paired += bool(mine.any())
-        fits += bool(fine.inlier[mine].any())
-        right += bool(true[fine.pairs[mine, 0]].any())
-    rows = [("Paired, fits", f"{paired}, {fits} of {len(run.frames)} frames")]
-    if any((record.element_id >= 0).any() for record in run.frames):
-        rows.append(("Truly seen, paired rightly", f"{seen}, {right} of {len(run.frames)} frames"))
+    seen, pairs = _over_run(run)
+    mine = pairs[pairs[:, 1] == element_id]
+    total = f"of {len(run.frames)} frames"
+    rows = [("Paired, fits", f"{_frames(mine)}, {_frames(mine[mine[:, 2] == 1])} {total}")]
+    if (seen[:, 1] >= 0).any():
+        here, rightly = seen[seen[:, 1] == element_id], mine[mine[:, 3] == 1]
+        rows.append(("Truly seen, paired rightly", f"{_frames(here)}, {_frames(rightly)} {total}"))
     return rows
+
+
+def _frames(rows: IntArray) -> int:
+    return len(np.unique(rows[:, 0]))
+
+
+@lru_cache(maxsize=4)
+def _over_run(run: Run) -> tuple[IntArray, IntArray]:
+    """Position of the frame and true element of all that is seen (k, 2); position, element,
+    whether it fits and is true of all pairs (m, 4)."""
+    seen, pairs = [np.zeros((0, 2), np.int64)], [np.zeros((0, 4), np.int64)]
+    for position, record in enumerate(run.frames):
+        ids, fine = record.element_id, record.localization.refinement
+        seen.append(np.stack([np.full(len(ids), position), ids], axis=1))
+        if fine is not None:
+            i, j = fine.pairs.T
+            element = record.localization.submap.id[j]
+            where = np.full(len(i), position)
+            pairs.append(np.stack([where, element, fine.inlier, ids[i] == element], axis=1))
+    return np.concatenate(seen), np.concatenate(pairs)
 
 
 def _decisions(run: Run, element_id: int) -> list[Json]:

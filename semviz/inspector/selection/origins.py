@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from semviz.recording.run import Run
 from semviz.workspace import SETTINGS, Workspace
 from semviz_annotation.labels import LabelElement, Labels, Observation
 from semviz_annotation.storing.store import LabelStore, Writer
+from semviz_core.arrays import IntArray
 from semviz_core.semantic_map import Provenance, SemanticMap
 
 
@@ -96,12 +99,15 @@ def provenance_of(semantic_map: SemanticMap, element_id: int) -> Provenance | No
 
 def map_row(semantic_map: SemanticMap, element_id: int) -> int | None:
     """Row of the map's elements; None where it has no such one."""
-    return _rows(semantic_map).get(element_id)
+    ids, order = semantic_map.elements.id, _by_id(semantic_map)
+    at = np.searchsorted(ids, element_id, sorter=order)
+    return int(order[at]) if at < len(ids) and ids[order[at]] == element_id else None
 
 
 @lru_cache(maxsize=4)
-def _rows(semantic_map: SemanticMap) -> dict[int, int]:
-    return {int(id): row for row, id in enumerate(semantic_map.elements.id)}
+def _by_id(semantic_map: SemanticMap) -> IntArray:
+    order: IntArray = np.argsort(semantic_map.elements.id)
+    return order
 
 
 def workspace_of(run: Run, path: Path) -> Workspace | None:
