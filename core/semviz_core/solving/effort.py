@@ -10,6 +10,9 @@ class Effort(NamedTuple):
     """Between places; fits converge from several times as far."""
     hypotheses: int = 350
     """Most that are rated, of each view."""
+    polished: int = 0
+    """Of these, so many are polished and rated again; with several views, fewer in each as fewer
+    are started."""
     started: int = 16
     """Most that are paired and fitted once: so many of each view, or, if that is more, so many of
     all views together."""
@@ -23,6 +26,6 @@ class Effort(NamedTuple):
 
 USUAL = Effort()
 """Enough behind an ordinary GPS fix."""
-WIDE = Effort(step_m=3.0, hypotheses=1000, started=96, finished=30)
-"""Finds what there is behind a fix 50 m off, in clutter or without gravity, for twice the time;
-which of it is right is another question."""
+WIDE = Effort(step_m=3.6, hypotheses=1500, polished=800, started=64, finished=40, improved=6)
+"""Finds what there is behind a fix 50 m off, in clutter or without gravity, for less than twice the
+time; which of it is right is another question."""

@@ -1,8 +1,9 @@
 """Prior-guided upright search: from classes and a rough position to poses that explain the image.
 
 Places about the prior vote for headings (``hypotheses``); azimuths and slopes rate what they
-propose quickly (``rating``); the best distinct ones are paired one-to-one and fitted, with gates
-that narrow as they settle; what remains are the modes, best first.
+propose quickly (``rating``), with more effort a second time after a few quick steps (``polish``);
+the best distinct ones are paired one-to-one and fitted, with gates that narrow as they settle; what
+remains are the modes, best first.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ from semviz_core.solving.effort import USUAL, Effort
 from semviz_core.solving.hypotheses import upright_hypotheses
 from semviz_core.solving.least_squares import fit
 from semviz_core.solving.linear import inverse
-from semviz_core.solving.rating import rate
+from semviz_core.solving.polish import polish
+from semviz_core.solving.rating import POLISHED, VOTED, rate
 from semviz_core.solving.residuals import SURE
 from semviz_core.solving.scene import Known, Scene
 from semviz_core.solving.upright import UprightView, likely_ups, upright_view
@@ -91,7 +93,8 @@ def search(scene: Scene, prior: Prior, effort: Effort = USUAL) -> Modes:
 def _shared(effort: Effort, views: int) -> Effort:
     """What each of several views may try: their hypotheses are much the same."""
     started = max(effort.started // views, min(effort.started, USUAL.started))
-    return effort._replace(started=started)
+    polished = effort.polished * started // max(effort.started, 1)
+    return effort._replace(started=started, polished=polished)
 
 
 def mode_near(scene: Scene, prior: Prior, T_camera_map: Pose) -> Modes:
@@ -112,7 +115,14 @@ def _candidates(
     if len(poses) == 0:
         nothing = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
         return nothing, hypotheses.tried, 0
-    chosen = _distinct_best(poses, rate(scene, view, known, poses), effort)
+    tried, rated = hypotheses.tried, len(poses)
+    with_polish = effort.polished > 0
+    rating = rate(scene, view, known, poses, VOTED, with_polish)
+    if with_polish:
+        likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
+        poses = polish(scene, view, poses[likely], effort.step_m)
+        rating = rate(scene, view, known, poses, POLISHED, True)
+    chosen = _distinct_best(poses, rating, effort)
     b = len(chosen)
     candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     for row in range(b):
@@ -122,7 +132,7 @@ def _candidates(
         match, gain = associate(scene, R, t, inverse(information) + FINE)
         candidates.rotation[row], candidates.translation[row] = R, t
         candidates.worth[row] = log_likelihood(scene, known, R, t, match, gain)
-    return candidates, hypotheses.tried, len(poses)
+    return candidates, tried, rated
 
 
 @compiled
