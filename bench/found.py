@@ -88,7 +88,8 @@ def _in_frame(street: Street, index: int, detector: Detector) -> Iterator[Offere
 def _judged(thing: list[Proposal], both: dict[Side, Picture]) -> Iterator[Offered]:
     """Nothing of what is too far away."""
     seen = [
-        Found(both[one.side].shot, mark_of(one), one.score, one.sigma_along_px) for one in thing
+        Found(both[one.side].shot, mark_of(one), one.score, one.sigma_px, one.sigma_along_px)
+        for one in thing
     ]
     others = [side for side in SIDES if side not in {one.side for one in thing}]
     class_id = thing[0].class_id

@@ -66,7 +66,7 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
 
 def run(
     seed: int, folder: Path, browser: Any, detector: str, model: str | None
-) -> tuple[Work, list[float], float, str]:
+) -> tuple[Work, list[float], tuple[float, float], str]:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
         simulated_proposals(workspace, seed)
@@ -107,7 +107,9 @@ def print_causes(spent: list[Spent], labels: int) -> None:
             print(f"  {cause:48s} {times[cause]:5d} {count:7d} {count / labels:10.3f}")
 
 
-def print_street(seed: int, work: Work, errors: list[float], flags: float, said: str) -> None:
+def print_street(
+    seed: int, work: Work, errors: list[float], flags: tuple[float, float], said: str
+) -> None:
     right = [one for one in errors if one <= RIGHT_PX]
     print(
         f"street {seed}: {len(errors)} observations in {FRAMES} frames, "
@@ -118,7 +120,7 @@ def print_street(seed: int, work: Work, errors: list[float], flags: float, said:
     print(f"  keys: {dict(work.pressed)}")
     print(
         f"  the first drawings and the frames' keys alone: {work.least / len(errors):.3f}; "
-        f"ends rightly said to be seen or hidden: {flags:.1%}"
+        f"ends that are seen and are said to be: {flags[0]:.1%}, hidden ones: {flags[1]:.1%}"
     )
     print(f"  the page's own count since it was opened: {said}", flush=True)
 

@@ -125,9 +125,10 @@ def error_px(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> flo
     return float(np.abs(across).max())
 
 
-def flags_right(labels: Labels, street: Street) -> float:
-    """Share of the poles' ends in labels that are rightly said to be seen or not."""
-    right = []
+def flags_right(labels: Labels, street: Street) -> tuple[float, float]:
+    """Shares of the poles' ends in labels that are said to be seen, and hidden, of those that
+    truly are."""
+    said: dict[bool, list[bool]] = {True: [], False: []}
     for row in labels.observations.values():
         if row.end_px is None:
             continue
@@ -135,8 +136,9 @@ def flags_right(labels: Labels, street: Street) -> float:
         gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
         if min(gaps, default=np.inf) <= RIGHT_PX:
             known = marks[int(np.argmin(gaps))][3]
-            right += [row.anchor_known == known[0], row.end_known == known[1]]
-    return float(np.mean(right))
+            for told, true in zip((row.anchor_known, row.end_known), known, strict=True):
+                said[true].append(told == true)
+    return float(np.mean(said[True])), float(np.mean(said[False]))
 
 
 def errors_px(labels: Labels, street: Street) -> list[float]:

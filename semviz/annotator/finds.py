@@ -88,7 +88,8 @@ def _offers(find: Find, panes: Iterable[Pane], turned_down: bool) -> Sequence[Of
     others = [pane for pane in panes if pane not in seen]
     class_id = find.proposals[0].class_id
     found = tuple(
-        Detected(pane, mark_of(one), one.score, one.sigma_along_px) for pane, one in seen.items()
+        Detected(pane, mark_of(one), one.score, one.sigma_px, one.sigma_along_px)
+        for pane, one in seen.items()
     )
     question = Settle(class_id, found, others[0] if others else None)
 

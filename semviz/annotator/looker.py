@@ -91,7 +91,7 @@ class Looker:
 
     def _settled(self, question: Settle) -> dict[Pane, Answer]:
         seen = [
-            Found(self._shot(each.pane), each.mark, each.score, each.sigma_along_px)
+            Found(self._shot(each.pane), each.mark, each.score, each.sigma_px, each.sigma_along_px)
             for each in question.found
         ]
         other = None if question.other is None else self._shot(question.other)

@@ -4,7 +4,7 @@ Where an element should be follows from geometry at once; exactly where it is, a
 only the images tell. So an offer carries a question, which a ``Looker`` answers in its own time.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
@@ -23,6 +23,8 @@ Origin: TypeAlias = Literal["map", "partner", "detector"]
 
 DETECTED_PX = 6.0
 """A detector's find this near to something known is that thing: it marks no better."""
+_ON_LINE_PX = 1.0
+"""A pole that a detector found is surely the one that is followed if it is no further off."""
 TAKEN_PX = 1.5
 """An offer this near to a label of its class lies on a thing that has one already. Poles that stand
 one behind the other may well be a little further apart."""
@@ -75,6 +77,7 @@ class Detected:
     pane: Pane
     mark: Mark
     score: float
+    sigma_px: float
     sigma_along_px: float | None
 
 
@@ -239,7 +242,8 @@ def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
     """Answered offers, unsure where a label or another offer is in the same place.
 
     What a detector found there is left out: more is known of an element. It may know better though
-    where that is. What was turned down is left out, with all that a detector found there.
+    where that is, or see its peak. What was turned down is left out, with all that a detector
+    found there.
     """
     known = _known([one for one in offers if not one.turned_down], labels)
     down = [one for one in offers if one.turned_down]
@@ -252,6 +256,7 @@ def checked(offers: Sequence[Offer], labels: Labels) -> list[Offer]:
         meant = {n for n, other in enumerate(known) if any(_is_at(one, other) for one in thing)}
         for n in meant:
             known[n] = _joined(known[n], thing)
+        known = _seen_further(known, thing)
         taken = any(_is_labelled(one, labels, DETECTED_PX) for one in thing)
         if not (
             meant or taken or any(_is_at(one, other) for one in thing for other in [*down, *new])
@@ -280,6 +285,42 @@ def _joined(known: Offer, thing: Sequence[Offer]) -> Offer:
         if not known.sure and one.sure and one.class_id == known.class_id and _is_at(one, known):
             return replace(known, mark=one.mark, score=one.score, runner_up=None)
     return known
+
+
+def _seen_further(known: list[Offer], thing: Sequence[Offer]) -> list[Offer]:
+    """Surely followed poles, with the peaks that only a detector sees of them.
+
+    It must have found them in more than one image, and on their lines in all: in a single one poles
+    may stand one behind the other.
+    """
+    on_line = {
+        n: one
+        for n, other in enumerate(known)
+        for one in thing
+        if other.sure and one.sure and one.class_id == other.class_id
+        if one.pane == other.pane and _is_on_line(one.mark, other.mark)
+    }
+    images = Counter(known[n].element_id for n in on_line)
+    return [
+        replace(one, mark=_with_peak(one.mark, on_line[n].mark))
+        if n in on_line and images[one.element_id] == len(thing) > 1
+        else one
+        for n, one in enumerate(known)
+    ]
+
+
+def _is_on_line(one: Mark | None, other: Mark | None) -> bool:
+    return one is not None and other is not None and one.gap_px(other) <= _ON_LINE_PX
+
+
+def _with_peak(mark: Mark | None, found: Mark | None) -> Mark | None:
+    """A pole's mark with its peak, if only ``found`` knows it. Not so with bottoms: what hides one
+    often looks like its end."""
+    if mark is None or found is None or mark.end_px is None:
+        return mark
+    if found.anchor_known and not mark.anchor_known:
+        return replace(mark, anchor_px=found.anchor_px, anchor_known=True)
+    return mark
 
 
 def _is_labelled(

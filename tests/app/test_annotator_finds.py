@@ -11,7 +11,7 @@ from annotating import SIDES, true_finds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semviz.annotator.offers import Answer, Offer, Origin
+from semviz.annotator.offers import Answer, Offer, Origin, checked
 from semviz.annotator.panes import Pane
 from semviz.annotator.session import LabelSession
 from semviz.workspace import Workspace
@@ -19,7 +19,7 @@ from semviz_annotation.assist.shot import Mark, Proposed
 from semviz_annotation.detections import as_proposals
 from semviz_annotation.edits import ReviewFrame
 from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import Observation, new_id
+from semviz_annotation.labels import Labels, Observation, new_id
 from semviz_annotation.looked import Looked
 from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.street_labels import careful, label_street
@@ -352,3 +352,29 @@ def test_what_a_detector_found_too_far_ahead_to_label_is_never_sure(
     offer = Offer("id", Pane(0, "left"), POLE, origin, "element", Mark((1.0, 2.0), (1.0, 50.0)))
     answered = offer.answered(Answer(Proposed(Mark((1.0, 2.0), (1.0, 50.0)), 0.9), None, depth_m))
     assert answered.sure == sure
+
+
+@pytest.mark.parametrize(
+    ("aside_px", "score", "seen"),
+    [
+        ((0.5, 0.5), 0.9, True),
+        ((0.5, 3.0), 0.9, False),
+        ((0.5, 0.5), 0.7, False),
+        ((0.5,), 0.9, False),
+    ],
+)
+def test_a_find_adds_the_peak_that_nobody_saw_before_and_moves_nothing_else(
+    aside_px: tuple[float, ...], score: float, seen: bool
+) -> None:
+    """Where it lies on the line of what is followed in both images; in one, two may do so."""
+    followed = Mark((500.0, 130.0), (500.0, 220.0), False, False)
+    offers = [Offer(side, Pane(0, side), POLE, "map", "element", followed, 0.95) for side in SIDES]
+    for side, aside in zip(SIDES, aside_px, strict=False):
+        found = Mark((500.0 + aside, 110.0), (500.0 + aside, 223.0), True, True)
+        offers.append(Offer("new", Pane(0, side), POLE, "detector", "thing", found, score))
+    known = checked(offers, Labels())
+    for one in known:
+        peak = replace(followed, anchor_px=(500.5, 110.0), anchor_known=True)
+        assert one.mark == (peak if seen else followed)
+        assert one.element_id == "element"
+    assert len(known) == 2

@@ -21,6 +21,9 @@ _PARTNER = 0.5
 """A partner that is less likely is none."""
 END = 0.8
 """An end of a pole that is less likely where it is said to be is not said to be seen."""
+_STRAY_SIGMAS = 6.0
+"""An outline whose middle is further from the detector's is another one, such as the inner edge of
+a sign's border."""
 _SAME_END_PX = 6.0
 """What two images say of an end of a pole is of one point if it differs by less, along the pole."""
 _MOST_LOGIT = 5.0
@@ -34,6 +37,8 @@ class Found:
     shot: Shot
     mark: Mark
     score: float
+    sigma_px: float
+    """Of a sign's middle along each axis; across a pole."""
     sigma_along_px: float | None = None
     """Of a pole's known ends; None where nobody says."""
 
@@ -136,9 +141,10 @@ def _snapped(found: Found, element_class: ElementClass) -> tuple[Mark, float]:
     best = best_snap(found.shot, found.mark, element_class)
     if best is None:
         return found.mark, -_MOST_LOGIT
-    what = "snap pole" if found.mark.end_px is not None else "snap sign"
-    clear = probability(what, best.evidence)
-    return (best.snapped.mark if clear >= CLEAR else found.mark), _logit(clear)
+    is_sign = found.mark.end_px is None
+    clear = probability("snap sign" if is_sign else "snap pole", best.evidence)
+    is_other = is_sign and best.snapped.moved_px > _STRAY_SIGMAS * found.sigma_px
+    return (found.mark if is_other or clear < CLEAR else best.snapped.mark), _logit(clear)
 
 
 def _agreement(partners: Partners | None, mark: Mark) -> tuple[float, float]:
