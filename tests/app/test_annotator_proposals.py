@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from annotating import SIDES, Served, annotating, true_finds
-from journeys.driver import POLE, ROUNDED, LabelDriver, Pixel, Side
+from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 
 from semviz.workspace import Workspace
 from semviz_annotation.labels import new_id
@@ -156,6 +156,37 @@ def test_one_key_accepts_what_a_detector_found_in_both_images(
         assert "P-01" in mapped
         assert len(mapped) > len([one for one in offered if one["origin"] == "detector"])
         page.goto("about:blank")
+
+
+def test_the_proposal_nearest_to_the_pointer_is_the_one_that_keys_are_for(
+    page: "Page", workspace: Workspace
+) -> None:
+    """Also where another's handle is within reach, and where something is labelled there."""
+    pole, sign = ((620.0, 320.0), (620.0, 350.0)), (627.0, 335.0)
+    planted = [
+        Proposal(new_id(), 0, "left", POLE, *pole, True, True, 0.9, 1.0),
+        Proposal(new_id(), 0, "left", ROUNDED, sign, None, True, False, 0.9, 1.0),
+    ]
+    save_proposals(Proposals.of(planted), workspace.proposals_path)
+    with annotating(workspace) as served:
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        page.wait_for_function(
+            "() => semviz.state.offers.filter(({ score }) => score !== null).length === 2"
+        )
+        assert under_pointer(driver, (620.0, 335.0)) == POLE
+        assert under_pointer(driver, sign) == ROUNDED
+        driver.draw_sign("left", (613.0, 335.0), TRIANGULAR)
+        assert under_pointer(driver, (617.0, 335.0)) == POLE
+        page.goto("about:blank")
+
+
+def under_pointer(driver: LabelDriver, at: Pixel) -> int:
+    """The class of the proposal that the keys are for while the pointer is there."""
+    driver.page.mouse.move(*driver.view("left").screen(at))
+    driver.settle()
+    assert driver.page.evaluate("() => semviz.state.pointed !== null")
+    return int(driver.page.evaluate("() => semviz.state.currentOffer.class"))
 
 
 def test_the_jump_list_leads_to_where_the_detector_disagrees(
