@@ -5,6 +5,7 @@ import shutil
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -314,9 +315,9 @@ def test_labels_of_what_is_no_longer_selected_are_not_told(workspace: Workspace)
         def __init__(self) -> None:
             self.run = run
 
-        def kept(self, make: Any) -> Origins:
+        def kept(self, make: Any) -> Any:
             self.state = replace(self.state, selection=selected_by_then)
-            return origins
+            return SimpleNamespace(origins=origins)
 
         def say(self, kind: str, _: Any) -> None:
             said.append(kind)

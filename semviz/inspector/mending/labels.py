@@ -26,24 +26,25 @@ class Mending:
     def __init__(self, run: Run, path: Path) -> None:
         """``path`` is where the run was read from."""
         self._run = run
-        self._origins = Origins(run, path)
+        self.origins = Origins(run, path)
+        """What its elements were made of."""
         self._done: list[int] = []
         """Numbers of the operations that were done here and stand."""
 
     @property
     def workspace(self) -> Workspace:
         """SemvizError where the labels are not at hand."""
-        if self._origins.workspace is None:
+        if self.origins.workspace is None:
             where = self._run.info.workspace or "WORKSPACE"
             raise SemvizError(f"the labels are not at hand; open them: semviz annotate {where}")
-        return self._origins.workspace
+        return self.origins.workspace
 
     def view(self) -> Json:
         """How many edits of the labels the run's map does not know, and what can be undone here."""
-        workspace = self._origins.workspace
+        workspace = self.origins.workspace
         if workspace is None:
             return {"workspace": "", "edits": 0, "undoable": 0}
-        edits = max(0, self._origins.operation - self._run.semantic_map.operation)
+        edits = max(0, self.origins.operation - self._run.semantic_map.operation)
         return {"workspace": workspace.name, "edits": edits, "undoable": len(self._done)}
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
@@ -51,11 +52,11 @@ class Mending:
         ``frame`` that shows it."""
         shown = [
             (abs(row.frame_index - frame), row.frame_index, origin.element.number, origin.element)
-            for origin in self._origins.of(element_id)
+            for origin in self.origins.of(element_id)
             for row in origin.used
         ]
         if not shown:
-            raise SemvizError(self._origins.why_none(element_id))
+            raise SemvizError(self.origins.why_none(element_id))
         _, index, number, element = min(shown, key=lambda one: one[:3])
         return self.workspace.classes.element_name(element.class_id, number), index
 
@@ -79,9 +80,9 @@ class Mending:
         """UUIDs of the label elements that map elements were made of."""
         found = []
         for one in element_ids:
-            origins = self._origins.of(one)
+            origins = self.origins.of(one)
             if not origins:
-                raise SemvizError(self._origins.why_none(one))
+                raise SemvizError(self.origins.why_none(one))
             found += [origin.element.id for origin in origins]
         return tuple(found)
 

@@ -1,31 +1,25 @@
 /* Error over the run, on a log scale; a click or a drag goes to a frame. */
 
-import { Surface, cssColor, pointerAt } from "/static/canvas.js";
+import { cssColor } from "/static/canvas.js";
 import { byId, fixed } from "/static/dom.js";
 import { drawMark } from "/static/glyphs.js";
 import { drawChanges } from "./compare/error_lines.js";
+import { ClockCanvas } from "./frame_canvas.js";
 import { Clock, drawCursor, drawFrameNumbers, drawScale } from "./timeline_drawing.js";
 
 const STATUS_PX = 26; // from the bottom: status line
 const FLOOR_PX = 40; // from the bottom: foot of the bars
 const AGAINST_PX = 18; // the line of fixed and broken frames takes so much more
 
-export class Timeline {
+export class Timeline extends ClockCanvas {
   constructor(page) {
-    this.page = page;
-    this.position = 0;
+    super(page, "timeline-canvas");
     this.changed = null; // a frame of both runs, or null, for each position, where there is another run
-    const canvas = byId("timeline-canvas");
-    this.surface = new Surface(canvas, (...size) => this.draw(...size));
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.goTo(event);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (event.buttons & 1) this.goTo(event);
-      const row = this.run?.frames[this.clock?.positionAt(pointerAt(event)[0])];
-      if (row) canvas.title = `Frame ${row.index}: ${row.verdict}`;
-    });
+  }
+
+  says(position) {
+    const row = this.run?.frames[position];
+    return row ? `Frame ${row.index}: ${row.verdict}` : "";
   }
 
   showRun(run) {
@@ -40,15 +34,6 @@ export class Timeline {
 
   figures() {
     return this.run && this.surface.width ? [this.surface.figure("timeline", "Timeline")] : [];
-  }
-
-  showFrame(frame) {
-    this.pointAt(frame.position);
-  }
-
-  pointAt(position) {
-    this.position = position;
-    this.surface.redraw();
   }
 
   showState(state) {
@@ -85,16 +70,6 @@ export class Timeline {
     const shown = this.withForecast && this.forecast;
     byId("forecast-mean").textContent = shown ? `forecast ${fixed(this.forecast.meanM, 2)} m` : "";
     this.surface.redraw();
-  }
-
-  showTheme() {
-    this.surface.redraw();
-  }
-
-  goTo(event) {
-    if (!this.clock) return;
-    const position = this.clock.positionAt(pointerAt(event)[0]);
-    if (position !== this.page.wanted) this.page.go(position);
   }
 
   draw(context, width, height) {

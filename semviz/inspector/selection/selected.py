@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from semviz.inspector.mending.labels import Mending
 from semviz.inspector.selection.element_card import element_card, mapped, origins_view
 from semviz.inspector.selection.matrix import candidates_of_column, candidates_of_row
 from semviz.inspector.selection.origins import Origins, map_row
@@ -44,7 +45,7 @@ class SelectedTopic(Topic):
     def _origins(self, _: Message) -> None:
         element = self.desk.state.selection.element
         if element is not None:
-            ask = (self.desk.run, self.desk.kept(Origins), element)
+            ask = (self.desk.run, self.desk.kept(Mending).origins, element)
             work = threading.Thread(
                 target=self._tell_origins, args=ask, name="origins", daemon=True
             )

@@ -1,7 +1,8 @@
 /* The errors of A and B over the drive, as two lines on the frame clock of B, and which frames changed. */
 
-import { Surface, cssColor, pointerAt } from "/static/canvas.js";
+import { cssColor } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
+import { ClockCanvas } from "../frame_canvas.js";
 import { Clock, drawCursor, drawFrameNumbers, drawScale } from "../timeline_drawing.js";
 import { drawChange } from "./marks.js";
 
@@ -12,22 +13,15 @@ const LOOKS = {
   b: { color: "--estimate", width: 1.8, dash: [], missing: 9 },
 };
 
-export class ErrorLines {
+export class ErrorLines extends ClockCanvas {
   constructor(page) {
-    this.page = page;
-    this.position = 0;
+    super(page, "error-lines-canvas");
     this.rows = null;
-    const canvas = byId("error-lines-canvas");
-    this.surface = new Surface(canvas, (...size) => this.draw(...size));
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.goTo(event);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (event.buttons & 1) this.goTo(event);
-      const row = this.rows?.[this.clock?.positionAt(pointerAt(event)[0])];
-      canvas.title = row ? `Frame ${row.index}: ${row.change}` : "";
-    });
+  }
+
+  says(position) {
+    const row = this.rows?.[position];
+    return row ? `Frame ${row.index}: ${row.change}` : "";
   }
 
   showComparison({ frames, base, other }) {
@@ -43,25 +37,6 @@ export class ErrorLines {
 
   figures() {
     return this.surface.width && this.rows ? [this.surface.figure("errors", "Errors of A and B")] : [];
-  }
-
-  showFrame(frame) {
-    this.pointAt(frame.position);
-  }
-
-  pointAt(position) {
-    this.position = position;
-    this.surface.redraw();
-  }
-
-  showTheme() {
-    this.surface.redraw();
-  }
-
-  goTo(event) {
-    if (!this.clock) return;
-    const position = this.clock.positionAt(pointerAt(event)[0]);
-    if (position !== this.page.wanted) this.page.go(position);
   }
 
   draw(context, width, height) {

@@ -1,21 +1,20 @@
 /* The panel of the scatter: a mark opens its frame. */
 
-import { Surface, pointerAt } from "/static/canvas.js";
+import { pointerAt } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
+import { FrameCanvas } from "../frame_canvas.js";
 import { changeMark } from "./marks.js";
 import { Scatter, drawScatter } from "./scatter_drawing.js";
 
 const HIT_PX = 12;
 const NO_ERRORS = "No true poses, so no errors: fixed and broken go by the status alone.";
 
-export class ScatterPanel {
+export class ScatterPanel extends FrameCanvas {
   constructor(page) {
-    this.page = page;
+    super(page, "scatter-canvas");
     this.scatter = null;
     this.pointed = null;
-    this.position = 0;
-    const canvas = byId("scatter-canvas");
-    this.surface = new Surface(canvas, (...size) => this.draw(...size));
+    const { canvas } = this.surface;
     canvas.addEventListener("click", (event) => this.open(this.frameAt(pointerAt(event))));
     canvas.addEventListener("pointermove", (event) => this.point(this.frameAt(pointerAt(event))));
     canvas.addEventListener("pointerleave", () => this.point(null));
@@ -35,19 +34,6 @@ export class ScatterPanel {
 
   figures() {
     return this.surface.width && this.scatter?.hasErrors ? [this.surface.figure("scatter", "Error, A against B")] : [];
-  }
-
-  showFrame(frame) {
-    this.pointAt(frame.position);
-  }
-
-  pointAt(position) {
-    this.position = position;
-    this.surface.redraw();
-  }
-
-  showTheme() {
-    this.surface.redraw();
   }
 
   open(frame) {
