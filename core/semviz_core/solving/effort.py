@@ -27,5 +27,5 @@ class Effort(NamedTuple):
 USUAL = Effort()
 """Enough behind an ordinary GPS fix."""
 WIDE = Effort(step_m=3.6, hypotheses=1500, polished=800, started=64, finished=40, improved=6)
-"""Finds what there is behind a fix 50 m off, in clutter or without gravity, for less than twice the
+"""Finds what there is behind a fix 50 m off, in clutter or without gravity, for about twice the
 time; which of it is right is another question."""
