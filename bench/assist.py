@@ -24,7 +24,6 @@ from semviz_annotation.assist.partner import candidates
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.shot import SURE, Mark, Shot
 from semviz_annotation.assist.snap import CLEAR, best_snap
-from semviz_annotation.labels import Observation
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import View, rig_view
 from semviz_core.arrays import BoolArray, FloatArray
@@ -341,13 +340,8 @@ def _place(rows: list[tuple[View, Mark]]) -> Triangulated | None:
     """Of careful labels."""
     if len(rows) < 2:
         return None
-    found = triangulate([view for view, _ in rows], [_label(mark) for _, mark in rows], 0.5)
+    found = triangulate([view for view, _ in rows], [mark.at(0) for _, mark in rows], 0.5)
     return None if isinstance(found, Failed) else found
-
-
-def _label(mark: Mark) -> Observation:
-    known = (mark.anchor_known, mark.end_known)
-    return Observation("", "", 0, "left", mark.anchor_px, mark.end_px, *known)
 
 
 def _klt_px(seen: tuple[Shot, Mark], there: Shot, element: Triangulated, truth: Mark) -> float:

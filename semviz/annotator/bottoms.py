@@ -22,7 +22,7 @@ from semviz.annotator.places import Places
 from semviz.annotator.proposing import Proposing
 from semviz_annotation.assist.ground import Ground
 from semviz_annotation.assist.shot import Mark
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.labels import Labels
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 from semviz_annotation.view import other
 
@@ -113,13 +113,7 @@ class Bottoms:
 
     def _place(self, marks: dict[Pane, Mark]) -> Triangulated | None:
         views = [self._cameras.view(pane.frame_index, pane.side) for pane in marks]
-        rows = [
-            Observation(
-                "", "", pane.frame_index, pane.side, one.anchor_px, one.end_px, one.anchor_known,
-                one.end_known,
-            )
-            for pane, one in marks.items()
-        ]  # fmt: skip
+        rows = [one.at(pane.frame_index, pane.side) for pane, one in marks.items()]
         if misfit_px(views, rows) > CONSISTENT_PX:
             return None
         place = triangulate(views, rows)

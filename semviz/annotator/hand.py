@@ -119,16 +119,7 @@ class Hand:
     def observation(self, drawing: Drawing, frame_index: int) -> Observation:
         """A drawing as the observation that it would become."""
         pane = self._panes.pane(frame_index, drawing.side)
-        return Observation(
-            id="",
-            element_id="",
-            frame_index=pane.frame_index,
-            side=pane.side,
-            anchor_px=drawing.anchor_px,
-            end_px=drawing.end_px,
-            anchor_known=drawing.anchor_known,
-            end_known=drawing.end_known,
-        )
+        return drawing.mark.at(pane.frame_index, pane.side)
 
     def _shown(
         self, frame_index: int, observations: Sequence[Observation]

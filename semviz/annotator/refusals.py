@@ -10,7 +10,7 @@ from semviz.annotator.finds import Find, labelled, mark_of
 from semviz.annotator.offers import DETECTED_PX
 from semviz_annotation.assist.expect import expected_px
 from semviz_annotation.assist.shot import Mark, pixel
-from semviz_annotation.labels import Labels, Observation
+from semviz_annotation.labels import Labels
 from semviz_annotation.proposals import Proposal
 from semviz_annotation.triangulate import Failed, Triangulated, triangulate
 
@@ -85,7 +85,8 @@ class Refusals:
         if len(seen) < 2:
             return None
         views = [self._cameras.view(one.frame_index, one.side) for one in seen]
-        place = triangulate(views, [_observation(one) for one in seen], min_angle_rad=0.0)
+        rows = [mark_of(one).at(one.frame_index, one.side) for one in seen]
+        place = triangulate(views, rows, min_angle_rad=0.0)
         return None if isinstance(place, Failed) else place
 
     def _is_at(self, one: Proposal, place: Triangulated) -> bool:
@@ -105,10 +106,3 @@ def _turned_down(labels: Labels) -> dict[int, set[str]]:
         if one.element_id is None and one.why != "occluded":
             down[one.frame_index].add(one.id)
     return down
-
-
-def _observation(one: Proposal) -> Observation:
-    return Observation(
-        "", "", one.frame_index, one.side, one.anchor_px, one.end_px, one.anchor_known,
-        one.end_known,
-    )  # fmt: skip

@@ -12,7 +12,6 @@ from semviz_annotation.assist.seen import end_evidence
 from semviz_annotation.assist.shot import Mark, Proposed, Shot
 from semviz_annotation.assist.snap import CLEAR, best_snap
 from semviz_annotation.assist.warp import end_on_line
-from semviz_annotation.labels import Observation
 from semviz_annotation.triangulate import Failed, triangulate
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ElementClass
@@ -125,11 +124,7 @@ def _settled(
 def _depth_m(shots: Sequence[Shot], marks: Sequence[Mark]) -> float:
     """From the first of two images; infinite where they do not tell."""
     views = [one.view for one in shots]
-    rows = [
-        Observation("", "", n, "left", one.anchor_px, one.end_px, one.anchor_known, one.end_known)
-        for n, one in enumerate(marks)
-    ]
-    place = triangulate(views, rows, min_angle_rad=0.0)
+    place = triangulate(views, [one.at(n) for n, one in enumerate(marks)], min_angle_rad=0.0)
     if isinstance(place, Failed):
         return float("inf")
     depth = float(views[0].depth_m(place.anchor_m[None])[0])

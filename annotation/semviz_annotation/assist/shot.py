@@ -13,6 +13,7 @@ from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError
 from semviz_core.measuring.picture import Picture
+from semviz_core.sources.source import Side
 
 SURE = 0.8
 """Proposals of this score and more can be accepted by one key together."""
@@ -53,6 +54,11 @@ class Mark:
         """Of a label."""
         one = observation
         return cls(one.anchor_px, one.end_px, one.anchor_known, one.end_known)
+
+    def at(self, frame_index: int, side: Side = "left") -> Observation:
+        """As a label that has no name yet, such as to triangulate with."""
+        known = self.anchor_known, self.end_known
+        return Observation("", "", frame_index, side, self.anchor_px, self.end_px, *known)
 
     @property
     def ends_px(self) -> FloatArray:
