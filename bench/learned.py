@@ -11,6 +11,7 @@ answer is ok, and further than 1 m or 1 deg from the truth.
 """
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from time import thread_time
 from typing import Literal
@@ -21,7 +22,7 @@ import tyro
 from semviz_core.arrays import FloatArray
 from semviz_core.evaluation.answers import LocalizerMethod
 from semviz_core.evaluation.metrics import pose_error
-from semviz_core.evaluation.problems import HARD_SETS, Difficulty, Problem, make_problem
+from semviz_core.evaluation.problems import HARD_SETS, Difficulty, Problem, valid_problems
 from semviz_core.learning.drills import KittiFiles
 
 METHODS = ("search", "wide", "learned")
@@ -64,13 +65,10 @@ def main(options: Options) -> None:
         for noise in options.noise:
             level = replace(SUITES[suite], noise=noise)
             told: dict[str, list[Told]] = {name: [] for name in METHODS}
-            seed = options.first_seed
-            while len(told[METHODS[-1]]) < options.frames:
-                problem = make_problem(seed, level, roads[seed % len(roads)])
-                seed += 1
-                if problem.is_valid:
-                    for method in methods:
-                        told[method.name].append(asked(method, problem))
+            coming = valid_problems(roads, level, options.first_seed)
+            for problem in islice(coming, options.frames):
+                for method in methods:
+                    told[method.name].append(asked(method, problem))
             show(f"{suite}, {noise}", told)
             for name, answers in told.items():
                 everything[name] += answers

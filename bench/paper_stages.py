@@ -7,6 +7,7 @@ finds a pose, in how many that is within 1 m of the truth, and what weighted PnP
 """
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ import numpy as np
 import tyro
 
 from semviz_core.evaluation.metrics import pose_error
-from semviz_core.evaluation.problems import Difficulty, Problem, make_problem
+from semviz_core.evaluation.problems import Difficulty, Problem, valid_problems
 from semviz_core.learning.drills import KittiFiles
 from semviz_core.localize import Localizer
 from semviz_core.pose import Pose
@@ -53,12 +54,8 @@ def main(options: Options) -> None:
     heads = ("true pairs", "coarse", "< 1 m", "refined", "< 1 m")
     print(f"{'':<28}{'frames':>7}" + "".join(f"{one:>11}" for one in heads))
     for noise in NOISES:
-        problems: list[Problem] = []
-        seed = options.first_seed
-        while len(problems) < options.frames:
-            problem = make_problem(seed, Difficulty(noise=noise), roads[seed % len(roads)])
-            problems += [problem] if problem.is_valid else []
-            seed += 1
+        coming = valid_problems(roads, Difficulty(noise=noise), options.first_seed)
+        problems = list(islice(coming, options.frames))
         for method in METHODS:
             localizer = Localizer(method)
             told = [stages(localizer, one) for one in problems]

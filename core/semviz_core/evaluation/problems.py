@@ -6,6 +6,8 @@ stands beside a road and how it was mapped from (road, seed), what one frame see
 frame).
 """
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Literal
@@ -127,6 +129,14 @@ class Problem:
     @property
     def is_valid(self) -> bool:
         return len(self.observed) >= NEEDED_DETECTIONS
+
+
+def valid_problems(roads: Sequence[Road], level: Difficulty, seed: int) -> Iterator[Problem]:
+    """Those of seeds from ``seed`` on that are valid, without end; roads take turns."""
+    for number in itertools.count(seed):
+        problem = make_problem(number, level, roads[number % len(roads)])
+        if problem.is_valid:
+            yield problem
 
 
 def make_problem(

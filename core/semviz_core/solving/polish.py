@@ -12,7 +12,7 @@ import numpy as np
 from semviz_core.arrays import FloatArray, IntArray
 from semviz_core.compiled import compiled
 from semviz_core.solving.linear import cholesky, solve_cholesky
-from semviz_core.solving.rating import Doubt, quick_gain, toward, widest_tangent
+from semviz_core.solving.rating import Doubt, before, quick_gain, toward, widest_tangent
 from semviz_core.solving.scene import Record, RecordArray, Scene
 from semviz_core.solving.standing import HIDDEN_CHI2, standing_elements
 from semviz_core.solving.upright import UprightView
@@ -81,8 +81,7 @@ def _choose(
     """Fill ``pairs``: the best observed element of each mapped one, of these the best."""
     pairs.mapped[:], pairs.gain[:] = -1, 0.0
     for j in range(len(standing)):
-        east, north = standing[j].place_m[0] - pose[0], standing[j].place_m[1] - pose[1]
-        ahead, left = pose[3] * east + pose[4] * north, pose[3] * north - pose[4] * east
+        ahead, left = before(pose, standing[j])
         if abs(left) > widest * ahead + 1.0:
             continue
         there = toward(ahead, left, doubt)
@@ -121,7 +120,7 @@ def _add(
     east, north = mapped.place_m[0] - pose[0], mapped.place_m[1] - pose[1]
     square = east * east + north * north
     near = 1.0 / np.sqrt(square)
-    ahead, left = pose[3] * east + pose[4] * north, pose[3] * north - pose[4] * east
+    ahead, left = before(pose, mapped)
     off = (seen.azimuth[0] * left - seen.azimuth[1] * ahead) * near
     variance = PAIR_RAD**2 + (PAIR_M * near) ** 2
     _add_row(off, variance, north / square, -east / square, -1.0, information, gradient)

@@ -64,10 +64,7 @@ def rate(
         by_seen[:] = 0.0
         by_mapped = missed = 0.0
         for j in range(len(standing)):
-            east = standing[j].place_m[0] - pose[0]
-            north = standing[j].place_m[1] - pose[1]
-            ahead = pose[3] * east + pose[4] * north
-            left = pose[3] * north - pose[4] * east
+            ahead, left = before(pose, standing[j])
             if abs(left) <= widest * ahead:
                 there = toward(ahead, left, doubt)
                 largest = _best_of_mapped(
@@ -112,6 +109,13 @@ def _best_of_mapped(
         largest = max(largest, gain)
         by_seen[i] = max(by_seen[i], gain)
     return largest
+
+
+@compiled
+def before(pose: FloatArray, mapped: Record) -> tuple[float, float]:
+    """Metres ahead and to the left of a pose (5,)."""
+    east, north = mapped.place_m[0] - pose[0], mapped.place_m[1] - pose[1]
+    return pose[3] * east + pose[4] * north, pose[3] * north - pose[4] * east
 
 
 @compiled
