@@ -1,5 +1,6 @@
 """Files of weights: what comes back, and what is refused with one line."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from torch import nn
 from semviz_core.classes import DEFAULT_CLASSES, POLE, ClassSet
 from semviz_core.errors import SemvizError
 from semviz_core.learning import weights
-from semviz_core.learning.weights import Weights, read_weights
+from semviz_core.learning.weights import Weights, load_trained, read_weights
 
 NAMES = [one.name for one in DEFAULT_CLASSES]
 
@@ -69,3 +70,20 @@ def test_weights_for_something_else_are_refused(tmp_path: Path) -> None:
         read.check("paper", ClassSet((DEFAULT_CLASSES[POLE],)), path)
     with pytest.raises(SemvizError, match="weights of another version of paper"):
         read.put_into(nn.Linear(4, 2), path)
+
+
+def bias_of(read: Weights, classes: ClassSet, path: Path) -> list[float]:
+    return list(read.tensors["bias"])
+
+
+def test_what_is_made_of_weights_is_made_once_for_each_state_of_the_file(tmp_path: Path) -> None:
+    path = saved(tmp_path / "paper.safetensors", nn.Linear(3, 2))
+    made = load_trained("paper", path, DEFAULT_CLASSES, bias_of)
+    assert load_trained("paper", path, DEFAULT_CLASSES, bias_of) is made
+    network = nn.Linear(3, 2)
+    network.bias.data = torch.tensor([0.5, -2.0])
+    saved(path, network)
+    os.utime(path, ns=(0, 0))  # a clock may be too coarse to tell the two files apart
+    assert load_trained("paper", path, DEFAULT_CLASSES, bias_of) == [0.5, -2.0]
+    with pytest.raises(SemvizError, match="weights of paper; give those of bpnpnet"):
+        load_trained("bpnpnet", path, DEFAULT_CLASSES, bias_of)

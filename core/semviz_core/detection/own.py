@@ -1,7 +1,6 @@
 """Our own network as a finder: from an image to the regions that it tells."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from semviz_core.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.detection.maps import BORDER, Channels, regions_in
 from semviz_core.detection.region import Region
 from semviz_core.errors import SemvizError
-from semviz_core.learning.weights import read_weights, weights_file
+from semviz_core.learning.weights import Weights, load_trained
 
 if TYPE_CHECKING:
     from semviz_core.learning.networks.detector import DetectorNet
@@ -60,15 +59,12 @@ def load_own(path: Path | None = None, classes: ClassSet = DEFAULT_CLASSES) -> O
 
     Raises SemvizError where there are none, or they are for something else.
     """
-    return _loaded(*weights_file(TASK, path), classes)
+    return load_trained(TASK, path, classes, _built)
 
 
-@lru_cache(maxsize=4)
-def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> OwnFinder:
+def _built(weights: Weights, classes: ClassSet, path: Path) -> OwnFinder:
     from semviz_core.learning.networks.detector import DetectorNet
 
-    weights = read_weights(path)
-    weights.check(TASK, classes, path)
     network = DetectorNet(len(classes))
     weights.put_into(network, path)
     return OwnFinder.of(network, classes)

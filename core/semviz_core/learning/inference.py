@@ -1,7 +1,6 @@
 """What a trained matcher of ``models`` says of one frame, without torch."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from semviz_core.learning.models import LEAST_SQUARE, MODELS, RAY_UNITS, UNITS_M
 from semviz_core.learning.networks.graph_numpy import Float32, graph_features
 from semviz_core.learning.sample import PRIOR_LENGTH, Sample
 from semviz_core.learning.splitting import split_lines
-from semviz_core.learning.weights import Weights, other_version, read_weights, weights_file
+from semviz_core.learning.weights import Weights, load_trained, other_version
 from semviz_core.matching.uniform import uniform_transport
 
 
@@ -86,18 +85,15 @@ def load_matcher(name: str, path: Path | None, classes: ClassSet) -> Matcher:
 
     Raises SemvizError where there are none, or they are for something else.
     """
-    return _loaded(name, *weights_file(name, path), classes)
+    return load_trained(name, path, classes, _built)
 
 
-@lru_cache(maxsize=8)
-def _loaded(name: str, path: Path, changed_ns: int, classes: ClassSet) -> Matcher:
-    weights = read_weights(path)
-    weights.check(name, classes, path)
-    matcher = Matcher(MODELS[name], weights, classes)
+def _built(weights: Weights, classes: ClassSet, path: Path) -> Matcher:
+    matcher = Matcher(MODELS[weights.task], weights, classes)
     try:
         matcher.of_sample(_smallest())
     except (KeyError, ValueError):  # other names, other shapes
-        raise other_version(name, path) from None
+        raise other_version(weights.task, path) from None
     return matcher
 
 

@@ -1,7 +1,6 @@
 """What the trained matcher says of one frame, as NumPy: log-odds of each pair."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from semviz_core.learning.candidates.poses import Poses
 from semviz_core.learning.candidates.prepared import Prepared
 from semviz_core.learning.networks.consensus import ConsensusNetwork
 from semviz_core.learning.sample import Sample
-from semviz_core.learning.weights import read_weights, weights_file
+from semviz_core.learning.weights import Weights, load_trained
 from semviz_core.matching.sinkhorn import sinkhorn_with_dustbin
 
 TASK = "matcher"
@@ -75,13 +74,10 @@ def load_pair_matcher(path: Path | None, classes: ClassSet) -> PairMatcher:
 
     Raises SemvizError where there are none, or they are for something else.
     """
-    return _loaded(*weights_file(TASK, path), classes)
+    return load_trained(TASK, path, classes, _built)
 
 
-@lru_cache(maxsize=8)
-def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> PairMatcher:
-    weights = read_weights(path)
-    weights.check(TASK, classes, path)
+def _built(weights: Weights, classes: ClassSet, path: Path) -> PairMatcher:
     network = ConsensusNetwork(len(classes))
     weights.put_into(network, path)
     return PairMatcher(network.eval(), classes)

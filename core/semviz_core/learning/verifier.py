@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from semviz_core.elements import Elements2D, Elements3D
 from semviz_core.frame import Prior
 from semviz_core.learning.evidence import Evidence, Float32Array
 from semviz_core.learning.verification import layer_sizes, log_odds
-from semviz_core.learning.weights import other_version, read_weights, weights_file
+from semviz_core.learning.weights import Weights, load_trained, other_version
 from semviz_core.solving.search import Modes
 
 TASK = "verifier"
@@ -80,13 +79,10 @@ class ModeVerifier:
 def load_verifier(path: Path | None, classes: ClassSet) -> ModeVerifier:
     """The one that comes with semviz, if ``path`` is None. Raises SemvizError where it is missing
     or for something else."""
-    return _loaded(*weights_file(TASK, path), classes)
+    return load_trained(TASK, path, classes, _built)
 
 
-@lru_cache(maxsize=4)
-def _loaded(path: Path, changed_ns: int, classes: ClassSet) -> ModeVerifier:
-    weights = read_weights(path)
-    weights.check(TASK, classes, path)
+def _built(weights: Weights, classes: ClassSet, path: Path) -> ModeVerifier:
     shapes: dict[str, tuple[int, ...]] = {}
     for name, (inputs, outputs) in layer_sizes(len(classes)).items():
         shapes[f"{name}.weight"] = outputs, inputs

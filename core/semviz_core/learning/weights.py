@@ -1,9 +1,11 @@
 """Weights of a trained network: one safetensors file that says what they are of."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import safetensors.numpy
@@ -21,6 +23,7 @@ FORMAT = 1
 SHIPPED = Path(__file__).parents[1] / "weights"
 """The folder of the weights that come with semviz, each with its card beside it."""
 _KEY = "semviz weights"
+Trained = TypeVar("Trained")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +76,30 @@ def shipped_weights(task: str) -> Path:
     return SHIPPED / f"{task}.safetensors"
 
 
-def weights_file(task: str, path: Path | None) -> tuple[Path, int]:
-    """``path``, or the file that comes with semviz, and when it was changed (ns; 0 if there is
-    none): what networks that have been loaded are kept by."""
+def load_trained(
+    task: str,
+    path: Path | None,
+    classes: ClassSet,
+    build: Callable[[Weights, ClassSet, Path], Trained],
+) -> Trained:
+    """What ``build`` makes of a task's weights at ``path``, or of those that come with semviz;
+    made once for as long as the file stays as it is, so ``build`` is a function of a module.
+
+    Raises SemvizError where there are none, they are for something else, or ``build`` refuses them.
+    """
     path = path or shipped_weights(task)
-    return path, path.stat().st_mtime_ns if path.is_file() else 0
+    changed_ns = path.stat().st_mtime_ns if path.is_file() else 0
+    trained: Trained = _built(task, path, changed_ns, classes, build)
+    return trained
+
+
+@lru_cache(maxsize=16)
+def _built(
+    task: str, path: Path, changed_ns: int, classes: ClassSet, build: Callable[..., Any]
+) -> Any:
+    weights = read_weights(path)
+    weights.check(task, classes, path)
+    return build(weights, classes, path)
 
 
 def read_weights(path: Path) -> Weights:
