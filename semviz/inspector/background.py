@@ -21,6 +21,7 @@ class Background(ABC, Generic[Value]):
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._told: list[Tell] = []
+        self._stopped = threading.Event()
         self._started = False
         self.doing = "waiting to begin"
         """How far it has come, or why it failed."""
@@ -44,10 +45,20 @@ class Background(ABC, Generic[Value]):
             threading.Thread(target=self._complete, daemon=True).start()
         tell()
 
+    def stop(self) -> None:
+        """Soon: ``watch`` passes nothing more through."""
+        self._stopped.set()
+
+    @property
+    def is_stopped(self) -> bool:
+        return self._stopped.is_set()
+
     def watch(self, items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
         """Passes items through, and tells how many of them are done."""
         every = max(total // TOLD_EVERY, 1)
         for number, item in enumerate(items):
+            if self.is_stopped:
+                return
             if number % every == 0:
                 first = "" if number else "; on a new machine, up to a minute of compiling first"
                 self.tell_doing(f"{what}: {number} of {total}{first}")

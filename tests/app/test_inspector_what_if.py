@@ -1,6 +1,7 @@
 """What-if on the inspector's page: tried at once, shown beside the run, on disk only when asked."""
 
 import json
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +14,13 @@ from semviz.inspector.scene.tried import draw_tried
 from semviz.inspector.server import Inspector
 from semviz.inspector.session import Selection, State
 from semviz.inspector.what_if.offers import offers
+from semviz.inspector.what_if.sweep import Sweep
 from semviz.recording.reader import load_run
 from semviz.recording.run import FrameRecord, Run
 from semviz.trying.again import again
 from semviz.trying.changes import KINDS, from_json
 from semviz.trying.map_changes import DropElement
+from semviz.trying.prior_changes import PriorAtTruth
 from semviz.trying.solver_changes import UseMethod
 from semviz.web.door import Door
 from semviz.web.scene import Scene
@@ -189,6 +192,24 @@ def test_what_is_kept_is_tried_on_all_frames_and_saved(
     page.click("#what-if-body .kept .chip button")
     wait_for(page, lambda: page.locator("#what-if-body .kept").inner_text() == "", "nothing kept")
     assert page.locator("#what-if-body .answer").inner_text() == ""
+
+
+def test_a_stopped_sweep_tells_what_it_tried_and_is_not_saved(run: Run) -> None:
+    sweep = Sweep(run, (PriorAtTruth(),))
+    over = threading.Event()
+
+    def tell() -> None:
+        if sweep.doing.startswith("tried: 0 of 3"):
+            sweep.stop()  # after the frame in hand
+        if sweep.is_over:
+            over.set()
+
+    sweep.ask(tell)
+    assert over.wait(60.0)
+    assert sweep.value is not None
+    assert [one.change.index for one in sweep.value] == [FRAMES[0]]
+    assert sweep.view()["text"] == "Stopped. No answer changes in 1 frame."
+    assert not sweep.view()["canSave"]
 
 
 @pytest.mark.browser

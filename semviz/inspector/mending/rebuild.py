@@ -1,6 +1,5 @@
 """A run's map built again from its labels and the run with it, while pages go on."""
 
-import threading
 from pathlib import Path
 
 from semviz.comparing.comparison import frame_change
@@ -20,13 +19,8 @@ class Rebuild(Background[Path]):
         self._run = run
         self._path = path
         self._workspace = workspace
-        self._stopped = threading.Event()
         self.said = ""
         """What came of it, in words; empty until it is over."""
-
-    def stop(self) -> None:
-        """Soon; nothing is left of it then."""
-        self._stopped.set()
 
     def work(self) -> Path:
         path = free_path(self._path, "mended")
@@ -36,6 +30,6 @@ class Rebuild(Background[Path]):
         return path
 
     def _got_on(self, what: str, done: int, of: int) -> None:
-        if self._stopped.is_set():
+        if self.is_stopped:
             raise SemvizError("Stopped; nothing was changed.")
         self.tell_doing(f"{what}: {done} of {of}")

@@ -11,7 +11,7 @@ const REST_MS = 300; // a frame that is passed over is not asked about
 export class WhatIf {
   constructor(page) {
     this.page = page;
-    this.shown = { trying: "", kept: [], result: null, sweep: null };
+    this.shown = { trying: "", kept: [], result: null, sweep: null, said: "" };
     this.offers = [];
     this.note = "";
     byId("trying-keep").addEventListener("click", () => this.send("keep"));
@@ -145,15 +145,12 @@ export class WhatIf {
     ];
   }
 
-  sweep({ done, total, isRunning, isWhole, text, said, changed }) {
-    if (isRunning) {
-      return [el("div", { class: "choices" }, el("progress", { value: done, max: total ?? 1 }), el("span", { text: `${done} of ${total ?? "…"}` }),
-        el("button", { class: "small", text: "Stop", onclick: () => this.send("stop") }))];
-    }
-    const parts = [el("p", { class: "sentence", text: isWhole ? text : `Stopped at ${done} of ${total ?? "…"}. ${text}` })];
+  sweep({ isOver, canSave, text, changed }) {
+    if (!isOver) return [el("div", { class: "choices" }, el("span", { class: "dim", text: `On all frames: ${text}` }), el("button", { class: "small", text: "Stop", onclick: () => this.send("stop") }))];
+    const parts = [el("p", { class: "sentence", text })];
     if (changed.length) parts.push(el("div", { class: "choices" }, ...changed.slice(0, FOLLOWED).map((one) => this.frame(one)), changed.length > FOLLOWED ? `and ${changed.length - FOLLOWED} more` : ""));
-    if (isWhole && total) parts.push(el("button", { class: "small", text: "Save as run", title: "A new .rrd beside this one, which 'semviz compare' reads", onclick: () => this.send("save") }));
-    if (said) parts.push(el("p", { class: "path", text: said }));
+    if (canSave) parts.push(el("button", { class: "small", text: "Save as run", title: "A new .rrd beside this one, which 'semviz compare' reads", onclick: () => this.send("save") }));
+    if (this.shown.said) parts.push(el("p", { class: "path", text: this.shown.said }));
     return parts;
   }
 

@@ -1,95 +1,69 @@
-"""Kept changes tried on all frames in which they matter: in a thread, with progress, and saved."""
+"""Kept changes tried on all frames in which they matter, and what came of it saved as a run."""
 
-import threading
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
-from time import monotonic
 
+from semviz.inspector.background import Background
 from semviz.inspector.what_if.views import Json
-from semviz.recording.run import FrameRecord, Run
+from semviz.recording.run import Run
 from semviz.trying.change import Change
 from semviz.trying.over import Tried, concerned, free_path, in_words, save, tried
-from semviz_core.errors import SemvizError
-
-TELL_EVERY_S = 0.2
 
 
-class Sweep:
-    """One pass over a run's frames; ``tell`` is called in its thread as it gets on."""
+class Sweep(Background[tuple[Tried, ...]]):
+    """One pass over a run's frames; what was tried until it is stopped counts."""
 
-    def __init__(
-        self, run: Run, changes: tuple[Change, ...], tell: Callable[["Sweep"], None]
-    ) -> None:
-        self._run = run
-        self._changes = changes
-        self._tell = tell
-        self._total: int | None = None
-        self._found: list[Tried] = []
-        self._stopped = threading.Event()
-        self._said = ""
+    def __init__(self, run: Run, changes: tuple[Change, ...]) -> None:
+        super().__init__()
+        self.run = run
+        self.changes = changes
 
-    def start(self) -> None:
-        threading.Thread(target=self._work, name="what-if sweep", daemon=True).start()
+    def work(self) -> tuple[Tried, ...]:
+        self.tell_doing("looking for frames in which it matters")
+        records = concerned(self.run, self.changes)
+        watched = self.watch(records, "tried", len(records))
+        return tuple(tried(self.run, record, self.changes) for record in watched)
 
-    def stop(self) -> None:
-        """After the frame in hand."""
-        self._stopped.set()
+    @property
+    def is_whole(self) -> bool:
+        """Whether all was tried."""
+        return self.value is not None and not self.is_stopped
 
     def view(self) -> Json:
-        """How far it is, and what came of it."""
-        frames = tuple(one.change for one in self._found)
+        """How far it is, or what came of it."""
+        if self.value is None:
+            return {"isOver": self.is_over, "canSave": False, "text": self.doing, "changed": []}
+        frames = [one.change for one in self.value]
+        stopped = "" if self.is_whole else "Stopped. "
         return {
-            "done": len(frames),
-            "total": self._total,
-            "isRunning": self._is_running,
-            "isWhole": self._is_whole,
-            "text": "" if self._is_running else in_words(frames),
-            "said": self._said,
+            "isOver": True,
+            "canSave": self.is_whole and bool(frames),
+            "text": stopped + in_words(frames),
             "changed": [
                 {"index": one.index, "change": one.change} for one in frames if one.change != "same"
             ],
         }
 
-    def save(self, beside: Path) -> None:
-        """A new run beside the run's file, in a thread. SemvizError where not all was tried."""
-        if not self._is_whole:
-            raise SemvizError("not all frames were tried; try them again, then save")
-        self._said = "Saving."
-        self._tell(self)
-        threading.Thread(target=lambda: self._write(beside), name="what-if save").start()
 
-    def _write(self, beside: Path) -> None:
-        found: dict[int, FrameRecord] = {one.change.index: one.record for one in self._found}
-        path = free_path(beside, "tried")
-        try:
-            save(self._run, self._changes, found, path)
-            self._said = f"Saved as {path}. Compare: semviz compare {beside} {path}"
-        except SemvizError as error:
-            self._said = f"Not saved: {error}"
-        self._tell(self)
+class Save(Background[Path]):
+    """A new run beside the run's file: its frames as a sweep found them."""
+
+    def __init__(self, sweep: Sweep, found: Sequence[Tried], beside: Path) -> None:
+        super().__init__()
+        self._sweep = sweep
+        self._found = {one.change.index: one.record for one in found}
+        self._beside = beside
+
+    def work(self) -> Path:
+        path = free_path(self._beside, "tried")
+        save(self._sweep.run, self._sweep.changes, self._found, path)
+        return path
 
     @property
-    def _is_whole(self) -> bool:
-        return self._total is not None and len(self._found) == self._total
-
-    @property
-    def _is_running(self) -> bool:
-        return not (self._is_whole or self._stopped.is_set())
-
-    def _work(self) -> None:
-        told_s = monotonic()
-        try:
-            records = concerned(self._run, self._changes)
-            self._total = len(records)
-            self._tell(self)
-            for record in records:
-                if self._stopped.is_set():
-                    break
-                self._found.append(tried(self._run, record, self._changes))
-                if monotonic() - told_s > TELL_EVERY_S:
-                    told_s = monotonic()
-                    self._tell(self)
-        except SemvizError as error:
-            self._said = str(error)
-            self.stop()
-        self._tell(self)
+    def said(self) -> str:
+        """Where it is, or why it is nowhere."""
+        if not self.is_over:
+            return "Saving."
+        if self.value is None:
+            return f"Not saved: {self.doing}"
+        return f"Saved as {self.value}. Compare: semviz compare {self._beside} {self.value}"
