@@ -15,9 +15,10 @@ from semviz_core.errors import SemvizError
 if TYPE_CHECKING:
     from semviz_core.detection.labelled import LabelledImages
     from semviz_core.learning.street_images import StreetImages
-    from semviz_core.learning.training import TrainingOptions
 
 STREETS, STREETS_BESIDE_LABELS = 400, 40
+HELD_OUT = 64
+"""So many crops are measured."""
 IMAGES = "streets"
 
 
@@ -67,7 +68,7 @@ class DetectTrain:
             f"semviz detect evaluate --model {weights}",
             f"semviz detect WORKSPACE --model {weights}",
         ]
-        return train(task, self.out, self._options(), then)
+        return train(task, self, HELD_OUT, then)
 
     def _start(self) -> Path | None:
         from semviz_core.learning.weights import read_weights, shipped_weights
@@ -119,16 +120,3 @@ class DetectTrain:
                 "a process that renders died (out of memory?); the same command goes on"
             ) from None
         return images
-
-    def _options(self) -> "TrainingOptions":
-        from semviz_core.learning.training import TrainingOptions
-
-        return TrainingOptions(
-            samples=self.samples,
-            batch=self.batch,
-            seed=self.seed,
-            workers=self.workers,
-            precision=self.precision,
-            held_out=64,
-            stop_after_s=float("inf") if self.stop_after_s is None else self.stop_after_s,
-        )

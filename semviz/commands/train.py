@@ -11,7 +11,6 @@ from semviz_core.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz_core.learning.task import SampleSource
-    from semviz_core.learning.training import TrainingOptions
 
 
 @dataclass(frozen=True)
@@ -53,20 +52,7 @@ class Train:
 
         tell_of_compiling()
         task = make_task(self.model, self._source(), self.seed)
-        return train(task, self.out, self._options(), [f"semviz weights {self.out} --out FOLDER"])
-
-    def _options(self) -> "TrainingOptions":
-        from semviz_core.learning.training import TrainingOptions
-
-        return TrainingOptions(
-            samples=self.samples,
-            batch=self.batch,
-            seed=self.seed,
-            workers=self.workers,
-            precision=self.precision,
-            held_out=self.held_out,
-            stop_after_s=float("inf") if self.stop_after_s is None else self.stop_after_s,
-        )
+        return train(task, self, self.held_out, [f"semviz weights {self.out} --out FOLDER"])
 
     def _source(self) -> "SampleSource":
         """The task's own drills, on KITTI's roads if wanted; or labels."""
