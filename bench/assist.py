@@ -79,12 +79,7 @@ def picture(street: Street, index: int, side: Side) -> Picture:
     anchors = street.truth_map.elements.anchor_m
     rows = np.searchsorted(street.truth_map.elements.id, ids)
     depths = view.depth_m(anchors[rows])
-    marks = {}
-    for k, element_id in enumerate(ids):
-        end = (float(seen.end_px[k, 0]), float(seen.end_px[k, 1])) if seen.is_line[k] else None
-        anchor = (float(seen.anchor_px[k, 0]), float(seen.anchor_px[k, 1]))
-        known = bool(seen.anchor_known[k]), bool(seen.end_known[k])
-        marks[int(element_id)] = Mark(anchor, end, *known)
+    marks = {element_id: Mark.seen(seen, row) for row, element_id in enumerate(ids.tolist())}
     classes = dict(zip(map(int, ids), map(int, seen.class_id), strict=True))
     far = dict(zip(map(int, ids), map(float, depths), strict=True))
     return Picture(Shot.of(view, street.image(index, side)), marks, classes, far)

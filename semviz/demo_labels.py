@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from semviz_annotation.assist.shot import Mark
 from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.rows import LabelElement, Observation, derived_id
 from semviz_core.sources.source import Side
@@ -42,20 +43,14 @@ def _drawn(street: Street, index: int, side: Side) -> Iterator[Observation]:
     camera = street.rig.left
     corner = np.array([camera.width - 1.0, camera.height - 1.0])
     off_px = rng.normal(0.0, SIGMA_PX, (2, len(seen), 2))
-    anchors_px = (seen.anchor_px + off_px[0]).clip(0.0, corner)
-    ends_px = (seen.end_px + off_px[1]).clip(0.0, corner)
+    drawn = replace(
+        seen,
+        anchor_px=(seen.anchor_px + off_px[0]).clip(0.0, corner),
+        end_px=(seen.end_px + off_px[1]).clip(0.0, corner),
+    )
     for row, number in enumerate(numbers.tolist()):
-        anchor, end = anchors_px[row].tolist(), ends_px[row].tolist()
-        yield Observation(
-            id=derived_id(f"observation {index} {side} {number}"),
-            element_id=_name(number),
-            frame_index=index,
-            side=side,
-            anchor_px=(anchor[0], anchor[1]),
-            end_px=(end[0], end[1]) if seen.is_line[row] else None,
-            anchor_known=bool(seen.anchor_known[row]),
-            end_known=bool(seen.end_known[row]),
-        )
+        id = derived_id(f"observation {index} {side} {number}")
+        yield Mark.seen(drawn, row).at(index, side, id, _name(number))
 
 
 def _slip(row: Observation) -> Observation:

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semviz_annotation.assist.shot import Mark
 from semviz_annotation.labels import LabelElement, Labels, Observation
 from semviz_annotation.rows import derived_id
 from semviz_core.arrays import ByteImage
 from semviz_core.camera import Rig
-from semviz_core.elements import Elements2D
 from semviz_core.frame import Frame
 from semviz_core.pose import Pose
 from semviz_core.semantic_map import MapFrame
@@ -88,9 +88,10 @@ def label_street(detect: Detect, frames: Iterable[int], memory: int = 1) -> Stre
                     int(one.observed.class_id[row]),
                 )
                 element = elements.setdefault(name, new)
-                rows.append(_observation(one.observed, row, element.id, index, side))
+                id = derived_id(f"observation {index} {side} {row}")
+                rows.append(Mark.seen(one.observed, row).at(index, side, id, element.id))
                 across, along = one.observed.sigma_px[row].tolist()
-                truth[rows[-1].id] = Truth(int(one.element_id[row]), (across, along))
+                truth[id] = Truth(int(one.element_id[row]), (across, along))
     return StreetLabels(Labels.from_rows([*elements.values(), *rows]), truth)
 
 
@@ -117,22 +118,6 @@ def _mispaired(left: Detection, right: Detection) -> list[tuple[int, int]]:
             lonely[j] = False
             pairs.append((int(i), int(j)))
     return pairs
-
-
-def _observation(
-    seen: Elements2D, row: int, element_id: str, index: int, side: Side
-) -> Observation:
-    anchor, end = seen.anchor_px[row].tolist(), seen.end_px[row].tolist()
-    return Observation(
-        id=derived_id(f"observation {index} {side} {row}"),
-        element_id=element_id,
-        frame_index=index,
-        side=side,
-        anchor_px=(anchor[0], anchor[1]),
-        end_px=(end[0], end[1]) if seen.is_line[row] else None,
-        anchor_known=bool(seen.anchor_known[row]),
-        end_known=bool(seen.end_known[row]),
-    )
 
 
 def with_mistakes(given: StreetLabels, count: int, seed: int) -> tuple[StreetLabels, set[str]]:

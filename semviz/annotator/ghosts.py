@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz_annotation.assist.shot import pixel
 from semviz_annotation.labels import Labels, Pixel
 from semviz_annotation.triangulate import Triangulated
 from semviz_annotation.view import camera_of
@@ -73,13 +74,9 @@ def _in_image(
         Ghost(
             element_id=ids[row],
             side=side,
-            anchor_px=_pixel(pixels[row, 0]),
-            end_px=None if np.isnan(pixels[row, 1]).any() else _pixel(pixels[row, 1]),
+            anchor_px=pixel(pixels[row, 0]),
+            end_px=None if np.isnan(pixels[row, 1]).any() else pixel(pixels[row, 1]),
             depth_m=float(depth[row, 0]),
         )
         for row in rows
     ]
-
-
-def _pixel(point: FloatArray) -> Pixel:
-    return float(point[0]), float(point[1])

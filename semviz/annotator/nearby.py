@@ -9,7 +9,8 @@ from semviz.annotator.cameras import Cameras
 from semviz.annotator.fit import seen_at
 from semviz.annotator.ghosts import Ghost
 from semviz.annotator.places import Places
-from semviz_annotation.labels import Labels, Pixel
+from semviz_annotation.assist.shot import pixel
+from semviz_annotation.labels import Labels
 from semviz_annotation.view import View
 from semviz_core.arrays import FloatArray
 from semviz_core.sources.source import Side
@@ -82,9 +83,5 @@ def _ghost(element_id: str, side: Side, view: View, ends: FloatArray) -> Ghost |
     behind = np.isnan(pixels[: 1 + is_line]).any()
     if behind or not view.camera.contains(pixels).any():
         return None
-    anchor, end = (_pixel(one) for one in pixels)
+    anchor, end = (pixel(one) for one in pixels)
     return Ghost(element_id, side, anchor, end if is_line else None, depth_m=float("inf"))
-
-
-def _pixel(point: FloatArray) -> Pixel:
-    return float(point[0]), float(point[1])

@@ -11,6 +11,7 @@ from semviz_annotation.labels import Observation, Pixel
 from semviz_annotation.view import View
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera
+from semviz_core.elements import Elements2D
 from semviz_core.errors import SemvizError
 from semviz_core.measuring.picture import Picture
 from semviz_core.sources.source import Side
@@ -55,10 +56,19 @@ class Mark:
         one = observation
         return cls(one.anchor_px, one.end_px, one.anchor_known, one.end_known)
 
-    def at(self, frame_index: int, side: Side = "left") -> Observation:
-        """As a label that has no name yet, such as to triangulate with."""
+    @classmethod
+    def seen(cls, observed: Elements2D, row: int) -> Mark:
+        """Of one of the elements seen in an image."""
+        end = pixel(observed.end_px[row]) if observed.is_line[row] else None
+        known = bool(observed.anchor_known[row]), bool(observed.end_known[row])
+        return cls(pixel(observed.anchor_px[row]), end, *known)
+
+    def at(
+        self, frame_index: int, side: Side = "left", id: str = "", element_id: str = ""
+    ) -> Observation:
+        """As a label; without names it is good to triangulate with, not to be stored."""
         known = self.anchor_known, self.end_known
-        return Observation("", "", frame_index, side, self.anchor_px, self.end_px, *known)
+        return Observation(id, element_id, frame_index, side, self.anchor_px, self.end_px, *known)
 
     @property
     def ends_px(self) -> FloatArray:
