@@ -19,7 +19,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from assist import Picture, fitted, picture, print_shares
+from assist import fitted, print_shares
+from assist_cases import Picture, picture
 
 from semviz.annotator.ghosts import REACH_M
 from semviz_annotation.assist.pairs import stereo_pairs
