@@ -77,7 +77,7 @@ class Open:
         self._open: set[int] = set()
 
     def of(self, labels: Labels) -> tuple[Decision, ...]:
-        """As ``open_decisions``."""
+        """In their order."""
         for element_id in labels.differing(self._labels):
             for place in self._about.get(element_id, ()):
                 if is_open(self._decisions[place], labels):

@@ -1,4 +1,4 @@
-"""Drives made of problems, and what their summaries count."""
+"""Drives made of problems."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from semviz_core.errors import SemvizError
-from semviz_core.evaluation.drives import Blackout, Drive, make_drive, summarize_drive
+from semviz_core.evaluation.drives import Blackout, make_drive
 from semviz_core.evaluation.metrics import pose_error
 from semviz_core.evaluation.problems import Problem, make_problem
 from semviz_core.evaluation.roads import simulated_road
 from semviz_core.pose import Pose
-from semviz_core.sequence.tracker import Track
-
-COVARIANCE = np.diag(np.repeat([0.1, 0.01], 3) ** 2)
 
 
 def standing(frames: int) -> list[Problem]:
@@ -25,21 +22,6 @@ def standing(frames: int) -> list[Problem]:
     for _ in range(frames - 1):
         poses.append(ahead @ poses[-1])
     return [replace(problem, T_camera_map=pose) for pose in poses]
-
-
-def track(T_camera_map: Pose | None) -> Track:
-    covariance = None if T_camera_map is None else COVARIANCE
-    status = "ok" if T_camera_map else "lost"
-    return Track(status, "As planted.", T_camera_map, covariance, np.zeros(0, dtype=np.int64))
-
-
-def planted(drive: Drive, off_m: float, without: set[int]) -> tuple[Track, ...]:
-    """Tracks that are ``off_m`` to the side, but for frames that have none."""
-    aside = Pose.exp([off_m, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return tuple(
-        track(None if row in without else aside @ one.T_camera_map)
-        for row, one in enumerate(drive.frames)
-    )
 
 
 def test_odometry_is_off_by_about_a_percent_and_says_so() -> None:
@@ -64,37 +46,9 @@ def test_a_blackout_takes_what_is_seen_for_its_time(with_odometry: bool) -> None
     assert all((drive.frames[row].odometry is not None) == with_odometry for row in dark)
 
 
-def test_a_summary_counts_errors_and_times() -> None:
-    drive = make_drive(standing(30), seed=1)
-    tracks = planted(drive, 0.2, without={0, 1, 2, 10, 11, 12, 13})
-
-    summary = summarize_drive(drive, tracks)
-
-    assert summary.frames == 30
-    assert summary.commit_s == pytest.approx(0.3)
-    assert summary.rte_mean_m == pytest.approx(0.2)
-    assert summary.rte_max_m == pytest.approx(0.2)
-    assert summary.below_1m == 1.0
-    assert summary.answered == pytest.approx(23 / 27)
-    assert summary.lost_s == pytest.approx((1.0,))
-    assert summary.recovered_s == pytest.approx((1.4,))
-    assert summary.nees == pytest.approx(4.0)
-    assert "lost at 1.0 s, back at 1.4 s" in summary.as_text()
-
-
-def test_a_drive_without_any_pose_says_so() -> None:
-    drive = make_drive(standing(3), seed=1)
-    summary = summarize_drive(drive, planted(drive, 0.0, without={0, 1, 2}))
-    assert summary.commit_s is None
-    assert summary.as_text() == "3 frames, no pose"
-
-
-def test_an_empty_drive_and_a_wrong_number_of_tracks_are_refused() -> None:
-    drive = make_drive(standing(3), seed=1)
+def test_an_empty_drive_is_refused() -> None:
     with pytest.raises(SemvizError, match="at least one frame"):
         make_drive([], seed=1)
-    with pytest.raises(SemvizError, match="2 tracks but 3 frames"):
-        summarize_drive(drive, planted(drive, 0.0, without=set())[:2])
 
 
 def test_a_drive_does_not_jump() -> None:

@@ -33,16 +33,11 @@ def decision_id(decision: Decision) -> str:
     return derived_id(repr((decision.kind, decision.label_ids, decision.observation_ids)))
 
 
-def open_decisions(decisions: Iterable[Decision], labels: Labels) -> tuple[Decision, ...]:
-    """The machine's decisions that nobody has answered and whose labels still exist, in order.
-
-    Those that a person could only agree with, as the labels leave no choice, are not open.
-    """
-    return tuple(one for one in decisions if is_open(one, labels))
-
-
 def is_open(decision: Decision, labels: Labels) -> bool:
-    """Whether a decision is one of ``open_decisions``."""
+    """Whether it is a machine's, nobody has answered it, and its labels still exist.
+
+    What a person could only agree with, as the labels leave no choice, is not open.
+    """
     there = _there(decision, labels)
     if decision.by == "human" or not there or settling(decision, labels):
         return False

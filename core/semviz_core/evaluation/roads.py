@@ -88,11 +88,6 @@ class Road:
         offset = self.thinned_m[:, :2] - np.asarray(place_m)[:2]
         return self.thinned_m[np.hypot(offset[:, 0], offset[:, 1]) <= radius_m]
 
-    def poles_near(self, place_m: FloatArray, radius_m: float) -> IntArray:
-        """Rows of ``poles_m`` within ``radius_m`` of ``place_m``, horizontally."""
-        offset = self.poles_m - np.asarray(place_m)[:2]
-        return np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= radius_m)
-
     def height(self, place_m: FloatArray) -> float:
         """Height of the camera centre that is nearest to ``place_m``, horizontally."""
         return float(self.center_m[self._nearest(np.asarray(place_m)[None, :2])[0], 2])

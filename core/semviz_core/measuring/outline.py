@@ -35,8 +35,8 @@ _EDGE = 12.0
 _PER_SIDE = 12
 
 
-FEATURES = ("one", "edges", "weakest side", "varied inside", "varied outside", "log size")
 WEIGHTS = np.array([0.0, 3.73, 4.1, -4.11, -1.0, 3.03])
+"""Of evidence: one; edges; weakest side; varied inside and outside; log size."""
 
 
 @dataclass(frozen=True, eq=False)

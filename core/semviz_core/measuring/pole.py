@@ -36,11 +36,9 @@ class Axis:
     """Log-odds that it is a pole's axis."""
 
 
-FEATURES = (
-    "one", "weaker edge", "stronger edge", "edge inside", "smooth inside", "smooth outside",
-    "clutter", "log width", "off", "tilt", "varied inside", "varied outside",
-)  # fmt: skip
 WEIGHTS = np.array([0.0, 14.4, 13.72, -3.71, 13.46, -16.31, -1.1, -0.63, -9.08, -4.4, -7.16, 7.23])
+"""Of evidence: one; weaker and stronger edge; edge inside; smooth inside and outside; clutter; log
+width; off; tilt; varied inside and outside."""
 
 
 def straighten(picture: Picture, ends_px: FloatArray, offsets_px: FloatArray) -> Samples:
