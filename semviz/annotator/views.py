@@ -25,6 +25,7 @@ Json = dict[str, Any]
 
 VERBS = {
     "add": "Draw",
+    "add many": "Accept",
     "move": "Move",
     "set known": "Flag",
     "swap ends": "Swap ends of",
@@ -37,6 +38,8 @@ VERBS = {
     "dismiss": "Turn down",
     "take back": "Leave to the map",
 }
+OF_SEVERAL = ("add many", "delete many", "import")
+"""Kinds of operations that may be about several elements at once."""
 
 
 def element_name(element: LabelElement, classes: ClassSet) -> str:
@@ -186,20 +189,13 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         return f"Name this state “{operation.text}”"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
-    if operation.kind == "add many":
-        return _accepted(operation, labels, classes)
     if operation.kind == "judge":
         return _judged(operation, labels, classes)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
-    return f"{verb} {_subject(operation, labels, classes)}".strip()
-
-
-def _accepted(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """``Accept P-04`` or, of several, how many."""
     seen = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
-    if len(seen) == 1:
-        return f"Accept {_subject(operation, labels, classes)}"
-    return f"Accept {len(seen)} elements"
+    if operation.kind in OF_SEVERAL and len(seen) > 1:
+        return f"{verb} {len(seen)} elements"
+    return f"{verb} {_subject(operation, labels, classes)}"
 
 
 def _judged(operation: Operation, labels: Labels, classes: ClassSet) -> str:

@@ -11,8 +11,10 @@ from drawing import BOTTOM, PEAK, draw, pixel, pole, sign
 from semviz.annotator import looker
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
+from semviz_annotation.assist.shot import Mark
 from semviz_annotation.assist.snap import snap
-from semviz_annotation.labels import new_id
+from semviz_annotation.formats.plan import ImportLabels
+from semviz_annotation.labels import LabelElement, new_id
 from semviz_annotation.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.storing.backup import backup_labels, restore_labels
 from semviz_core.classes import POLE, ROUNDED
@@ -158,6 +160,19 @@ def test_history_reads_like_what_was_done(session: LabelSession) -> None:
     assert texts == ["Undo 2", "Frame 0 reviewed", "Draw P-01 left"]
     assert summary["operation"] == 3
     assert summary["frames"][0] == {"index": 0, "state": "in work", "elements": 1}
+
+
+@pytest.mark.parametrize(("count", "told"), [(1, "Import O-01 left"), (3, "Import 3 elements")])
+def test_history_counts_what_came_at_once(session: LabelSession, count: int, told: str) -> None:
+    elements = tuple(LabelElement(new_id(), 1 + row, ROUNDED) for row in range(count))
+    rows = tuple(
+        Mark((300.0 + 50.0 * row, 120.0), None, True, False).at(0, "left", new_id(), one.id)
+        for row, one in enumerate(elements)
+    )
+    with session.workspace.open_labels() as store:
+        store.apply(ImportLabels(elements, rows), "somebody else")
+    session.news()
+    assert [entry["text"] for entry in session.summary()["history"]] == [told]
 
 
 @pytest.mark.parametrize(
