@@ -85,6 +85,7 @@ class LabelSession:
         self.map_work = MapWork(workspace, lambda: self._store.labels)
         self._reviews = Reviews(self.map_work)
         self._told_version = self.map_work.version
+        self._placed_version = self._told_placed = self._places.version
 
     def close(self) -> None:
         self.map_work.close()
@@ -121,14 +122,17 @@ class LabelSession:
         return self._state(labels) | {"frames": self._frames_json(labels, self.frames)}
 
     def has_news(self) -> bool:
-        """Whether anybody, here or in another process, has done something since ``news``."""
-        return self._news.waits or self.map_work.version != self._told_version
+        """Whether anybody, here or in another process, has done something since ``news``; or all
+        elements have got their places since."""
+        is_built = self.map_work.version != self._told_version
+        return self._news.waits or is_built or self._placed_version > self._told_placed
 
     def news(self) -> Json:
         """What is new in the summary since the last call. Meant for all pages at once."""
         labels = self.labels
         self._told_version = self.map_work.version
         state = self._state(labels)
+        self._told_placed = self._places.version
         touched = sorted(self._news.told() & self.frames.keys())
         return state | {"frames": self._frames_json(labels, touched)}
 
@@ -140,6 +144,7 @@ class LabelSession:
         labels = self.labels
         if not self._places.settle(labels, seconds):
             return [], False
+        self._placed_version = self._places.version
         frames, done = self._facts.learn(labels, seconds)
         return self._frames_json(labels, frames), done
 

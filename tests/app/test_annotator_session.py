@@ -9,6 +9,7 @@ import pytest
 from drawing import BOTTOM, PEAK, draw, pixel, pole, sign
 
 from semviz.annotator import looker
+from semviz.annotator.places import Places
 from semviz.annotator.session import Drawing, LabelSession, Look
 from semviz.workspace import Workspace
 from semviz_annotation.assist.shot import Mark
@@ -218,6 +219,23 @@ def test_news_tell_what_another_process_did(session: LabelSession) -> None:
     assert news["frames"] == [{"index": 4, "state": "in work", "elements": 1}]
     assert news["operation"] == 1
     assert not session.has_news()
+
+
+def test_news_tell_when_all_elements_have_their_places(
+    session: LabelSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a large label file a page first gets those that are placed in no time."""
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    monkeypatch.setattr(Places.settle, "__defaults__", (0.0,))
+    again = LabelSession(session.workspace, "tester")
+    again.news()
+    assert (again.summary()["mapped"], again.has_news()) == (0, False)
+    while not again.learn(1.0)[1]:
+        pass
+    assert again.has_news()
+    assert (again.news()["mapped"], again.has_news()) == (1, False)
+    again.close()
 
 
 def test_labels_that_were_put_back_are_shown_and_labelled_on(
