@@ -274,3 +274,6 @@ def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[in
     assert out == []
     assert page.locator("#why dl").evaluate("e => e.getBoundingClientRect().bottom") <= size[1]
     assert page.locator("#why-body").evaluate("e => e.scrollHeight <= e.clientHeight")
+    for tab in ("selected", "solver", "what-if"):
+        page.click(f"#why [data-tab={tab}]")
+        assert page.locator("main").evaluate("e => e.scrollHeight <= e.clientHeight"), tab
