@@ -1,7 +1,7 @@
 """Nodes of a viser scene by the names under which they were drawn.
 
-Making a node costs a millisecond here and a shader in the browser, so nodes stay and change; what
-stays equal of a node is not sent again (viser sees to that).
+Making a node costs a millisecond here and a shader in the browser, so nodes stay and change, or are
+hidden until they are drawn again; what stays equal is not sent again (viser sees to that).
 """
 
 from collections.abc import Callable, Iterator
@@ -40,29 +40,31 @@ class Nodes:
 
     @contextmanager
     def drawing(self, name: str) -> Iterator["Drawing"]:
-        """Draws under ``name``; what was there before and is not drawn again inside goes."""
+        """Draws under ``name``; what was there before and is not drawn again inside is hidden."""
         held = self._drawn.setdefault(name, {})
         drawing = Drawing(self._api, name, held)
         yield drawing
         for path in set(held) - drawing.paths:
-            held.pop(path).remove()
+            held[path].visible = False
 
-    def hide(self, name: str) -> None:
-        """What was drawn under ``name`` stays, ready to be seen again; nothing where there is
-        nothing."""
+    def clear(self, name: str) -> None:
+        """Hides what was drawn under ``name``: it stays, ready to be drawn again."""
         for node in self._drawn.get(name, {}).values():
             node.visible = False
 
-    def clear(self, name: str) -> None:
-        """Removes what was drawn under ``name``; nothing where there is nothing."""
-        for node in self._drawn.pop(name, {}).values():
-            node.remove()
-
-    def clear_under(self, prefix: str = "") -> None:
-        """Removes all that was drawn under names that begin so."""
-        for name in tuple(self._drawn):
+    def clear_under(self, prefix: str) -> None:
+        """Hides all that was drawn under names that begin so."""
+        for name in self._drawn:
             if name.startswith(prefix):
                 self.clear(name)
+
+    def remove_under(self, prefix: str) -> None:
+        """Removes all that was drawn under names that begin so, for what cannot be changed to
+        become what is drawn next, or has other names then."""
+        for name in tuple(self._drawn):
+            if name.startswith(prefix):
+                for node in self._drawn.pop(name).values():
+                    node.remove()
 
 
 class Drawing:
@@ -238,8 +240,8 @@ class Drawing:
                 visible=visible,
                 **place,
             ),
+            visible,
             image=image,
-            visible=visible,
             **place,
         )
 
@@ -251,6 +253,7 @@ class Drawing:
                 path, text, position=position_m, anchor=anchor, font_screen_scale=0.8
             ),
             text=text,
+            anchor=anchor,
             position=position_m,
         )
 
@@ -262,7 +265,11 @@ class Drawing:
         return f"{self._name}/{part}" if part else self._name
 
     def _put(
-        self, part: str, make: "Callable[[str], viser.SceneNodeHandle]", **changing: Any
+        self,
+        part: str,
+        make: "Callable[[str], viser.SceneNodeHandle]",
+        visible: bool = True,
+        **changing: Any,
     ) -> None:
         """Makes a node, or gives the one that is there what is ``changing``: no object that it has
         already, as viser would encode an image again."""
@@ -275,6 +282,7 @@ class Drawing:
         for name, value in changing.items():
             if getattr(node, name) is not value:
                 setattr(node, name, value)
+        node.visible = visible
 
 
 def _place(T_map_local: Pose) -> Place:

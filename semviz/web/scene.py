@@ -75,9 +75,9 @@ class Scene:
     def __init__(self, server: "viser.ViserServer", theme: Theme = "dark") -> None:
         self.server = server
         self._nodes = Nodes(server.scene)
-        self.hide = self._nodes.hide
         self.clear = self._nodes.clear
         self.clear_under = self._nodes.clear_under
+        self.remove_under = self._nodes.remove_under
         self.set_theme(theme)
         server.initial_camera.fov = float(np.deg2rad(FIELD_OF_VIEW_DEG))
 
@@ -105,7 +105,7 @@ class Scene:
         """Empties the scene; whoever drew into it draws again. The ground is the page's."""
         self.theme: Theme = theme
         scene = self.server.scene
-        self.clear_under("")
+        self.remove_under("")
         scene.world_axes.visible = False
         scene.configure_default_lights(False)
         scene.configure_environment_map(None)
@@ -216,11 +216,12 @@ class Scene:
         color: str,
         width_px: float,
         dash_m: tuple[float, float] | None = None,
+        T_map_local: Pose | None = None,
     ) -> None:
         """Segments (k, 2, 3) of one colour, dashed on request."""
         cut = segments_m if dash_m is None else shapes.dashed(segments_m, *dash_m)
         with self._nodes.drawing(name) as drawing:
-            drawing.lines("", cut, color, width_px)
+            drawing.lines("", cut, color, width_px, T_map_local)
 
     def draw_path(self, name: str, points_m: FloatArray, color: str) -> None:
         """A line through points (k, 3), a pixel wide; gaps at NaN."""

@@ -1,7 +1,9 @@
 """The 3D pane: what is clicked, what colours say, what is sent when something changes."""
 
 import io
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -238,6 +240,69 @@ def test_next_frame_sends_nothing_of_the_map(
     assert sum(size for *_, size in messages) < 60_000
 
 
+def in_sight(view: SceneView) -> dict[str, dict[str, Any]]:
+    """What is to be seen of each node of the scene."""
+    held = (one for nodes in view._scene._nodes._drawn.values() for one in nodes.values())
+    nodes = (one for one in held if one.visible)
+    return {
+        one.name: {**vars(one._impl.props), "wxyz": one.wxyz, "position": one.position}
+        for one in nodes
+    }
+
+
+def wandered(run: Run, rng: np.random.Generator) -> Iterator[State]:
+    """Every frame once, in any order, looked at in any way."""
+    views: tuple[View, ...] = ("behind", "camera", "above")
+    colors: tuple[MapColors, ...] = ("class", "residual", "times")
+    for position in rng.permutation(len(run.frames)).tolist():
+        state = State("first", int(position), view=views[rng.integers(3)])
+        state = state.coloring(colors[rng.integers(3)], bool(rng.integers(2)))
+        chosen = rng.choice(run.frames[position].localization.submap.id)
+        yield state.selecting(None, int(chosen), run) if rng.integers(2) else state
+
+
+def test_what_is_seen_is_the_same_wherever_one_was_before() -> None:
+    run, rng = photographed(small_run()), np.random.default_rng(3)
+    run = spoiled(run, {14: unanswered, 18: lambda one: replace(one, image=None)})
+    scenes = Scenes()
+    try:
+        view, fresh = (
+            SceneView(scenes.scene(one), lambda _, __: None, Path) for one in ("one", "two")
+        )
+        view.show_run(run, State("first"))
+        for state in [*wandered(run, rng), *wandered(run, rng)]:
+            view.recolor(run, state)
+            view.show_frame(run, state)
+            fresh.show_run(run, state)
+            now, expected = in_sight(view), in_sight(fresh)
+            assert now.keys() == expected.keys()
+            for name, node in expected.items():
+                for what, value in node.items():
+                    if isinstance(value, np.ndarray):
+                        np.testing.assert_allclose(now[name][what], value, rtol=1e-4, atol=1e-4)
+                    else:
+                        value = pytest.approx(value) if isinstance(value, float) else value
+                        assert now[name][what] == value, (name, what)
+    finally:
+        scenes.close_all()
+
+
+def test_who_comes_back_makes_no_node_again(
+    sent: tuple[SceneView, list[tuple[str, str, int]]],
+) -> None:
+    view, messages = sent
+    run = spoiled(small_run(), {14: unanswered})
+    view.show_run(run, State("first"))
+    made = []
+    for position in (1, 2, 3, 2, 1, 0, 1, 2, 3):
+        messages.clear()
+        view.show_frame(run, State("first", position))
+        kinds = {kind for kind, *_ in messages}
+        made.append(bool(kinds & {"LineSegmentsMessage", "LabelMessage", "RemoveSceneNodeMessage"}))
+    assert any(made[:3])
+    assert not any(made[3:])
+
+
 def photographed(run: Run) -> Run:
     """With photos of one grey each, by position: 0, 40, 80 ..."""
     import cv2
@@ -441,6 +506,60 @@ def test_marks_colours_and_viewpoints(url: str, page: "Page", tool: Inspector) -
     wait_for(page, lambda: pressed.count() == 0, "no view's button pressed")
     page.click("#viewpoints-list button[title=Delete]")
     wait_for(page, lambda: row.count() == 0, "the viewpoint gone")
+
+
+PICTURES = """
+window.pictures = 0; // of the 3D pane, with another content than the one before
+let drawn = null, before = null;
+const { drawElements } = WebGL2RenderingContext.prototype;
+WebGL2RenderingContext.prototype.drawElements = function (...all) {
+  drawn = this;
+  return drawElements.apply(this, all);
+};
+const refresh = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (callback) => refresh((time) => {
+  drawn = null;
+  callback(time);
+  if (!drawn) return;
+  const pixels = new Uint8Array(4 * drawn.drawingBufferWidth * drawn.drawingBufferHeight);
+  const all = [0, 0, drawn.drawingBufferWidth, drawn.drawingBufferHeight];
+  drawn.readPixels(...all, drawn.RGBA, drawn.UNSIGNED_BYTE, pixels);
+  let changed = 0;
+  if (before?.length === pixels.length) {
+    for (let i = 0; i < pixels.length; i += 1) changed += Math.abs(pixels[i] - before[i]) > 12;
+  }
+  if (changed > 30) window.pictures += 1;
+  before = pixels;
+});
+"""
+
+
+@pytest.mark.browser
+def test_a_step_is_one_picture_in_3d_though_its_cameras_come_before_the_rest(
+    url: str, page: "Page", tool: Inspector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page.add_init_script(f"if (window !== top) {{ {PICTURES} }}")
+    page.goto(url)
+    page.wait_for_selector("#scene.ready")
+    (server,) = tool.scenes._servers.values()
+    wait_for(page, lambda: bool(server.get_clients()), "the 3D client")
+    page.wait_for_timeout(4000)  # until the first pictures are drawn
+    together = type(server).atomic
+
+    @contextmanager
+    def late(of: Any) -> Iterator[None]:
+        with together(of):
+            yield
+            time.sleep(0.05)  # by then the cameras are long sent
+
+    monkeypatch.setattr(type(server), "atomic", late)
+    pane = next(frame for frame in page.frames if "/view/" in frame.url)
+    for number in range(1, 4):
+        pane.evaluate("window.pictures = 0")
+        page.keyboard.press(".")
+        wait_for(page, lambda: pane.evaluate("window.pictures") > 0, "the picture")
+        page.wait_for_timeout(700)
+        assert pane.evaluate("window.pictures") == 1, number
 
 
 @pytest.mark.parametrize("eye", [[0, 0], "there", None, [0, 0, float("nan")], [1, 2, 3]])

@@ -5,7 +5,7 @@
  * by name, as `oneOf`, `flag`, `known` and `whole` make them. `get()` gives their values by name, as
  * texts, null for none; what is initial is not written. `set(values)` gets all of them at once. */
 
-const SETTLED_MS = 60; // writing is slow in browsers: not before painting
+const SETTLED_MS = 300; // writing is slow in browsers: not while anything is painted
 const LOOKED_AT_MS = 1000; // frames that were seen for less are no places to go back to
 const OWN = ["run", "frame", "token"];
 

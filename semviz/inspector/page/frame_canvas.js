@@ -16,6 +16,7 @@ export class FrameCanvas {
   }
 
   pointAt(position) {
+    if (position === this.position) return;
     this.position = position;
     this.surface.redraw();
   }

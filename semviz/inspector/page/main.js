@@ -28,6 +28,8 @@ import { Viewpoints } from "./viewpoints.js";
 import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
+const POINTED_MS = 50; // a frame that comes sooner is painted once, not twice
+
 class Page {
   constructor() {
     startTheme();
@@ -106,7 +108,7 @@ class Page {
   }
 
   showScene() {
-    if (!this.sceneShown) showScene(byId("scene"), this.session, this.keys);
+    if (!this.sceneShown) this.pictures3d = showScene(byId("scene"), this.session, this.keys);
     this.sceneShown = true;
   }
 
@@ -125,6 +127,8 @@ class Page {
   showFrame(frame, state) {
     this.waiting = false;
     this.frame = frame;
+    clearTimeout(this.pointing);
+    this.pointing = undefined;
     if (this.wanted !== frame.position && this.stepping) {
       this.go(this.wanted); // keys were faster than the server
     } else {
@@ -147,7 +151,8 @@ class Page {
     if (this.image.frame !== this.frame) return; // its picture is still to come
     performance.measure("frame switch", { start: this.stepping, end: performance.now() });
     this.stepping = undefined;
-    this.socket.send({ verb: "draw" }); // the 3D pane follows: asked for before, it is no sooner there
+    if (this.drawn !== this.wanted) this.draw();
+    requestAnimationFrame(() => this.pictures3d?.release()); // the image comes first
     if (this.playing) setTimeout(() => this.playing && this.step(1), 60);
   }
 
@@ -161,11 +166,27 @@ class Page {
     if (!this.run) return;
     this.wanted = Math.min(Math.max(position, 0), this.run.frames.length - 1);
     if (this.wanted !== position) this.playing = false;
+    const isRush = this.stepping !== undefined;
     this.stepping ??= performance.now();
     if (!this.waiting && this.wanted !== this.frame?.position) {
       this.waiting = this.socket.send({ verb: "go", position: this.wanted });
+      if (isRush) this.drawn = undefined; // what is rushed through is not drawn in 3D
+      else this.draw(); // made while the image is painted
     }
+    this.pointing ??= setTimeout(() => this.point(), POINTED_MS);
+  }
+
+  /** The panels show where it goes, unless that has come. */
+  point() {
+    this.pointing = undefined;
     this.each("pointAt", this.wanted);
+  }
+
+  /** Asks for the frame in 3D. */
+  draw() {
+    this.drawn = this.wanted;
+    this.pictures3d?.hold();
+    this.socket.send({ verb: "draw" });
   }
 
   step(by) {

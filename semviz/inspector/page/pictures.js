@@ -1,14 +1,25 @@
 /* The images of a run, decoded, with the neighbours of the current frame ahead of time. */
 
 const KEPT = 24;
+const LATER_MS = 100; // decoding takes a processor: not while a frame is drawn, in 3D too
+const RUSH_MS = 250; // who goes on sooner needs the next picture more
 
 export class Pictures {
   open(run) {
     this.run = run;
     this.kept = new Map();
+    this.asked = 0;
   }
 
+  /** Gets those around `position` soon. */
   prefetch(position, side) {
+    const isRush = performance.now() - this.asked < RUSH_MS;
+    this.asked = performance.now();
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.#getAround(position, side), isRush ? 0 : LATER_MS);
+  }
+
+  #getAround(position, side) {
     for (const near of [position + 1, position - 1, position + 2]) {
       if (near >= 0 && near < this.run.frames.length) this.get(near, side);
     }

@@ -36,7 +36,7 @@ class BaseFrame:
 
 def draw_base(scene: Scene, base: BaseFrame | None) -> None:
     """A dashed grey camera, and faint elements with names; None takes all away."""
-    scene.clear_under(BASE)
+    scene.remove_under(BASE)
     if base is None:
         return
     one = base.record.localization

@@ -23,7 +23,7 @@ HATCH_M = 6.0
 
 def draw_forecast(scene: Scene, predicted: Localizability, classes: ClassSet) -> None:
     """Replaces what was drawn of a forecast before."""
-    scene.clear_under(FORECAST)
+    scene.remove_under(FORECAST)
     track_m = np.array([pose.translation for pose in predicted.T_map_camera])
     track_m = track_m - [0.0, 0.0, CAMERA_HEIGHT_M - ABOVE_ROAD_M]
     if len(track_m) > 1:

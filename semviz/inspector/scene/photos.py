@@ -38,10 +38,10 @@ class Photos:
         """The photo of the frame at ``position`` and no other; whether there is one."""
         if self._is_backdrop != (view == "camera"):
             self._is_backdrop = not self._is_backdrop
-            self._scene.clear_under(PHOTOS)
+            self._scene.remove_under(PHOTOS)
             self._held.clear()
         for name in self._held:
-            self._scene.hide(name)
+            self._scene.clear(name)
         return self._draw(position, visible=True)
 
     def expect(self, position: int) -> None:

@@ -14,8 +14,8 @@ from semviz.web.viewpoint import Viewpoint
 from semviz_core.arrays import FloatArray, float_array
 from semviz_core.errors import SemvizError
 
-SENT_S = 0.02
-"""So long is waited until a frame is on its way: what the next one needs must not delay it."""
+SHOWN_S = 0.1
+"""So long is waited until a frame is seen: what the next one needs must not delay it."""
 
 
 class SpaceTopic(Topic):
@@ -31,7 +31,7 @@ class SpaceTopic(Topic):
         self._tell_legend()
 
     def on_drawn(self) -> None:
-        ahead = threading.Timer(SENT_S, self._expect, args=(self.desk.state,))
+        ahead = threading.Timer(SHOWN_S, self._expect, args=(self.desk.state,))
         ahead.daemon = True
         ahead.start()
 

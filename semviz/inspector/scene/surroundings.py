@@ -10,14 +10,15 @@ from semviz_core.arrays import FloatArray
 from semviz_core.frame import Prior
 from semviz_core.pose import Pose
 
+CROSS_M = 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
+
 
 def draw_prior(scene: Scene, run: Run, record: FrameRecord, view: View) -> None:
     """The fix with its uncertainty, and the circle within which the submap lies."""
     prior = record.localization.prior
     center, color = _on_road(prior.position_m), scene.palette.prior
     scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
-    cross = center + 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
-    scene.draw_lines("/prior-cross", cross, color, 1.5)
+    scene.draw_lines("/prior-cross", CROSS_M, color, 1.5, T_map_local=Pose(np.eye(3), center))
     _label_prior(scene, prior, center, vehicle(record), view)
     radius = run.info.options.get("crop_radius_m")
     if isinstance(radius, int | float):

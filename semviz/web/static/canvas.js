@@ -69,10 +69,7 @@ export class Surface {
   redraw() {
     if (this._pending) return;
     this._pending = true;
-    requestAnimationFrame(() => {
-      this._pending = false;
-      this._paint();
-    });
+    requestAnimationFrame(() => this._pending && this._paint());
   }
 
   _resize() {
@@ -89,6 +86,7 @@ export class Surface {
   }
 
   _paint() {
+    this._pending = false; // a change of size paints at once
     if (!this.width || !this.height) return;
     const context = this._context;
     context.setTransform(this.canvas.width / this.width, 0, 0, this.canvas.height / this.height, 0, 0);
