@@ -61,6 +61,27 @@ def test_a_pole_drawn_left_and_right_is_one_element_and_survives_a_reload(
         np.testing.assert_allclose(row.end_px, bottom, atol=0.01)
 
 
+def test_nothing_is_drawn_on_the_picture_of_the_frame_before(
+    driver: LabelDriver, served: Served
+) -> None:
+    """A click on an image that is slow to come would be a label on what it does not show."""
+    page, held = driver.page, []
+    page.route("**/image/3/*.png", lambda route: held.append(route))
+    page.keyboard.press("4")
+    page.click('.tile[data-frame="3"]')
+    opacity = "side => document.querySelector(`#${side}-image canvas.picture`).style.opacity"
+    page.wait_for_function(f"() => ({opacity})('left') === '0.3'")
+    driver.click_at("left", (333.3, 121.7))
+    driver.settle()
+    assert driver.operation == 0
+    for route in held:
+        route.continue_()
+    page.wait_for_function(f"() => ({opacity})('left') === '1'")
+    driver.click_at("left", (333.3, 121.7))
+    driver.wait_saved(0)
+    assert [row.frame_index for row in served.observations] == [3]
+
+
 @pytest.mark.parametrize("scale", [0.9, 1.7, 5.0, 40.0])
 def test_clicks_land_on_the_pixel_under_the_pointer_at_every_zoom(
     driver: LabelDriver, served: Served, scale: float

@@ -4,6 +4,7 @@ import { SIDES } from "./state.js";
 import * as paint from "./paint.js";
 
 const MOST = 64; // CSS pixels to the image pixel
+const COMING = 0.3; // opacity of the picture before, until the next one is there
 const LOUPE = { zoom: 8, size: 152, height: 172, gap: 12 };
 
 export class Images {
@@ -15,6 +16,7 @@ export class Images {
     this.shownKey = shownKey;
     this.view = new View();
     this.bitmaps = { left: null, right: null };
+    this.frames = { left: null, right: null }; // what they are of
     this.pointer = null; // {side, point} while it is over an image
     this.hovered = null; // what a press would take hold of
     this.surfaces = {};
@@ -36,11 +38,18 @@ export class Images {
   /** Shows `bitmap` of `frame` or, where there is none, `message` on one side. */
   show(side, frame, bitmap, message = "") {
     this.bitmaps[side] = bitmap;
+    this.frames[side] = frame;
     this.canvas(side).dataset.frame = frame;
     const note = this.panels[side].querySelector(".message");
     note.hidden = bitmap !== null;
     note.textContent = message;
     this.#moved();
+  }
+
+  /** The picture on one side if it is there; while another frame's is still shown, faintly, nothing
+   * is marked in it and nothing can be drawn. */
+  bitmap(side) {
+    return this.frames[side] === this.state.frame ? this.bitmaps[side] : null;
   }
 
   /** The marks; `#moved` repaints everything. */
@@ -137,6 +146,7 @@ export class Images {
 
   /** What is under `point` (CSS pixels): {element, observation, part: anchor | end | line} or null. */
   hit(side, point) {
+    if (!this.bitmap(side)) return null;
     const { selected } = this.state;
     const hits = this.state.elements.flatMap((element) => {
       const observation = element.observations[side];
@@ -150,7 +160,7 @@ export class Images {
 
   /** The proposal that is nearest to `point` (CSS pixels), of those under it; or null. */
   hitOffer(side, point) {
-    const hits = (this.state.aids.ghosts ? this.state.offers : []).flatMap((offer) => {
+    const hits = (this.state.aids.ghosts && this.bitmap(side) ? this.state.offers : []).flatMap((offer) => {
       const found = offer[side] && paint.hitTest(this.view, offer[side], point);
       return found ? [{ offer, ...found }] : [];
     });
@@ -167,8 +177,10 @@ export class Images {
   #paintMarks(side, context) {
     const { scale, x, y } = this.view;
     this.canvas(side).dataset.view = `${scale} ${x} ${y}`;
-    this.backgrounds[side].canvas.style.filter = this.state.filter;
-    const bitmap = this.bitmaps[side];
+    const bitmap = this.bitmap(side);
+    const { style } = this.backgrounds[side].canvas;
+    style.filter = this.state.filter;
+    style.opacity = bitmap ? 1 : COMING;
     if (!bitmap || !this.state.labels) return;
     this.#paintElements(side, context);
     if (this.state.cursor?.side === side) paint.cursor(context, this.view.toScreen(this.state.cursor.pixel));

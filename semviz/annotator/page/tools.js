@@ -91,7 +91,7 @@ export class Tools {
   /** Returns whether something is being drawn now. */
   #begin(side, anchor) {
     const near = BESIDE / this.images.view.scale;
-    if (!this.images.bitmaps[side] || !this.#isInside(side, anchor, near) || !this.mayEdit()) return false;
+    if (!this.images.bitmap(side) || !this.#isInside(side, anchor, near) || !this.mayEdit()) return false;
     anchor = this.#inside(side, anchor);
     const id = this.state.classId;
     const kind = this.state.classOf(id).kind;
