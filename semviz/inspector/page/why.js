@@ -16,11 +16,16 @@ export class WhyCard {
       el("header", {},
         el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
         el("span", { class: "about", id: "why-truth", text: surely })),
-      el("p", { class: "sentence", text: sentence }),
+      el("p", { class: "sentence" }, ...unbroken(sentence)),
       el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
       el("div", { class: "actions", id: "why-actions" }),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
   }
+}
+
+/** With names of elements, such as P-29, each in one line. */
+function unbroken(sentence) {
+  return sentence.split(/([A-Z]-\d+)/).map((part, place) => (place % 2 ? el("span", { text: part }) : part));
 }
 
 function alternativeRow({ name, distanceM, angleDeg, gapNats }) {
