@@ -10,8 +10,9 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import chdir, closing, contextmanager
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ from semviz.inspector.server import Inspector
 from semviz.recording.reader import load_run
 from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.edits import AddObservation
+from semviz_annotation.assist.shot import Mark
+from semviz_annotation.edits import AddObservation, Edit
 from semviz_annotation.formats.plan import ImportLabels
 from semviz_annotation.labels import new_id
 from semviz_annotation.storing.store import LabelStore
@@ -36,6 +38,7 @@ from semviz_annotation.street_labels import careful, label_street
 from semviz_core.map_file import save_map
 from semviz_core.sources.source import Side
 from semviz_core.sources.street.map_errors import moved
+from semviz_core.sources.street.street import Street
 
 IMAGES = Path(__file__).resolve().parent / "images"
 CHROMIUM = [
@@ -44,45 +47,73 @@ CHROMIUM = [
     "--disable-background-networking",
 ]
 SHOWN_FRAME = 97
-FORECAST_FRAME = 26
+FORECAST_FRAME = 22
+RERUN_FRAME = 26
 SPACE_FRAME = 113
 MOVED_FRAME = 28
 MOVED_ELEMENT = 29
-TRIED_FRAME = 28
 COMPARED_FRAMES = range(100, 112)
 """Between them a pole is moved that matters."""
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
 SETTLED_MS = 15_000
-"""Software rendering takes its time."""
+WIDTH, HEIGHT = 1600, 950
+FRAMES = range(10)
+"""Of the labelled street."""
 
 
 @contextmanager
-def browser_page(width: int = 1600, height: int = 950) -> Iterator[Page]:
+def browser_page() -> Iterator[Page]:
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, map(shutil.which, names)), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
-        yield browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
+        yield browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="dark")
         browser.close()
 
 
-def take_inspector(page: Page) -> None:
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={SHOWN_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
-        page.screenshot(path=IMAGES / "serve.png")
+@contextmanager
+def inspecting(page: Page, address: str, *runs: Path) -> Iterator[str]:
+    """The inspector at an address, over the demo's run if no others are given; its url."""
+    tool = Inspector(runs or [Workspace.open(ensure_demo()).run_path(RUN)])
+    with closing(tool), Door(tool).running() as url:
+        page.goto(url + address)
+        yield url
         page.goto("about:blank")
+
+
+@contextmanager
+def annotating(
+    page: Page, folder: str, labels: Callable[[Street], Iterator[Edit]]
+) -> Iterator[None]:
+    """The annotator over a labelled street, used by somebody who knows it."""
+    workspace = Workspace.create_street(Path(folder) / "street", 7, FRAMES)
+    with LabelStore.open(workspace.labels_path) as store:
+        for edit in labels(workspace.street):
+            store.apply(edit, "you")
+    with closing(Annotator(workspace, author="you")) as tool, Door(tool).running() as url:
+        page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
+        page.goto(url)
+        yield
+        page.goto("about:blank")
+
+
+def settle(page: Page) -> None:
+    """Software rendering takes its time."""
+    page.wait_for_timeout(SETTLED_MS)
+
+
+def take_inspector(page: Page) -> None:
+    with inspecting(page, f"?frame={SHOWN_FRAME}"):
+        settle(page)
+        page.screenshot(path=IMAGES / "serve.png")
 
 
 def take_image(page: Page) -> None:
     """The image with the frames around, and a view as it is saved."""
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={MOVED_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
+    with inspecting(page, f"?frame={MOVED_FRAME}") as url:
+        settle(page)
         page.keyboard.press("4")
         page.keyboard.press("p")
         page.click('dialog [value="svg"] >> xpath=..')
@@ -90,56 +121,47 @@ def take_image(page: Page) -> None:
             page.click("dialog button.primary")
         download.value.save_as(IMAGES / "serve-error.svg")
         page.goto(f"{url}?frame={SHOWN_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         for key in ("3", "Tab", "Shift+K"):
             page.keyboard.press(key)
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.locator("#image").screenshot(path=IMAGES / "serve-image.png")
-        page.goto("about:blank")
 
 
 def take_selected(page: Page) -> None:
     """The card of the pole that was labelled beside where it stands, and the matrix of a row."""
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.route("**/view/**", lambda route: route.abort())  # the 3D pane is not in them
-        page.set_viewport_size({"width": 1600, "height": 1500})
-        page.goto(f"{url}?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&card=selected")
+    page.route("**/view/**", lambda route: route.abort())  # the 3D pane is not in them
+    page.set_viewport_size({"width": WIDTH, "height": 1500})
+    with inspecting(page, f"?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&card=selected") as url:
         page.wait_for_selector("#selected-origins .origin", timeout=120_000)
         page.locator("#why").screenshot(path=IMAGES / "serve-selected.png")
-        page.set_viewport_size({"width": 1600, "height": 950})
+        page.set_viewport_size({"width": WIDTH, "height": HEIGHT})
         page.goto(f"{url}?frame={SHOWN_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.keyboard.press("Tab")
         page.wait_for_selector("#matrix-value:not(:empty)")
         page.locator("#matrix").screenshot(path=IMAGES / "serve-matrix.png")
-        page.unroute("**/view/**")
-        page.goto("about:blank")
+    page.unroute("**/view/**")
 
 
 def take_space(page: Page) -> None:
     """The map by how often elements are used, with covariances."""
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={SPACE_FRAME}")
+    with inspecting(page, f"?frame={SPACE_FRAME}"):
         page.wait_for_selector("#space-legend div")
         for key in ("v", "v", "Shift+V"):
             page.keyboard.press(key)
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.locator("#space").screenshot(path=IMAGES / "serve-space.png")
-        page.goto("about:blank")
 
 
 def take_solver(page: Page) -> None:
     """The elements of the demo's run, and how the answer came about that one of them spoils."""
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&list=elements&card=solver")
+    chosen = f"element={MOVED_ELEMENT}&list=elements&card=solver"
+    with inspecting(page, f"?frame={MOVED_FRAME}&{chosen}"):
         page.wait_for_selector("#element-list li", timeout=120_000)
         page.click("#solver-body .poses tbody tr:nth-child(2)")
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.screenshot(path=IMAGES / "serve-solver.png")
-        page.goto("about:blank")
 
 
 def take_compare(page: Page) -> None:
@@ -153,59 +175,47 @@ def take_compare(page: Page) -> None:
         save_map(moved(run.semantic_map, often, (1.2, 1.9, 0.0)), workspace.map_path("newer"))
         other = workspace.run_path("newer")
         Localize(town, map="newer", out=other, observations="simulated", seed=SEED).run()
-        with Door(Inspector([workspace.run_path(RUN), other])).running() as url:
-            page.goto(f"{url}?run=newer&base={RUN}&beside=yes&frame=0")
+        address = f"?run=newer&base={RUN}&beside=yes&frame=0"
+        with inspecting(page, address, workspace.run_path(RUN), other):
             page.click("#map-change-list li", timeout=60_000)
-            page.wait_for_timeout(SETTLED_MS)
+            settle(page)
             page.screenshot(path=IMAGES / "serve-compare.png")
-            page.goto("about:blank")
 
 
 def take_forecast(page: Page) -> None:
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={FORECAST_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
+    with inspecting(page, f"?frame={FORECAST_FRAME}"):
+        settle(page)
         page.click("#forecast")
         page.wait_for_selector("#forecast-legend .scale", timeout=120_000)
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.screenshot(path=IMAGES / "serve-forecast.png")
-        page.goto("about:blank")
 
 
 def take_what_if(page: Page) -> None:
     """The frame that a moved pole harms, without it."""
-    run = Workspace.open(ensure_demo()).run_path(RUN)
-    with Door(Inspector([run])).running() as url:
-        page.goto(f"{url}?frame={TRIED_FRAME}")
-        page.wait_for_timeout(SETTLED_MS)
+    with inspecting(page, f"?frame={MOVED_FRAME}"):
+        settle(page)
         page.keyboard.press("x")
-        page.wait_for_timeout(SETTLED_MS)
+        settle(page)
         page.screenshot(path=IMAGES / "serve-what-if.png")
-        page.goto("about:blank")
 
 
 def take_label(page: Page) -> None:
     """The label behind the moved pole, opened from the frame that it harms."""
     with tempfile.TemporaryDirectory() as folder:
         town = Path(shutil.copytree(ensure_demo(), Path(folder) / "town"))
-        with (
-            closing(Inspector([Workspace.open(town).run_path(RUN)])) as tool,
-            Door(tool).running() as url,
-        ):
-            page.goto(f"{url}?frame={TRIED_FRAME}")
+        with inspecting(page, f"?frame={MOVED_FRAME}", Workspace.open(town).run_path(RUN)):
             page.wait_for_selector("#why-actions button", timeout=60_000)
             with page.expect_popup() as opened:
                 page.keyboard.press("o")
             labels = opened.value
-            labels.set_viewport_size({"width": 1600, "height": 950})
+            labels.set_viewport_size({"width": WIDTH, "height": HEIGHT})
             labels.wait_for_selector("#card >> text=P-29", timeout=60_000)
             labels.keyboard.press("0")
             labels.click("#tour >> text=End")
-            labels.wait_for_timeout(SETTLED_MS)
+            settle(labels)
             labels.screenshot(path=IMAGES / "serve-label.png")
             labels.close()
-            page.goto("about:blank")
 
 
 def take_report(page: Page) -> None:
@@ -240,7 +250,7 @@ def take_rerun() -> None:
     try:
         viewer.open(str(run))
         time.sleep(SETTLED_MS / 1e3)  # it first follows the end of what it loads
-        viewer.set_time("frame", sequence=FORECAST_FRAME)
+        viewer.set_time("frame", sequence=RERUN_FRAME)
         time.sleep(SETTLED_MS / 1e3)
         shown = cv2.imdecode(np.frombuffer(viewer.take_screenshot(), np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None
@@ -255,67 +265,42 @@ def draw_route() -> None:
 
 
 def take_annotator(page: Page) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        workspace = Workspace.create_street(Path(folder) / "street", 7, range(10))
-        label(workspace)
-        with Door(Annotator(workspace, author="you")).running() as url:
-            page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
-            page.goto(url)
-            page.wait_for_timeout(SETTLED_MS)
-            page.click(f'.tile[data-frame="{LABELLED_FRAMES[-1]}"]')
-            page.click("#elements .row")
-            page.wait_for_timeout(SETTLED_MS)
-            page.screenshot(path=IMAGES / "annotate.png")
-            page.goto("about:blank")
+    with tempfile.TemporaryDirectory() as folder, annotating(page, folder, first_labels):
+        settle(page)
+        page.click(f'.tile[data-frame="{LABELLED_FRAMES[-1]}"]')
+        page.click("#elements .row")
+        settle(page)
+        page.screenshot(path=IMAGES / "annotate.png")
 
 
 def take_review(page: Page) -> None:
-    """A question of the last map, after labels that were begun anew every six frames."""
-    with tempfile.TemporaryDirectory() as folder:
-        workspace = Workspace.create_street(Path(folder) / "street", 7, range(10))
-        made = label_street(careful(workspace.street, 0.5, 1), range(10), memory=6).labels
-        edit = ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
-        with LabelStore.open(workspace.labels_path) as store:
-            store.apply(edit, "you")
-        with Door(Annotator(workspace, author="you")).running() as url:
-            page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
-            page.goto(url)
-            page.click("#build")
-            page.wait_for_selector('#build[title$="up to operation 1"]', timeout=120_000)
-            page.click('#jumps .row:has-text("Map decisions")')
-            page.wait_for_timeout(SETTLED_MS)
-            page.screenshot(path=IMAGES / "annotate-review.png")
-            page.goto("about:blank")
+    """A question of the last map."""
+    with tempfile.TemporaryDirectory() as folder, annotating(page, folder, forgetful_labels):
+        page.click("#build")
+        page.wait_for_selector('#build[title$="up to operation 1"]', timeout=120_000)
+        page.click('#jumps .row:has-text("Map decisions")')
+        settle(page)
+        page.screenshot(path=IMAGES / "annotate-review.png")
 
 
-def label(workspace: Workspace) -> None:
-    """Most of what is visible in the first frames, as a careful annotator would have it."""
+def first_labels(street: Street) -> Iterator[Edit]:
+    """All that the first frames show; in the last of them a third: the rest is expected there."""
     elements: dict[int, str] = {}
     sides: tuple[Side, Side] = ("left", "right")
-    with workspace.open_labels() as store:
-        for index in LABELLED_FRAMES:
-            for side in sides:
-                observed, numbers = workspace.street.labels(index, side)
-                for row, number in enumerate(numbers.tolist()):
-                    if index == LABELLED_FRAMES[-1] and number % 3:
-                        continue  # leaves something expected, dashed, in the last frame
-                    known = number in elements
-                    end = observed.end_px[row]
-                    edit = AddObservation(
-                        observation_id=new_id(),
-                        element_id=elements.setdefault(number, new_id()),
-                        frame_index=index,
-                        side=side,
-                        anchor_px=(
-                            float(observed.anchor_px[row, 0]),
-                            float(observed.anchor_px[row, 1]),
-                        ),
-                        end_px=(float(end[0]), float(end[1])) if observed.is_line[row] else None,
-                        anchor_known=bool(observed.anchor_known[row]),
-                        end_known=bool(observed.end_known[row]),
-                        class_id=None if known else int(observed.class_id[row]),
-                    )
-                    store.apply(edit, "you")
+    for index, side in product(LABELLED_FRAMES, sides):
+        seen, numbers = street.labels(index, side)
+        for row, number in enumerate(numbers.tolist()):
+            if index != LABELLED_FRAMES[-1] or number % 3 == 0:
+                class_id = None if number in elements else int(seen.class_id[row])
+                element_id = elements.setdefault(number, new_id())
+                mark = vars(Mark.seen(seen, row))
+                yield AddObservation(new_id(), element_id, index, side, **mark, class_id=class_id)
+
+
+def forgetful_labels(street: Street) -> Iterator[Edit]:
+    """Of all frames, begun anew every six of them."""
+    made = label_street(careful(street, 0.5, 1), FRAMES, memory=6).labels
+    yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
 
 
 def main() -> None:
