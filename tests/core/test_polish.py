@@ -1,16 +1,22 @@
 """Hypotheses are moved to where what is seen agrees, and what is not seen counts against them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from frames import frames
+from frames import EXACT, frames
 
 from semviz_core.arrays import FloatArray
+from semviz_core.elements import Elements3D, joined
 from semviz_core.evaluation.problems import DETECTOR, HARD_SETS, Problem
+from semviz_core.pose import Pose
 from semviz_core.solving.effort import WIDE
 from semviz_core.solving.hypotheses import upright_hypotheses
 from semviz_core.solving.polish import polish
 from semviz_core.solving.rating import POLISHED, VOTED, rate
 from semviz_core.solving.scene import Known, Scene
+from semviz_core.solving.search import camera_pose
+from semviz_core.solving.standing import tilted_slope
 from semviz_core.solving.upright import UprightView, likely_ups, upright_view
 
 
@@ -22,12 +28,12 @@ def seen_upright(problem: Problem) -> tuple[Scene, Known, UprightView]:
 
 
 def true_pose(problem: Problem, moved: FloatArray) -> FloatArray:
-    """(h, 5) the upright true pose, moved by (h, 3) x, y and heading."""
+    """(h, 6) the upright true pose, moved by (h, 3) x, y and heading."""
     inverse = problem.T_camera_map.inverse()
     ahead = inverse.rotation[:, 2]
     heading = np.arctan2(ahead[1], ahead[0]) + moved[:, 2]
     x, y, z = inverse.translation[:, None] + np.column_stack([moved[:, :2], 0.0 * heading]).T
-    return np.column_stack([x, y, z, np.cos(heading), np.sin(heading)])
+    return np.column_stack([x, y, z, np.cos(heading), np.sin(heading), np.zeros(len(moved))])
 
 
 def off_m(pose: FloatArray, problem: Problem) -> FloatArray:
@@ -57,15 +63,45 @@ def test_polishing_brings_hypotheses_to_the_truth() -> None:
 def test_what_is_in_view_and_not_seen_counts_against_a_pose() -> None:
     for problem in frames(5):
         scene, known, view = seen_upright(problem)
-        poses = upright_hypotheses(scene, view, known, WIDE).pose
-        with_misses, without = (
-            rate(scene, view, known, poses, VOTED, one) for one in (True, False)
-        )
-        assert (with_misses <= without).all()
-        assert (with_misses < without).any()
-        nowhere = true_pose(problem, np.array([[1e4, 0.0, 0.0]]))
-        one, other = (rate(scene, view, known, nowhere, VOTED, which) for which in (True, False))
-        assert one == other  # nothing is mapped there
+        true = true_pose(problem, np.zeros((1, 3)))
+        alone = rate(scene, view, known, true, VOTED)
+        place, ahead = true[0, :3], np.array([true[0, 3], true[0, 4], 0.0])
+        for away_m, counts in ((20.0, True), (-20.0, False)):
+            sign = Elements3D.from_ends([10**6], [place + away_m * ahead], [[np.nan] * 3], [9])
+            more = replace(problem, submap=joined(problem.submap, sign))
+            rating = rate(seen_upright(more)[0], view, known, true, VOTED)
+            assert (rating < alone - 0.3) if counts else (rating == alone)
+
+
+def test_polishing_finds_by_how_much_gravity_is_off() -> None:
+    off_deg = []
+    for problem in frames(20, EXACT):
+        prior = replace(problem.prior, up_camera=tilted(problem, np.deg2rad(1.2)))
+        scene, _, view = seen_upright(replace(problem, prior=prior))
+        polished = polish(scene, view, true_pose(problem, np.zeros((1, 3))), WIDE.step_m)[0]
+        up = camera_pose(view, polished)[0][:, 2]
+        assumed, true = view.R_level_camera[2], problem.T_camera_map.rotation[:, 2]
+        off_deg.append([np.rad2deg(np.arccos(min(one @ true, 1.0))) for one in (assumed, up)])
+    assumed_deg, found_deg = np.median(off_deg, axis=0)
+    assert assumed_deg > 0.5
+    assert found_deg < 0.2 * assumed_deg
+
+
+def tilted(problem: Problem, by_rad: float) -> FloatArray:
+    """(3,) up in camera coordinates, wrong by a turn about the camera's x axis."""
+    turn = Pose.from_rotvec(np.array([by_rad, 0.0, 0.0]), np.zeros(3))
+    return turn.apply(problem.T_camera_map.rotation[:, 2][None])[0]
+
+
+def test_a_tilt_of_the_pose_is_one_of_what_is_seen() -> None:
+    tilt_rad = float(np.deg2rad(1.0))
+    for problem in frames(5):
+        scene, _, view = seen_upright(problem)
+        pose = true_pose(problem, np.zeros((1, 3)))[0]
+        pose[5] = tilt_rad
+        exact = upright_view(scene, camera_pose(view, pose)[0][:, 2].copy(), view.up_sigma_rad)
+        for one, other in zip(view.seen, exact.seen, strict=True):
+            assert tilted_slope(one, 0, tilt_rad) == pytest.approx(other["slope"][0], abs=3e-3)
 
 
 def test_polished_hypotheses_are_rated_in_a_better_order() -> None:
@@ -75,8 +111,8 @@ def test_polished_hypotheses_are_rated_in_a_better_order() -> None:
         scene, known, view = seen_upright(problem)
         voted = upright_hypotheses(scene, view, known, WIDE).pose
         polished = polish(scene, view, voted, WIDE.step_m)
-        first = voted[rate(scene, view, known, voted, VOTED, False).argmax()]
-        second = polished[rate(scene, view, known, polished, POLISHED, True).argmax()]
+        first = voted[rate(scene, view, known, voted, VOTED).argmax()]
+        second = polished[rate(scene, view, known, polished, POLISHED).argmax()]
         right.append(off_m(np.stack([first, second]), problem) < 2.0)
     usual, better = np.sum(right, axis=0)
     assert better >= usual + 4

@@ -167,7 +167,7 @@ def test_modes_are_distinct_and_best_first() -> None:
 
 
 def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> None:
-    assert tuple(USUAL) == (2.2, 350, 0, 16, 6, 3, 30.0)
+    assert tuple(USUAL) == (3.6, 500, 150, 16, 6, 3, 30.0)
     for problem in frames(3):
         one, other = (
             search(scene_of(problem), problem.prior),

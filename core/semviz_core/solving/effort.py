@@ -6,11 +6,11 @@ from typing import NamedTuple
 class Effort(NamedTuple):
     """Limits of a search."""
 
-    step_m: float = 2.2
+    step_m: float = 3.6
     """Between places; fits converge from several times as far."""
-    hypotheses: int = 350
+    hypotheses: int = 500
     """Most that are rated, of each view."""
-    polished: int = 0
+    polished: int = 150
     """Of these, so many are polished and rated again; with several views, fewer in each as fewer
     are started."""
     started: int = 16
@@ -26,6 +26,6 @@ class Effort(NamedTuple):
 
 USUAL = Effort()
 """Enough behind an ordinary GPS fix."""
-WIDE = Effort(step_m=3.6, hypotheses=1500, polished=800, started=64, finished=40, improved=6)
+WIDE = Effort(hypotheses=1200, polished=600, started=64, finished=40, improved=6)
 """Finds what there is behind a fix 50 m off, in clutter or without gravity, for about twice the
 time; which of it is right is another question."""

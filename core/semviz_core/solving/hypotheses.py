@@ -43,7 +43,8 @@ class Hypotheses(NamedTuple):
     """Candidate poses of an upright camera."""
 
     pose: FloatArray
-    """(h, 5) x, y, z, cosine and sine of the heading; those with the most voters first."""
+    """(h, 6) x, y, z, cosine and sine of the heading, and tilt: by how much the camera looks
+    further up than the level frame says (rad), here 0. Those with the most voters first."""
     tried: int
     """Places and headings that anything voted for."""
 
@@ -54,7 +55,7 @@ class _Ballot(NamedTuple):
     ranges: FloatArray  # (p, 2) least and largest 1 / distance at which a match agrees
     votes: IntArray  # (BINS,) for each heading, a bit for each observed element that agrees
     number: IntArray  # (BINS,) how many those are
-    pose: FloatArray  # (room, 5) as in Hypotheses
+    pose: FloatArray  # (room, 6) as in Hypotheses
     voters: IntArray  # (room,)
     level: IntArray  # how many poses have so many voters
 
@@ -70,7 +71,7 @@ def upright_hypotheses(scene: Scene, view: UprightView, known: Known, effort: Ef
         np.empty((len(partner), 2)),
         np.zeros(BINS, dtype=np.int64),
         np.zeros(BINS, dtype=np.int64),
-        np.empty((room, 5)),
+        np.zeros((room, 6)),
         np.empty(room, dtype=np.int64),
         np.zeros(MOST_VOTERS + 2, dtype=np.int64),
     )

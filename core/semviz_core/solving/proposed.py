@@ -16,9 +16,9 @@ MOST_PROPOSED = 12
 def with_proposed(modes: Modes, scene: Scene, prior: Prior, pose: FloatArray) -> Modes:
     """The modes with those that upright poses (h, 5) lead to, best first.
 
-    ``pose`` is as in ``hypotheses.Hypotheses``; of them the first MOST_PROPOSED are followed.
+    ``pose`` is as in ``hypotheses.Hypotheses``, without tilt; the first MOST_PROPOSED are followed.
     """
-    chosen = np.ascontiguousarray(pose[:MOST_PROPOSED])
+    chosen = np.pad(pose[:MOST_PROPOSED], ((0, 0), (0, 1)))
     if not len(chosen):
         return modes
     ups, up_sigma_rad = likely_ups(scene, Known.of(prior))

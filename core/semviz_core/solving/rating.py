@@ -17,6 +17,8 @@ class Doubt(NamedTuple):
     position_m: float
     height_m: float
     heading_rad: float
+    of_up: float
+    """Share that is left of the doubt about up."""
 
 
 class Toward(NamedTuple):
@@ -30,9 +32,9 @@ class Toward(NamedTuple):
     """Of the azimuth (rad^2)."""
 
 
-VOTED = Doubt(0.4, 0.15, float(np.deg2rad(1.0)))
+VOTED = Doubt(0.4, 0.15, float(np.deg2rad(1.0)), 1.0)
 """Of hypotheses as places and headings give them."""
-POLISHED = Doubt(0.3, 0.12, float(np.deg2rad(0.7)))
+POLISHED = Doubt(0.3, 0.08, float(np.deg2rad(0.7)), 0.3)
 """Of those that are polished."""
 GATE_CHI2 = 9.0
 """Pairs whose azimuths differ by more are not looked at again."""
@@ -46,17 +48,17 @@ _FALSE_TURN, _FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
 
 @compiled
 def rate(
-    scene: Scene, view: UprightView, known: Known, poses: FloatArray, doubt: Doubt, missing: bool
+    scene: Scene, view: UprightView, known: Known, poses: FloatArray, doubt: Doubt
 ) -> FloatArray:
-    """(h,) nats above nothing matched of poses (h, 5): pairs by class, at most one for each
-    element, and the prior; with ``missing``, also what is in view and has no pair.
+    """(h,) nats above nothing matched of poses (h, 6): pairs by class, at most one for each
+    element, what is in view and has no pair, and the prior.
 
     One-to-one is bounded from both sides (the best of each observed, the best of each mapped
     element), which is enough to keep a row of equal poles from being matched to one pole.
     """
     standing, partner = standing_elements(scene)
     half = 0.5 * scene.setting.size_px[0] / scene.setting.K[0, 0]
-    widest = max(1.2 * widest_tangent(view) + 0.2, half if missing else 0.0)
+    widest = max(1.2 * widest_tangent(view) + 0.2, half)
     by_seen = np.empty(len(scene.seen))
     rating = np.empty(len(poses))
     for h in range(len(poses)):
@@ -68,14 +70,15 @@ def rate(
             if abs(left) <= widest * ahead:
                 there = toward(ahead, left, doubt)
                 largest = _best_of_mapped(
-                    scene.setting, view, standing[j], partner, there, pose[2], doubt, by_seen
+                    scene.setting, view, standing[j], partner, there, pose, doubt, by_seen
                 )
                 by_mapped += largest
-                if missing and largest == 0.0 and abs(left) < half * ahead:
+                if largest == 0.0 and abs(left) < half * ahead:
                     missed += _nats_of_miss(scene.setting, ahead)
         dx, dy = pose[0] - known.value.place_m[0], pose[1] - known.value.place_m[1]
-        off = 0.5 * (dx * dx + dy * dy) / known.value.place_sigma_m[0] ** 2
-        rating[h] = min(by_seen.sum(), by_mapped) + missed - off
+        off = (dx * dx + dy * dy) / known.value.place_sigma_m[0] ** 2
+        off += (pose[5] / view.up_sigma_rad) ** 2
+        rating[h] = min(by_seen.sum(), by_mapped) + missed - 0.5 * off
     return rating
 
 
@@ -96,7 +99,7 @@ def _best_of_mapped(
     mapped: Record,
     partner: IntArray,
     there: Toward,
-    height: float,
+    pose: FloatArray,
     doubt: Doubt,
     by_seen: FloatArray,
 ) -> float:
@@ -105,7 +108,7 @@ def _best_of_mapped(
     largest = 0.0
     for at in range(mapped.first, mapped.last):
         i = partner[at]
-        gain = quick_gain(setting, view, view.seen[i], mapped, there, height, doubt)
+        gain = quick_gain(setting, view, view.seen[i], mapped, there, pose, doubt)
         largest = max(largest, gain)
         by_seen[i] = max(by_seen[i], gain)
     return largest
@@ -113,7 +116,7 @@ def _best_of_mapped(
 
 @compiled
 def before(pose: FloatArray, mapped: Record) -> tuple[float, float]:
-    """Metres ahead and to the left of a pose (5,)."""
+    """Metres ahead and to the left of a pose (6,)."""
     east, north = mapped.place_m[0] - pose[0], mapped.place_m[1] - pose[1]
     return pose[3] * east + pose[4] * north, pose[3] * north - pose[4] * east
 
@@ -133,7 +136,7 @@ def quick_gain(
     seen: Record,
     mapped: Record,
     there: Toward,
-    height: float,
+    pose: FloatArray,
     doubt: Doubt,
 ) -> float:
     """Nats of a pair over a false detection, 0 where it does not fit."""
@@ -142,8 +145,8 @@ def quick_gain(
     if off * off > GATE_CHI2 * there.variance:
         return 0.0
     chi2, product, nats, count = compare_slopes(
-        setting, seen, mapped, there.near, height, view.up_sigma_rad,
-        doubt.position_m, doubt.height_m,
+        setting, seen, mapped, there.near, pose[2], doubt.of_up * view.up_sigma_rad,
+        doubt.position_m, doubt.height_m, pose[5],
     )  # fmt: skip
     chi2 += off * off / there.variance
     if chi2 > MOST_CHI2:

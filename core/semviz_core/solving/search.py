@@ -30,8 +30,8 @@ BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
 """Hypotheses closer than both are fitted to the same pose."""
 APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
 """Poses further apart than either are different answers."""
-COARSE: FloatArray = np.diag([0.5**2] * 3 + [np.deg2rad(1.5) ** 2] * 3)
-"""Covariance of a hypothesis."""
+COARSE: FloatArray = np.diag([0.3**2] * 3 + [np.deg2rad(0.7) ** 2] * 3)
+"""Covariance of a polished hypothesis."""
 FINE: FloatArray = np.diag([0.1**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
 """Left after the first fits, besides what the pairs leave open."""
 
@@ -93,7 +93,7 @@ def search(scene: Scene, prior: Prior, effort: Effort = USUAL) -> Modes:
 def _shared(effort: Effort, views: int) -> Effort:
     """What each of several views may try: their hypotheses are much the same."""
     started = max(effort.started // views, min(effort.started, USUAL.started))
-    polished = effort.polished * started // max(effort.started, 1)
+    polished = effort.polished * started // effort.started
     return effort._replace(started=started, polished=polished)
 
 
@@ -116,12 +116,10 @@ def _candidates(
         nothing = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
         return nothing, hypotheses.tried, 0
     tried, rated = hypotheses.tried, len(poses)
-    with_polish = effort.polished > 0
-    rating = rate(scene, view, known, poses, VOTED, with_polish)
-    if with_polish:
-        likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
-        poses = polish(scene, view, poses[likely], effort.step_m)
-        rating = rate(scene, view, known, poses, POLISHED, True)
+    rating = rate(scene, view, known, poses, VOTED)
+    likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
+    poses = polish(scene, view, poses[likely], effort.step_m)
+    rating = rate(scene, view, known, poses, POLISHED)
     chosen = _distinct_best(poses, rating, effort)
     b = len(chosen)
     candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
@@ -137,13 +135,15 @@ def _candidates(
 
 @compiled
 def camera_pose(view: UprightView, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """T_camera_map of an upright pose (5,): its rotation (3, 3) and translation (3,)."""
+    """T_camera_map of an upright pose (6,): its rotation (3, 3) and translation (3,)."""
     c, s = pose[3], pose[4]
+    level, raised = np.cos(pose[5]), np.sin(pose[5])
+    nominal, left, up = view.R_level_camera[0], view.R_level_camera[1], view.R_level_camera[2]
     R, t = np.empty((3, 3)), np.empty(3)
     for k in range(3):
-        ahead, left = view.R_level_camera[0, k], view.R_level_camera[1, k]
-        R[k, 0], R[k, 1] = ahead * c - left * s, ahead * s + left * c
-        R[k, 2] = view.R_level_camera[2, k]
+        ahead = level * nominal[k] - raised * up[k]
+        R[k, 0], R[k, 1] = ahead * c - left[k] * s, ahead * s + left[k] * c
+        R[k, 2] = level * up[k] + raised * nominal[k]
         t[k] = -(R[k, 0] * pose[0] + R[k, 1] * pose[1] + R[k, 2] * pose[2])
     return R, t
 

@@ -51,18 +51,20 @@ def compare_slopes(
     up_sigma_rad: float,
     position_m: float,
     height_m: float,
+    tilt_rad: float,
 ) -> tuple[float, float, float, int]:
     """How well the slopes of an observed element (SIGHT) fit a mapped one 1 / ``near`` metres away.
 
-    ``position_m`` and ``height_m`` are sigmas of the camera's place. Returns chi2, the product of
-    the variances behind it, nats for bottoms that are or are not hidden, and the number of slopes.
+    ``position_m`` and ``height_m`` are sigmas of the camera's place, ``up_sigma_rad`` of its up;
+    it looks up by ``tilt_rad`` more than the level frame says. Returns chi2, the product of the
+    variances behind it, nats for bottoms that are or are not hidden, and the number of slopes.
     """
     chi2, variance, nats, count = 0.0, 1.0, 0.0, 0
     own = seen.slope_sigma**2 + up_sigma_rad**2
     for end in range(2):
         if not (seen.known[end] and mapped.known[end]):
             continue
-        slope = seen.slope[end]
+        slope = tilted_slope(seen, end, tilt_rad)
         off = (mapped.height_m[end] - camera_height_m) * near - slope
         spread = own + (height_m**2 + (position_m * slope) ** 2) * near * near
         if end == 1 and setting.hidden_bottoms > 0.0:
@@ -74,3 +76,10 @@ def compare_slopes(
         variance *= spread
         count += 1
     return chi2, variance, nats, count
+
+
+@compiled
+def tilted_slope(seen: Record, end: int, tilt_rad: float) -> float:
+    """The slope of an end if the camera looks up by ``tilt_rad`` more; to first order."""
+    slope = seen.slope[end]
+    return slope + tilt_rad * seen.azimuth[0] * (1.0 + slope * slope)
