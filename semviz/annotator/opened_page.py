@@ -150,6 +150,7 @@ class OpenedPage:
                 refused = {"type": "refused", "request": request, "text": str(error), "kept": kept}
                 self._send(refused)
                 return
+            self._send({"type": "on disk", "request": request, "operation": done.operation.number})
             if done.operation.kind in ("undo", "redo") and done.frame is not None:
                 self._frame = done.frame
             state = self._session.news()

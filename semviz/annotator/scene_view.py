@@ -57,14 +57,15 @@ class SceneView:
 
     def show(self, shown: Shown) -> None:
         before, self._before = self._before, shown
-        if before is None:
-            self._start(shown)
-        else:
-            self._follow(before, shown)
-        if before is None or not _same(before.elements, shown.elements):
-            self._draw_elements(shown)
-        rows = np.flatnonzero(np.isin(shown.elements.id, list(shown.marked)))
-        self._scene.highlight(shown.elements[rows], shown.name)
+        with self._scene.in_one_piece():
+            if before is None:
+                self._start(shown)
+            else:
+                self._follow(before, shown)
+            if before is None or not _same(before.elements, shown.elements):
+                self._draw_elements(shown)
+            rows = np.flatnonzero(np.isin(shown.elements.id, list(shown.marked)))
+            self._scene.highlight(shown.elements[rows], shown.name)
 
     def set_theme(self, theme: Theme) -> None:
         """Draws everything anew in other colours."""

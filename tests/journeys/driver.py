@@ -159,7 +159,8 @@ class LabelDriver:
         reached = """before => {
             const node = document.getElementById("saved");
             return node.classList.contains("saved")
-                && Number(node.textContent.replace(/\\D/g, "")) > before;
+                && Number(node.textContent.replace(/\\D/g, "")) > before
+                && semviz.state.pending.length === 0;
         }"""
         try:
             self.page.wait_for_function(reached, arg=before, timeout=WAIT_MS)

@@ -34,11 +34,13 @@ const looking = { waiting: false, again: false };
 let outbox = null;
 let sketch = null;
 let session = "";
+let pictures3d = null;
 
 /** Keeps an edit and sends it; the page shows it at once. One that changes nothing is dropped. */
 function submit(edit) {
   if (!mayEdit()) return;
   if (isIdle(state.elements, edit)) return;
+  pictures3d?.hold(false);
   const start = startOf(state.elements, edit);
   if (start) outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class });
   else outbox.add(edit);
@@ -119,6 +121,7 @@ function go(index) {
   state.set({ frame: index, look: null });
   history.replaceState(null, "", `?frame=${index}`);
   socket.send({ type: "go", frame: index });
+  pictures3d?.hold(true);
   showPictures(index);
   look();
 }
@@ -132,12 +135,18 @@ async function showPictures(index) {
       : { bitmap: null, message: "No right camera, and no other frame with a pose to match with." };
     if (state.frame === index) images.show(side, index, bitmap, message);
   }));
+  release();
   const place = state.order.indexOf(index);
   for (const near of [state.order[place + 1], state.order[place - 1]]) {
     if (near === undefined) continue;
     pictures.get(near, "left");
     if (state.hasRight) pictures.get(near, "right");
   }
+}
+
+/** The 3D pane draws again, one picture after what the page is about to paint. */
+function release() {
+  requestAnimationFrame(() => requestAnimationFrame(() => pictures3d?.release()));
 }
 
 const received = {
@@ -174,6 +183,10 @@ const received = {
   news(message) {
     take(message);
     look();
+  },
+  "on disk"({ request, operation }) {
+    state.set({ onDisk: { request, operation } });
+    release();
   },
   saved(message) {
     const sent = outbox.entries.find(({ request }) => request === message.request);
@@ -217,7 +230,7 @@ const received = {
     look();
   },
   scene() {
-    showScene(byId("scene"), session, keys);
+    pictures3d = showScene(byId("scene"), session, keys);
   },
   select({ element }) {
     select(element);

@@ -28,6 +28,7 @@ export class State {
     this.review = null; // the decision of the last map, or the finding in it, that is open; see review.js
     this.conflict = null; // {edit, theirs, text}: somebody changed what an edit starts from
     this.pending = []; // [{request, edit}] on their way, oldest first
+    this.onDisk = null; // {request, operation}: the last edit that was saved; its labels may still be on their way
     this.connected = false;
     this.theme = "dark";
     this.changedKeys = {}; // as `Keys.changed`: badges are drawn again

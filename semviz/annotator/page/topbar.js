@@ -33,15 +33,18 @@ export class TopBar {
   }
 
   #saved() {
-    const { pending, connected, trouble, labels } = this.state;
+    const { pending, connected, trouble, labels, onDisk } = this.state;
     const node = byId("saved");
+    const isOnDisk = ({ request }) => request === onDisk?.request;
+    const unsaved = pending.filter((one) => !isOnDisk(one)).length;
+    const operation = pending.some(isOnDisk) ? onDisk.operation : labels.operation;
     const [kind, text] = trouble
       ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
       : !connected
         ? ["offline", `Offline, ${pending.length} kept here`]
-        : pending.length
-          ? ["saving", `Saving ${pending.length} …`]
-          : ["saved", `Saved operation ${spaced(labels.operation)}`];
+        : unsaved
+          ? ["saving", `Saving ${unsaved} …`]
+          : ["saved", `Saved operation ${spaced(operation)}`];
     node.className = `chip ${kind}`;
     node.textContent = text;
   }

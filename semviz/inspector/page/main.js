@@ -185,7 +185,7 @@ class Page {
   /** Asks for the frame in 3D. */
   draw() {
     this.drawn = this.wanted;
-    this.pictures3d?.hold();
+    this.pictures3d?.hold(true);
     this.socket.send({ verb: "draw" });
   }
 

@@ -34,9 +34,9 @@ class Pictures {
   #waiting = [];
   #timer = 0;
 
-  /** None is drawn until another scene has come, which was just asked for, and `release`. */
-  hold() {
-    this.#awaited = new Set(["scene", "release"]);
+  /** None is drawn until `release` and, where `comes`, until another scene has come, too. */
+  hold(comes) {
+    this.#awaited = new Set(comes ? ["scene", "release"] : ["release"]);
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#came("scene", "release"), LONGEST_MS);
   }
