@@ -22,7 +22,7 @@ from semviz_core.request import check_request
 from semviz_core.solving.direct import pairs_by_class
 from semviz_core.solving.effort import USUAL, WIDE
 from semviz_core.solving.pairing import Pairing
-from semviz_core.solving.refine import Failure, refine
+from semviz_core.solving.refine import Failure, Refined, refine
 from semviz_core.solving.scene import Scene
 from semviz_core.solving.search import Modes, mode_near, search
 from semviz_core.solving.upright import assumed_upright
@@ -124,12 +124,7 @@ class Localizer:
             return replace(work, reason=pairs.reason)
 
         prior = assumed_upright(prior)  # the result keeps the prior as given
-        modes = watch.time("search", lambda: self._modes(scene, prior, start))
-        probability = None
-        if self.method == "learned" and start is None:
-            modes, probability = watch.time(
-                "verify", lambda: self._verifier().verified(observed, submap, camera, prior, modes)
-            )
+        modes, probability = self._modes(work, scene, prior, start, watch)
         poses = tuple(_pose(modes, row) for row in range(len(modes.score)))
         found = Search(modes.tried, poses, modes.score, modes.passed, modes.match)
         work = replace(work, search=found)
@@ -146,21 +141,19 @@ class Localizer:
         verdict = judge(modes, refined, observed, submap, prior, probability)
         if unmet := pairing.unmet(refined.refinement, submap):
             verdict = Verdict("cannot", unmet)
-        answered = verdict.status != "cannot"
-        return replace(
-            work,
-            status=verdict.status,
-            reason=verdict.reason,
-            T_camera_map=refined.T_camera_map if answered else None,
-            covariance=refined.covariance if answered else None,
-            refinement=refined.refinement,
-            alternatives=_alternatives(poses, modes.score),
-        )
+        return _answered(work, found, refined, verdict)
 
-    def _modes(self, scene: Scene, prior: Prior, start: Pose | None) -> Modes:
+    def _modes(
+        self, work: Localization, scene: Scene, prior: Prior, start: Pose | None, watch: Stopwatch
+    ) -> tuple[Modes, FloatArray | None]:
+        """The likeliest first; and how likely each is, where that is learned."""
         if start is not None:
-            return mode_near(scene, prior, start)
-        return search(scene, prior, EFFORTS[self.method])
+            return watch.time("search", lambda: mode_near(scene, prior, start)), None
+        modes = watch.time("search", lambda: search(scene, prior, EFFORTS[self.method]))
+        if self.method != "learned":
+            return modes, None
+        given = work.observed, work.submap, work.camera, prior
+        return watch.time("verify", lambda: self._verifier().verified(*given, modes))
 
     def _verifier(self) -> "ModeVerifier":
         """SemvizError where there are no weights, or they are for something else."""
@@ -212,7 +205,23 @@ def _nothing_fits(prior: Prior) -> str:
     )
 
 
-def _alternatives(poses: tuple[Pose, ...], score: FloatArray) -> tuple[Alternative, ...]:
+def _answered(
+    work: Localization, found: Search, refined: Refined, verdict: Verdict
+) -> Localization:
+    answered = verdict.status != "cannot"
+    return replace(
+        work,
+        status=verdict.status,
+        reason=verdict.reason,
+        T_camera_map=refined.T_camera_map if answered else None,
+        covariance=refined.covariance if answered else None,
+        refinement=refined.refinement,
+        alternatives=_alternatives(found),
+    )
+
+
+def _alternatives(found: Search) -> tuple[Alternative, ...]:
+    poses, score = found.T_camera_map, found.score
     near = np.flatnonzero(score >= score[0] - SHOWN_NATS)[1:]
     return tuple(Alternative(poses[row], float(score[row])) for row in near)
 
