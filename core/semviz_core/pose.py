@@ -96,6 +96,12 @@ class Pose:
         return quaternion
 
 
+def heading_rad(T_map_camera: Pose) -> float:
+    """Of a camera's optical axis about the map's z, from x towards y."""
+    x, y, _ = T_map_camera.rotation[:, 2]
+    return float(np.arctan2(y, x))
+
+
 def _is_rotation(matrix: FloatArray) -> bool:
     """Rows of length 1, perpendicular, right-handed. Plain numbers: poses are made by the dozen."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()

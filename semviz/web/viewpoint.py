@@ -9,7 +9,7 @@ from semviz.web.scene import FIELD_OF_VIEW_DEG
 from semviz_core.arrays import ByteImage, FloatArray
 from semviz_core.camera import Camera
 from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, heading_rad
 
 if TYPE_CHECKING:
     import viser
@@ -110,20 +110,15 @@ class Viewer:
 
 
 def _carried(view: Viewpoint, before: Pose, after: Pose) -> Viewpoint:
-    turn = Pose.from_rotvec((_heading(after) - _heading(before)) * UP, np.zeros(3))
+    turn = Pose.from_rotvec((heading_rad(after) - heading_rad(before)) * UP, np.zeros(3))
     start, end = before.translation, after.translation
     eye, target = turn.apply(view.eye_m - start), turn.apply(view.target_m - start)
     return Viewpoint(end + eye, end + target, view.tangents)
 
 
 def _ahead(T_map_camera: Pose) -> FloatArray:
-    heading = _heading(T_map_camera)
+    heading = heading_rad(T_map_camera)
     return np.array([np.cos(heading), np.sin(heading), 0.0])
-
-
-def _heading(T_map_camera: Pose) -> float:
-    x, y, _ = T_map_camera.rotation[:, 2]
-    return float(np.arctan2(y, x))
 
 
 def _triple(point: FloatArray) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ from semviz_core.frame import Prior
 from semviz_core.localizability.conditions import Conditions
 from semviz_core.localizability.sight import look
 from semviz_core.localize import NEEDED_ELEMENTS
-from semviz_core.pose import Pose
+from semviz_core.pose import Pose, heading_rad
 from semviz_core.semantic_map import SemanticMap
 from semviz_core.solving.least_squares import information
 from semviz_core.solving.linear import inverse
@@ -145,14 +145,13 @@ def _prior(T_map_camera: Pose, road_m: FloatArray, conditions: Conditions) -> Pr
     """What is known beforehand, centred at the truth."""
     options = conditions.prior
     with_heading = options.heading_sigma_rad is not None
-    east, north = T_map_camera.rotation[:2, 2]
     return Prior(
         position_m=T_map_camera.translation,
         horizontal_sigma_m=options.horizontal_sigma_m,
         vertical_sigma_m=options.vertical_sigma_m,
         up_camera=None if options.imu_sigma_rad is None else T_map_camera.rotation[2],
         up_sigma_rad=options.imu_sigma_rad or Prior.up_sigma_rad,
-        heading_rad=float(np.arctan2(north, east)) if with_heading else None,
+        heading_rad=heading_rad(T_map_camera) if with_heading else None,
         heading_sigma_rad=options.heading_sigma_rad or Prior.heading_sigma_rad,
         road_m=road_m,
     )

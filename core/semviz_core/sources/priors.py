@@ -8,7 +8,7 @@ import numpy as np
 
 from semviz_core.errors import SemvizError
 from semviz_core.frame import Prior, check_sigma
-from semviz_core.pose import Pose, so3_exp
+from semviz_core.pose import Pose, heading_rad, so3_exp
 
 _LEAST_SIGMA_M = 0.01  # of a GPS said to be perfect
 _FARTHEST_M = 1e5  # a fix further off is on another street of another town
@@ -62,7 +62,8 @@ def simulate_prior(T_map_camera: Pose, options: PriorOptions, seed: int | Sequen
         known["up_camera"] = wobble @ T_map_camera.rotation[2]
         known["up_sigma_rad"] = options.imu_sigma_rad
     if options.heading_sigma_rad is not None:
-        known["heading_rad"] = _wrapped(_heading(T_map_camera) + turn * options.heading_sigma_rad)
+        off = turn * options.heading_sigma_rad
+        known["heading_rad"] = _wrapped(heading_rad(T_map_camera) + off)
         known["heading_sigma_rad"] = options.heading_sigma_rad
     return Prior(
         position_m=T_map_camera.translation + offset,
@@ -70,12 +71,6 @@ def simulate_prior(T_map_camera: Pose, options: PriorOptions, seed: int | Sequen
         vertical_sigma_m=options.vertical_sigma_m,
         **known,
     )
-
-
-def _heading(T_map_camera: Pose) -> float:
-    """Of the optical axis about the map's z, from x towards y."""
-    x, y, _ = T_map_camera.rotation[:, 2]
-    return float(np.arctan2(y, x))
 
 
 def _wrapped(angle_rad: float) -> float:
