@@ -10,10 +10,11 @@ from semviz.annotator.finds import Find, finds_in, offers_of
 from semviz.annotator.ghosts import Ghost, ghosts_in
 from semviz.annotator.looker import Looker
 from semviz.annotator.nearby import Nearby, nearby_in
-from semviz.annotator.offers import Expected, Offer, Question, checked, offers_in
+from semviz.annotator.offers import Expected, Offer, Question, offers_in
 from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.places import Places
 from semviz.annotator.refusals import Refusals
+from semviz.annotator.rivals import checked
 from semviz_annotation.labels import Labels
 from semviz_annotation.proposals import Proposals
 

@@ -11,8 +11,9 @@ from annotating import SIDES, true_finds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semviz.annotator.offers import Answer, Offer, Origin, checked
+from semviz.annotator.offers import Answer, Offer, Origin
 from semviz.annotator.panes import Pane
+from semviz.annotator.rivals import checked
 from semviz.annotator.session import LabelSession
 from semviz.workspace import Workspace
 from semviz_annotation.assist.shot import Mark, Proposed
