@@ -7,7 +7,7 @@ import numpy as np
 
 from semviz.inspector.scene.poses import BESIDE_M
 from semviz.recording.run import FrameRecord
-from semviz.web.scene import UP_M, ElementLook, PoseLook, Scene
+from semviz.web.scene import UP_M, ElementLook, PoseLook, Scene, elements_ends
 from semviz_core.arrays import FloatArray
 from semviz_core.classes import ClassSet
 from semviz_core.elements import Elements3D
@@ -49,8 +49,9 @@ def draw_base(scene: Scene, base: BaseFrame | None) -> None:
 
 
 def _draw_elements(scene: Scene, base: BaseFrame, around_m: FloatArray) -> None:
-    """Those near a point (3,)."""
+    """Those near a point (3,), named at the foot: the selected one has its name above."""
     elements, classes = base.elements, base.classes
+    low_m, _ = elements_ends(elements)
     distance = np.linalg.norm(elements.anchor_m[:, :2] - around_m[:2], axis=1)
     near = np.argsort(distance, kind="stable")[: int((distance < NEAR_M).sum())]
     looks, first = [ElementLook(scene.palette.prior, 1.7)], np.zeros(len(near), dtype=np.int64)
@@ -58,5 +59,5 @@ def _draw_elements(scene: Scene, base: BaseFrame, around_m: FloatArray) -> None:
     scene.draw_elements(name, elements[near], classes, base.facing_rad[near], looks, first)
     for row in near[:NAMED].tolist():
         element = classes.element_name(int(elements.class_id[row]), int(elements.id[row]))
-        top = elements.anchor_m[row] + UP_M
-        scene.draw_label(f"{BASE}-map-{row}", f"{element} in {base.name}", top)
+        text = f"{element} in {base.name}"
+        scene.draw_label(f"{BASE}-map-{row}", text, low_m[row], "center-left")
