@@ -1,5 +1,6 @@
 """The runs on offer, read when first asked for."""
 
+import gc
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -38,6 +39,7 @@ class Shelf:
         with self._lock_of(name):
             if name not in self._runs:
                 self._runs[name] = load_run(self._paths[name])
+                gc.freeze()  # it stays: to look through it for garbage would hold up all pages
             return self._runs[name]
 
     def path(self, name: str) -> Path:

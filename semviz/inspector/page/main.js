@@ -89,9 +89,10 @@ class Page {
     else if (type === "runs") this.showRuns(message.runs);
     else if (type === "run") this.showRun(message.run);
     else if (type === "frame") this.showFrame(message.frame, message.state);
-    else if (type === "state") this.showState(message.state);
+    else if (type === "state") this.showOther(message.state);
     else if (type === "scene") this.showScene();
     else this.each(`show${type[0].toUpperCase()}${type.slice(1)}`, message[type]);
+    if (type === "selected" && this.stepping === undefined) this.release();
   }
 
   showRuns(runs) {
@@ -139,6 +140,13 @@ class Page {
     this.address.arrive();
   }
 
+  /** Where another is selected, its card comes before its ring in 3D. */
+  showOther(state) {
+    const { observed, element } = this.state;
+    if (state.observed !== observed || state.element !== element) this.pictures3d?.hold(false);
+    this.showState(state);
+  }
+
   showState(state) {
     this.state = state;
     this.each("showState", state);
@@ -180,6 +188,11 @@ class Page {
   point() {
     this.pointing = undefined;
     this.each("pointAt", this.wanted);
+  }
+
+  /** The 3D pane draws again, one picture after what the page is about to paint. */
+  release() {
+    requestAnimationFrame(() => requestAnimationFrame(() => this.pictures3d?.release()));
   }
 
   /** Asks for the frame in 3D. */

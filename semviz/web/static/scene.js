@@ -36,7 +36,8 @@ class Pictures {
 
   /** None is drawn until `release` and, where `comes`, until another scene has come, too. */
   hold(comes) {
-    this.#awaited = new Set(comes ? ["scene", "release"] : ["release"]);
+    this.#awaited.add("release");
+    if (comes) this.#awaited.add("scene");
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#came("scene", "release"), LONGEST_MS);
   }
