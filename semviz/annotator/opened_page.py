@@ -73,9 +73,9 @@ class OpenedPage:
     # -- as the web tools' sessions call it
 
     def connected(self) -> None:
-        with self._shared.lock:
+        with self._shared.lock:  # or newer news could go first
             state = self._session.summary()
-        self._send({"type": "hello"} | self._session.describe() | {"state": state})
+            self._send({"type": "hello"} | self._session.describe() | {"state": state})
         if self._scene is not None:
             self._send({"type": "scene"})
         self._redraw()
