@@ -22,11 +22,11 @@ from semviz_core.request import check_request
 from semviz_core.solving.direct import pairs_by_class
 from semviz_core.solving.effort import USUAL, WIDE
 from semviz_core.solving.pairing import Pairing
-from semviz_core.solving.refine import Failure, Refined, refine
+from semviz_core.solving.refine import FIXING_PAIRS, NEEDED_PAIRS, Failure, Refined, refine
 from semviz_core.solving.scene import Scene
 from semviz_core.solving.search import Modes, mode_near, search
 from semviz_core.solving.upright import assumed_upright
-from semviz_core.solving.verdict import Verdict, judge
+from semviz_core.solving.verdict import Verdict, is_likely, judge
 from semviz_core.stopwatch import Stopwatch
 from semviz_core.threads import in_order
 
@@ -135,7 +135,8 @@ class Localizer:
 
         if pairs is None:
             pairs = modes.pairs(0)
-        refined = watch.time("refine", lambda: refine(scene, prior, poses[0], pairs))
+        needed = FIXING_PAIRS if is_likely(probability) else NEEDED_PAIRS
+        refined = watch.time("refine", lambda: refine(scene, prior, poses[0], pairs, needed))
         if isinstance(refined, Failure):
             return replace(work, reason=refined.reason)
         verdict = judge(modes, refined, observed, submap, prior, probability)

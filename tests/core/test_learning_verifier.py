@@ -22,6 +22,7 @@ from semviz_core.learning.weights import Weights, shipped_weights
 from semviz_core.localization import Localization
 from semviz_core.localize import Localizer
 from semviz_core.solving.effort import WIDE
+from semviz_core.solving.refine import FIXING_PAIRS
 from semviz_core.solving.scene import Scene
 from semviz_core.solving.search import Modes, search
 from semviz_core.solving.upright import assumed_upright
@@ -170,6 +171,24 @@ def test_learned_finds_more_than_search_and_is_not_sure_of_more_wrong_ones() -> 
         wrong[method] = sum(off > 1.0 and status == "ok" for off, status in errors)
     assert found["learned"] > found["search"]
     assert wrong["learned"] <= wrong["search"]
+
+
+@needs_weights
+def test_few_pairs_are_an_answer_where_they_are_likely_right_and_never_a_sure_one() -> None:
+    """Two pairs, or fewer than half of what is seen, which search takes for no answer."""
+    problems = list(frames(120, HARD_SETS["4 elements"], least=1))
+    right, few = [], 0
+    both = zip(problems, answers("learned", problems), answers("wide", problems), strict=True)
+    for problem, learned, rules in both:
+        if learned.T_camera_map is None or rules.T_camera_map is not None:
+            continue
+        assert learned.status == "ambiguous"
+        assert learned.covariance is not None
+        right.append(pose_error(learned.T_camera_map, problem.T_camera_map)[0] < 1.0)
+        few += learned.refinement is not None and len(learned.refinement.pairs) == FIXING_PAIRS
+    assert len(right) >= 5
+    assert few > 0
+    assert np.mean(right) > 0.4
 
 
 @needs_weights

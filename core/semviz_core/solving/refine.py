@@ -15,8 +15,10 @@ from semviz_core.solving.scene import Known, Scene
 from semviz_core.solving.shape import why_degenerate
 from semviz_core.solving.support import support_of_pairs
 
+FIXING_PAIRS = 2
+"""Two pairs fix an upright pose,"""
 NEEDED_PAIRS = 3
-"""Two pairs fix an upright pose; a third is the first that can contradict them."""
+"""and a third is the first that can contradict them."""
 MOST_SIGMA_M = 3.0
 """A pose less certain than this along any direction is no answer."""
 MOST_SIGMA_RAD = float(np.deg2rad(5.0))
@@ -48,6 +50,7 @@ def refine(
     prior: Prior,
     T_camera_map: Pose,
     pairs: IntArray | None = None,
+    needed_pairs: int = NEEDED_PAIRS,
 ) -> Refined | Failure:
     """Robust least squares over pairs and prior, from ``T_camera_map``.
 
@@ -57,9 +60,9 @@ def refine(
     known = Known.of(prior)
     if pairs is None:
         pairs = _settled_pairs(scene, known, T_camera_map)
-    if len(pairs) < NEEDED_PAIRS:
+    if len(pairs) < needed_pairs:
         seen = len(scene.seen)
-        return Failure(f"{len(pairs)} of {seen} elements fit one pose, {NEEDED_PAIRS} needed.")
+        return Failure(f"{len(pairs)} of {seen} elements fit one pose, {needed_pairs} needed.")
     best = fit_known(scene, known, T_camera_map, pairs, _ITERATIONS)
     covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     if reason := _too_uncertain(covariance):

@@ -2,7 +2,8 @@
 
 Limits were chosen on tuning roads (docs/figures.md): no rule over what is known of an answer, not
 even a learned one, told many more right answers from wrong ones than these do. Where a verifier
-says how likely a pose is right, that takes the place of the first of them.
+says how likely a pose is right, that takes the place of two of them: of the gap to other poses, and
+of how many pairs there have to be for any answer.
 """
 
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ AMBIGUOUS_NATS = 14.0
 """Another pose within this of the best makes the answer ambiguous."""
 SURE_PROBABILITY = 0.95
 """A pose to which a verifier gives less is no sure answer; takes the place of AMBIGUOUS_NATS."""
+LIKELY_PROBABILITY = 0.5
+"""A pose to which a verifier gives as much is an answer, if no sure one, however few pairs fit."""
 LEAST_SUPPORT_NATS = 7.0
 """A pair that the others support less may be wrong,"""
 OPEN_M = 0.3
@@ -60,7 +63,7 @@ def judge(
     of_all = f"{fitting} of {len(observed)} elements"
     if explicable < len(observed):
         of_all += f" ({explicable} can be in the submap)"
-    if fitting < needed:
+    if fitting < needed and not is_likely(probability):
         return Verdict("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(refined.covariance[:3, :3])))
     doubts = (
@@ -73,6 +76,11 @@ def judge(
     for doubt in filter(None, doubts):
         return Verdict("ambiguous", doubt)
     return Verdict("ok", f"{of_all} fit, {sigma_m:.2f} m{_how_clear(modes, probability)}.")
+
+
+def is_likely(probability: FloatArray | None) -> bool:
+    """Whether a verifier (None for none) takes the first of (b,) modes to be rather right."""
+    return probability is not None and bool(probability[0] >= LIKELY_PROBABILITY)
 
 
 def _how_clear(modes: Modes, probability: FloatArray | None) -> str:
