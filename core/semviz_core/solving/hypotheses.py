@@ -65,7 +65,8 @@ def upright_hypotheses(scene: Scene, view: UprightView, known: Known, effort: Ef
     """Candidates within the prior's gates."""
     standing, partner = standing_elements(scene)
     gate = GATE_SIGMAS * known.value.place_sigma_m[0] + GATE_WIDER_M
-    blocks = int(gate / (BLOCK * effort.step_m)) + 1
+    block_m = BLOCK * effort.step_m
+    blocks = int(gate / block_m) + 1
     room = ((2 * blocks + 1) * BLOCK) ** 2 * RUNS
     ballot = _Ballot(
         np.empty((len(partner), 2)),
@@ -78,8 +79,10 @@ def upright_hypotheses(scene: Scene, view: UprightView, known: Known, effort: Ef
     count = 0
     for column in range(-blocks, blocks + 1):
         for row in range(-blocks, blocks + 1):
-            x = known.value.place_m[0] + column * BLOCK * effort.step_m
-            y = known.value.place_m[1] + row * BLOCK * effort.step_m
+            if np.hypot(column, row) * block_m > gate + block_m:
+                continue  # a corner that the gate leaves out
+            x = known.value.place_m[0] + column * block_m
+            y = known.value.place_m[1] + row * block_m
             for z in road_heights(known, x, y):
                 _fill_ranges(scene.setting, view, known, standing, partner, z, ballot.ranges)
                 count = _try_block(
@@ -141,8 +144,7 @@ def _try_block(
         dx, dy = place_x - known.value.place_m[0], place_y - known.value.place_m[1]
         if dx * dx + dy * dy > gate * gate or count + RUNS > len(ballot.voters):
             continue
-        _vote(view, standing, partner, ballot.ranges, place_x, place_y, off_m, ballot.votes)
-        most = _count(ballot.votes, ballot.number)
+        most = _vote(view, standing, partner, ballot, place_x, place_y, off_m)
         while ballot.level[least + 1 :].sum() > effort.hypotheses:
             least += 1
         added = _keep_best(known, place_x, place_y, z, most, least, ballot, count)
@@ -157,15 +159,16 @@ def _vote(
     view: UprightView,
     standing: RecordArray,
     partner: IntArray,
-    ranges: FloatArray,
+    ballot: _Ballot,
     x: float,
     y: float,
     off_m: float,
-    votes: IntArray,
-) -> None:
-    """Fill ``votes`` (BINS,) at a place; the true one is up to ``off_m`` from it, which widens what
-    agrees."""
-    votes[:] = 0
+) -> int:
+    """Fill the ballot's votes at a place; the most for any heading. The true place is up to
+    ``off_m`` from it, which widens what agrees."""
+    ballot.votes[:] = 0
+    ballot.number[:] = 0
+    ranges, most = ballot.ranges, 0
     for j in range(len(standing)):
         mapped = standing[j]
         east, north = mapped.place_m[0] - x, mapped.place_m[1] - y
@@ -185,7 +188,8 @@ def _vote(
             if is_new:
                 bearing, is_new = _quick_arctan2(north, east), False
             heading = bearing - view.seen[i].azimuth_rad
-            _vote_around(votes, heading, slack + SURE_RAD, 1 << i)
+            most = max(most, _vote_around(ballot, heading, slack + SURE_RAD, 1 << i))
+    return most
 
 
 @compiled
@@ -205,22 +209,17 @@ def _quick_arctan2(y: float, x: float) -> float:
 
 
 @compiled
-def _vote_around(votes: IntArray, heading: float, spread: float, bit: int) -> None:
+def _vote_around(ballot: _Ballot, heading: float, spread: float, bit: int) -> int:
+    """Let one observed element vote; the most that any of these headings have now."""
     low = int(np.floor((heading - spread) * (BINS / _TURN)))
     high = int(np.floor((heading + spread) * (BINS / _TURN)))
-    at = low % BINS
+    at, most = low % BINS, 0
     for _ in range(high - low + 1):
-        votes[at] |= bit
+        if ballot.votes[at] & bit == 0:
+            ballot.votes[at] |= bit
+            ballot.number[at] += 1
+            most = max(most, ballot.number[at])
         at = at + 1 if at + 1 < BINS else 0
-
-
-@compiled
-def _count(votes: IntArray, number: IntArray) -> int:
-    """Fill ``number`` (BINS,) with how many vote for each heading; the largest of them."""
-    most = 0
-    for at in range(BINS):
-        number[at] = _bits(votes[at])
-        most = max(most, number[at])
     return most
 
 
@@ -252,15 +251,6 @@ def _keep_best(
                 added += 1
             at = max(end, at + 1)
     return added
-
-
-@compiled
-def _bits(mask: int) -> int:
-    """Number of bits that are set, of 60 at most: counted in pairs, in fours, in bytes."""
-    mask -= (mask >> 1) & 0x5555555555555555
-    mask = (mask & 0x3333333333333333) + ((mask >> 2) & 0x3333333333333333)
-    mask = (mask + (mask >> 4)) & 0x0F0F0F0F0F0F0F0F
-    return (mask * 0x0101010101010101) >> 56
 
 
 @compiled
