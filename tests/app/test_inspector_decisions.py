@@ -19,7 +19,7 @@ from semviz.recording.run import FrameRecord
 from semviz.recording.writer import RunWriter
 from semviz.web.door import Door
 from semviz.workspace import Workspace
-from semviz_annotation.mapping.review import open_decisions
+from semviz_annotation.mapping.review import is_open
 from semviz_annotation.rows import apart
 from semviz_core.errors import SemvizError
 from semviz_core.semantic_map import SemanticMap
@@ -161,9 +161,9 @@ def test_the_page_lists_selects_answers_and_undoes(
     page.click("text=Two things")
     page.wait_for_selector("text=Undo the answer")
     (decision, _) = load_run(workspace.run_path("search")).semantic_map.decisions
-    assert not open_decisions([decision], workspace.read_labels())
+    assert not is_open(decision, workspace.read_labels())
     page.click("text=Undo the answer")
     page.wait_for_selector("#decisions-open:text-is('2')")
-    assert open_decisions([decision], workspace.read_labels())
+    assert is_open(decision, workspace.read_labels())
     page.keyboard.press("h")
     page.wait_for_selector("#frame-list li")
