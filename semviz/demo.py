@@ -8,7 +8,7 @@ import platformdirs
 
 from semviz_core.errors import SemvizError
 
-EDITION = 2
+EDITION = 3
 """Goes up where another demo is made, so that nobody is shown an old one."""
 
 
