@@ -62,6 +62,14 @@ def test_a_planted_fault_is_named_with_what_it_is_about(fault: Kind) -> None:
         assert not one.rows or set(found.rows) == set(one.rows)
 
 
+@pytest.mark.xfail(
+    strict=True, reason="a false pair spoils the fit at the best start; it settles elsewhere"
+)
+def test_the_search_finds_the_pose_in_spite_of_the_false_detection_of_the_first_seed() -> None:
+    one = next(filter(None, (plant("false detection", seed) for seed in count())))
+    assert first(told(one, one.truth)).kind == "false detection"
+
+
 @pytest.mark.parametrize("fault", ["healthy", *PLANTED])
 def test_the_true_pose_alone_tells_all_but_what_a_stranger_is(fault: Kind) -> None:
     strangers = ("false detection", "moved in the map", "missing in the map")
