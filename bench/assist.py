@@ -1,12 +1,12 @@
-"""How exact and how reliable snapping, partners and following are, on simulated streets.
+"""Accuracy and reliability of snapping, stereo matching and propagation, on simulated streets.
 
-    python bench/assist.py [--quick]        figures, on seeds that nothing was fitted to
+    python bench/assist.py [--quick]        figures, on held-out seeds
     python bench/assist.py --fit            the weights of semviz_annotation.assist.score
 
-Beside plain peers with the same windows: template matching (NCC) along the epipolar line, and the
-pyramidal Lucas-Kanade tracker started at the expected place. Poses are off; both cameras of a frame
-alike. Elements are followed in two ways: from frame to frame, as people work, each of them labelled
-before the next; and at its hardest, up to 8 frames on from one labelled pair alone.
+Baselines with the same windows: template matching (NCC) along the epipolar line, and the pyramidal
+Lucas-Kanade tracker started at the expected position. Poses have errors, the same for both cameras
+of a frame. Marks are propagated from frame to frame, each labelled before the next; and, at its
+hardest, over up to 8 frames from one labelled pair.
 """
 
 import argparse
@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 from assist_cases import FAR_M, SIDES, Answer, follows, partners, picture, snaps, works
 
-from semviz_annotation.assist.partner import candidates
-from semviz_annotation.assist.shot import SURE
+from semviz_annotation.assist.marked_image import SURE
 from semviz_annotation.assist.snap import CLEAR, best_snap
-from semviz_core.arrays import BoolArray, FloatArray
-from semviz_core.classes import DEFAULT_CLASSES
-from semviz_core.sources.street.street import Street
+from semviz_annotation.assist.stereo_matching import candidates
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.simulation.street import Street
 
 
 def answers(seeds: range, quick: bool, only: str = "") -> list[Answer]:
@@ -46,70 +46,74 @@ def within(errors: FloatArray) -> str:
 
 def print_figures(all_answers: list[Answer]) -> None:
     by_kind: dict[str, list[Answer]] = defaultdict(list)
-    for one in all_answers:
-        by_kind[one.what + one.way].append(one)
+    for answer in all_answers:
+        by_kind[answer.what + answer.way].append(answer)
     for what in sorted(by_kind):
         rows = by_kind[what]
         print(f"\n{what}")
         if what.startswith("snap"):
             print_snaps(rows)
         else:
-            print_found([one for one in rows if one.best])
+            print_found([row for row in rows if row.best])
         print_reliability(rows)
 
 
 def print_snaps(rows: list[Answer]) -> None:
-    there = [one for one in rows if np.isfinite(one.error_px)]
-    clear = [one for one in there if one.probability >= CLEAR]
-    nothing = [one for one in rows if not np.isfinite(one.error_px)]
-    errors = np.array([one.error_px for one in clear])
+    there = [row for row in rows if np.isfinite(row.error_px)]
+    clear = [answer for answer in there if answer.probability >= CLEAR]
+    nothing = [row for row in rows if not np.isfinite(row.error_px)]
+    errors = np.array([answer.error_px for answer in clear])
     p50, p75, p90 = np.percentile(errors, (50, 75, 90))
     print(f"  snapped {len(clear)} of {len(there)}")
     print(f"  error median {p50:.2f}, p75 {p75:.2f}, p90 {p90:.2f} px")
     print(f"  more than 1 px off: {np.mean(errors > 1):.1%}, 2 px: {np.mean(errors > 2):.1%}")
-    for name in sorted({one.name for one in clear}):
-        of = np.array([one.error_px for one in clear if one.name == name])
+    for name in sorted({answer.name for answer in clear}):
+        of = np.array([answer.error_px for answer in clear if answer.name == name])
         p50, p90 = np.percentile(of, (50, 90))
         print(f"    {name:<17} {len(of):>4}: median {p50:.2f}, p90 {p90:.2f} px")
-    slid = [off for one in clear for off in one.along_px]
+    slid = [off for answer in clear for off in answer.along_px]
     if slid:
         p50, p90 = np.percentile(slid, (50, 90))
         print(f"  ends found along the pole: {len(slid)}, median {p50:.2f}, p90 {p90:.2f} px")
-    wrong = sum(one.probability >= CLEAR for one in nothing)
+    wrong = sum(answer.probability >= CLEAR for answer in nothing)
     print(f"  where no element is: {wrong} of {len(nothing)} snapped to something like one")
 
 
 def print_found(rows: list[Answer]) -> None:
-    visible = [one for one in rows if np.isfinite(one.error_px)]
-    errors = np.array([one.error_px for one in visible])
-    peers = np.array([one.peer_px for one in visible])
-    sure = [one for one in rows if one.probability >= SURE]
+    visible = [row for row in rows if np.isfinite(row.error_px)]
+    errors = np.array([answer.error_px for answer in visible])
+    peers = np.array([answer.peer_px for answer in visible])
+    sure = [row for row in rows if row.probability >= SURE]
     print(f"  {len(visible)} visible: {within(errors)}")
     print(f"  the plain peer: {within(peers)}")
-    of_visible = np.mean([one.probability >= SURE for one in visible])
-    wrong = np.mean([one.error_px > 2 for one in sure])
+    of_visible = np.mean([answer.probability >= SURE for answer in visible])
+    wrong = np.mean([answer.error_px > 2 for answer in sure])
     print(f"  sure {of_visible:.1%} of the visible; wrong (2 px) {wrong:.2%} of {len(sure)} sure")
-    hidden = [one.probability >= SURE for one in rows if not np.isfinite(one.error_px)]
+    hidden = [row.probability >= SURE for row in rows if not np.isfinite(row.error_px)]
     if hidden:
         print(
             f"  hidden, or looked for 30 to 70 px aside, yet sure: {sum(hidden)} of {len(hidden)}"
         )
-    for name in sorted({one.name for one in visible}):
+    for name in sorted({answer.name for answer in visible}):
         for low, high in ((0, 12), (12, 25), (25, FAR_M)):
-            of = [one.error_px for one in visible if one.name == name and low <= one.depth_m < high]
+            of = [
+                answer.error_px
+                for answer in visible
+                if answer.name == name and low <= answer.depth_m < high
+            ]
             if of:
                 good = np.mean(np.array(of) < 1)
                 print(
                     f"    {name:<17} {low:>2}-{high:<3.0f} m {len(of):>4}: within 1 px {good:.1%}"
                 )
-    for step in sorted({one.step for one in visible} - {0}):
-        of = np.array([one.error_px for one in visible if one.step == step])
+    for step in sorted({answer.step for answer in visible} - {0}):
+        of = np.array([answer.error_px for answer in visible if answer.step == step])
         print(f"    {step} frames on {len(of):>4}: {within(of)}")
 
 
 def print_reliability(rows: list[Answer]) -> None:
     print_shares(
-        np.array([one.probability for one in rows]), np.array([_right(one) for one in rows])
+        np.array([row.probability for row in rows]), np.array([_right(row) for row in rows])
     )
 
 
@@ -122,8 +126,8 @@ def print_shares(said: FloatArray, right: BoolArray) -> None:
             print(f"  {low:.2f}-{min(high, 1):.2f} {of.sum():>7} {right[of].mean():>7.1%}")
 
 
-def _right(one: Answer) -> bool:
-    return one.error_px < (1.0 if one.what.startswith("snap") else 2.0)
+def _right(answer: Answer) -> bool:
+    return answer.error_px < (1.0 if answer.what.startswith("snap") else 2.0)
 
 
 def print_times() -> None:
@@ -146,11 +150,11 @@ def print_times() -> None:
 
 def print_fit(all_answers: list[Answer]) -> None:
     """Logistic regression of what is right, by kind."""
-    for what in sorted({one.what for one in all_answers}):
-        rows = [one for one in all_answers if one.what == what]
-        X = np.array([[1.0, *one.evidence] for one in rows])
-        y = np.array([_right(one) for one in rows], dtype=float)
-        print(f'    "{what}": ({", ".join(f"{one:.2f}" for one in fitted(X, y))}),')
+    for what in sorted({answer.what for answer in all_answers}):
+        rows = [answer for answer in all_answers if answer.what == what]
+        X = np.array([[1.0, *row.evidence] for row in rows])
+        y = np.array([_right(row) for row in rows], dtype=float)
+        print(f'    "{what}": ({", ".join(f"{value:.2f}" for value in fitted(X, y))}),')
 
 
 def fitted(X: FloatArray, y: FloatArray) -> FloatArray:

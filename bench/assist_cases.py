@@ -1,4 +1,4 @@
-"""Poles and signs of simulated streets, asked about as the assistant is, with the truth."""
+"""Cases for bench/assist.py: poles and signs of simulated streets, with the truth."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -7,19 +7,23 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from semviz_annotation.assist.expect import expected_px
-from semviz_annotation.assist.follow import Followed, Sight, found_in
-from semviz_annotation.assist.partner import candidates
+from semviz_annotation.assist.expected_position import expected_px
+from semviz_annotation.assist.marked_image import Mark, MarkedImage
+from semviz_annotation.assist.propagation import PropagatedMark, ReferenceView, search_views
 from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.shot import Mark, Shot
 from semviz_annotation.assist.snap import best_snap
-from semviz_annotation.triangulate import Failed, Triangulated, triangulate
-from semviz_annotation.view import View, rig_view
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import DEFAULT_CLASSES, POLE, ElementClass
-from semviz_core.pose import Pose
-from semviz_core.sources.source import Side
-from semviz_core.sources.street.street import Street
+from semviz_annotation.assist.stereo_matching import candidates
+from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_annotation.mapping.placement.triangulation import (
+    Triangulated,
+    TriangulationFailure,
+    triangulate,
+)
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ElementClass
+from semviz_core.base.frame import Side
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.simulation.street import Street
 
 SIDES: tuple[Side, Side] = ("left", "right")
 FAR_M = 40.0
@@ -54,7 +58,7 @@ class Answer:
 class Picture:
     """One image with what it truly shows, by id."""
 
-    shot: Shot
+    shot: MarkedImage
     marks: dict[int, Mark]
     classes: dict[int, int]
     depths: dict[int, float]
@@ -68,10 +72,10 @@ def picture(street: Street, index: int, side: Side) -> Picture:
     anchors = street.truth_map.elements.anchor_m
     rows = np.searchsorted(street.truth_map.elements.id, ids)
     depths = view.depth_m(anchors[rows])
-    marks = {element_id: Mark.seen(seen, row) for row, element_id in enumerate(ids.tolist())}
+    marks = {element_id: Mark.of_element(seen, row) for row, element_id in enumerate(ids.tolist())}
     classes = dict(zip(map(int, ids), map(int, seen.class_id), strict=True))
     far = dict(zip(map(int, ids), map(float, depths), strict=True))
-    return Picture(Shot.of(view, street.image(index, side)), marks, classes, far)
+    return Picture(MarkedImage.of(view, street.image(index, side)), marks, classes, far)
 
 
 def shaken(mark: Mark, rng: np.random.Generator, sigma_px: float) -> Mark:
@@ -119,7 +123,7 @@ def _snap(
     if class_id == POLE:
         clicked = shaken(mark, rng, CLICK_PX)
     else:
-        sign = next(one for one in street.layout.signs if one.id == element_id)
+        sign = next(sign for sign in street.layout.signs if sign.id == element_id)
         share = rng.uniform(-0.5, 0.5, 2)
         point = sign.middle_m + share[0] * sign.right_m + share[1] * sign.up_m
         clicked = moved(mark, shown.shot.view.project(point[None]))
@@ -133,7 +137,7 @@ def _snap(
         along = mark.ends_px[1] - mark.ends_px[0]
         offs = (now.mark.ends_px - mark.ends_px) @ along / np.linalg.norm(along)
         ok = (now.anchor_snapped, now.end_snapped)
-        slid = tuple(abs(float(off)) for off, one in zip(offs, ok, strict=True) if one)
+        slid = tuple(abs(float(off)) for off, is_known in zip(offs, ok, strict=True) if is_known)
         yield Answer(what, name, depth, found.evidence, error_px(across, mark), along_px=slid)
     else:
         yield Answer(what, name, depth, found.evidence, error_px(now.mark, mark))
@@ -148,7 +152,9 @@ def _snap_nowhere(shown: Picture, rng: np.random.Generator) -> Iterator[Answer]:
         ]
         mark = moved(Mark((0.0, 0.0), (0.0, 0.0), False, False), np.array(ends))
         near = [
-            error_px(mark, one) for one in shown.marks.values() if len(one.ends_px) == len(ends)
+            error_px(mark, truth)
+            for truth in shown.marks.values()
+            if len(truth.ends_px) == len(ends)
         ]
         if min(near, default=99.0) < 25.0:
             continue
@@ -158,32 +164,34 @@ def _snap_nowhere(shown: Picture, rng: np.random.Generator) -> Iterator[Answer]:
             yield Answer(what, "nothing there", 0.0, found.evidence, np.inf)
 
 
-# -- partners
+# -- correspondences
 
 
-def partners(street: Street, frames: list[int]) -> Iterator[Answer]:
+def correspondences(street: Street, frames: list[int]) -> Iterator[Answer]:
     for index in frames:
         both = {side: picture(street, index, side) for side in SIDES}
         for here, there in ((both["left"], both["right"]), (both["right"], both["left"])):
             for element_id in here.marks.keys() & there.marks.keys():
                 if here.depths[element_id] < FAR_M:
-                    yield from _partner(street, here, there, element_id)
+                    yield from _correspondence(street, here, there, element_id)
 
 
-def _partner(street: Street, here: Picture, there: Picture, element_id: int) -> Iterator[Answer]:
+def _correspondence(
+    street: Street, here: Picture, there: Picture, element_id: int
+) -> Iterator[Answer]:
     class_id = here.classes[element_id]
     mark = here.marks[element_id]
     truth = moved(mark, there.shot.view.project(_points_m(street, here, element_id)))
-    what = "partner pole" if class_id == POLE else "partner sign"
+    what = "stereo pole" if class_id == POLE else "stereo sign"
     found = candidates(here.shot, there.shot, mark, DEFAULT_CLASSES[class_id])
-    order = sorted(found, key=lambda one: -probability(what, one.evidence))
-    for k, one in enumerate(order):
-        ends = moved(mark, one.ends_px)
+    order = sorted(found, key=lambda answer: -probability(what, answer.evidence))
+    for k, answer in enumerate(order):
+        ends = moved(mark, answer.ends_px)
         yield Answer(
             what,
             DEFAULT_CLASSES[class_id].name,
             here.depths[element_id],
-            one.evidence,
+            answer.evidence,
             float(np.linalg.norm(ends.ends_px - truth.ends_px, axis=1).max()),
             peer_px=_template_px(here.shot, there.shot, mark, truth) if k == 0 else np.inf,
             best=k == 0,
@@ -206,7 +214,7 @@ def _points_m(street: Street, here: Picture, element_id: int) -> FloatArray:
     return np.asarray(whole[0] + share[:, None] * (whole[1] - whole[0]))
 
 
-def _template_px(here: Shot, there: Shot, mark: Mark, truth: Mark) -> float:
+def _template_px(here: MarkedImage, there: MarkedImage, mark: Mark, truth: Mark) -> float:
     """Error of cv2.matchTemplate on the rows of the mark, 5.5 px of context on either side."""
     ends = mark.ends_px
     low = np.floor(ends.min(axis=0) - 6).astype(int)
@@ -227,7 +235,7 @@ def _template_px(here: Shot, there: Shot, mark: Mark, truth: Mark) -> float:
 
 # -- following
 
-Seen = dict[Side, tuple[Shot, Mark]]
+Seen = dict[Side, tuple[MarkedImage, Mark]]
 
 
 def follows(
@@ -248,12 +256,14 @@ def follows(
 
 def works(street: Street, first: int, count: int, rng: np.random.Generator) -> Iterator[Answer]:
     """From frame to frame, as people work: what each shows is labelled before the next."""
-    labels: dict[int, list[tuple[View, Mark]]] = defaultdict(list)
+    labels: dict[int, list[tuple[PosedView, Mark]]] = defaultdict(list)
     newest: dict[int, Seen] = {}
     for step in range(count):
         there = _pictured(street, first + step, rng)
-        places = {one: _place(rows) for one, rows in labels.items()}
-        mapped = {one: (place, newest[one]) for one, place in places.items() if place is not None}
+        places = {label: _place(rows) for label, rows in labels.items()}
+        mapped = {
+            name: (place, newest[name]) for name, place in places.items() if place is not None
+        }
         yield from _followed(there, mapped, street, rng, 1, ", from frame to frame")
         seen: dict[int, Seen] = defaultdict(dict)
         for side, picture_ in there.items():
@@ -268,13 +278,15 @@ def _pictured(street: Street, index: int, rng: np.random.Generator) -> dict[Side
     """Both images of a frame, with a pose that is a little off."""
     off = Pose.exp(np.r_[rng.normal(0, POSE_M, 3), rng.normal(0, POSE_RAD, 3)])
     both = {side: picture(street, index, side) for side in SIDES}
-    return {side: _turned(one, off) for side, one in both.items()}
+    return {side: _turned(view, off) for side, view in both.items()}
 
 
 def _turned(shown: Picture, off: Pose) -> Picture:
     """As if its camera were elsewhere."""
     view = shown.shot.view
-    return replace(shown, shot=Shot(shown.shot.image, View(view.camera, off @ view.T_camera_map)))
+    return replace(
+        shown, shot=MarkedImage(shown.shot.image, PosedView(view.camera, off @ view.T_camera_map))
+    )
 
 
 def _followed(
@@ -288,53 +300,57 @@ def _followed(
     """Each element in both images, and where it is not: the camera turned by 30 to 70 px."""
     turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.1)
     aside = Pose.from_rotvec([0.0, turn, 0.0], [0.0, 0.0, 0.0])
-    elsewhere = {side: _turned(one, aside) for side, one in there.items()}
-    row = {int(one): k for k, one in enumerate(street.truth_map.elements.id)}
+    elsewhere = {side: _turned(view, aside) for side, view in there.items()}
+    row = {int(element_id): k for k, element_id in enumerate(street.truth_map.elements.id)}
     for element_id, (place, seen) in mapped.items():
         depth = float(there["left"].shot.view.depth_m(place.anchor_m[None])[0])
         if not 3.0 < depth < FAR_M:
             continue
         kind = DEFAULT_CLASSES[int(street.truth_map.elements.class_id[row[element_id]])]
-        what = "follow pole" if place.is_line else "follow sign"
-        for one in _found(elsewhere, place, seen, kind).values():
-            yield Answer(what, "elsewhere", depth, one.evidence, np.inf, step, way=way)
-        for side, one in _found(there, place, seen, kind).items():
+        what = "propagated pole" if place.is_line else "propagated sign"
+        for answer in _found(elsewhere, place, seen, kind).values():
+            yield Answer(what, "elsewhere", depth, answer.evidence, np.inf, step, way=way)
+        for side, proposal in _found(there, place, seen, kind).items():
             truth = there[side].marks.get(element_id)
             error, peer = np.inf, np.inf
             if truth is not None:
-                error = error_px(one.mark, truth)
+                error = error_px(proposal.mark, truth)
                 peer = _klt_px(_nearest(seen, side), there[side].shot, place, truth)
-            yield Answer(what, kind.name, depth, one.evidence, error, step, peer_px=peer, way=way)
+            yield Answer(
+                what, kind.name, depth, proposal.evidence, error, step, peer_px=peer, way=way
+            )
 
 
 def _found(
     there: dict[Side, Picture], place: Triangulated, seen: Seen, kind: ElementClass
-) -> dict[Side, Followed]:
-    sights = [Sight(one.shot, *_nearest(seen, side)) for side, one in there.items()]
-    found = found_in(sights, place, kind)
-    return {side: one for side, one in zip(there, found, strict=True) if one is not None}
+) -> dict[Side, PropagatedMark]:
+    sights = [ReferenceView(view.shot, *_nearest(seen, side)) for side, view in there.items()]
+    found = search_views(sights, place, kind)
+    return {side: answer for side, answer in zip(there, found, strict=True) if answer is not None}
 
 
-def _nearest(seen: Seen, side: Side) -> tuple[Shot, Mark]:
+def _nearest(seen: Seen, side: Side) -> tuple[MarkedImage, Mark]:
     """The same camera's if it shows the element."""
     return seen[side] if side in seen else next(iter(seen.values()))
 
 
-def _place(rows: list[tuple[View, Mark]]) -> Triangulated | None:
+def _place(rows: list[tuple[PosedView, Mark]]) -> Triangulated | None:
     """Of careful labels."""
     if len(rows) < 2:
         return None
     found = triangulate([view for view, _ in rows], [mark.at(0) for _, mark in rows], 0.5)
-    return None if isinstance(found, Failed) else found
+    return None if isinstance(found, TriangulationFailure) else found
 
 
-def _klt_px(seen: tuple[Shot, Mark], there: Shot, element: Triangulated, truth: Mark) -> float:
+def _klt_px(
+    seen: tuple[MarkedImage, Mark], there: MarkedImage, element: Triangulated, truth: Mark
+) -> float:
     """Error of the pyramidal Lucas-Kanade tracker, started where the element is expected."""
     expected = expected_px(element, there.view)
     here, mark = seen
     if expected is None:
         return np.inf
-    images = [cv2.cvtColor(one.image, cv2.COLOR_RGB2GRAY) for one in (here, there)]
+    images = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in (here, there)]
     found, _, _ = cv2.calcOpticalFlowPyrLK(
         *images,
         mark.ends_px.astype(np.float32)[:, None],

@@ -1,4 +1,4 @@
-"""A large label file, made up: what the benchmarks of store and page open."""
+"""Make the large synthetic label file that the benchmarks of store and page open."""
 
 import uuid
 from collections.abc import Iterator
@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.edits import AddObservation
-from semviz_annotation.labels import Draft, Labels
-from semviz_annotation.rules import Rules
-from semviz_annotation.storing.operations import NO_HASH, Operation, sealed
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.arrays import FloatArray
+from semviz_annotation.labels.edits import AddObservation
+from semviz_annotation.labels.labels import Draft, Labels
+from semviz_annotation.labels.rows import Rules
+from semviz_annotation.storage.operations import NO_HASH, Operation, sealed
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.common.arrays import FloatArray
 
 FOCAL_PX, CENTER_PX, BASELINE_M = 720.0, (610.0, 180.0), 0.54
 FARTHEST_M, STEP_M = 34.0, 2.5
@@ -38,10 +38,10 @@ def _operations(elements: int, frames: int, rng: np.random.Generator) -> Iterato
         changes = tuple(edit.changes(draft.labels(), Rules()))
         draft.apply(changes)
         time = f"2026-01-{1 + number // 86_400:02}T00:00:00.000+00:00"
-        one = Operation(number, _id(rng), "bench", "human", time, edit.kind, changes)
-        one = sealed(one, hash_before)
-        hash_before = one.hash
-        yield one
+        operation = Operation(number, _id(rng), "bench", "human", time, edit.kind, changes)
+        operation = sealed(operation, hash_before)
+        hash_before = operation.hash
+        yield operation
 
 
 def _edits(elements: int, frames: int, rng: np.random.Generator) -> Iterator[AddObservation]:
@@ -52,24 +52,24 @@ def _edits(elements: int, frames: int, rng: np.random.Generator) -> Iterator[Add
     is_pole = rng.random(elements) < 0.6
     ids = [_id(rng) for _ in range(elements)]
     seen = [
-        (int(frame), one)
-        for one in range(elements)
-        for frame in range(first[one], first[one] + views[one])
+        (int(frame), index)
+        for index in range(elements)
+        for frame in range(first[index], first[index] + views[index])
     ]
-    for frame, one in sorted(seen):
-        depth_m = FARTHEST_M - STEP_M * (frame - first[one])
+    for frame, element in sorted(seen):
+        depth_m = FARTHEST_M - STEP_M * (frame - first[element])
         for side, camera_m in (("left", 0.0), ("right", BASELINE_M)):
-            anchor = np.array([side_m[one] - camera_m, -2.0])
+            anchor = np.array([side_m[element] - camera_m, -2.0])
             end = np.add(anchor, (0.0, 3.0))
-            is_new = frame == first[one] and side == "left"
+            is_new = frame == first[element] and side == "left"
             yield AddObservation(
                 observation_id=_id(rng),
-                element_id=ids[one],
+                element_id=ids[element],
                 frame_index=frame,
                 side=side,
                 anchor_px=_pixel(anchor, depth_m, rng),
-                end_px=_pixel(end, depth_m, rng) if is_pole[one] else None,
-                class_id=(0 if is_pole[one] else 1) if is_new else None,
+                end_px=_pixel(end, depth_m, rng) if is_pole[element] else None,
+                class_id=(0 if is_pole[element] else 1) if is_new else None,
             )
 
 

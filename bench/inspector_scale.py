@@ -1,10 +1,10 @@
-"""The inspector with a map of a city, in Chromium: until all is on screen, frame steps, clicks.
+"""The inspector with a map of a city, in Chromium: time to load, to step, and to select.
 
     python bench/inspector_scale.py [ELEMENTS]
 
-Takes the demo's frames and puts copies of its street beside each other until the map has ELEMENTS
-(100,000). Wants an idle machine, Chromium and the test extra. A picture in 3D counts as shown when
-its pixels were read back, an image and a card one screen refresh after they were drawn.
+The map has copies of the demo's street side by side, until it has ELEMENTS (100,000). Needs an idle
+machine, Chromium and the test extra. A 3D view counts as shown when its pixels were read back, an
+image and a card one screen refresh after they were drawn.
 """
 
 import os
@@ -15,20 +15,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import tests_support  # noqa: F401
 from pages import CHROMIUM, LOOKED_MS, opened, report, scene, serving, turns, until, watch
 from pages import steps as image_steps
 from playwright.sync_api import Page, sync_playwright
+from serving import at
 
-from semviz.demo import ensure_demo
-from semviz.demo_street import RUN
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run
-from semviz.recording.writer import RunWriter
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run
+from semviz.runs.writer import RunWriter
 from semviz.web import viewpoint
-from semviz.workspace import Workspace
-from semviz_core.elements import Elements3D, joined
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import SemanticMap
+from semviz.workspace.demo import RUN, ensure_demo
+from semviz.workspace.workspace import Workspace
+from semviz_core.base.elements import Elements3D, joined
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
 
 APART_M = 260.0
 STEPS = 50
@@ -53,14 +54,14 @@ new MutationObserver(() => requestAnimationFrame(() => {
 
 def make_city(run: Run, elements: int, path: Path) -> None:
     """``run`` as a file whose map goes on with copies of its street, ``elements`` in all."""
-    one = run.semantic_map.elements
-    across = int(np.ceil(np.sqrt(elements / len(one))))
-    copies, step = [one], int(one.id.max()) + 1
-    for number in range(1, int(np.ceil(elements / len(one)))):
+    street = run.semantic_map.elements
+    across = int(np.ceil(np.sqrt(elements / len(street))))
+    copies, step = [street], int(street.id.max()) + 1
+    for number in range(1, int(np.ceil(elements / len(street)))):
         row, column = divmod(number, across)
         away = APART_M * np.array([column, row, 0.0])
-        moved = one.transformed(Pose(np.eye(3), away))
-        copies.append(replace(moved, id=one.id + number * step))
+        moved = street.transformed(Pose(np.eye(3), away))
+        copies.append(replace(moved, id=street.id + number * step))
     city = SemanticMap(
         merged(copies)[:elements],
         run.semantic_map.frame,
@@ -82,7 +83,7 @@ def merged(parts: list[Elements3D]) -> Elements3D:
 
 def load(page: Page, url: str) -> None:
     """Opens the demo, then the city: the 3D pane is there already, the map comes."""
-    page.goto(f"{url}?card=selected")
+    page.goto(at(url, "?card=selected"))
     page.wait_for_selector("#frame-list li")
     page.wait_for_selector("#scene.ready", timeout=60_000)
     watch(page, True)

@@ -1,9 +1,9 @@
-"""What semviz reaches on real images: KITTI odometry 02, frames 0 to 19, with our own labels.
+"""Results on real images: KITTI odometry 02, frames 0 to 19, with our own labels.
 
     python bench/kitti02.py /data/kitti
 
 Builds the map from the even frames and measures on the odd ones. Prints the tables of
-docs/kitti02.md. Labels: docs/kitti02/labels.jsonl. The images are not part of the project.
+docs/results/kitti02.md. Labels: docs/kitti02/labels.jsonl. The images are not part of the project.
 """
 
 import sys
@@ -12,27 +12,38 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.drive import DriveOptions, drive_workspace
-from semviz.workspace import Workspace
-from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.options import BuildOptions
-from semviz_annotation.mapping.placing.place import place, place_linearly
-from semviz_annotation.mapping.placing.refine import Problem, Refined, RefineOptions, refine
-from semviz_annotation.mapping.placing.residuals import residuals
-from semviz_annotation.mapping.placing.schur import Unknowns
-from semviz_annotation.mapping.placing.sightings import Gathered, Views, gather
-from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
-from semviz_annotation.observe import observe
-from semviz_annotation.storing.exchange import import_operations
-from semviz_core.arrays import FloatArray
-from semviz_core.evaluation.metrics import summarize
-from semviz_core.localization import Localization
-from semviz_core.map_file import save_map
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.solving.residuals import pair_residuals
-from semviz_core.sources.source import Side, Source
+from semviz.workspace.localize import LocalizeOptions, localize_workspace
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.placement.bundle_adjustment import (
+    BundleProblem,
+    BundleResult,
+    RefineOptions,
+    Unknowns,
+    bundle_adjust,
+)
+from semviz_annotation.mapping.placement.observations import (
+    LabelObservations,
+    ViewArray,
+    collect_observations,
+)
+from semviz_annotation.mapping.placement.reprojection import residuals
+from semviz_annotation.mapping.placement.triangulation import (
+    triangulate_landmarks,
+    triangulate_linearly,
+)
+from semviz_annotation.mapping.quality.check import mapping_accuracy
+from semviz_annotation.mapping.quality.label_links import observe
+from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.localization import Localization
+from semviz_core.base.map_file import save_map
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.localization.residuals import pair_residuals
+from semviz_core.metrics.pose_errors import summarize
 
 LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
@@ -60,25 +71,28 @@ def main() -> None:
         print_localization(workspace)
 
 
-def print_methods(labels: Labels, source: Source) -> None:
+def print_methods(labels: Labels, source: Dataset) -> None:
     """How well places found from the even frames, one way or another, fit the odd ones."""
-    even, odd = gather(labels, source, EVEN), gather(labels, source, ODD)
-    placed = place(even.views, even.sightings)
+    even, odd = (
+        collect_observations(labels, source, EVEN),
+        collect_observations(labels, source, ODD),
+    )
+    placed = triangulate_landmarks(even.views, even.observations)
     print(
         "\nplaces from the even frames, seen in the odd ones: RMSE (px) of poles (across) and signs"
     )
     ways = {
         "stereo pairs, linear, mean (the paper's)": mean_of_pairs(even),
-        "all views, linear": place_linearly(even.views, even.sightings).anchor_and_end_m,
+        "all views, linear": triangulate_linearly(even.views, even.observations).anchor_and_end_m,
         "all views, least squares": placed.anchor_and_end_m,
     }
     for name, places in ways.items():
         print_fit(name, even, odd, odd.views, places)
     for sigma_m, sigma_deg in POSE_SIGMAS:
         options = RefineOptions(pose_sigma_m=sigma_m, pose_sigma_deg=sigma_deg)
-        found = refine(even.views, even.sightings, placed, options)
+        found = bundle_adjust(even.views, even.observations, placed, options)
         places = found.placed.anchor_and_end_m
-        problem = Problem(odd.views, odd.sightings, options)
+        problem = BundleProblem(odd.views, odd.observations, options)
         free = f"refined, poses free by {sigma_m} m and {sigma_deg} deg"
         print(f"{free}; right images are {found.offset_px:+.2f} px off")
         print_fit("  poses and calibration as given", even, odd, odd.views, places)
@@ -88,28 +102,37 @@ def print_methods(labels: Labels, source: Source) -> None:
             print_fit(words, even, odd, problem.views(at), places)
 
 
-def mean_of_pairs(seen: Gathered) -> FloatArray:
+def mean_of_pairs(seen: LabelObservations) -> FloatArray:
     """(n, 6) of each element: the mean over its stereo pairs."""
-    sightings = seen.sightings
-    frame = seen.views.frame_index[seen.sightings.view]
-    pairs, pair = np.unique(sightings.thing * 1000 + frame, return_inverse=True)
-    each = place_linearly(seen.views, sightings.regrouped(pair, len(pairs)))
+    observations = seen.observations
+    frame = seen.views.frame_index[seen.observations.view]
+    pairs, pair = np.unique(observations.landmark * 1000 + frame, return_inverse=True)
+    each = triangulate_linearly(seen.views, observations.regrouped(pair, len(pairs)))
     whose = np.where(each.ok, pairs // 1000, -1)
     return np.array(
-        [each.anchor_and_end_m[whose == thing].mean(axis=0) for thing in range(sightings.count)]
+        [
+            each.anchor_and_end_m[whose == landmark].mean(axis=0)
+            for landmark in range(observations.count)
+        ]
     )
 
 
-def between_frames(found: Refined) -> FloatArray:
+def between_frames(found: BundleResult) -> FloatArray:
     """(10, 6) moves of the odd frames: the mean of the even ones before and after."""
     after = np.vstack([found.moved[1:], found.moved[-1:]])
     return np.asarray((found.moved + after) / 2.0)
 
 
-def print_fit(name: str, even: Gathered, odd: Gathered, views: Views, places_m: FloatArray) -> None:
+def print_fit(
+    name: str,
+    even: LabelObservations,
+    odd: LabelObservations,
+    views: ViewArray,
+    places_m: FloatArray,
+) -> None:
     number = {element.id: row for row, element in enumerate(even.elements)}
-    thing = np.array([number[element.id] for element in odd.elements])[odd.sightings.thing]
-    seen = odd.sightings.regrouped(thing, len(places_m))
+    landmark = np.array([number[element.id] for element in odd.elements])[odd.observations.landmark]
+    seen = odd.observations.regrouped(landmark, len(places_m))
     at = residuals(views, seen, places_m[:, :3], places_m[:, 3:])
     squares = np.square(at.error_px[:, :2])
     poles = np.sqrt(squares[seen.is_line].mean())
@@ -117,21 +140,23 @@ def print_fit(name: str, even: Gathered, odd: Gathered, views: Views, places_m: 
     print(f"{name:<42} {poles:5.2f} {signs:5.2f}")
 
 
-def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Source) -> None:
+def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Dataset) -> None:
     """Label minus map under the true poses: by element, by frame, and between the cameras."""
     rows = [
-        one for index in range(20) for one in label_residuals(semantic_map, labels, source, index)
+        residual
+        for index in range(20)
+        for residual in label_residuals(semantic_map, labels, source, index)
     ]
-    across = np.array([one[3] for one in rows])
-    names = np.array([one[0] for one in rows])
-    frames = np.array([one[1] for one in rows])
-    right = np.array([one[2] == "right" for one in rows])
+    across = np.array([row[3] for row in rows])
+    names = np.array([row[0] for row in rows])
+    frames = np.array([row[1] for row in rows])
+    right = np.array([row[2] == "right" for row in rows])
     print("\nacross-track residual by element, all frames, both images: rms and mean, px")
     for name in np.unique(names):
         of = across[names == name]
         print(f"  {name:<6} {np.sqrt(np.square(of).mean()):5.2f} {of.mean():+6.2f}  ({len(of)})")
     print("\nmean residual by frame, left image: across (u), along (v, signs only), px")
-    v = np.array([one[4] for one in rows])
+    v = np.array([row[4] for row in rows])
     for index in range(20):
         of = (frames == index) & ~right
         print(f"  {index:>3} {across[of].mean():+6.2f} {np.nanmean(v[of]):+6.2f}")
@@ -140,7 +165,7 @@ def print_residuals(semantic_map: SemanticMap, labels: Labels, source: Source) -
 
 
 def label_residuals(
-    semantic_map: SemanticMap, labels: Labels, source: Source, index: int
+    semantic_map: SemanticMap, labels: Labels, source: Dataset, index: int
 ) -> list[tuple[str, int, str, float, float]]:
     """(name, frame, side, across px, along px) of every label in one frame."""
     pose = source.frames[index].T_map_camera
@@ -170,8 +195,8 @@ def print_localization(workspace: Workspace) -> None:
     found: list[Localization] = []
     truths: list[Pose | None] = []
     for seed in SEEDS:
-        options = DriveOptions(seed=seed)
-        for record in drive_workspace(workspace, "even", options, ODD):
+        options = LocalizeOptions(seed=seed)
+        for record in localize_workspace(workspace, "even", options, ODD):
             truth = record.frame.T_map_camera
             found.append(record.localization)
             truths.append(None if truth is None else truth.inverse())

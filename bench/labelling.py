@@ -1,15 +1,14 @@
-"""How many inputs a label costs: a scripted annotator labels 8 frames of simulated streets.
+"""Inputs per label: a scripted annotator labels 8 frames of simulated streets.
 
     python bench/labelling.py
     python bench/labelling.py --detector own        after 'semviz detect'
     python bench/labelling.py --detector simulated  one as good as the paper's
 
-The script sees what a person would: the street's truth is its eye. It clicks with a hand that
-trembles by 1.5 CSS pixels, at the zoom that shows the whole image, with snapping on. It accepts a
-proposal where both marks are right, turns it down where one is not, and draws what nobody proposed:
-every pole and sign up to 40 m ahead that is visible in both images. The page counts its inputs: a
-key, a click or a turn of the wheel is one, a drag two. At the end every label is held against the
-truth.
+The script labels every pole and sign up to 40 m ahead that is visible in both images, by the
+street's truth. Its clicks have an error of 1.5 CSS pixels, at the zoom that shows the whole image,
+with snapping on. It accepts a proposal if both marks are right, rejects it otherwise, and draws
+elements without a proposal. The page counts inputs: a key, a click or a turn of the wheel is one, a
+drag two. At the end every label is compared with the truth.
 
 Times are those of the keystroke-level model (Card, Moran & Newell 1980) with its own constants, for
 an average typist: a key 0.28 s, a click 0.2 s, pointing 1.1 s, and a thought of 1.35 s before each
@@ -24,16 +23,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from labelling_hand import Labeller, Spent, Work
+from labelling_driver import Labeller, Spent, Work
 from labelling_truth import RIGHT_PX, SIDES, errors_px, flags_right
 from playwright.sync_api import sync_playwright
 
 from semviz.annotator.server import Annotator
-from semviz.web.door import Door
-from semviz.workspace import Workspace
-from semviz_annotation.detections import as_proposals
-from semviz_annotation.proposals import Proposals, save_proposals
-from semviz_core.sources.street.detector import SimulatedDetector
+from semviz.web.gateway import Gateway
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_proposals
+from semviz_annotation.labels.proposals import Proposals, save_proposals
+from semviz_core.simulation.detector import SimulatedDetector
 
 CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 FRAMES = 8
@@ -54,10 +53,10 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
     street = workspace.street
     detector = SimulatedDetector(street, "paper", seed)
     found = [
-        one
+        proposal
         for index in range(FRAMES)
         for side in SIDES
-        for one in as_proposals(
+        for proposal in as_proposals(
             index, side, detector.detect(index, side).observed, street.rig.left, "simulated"
         )
     ]
@@ -76,7 +75,7 @@ def run(
     annotator = Annotator(workspace, author="script")
     street = workspace.street
     try:
-        with Door(annotator).running() as url:
+        with Gateway(annotator).running() as url:
             page = browser.new_page(viewport={"width": 1600, "height": 950})
             page.set_default_timeout(PATIENCE_MS)
             page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
@@ -98,9 +97,9 @@ def print_causes(spent: list[Spent], labels: int) -> None:
     """What the inputs were for, the dearest first."""
     inputs: Counter[str] = Counter()
     times: Counter[str] = Counter()
-    for one in spent:
-        inputs[one.cause] += one.inputs
-        times[one.cause] += one.inputs > 0
+    for step in spent:
+        inputs[step.cause] += step.inputs
+        times[step.cause] += step.inputs > 0
     print(f"{'inputs for':50s} times  inputs  each observation")
     for cause, count in inputs.most_common():
         if count:
@@ -110,7 +109,7 @@ def print_causes(spent: list[Spent], labels: int) -> None:
 def print_street(
     seed: int, work: Work, errors: list[float], flags: tuple[float, float], said: str
 ) -> None:
-    right = [one for one in errors if one <= RIGHT_PX]
+    right = [error for error in errors if error <= RIGHT_PX]
     print(
         f"street {seed}: {len(errors)} observations in {FRAMES} frames, "
         f"{work.inputs / len(errors):.3f} inputs each ({work.keys} keys, {work.clicks} "
@@ -142,12 +141,12 @@ def main() -> None:
             )
             print_street(seed, work, errors, flags, said)
             if arguments.each:
-                for one in work.spent:
-                    print(f"    frame {one.frame}: {one.inputs} for {one.cause}; {one.about}")
+                for step in work.spent:
+                    print(f"    frame {step.frame}: {step.inputs} for {step.cause}; {step.about}")
             spent += work.spent
             labels, least = labels + len(errors), least + work.least
             seconds += work.seconds
-    inputs = sum(one.inputs for one in spent)
+    inputs = sum(step.inputs for step in spent)
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
     pairs = labels / 2

@@ -1,15 +1,16 @@
-"""What a scripted annotator sees of a simulated street, and what counts as right."""
+"""Truth of the scripted annotator: what is visible in a street, and which marks are right."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from semviz_annotation.labels import Labels
-from semviz_core.classes import DEFAULT_CLASSES
-from semviz_core.elements import Elements2D
-from semviz_core.sources.source import Side
-from semviz_core.sources.street.street import Street
+from semviz.annotator.draft import ProposalMark, ProposalView
+from semviz_annotation.labels.labels import Labels
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.frame import Side
+from semviz_core.simulation.street import Street
 
 SIDES: tuple[Side, Side] = ("left", "right")
 REACH_M = 40.0
@@ -35,9 +36,9 @@ class Truth:
     @property
     def wanted(self) -> list[int]:
         """What is to be labelled: near, and in both images. Class by class."""
-        both = [one for one, marks in self.marks.items() if len(marks) == len(SIDES)]
-        near = [one for one in both if self.depth_m[one] < REACH_M]
-        return sorted(near, key=lambda one: (self.class_id[one], self.depth_m[one]))
+        both = [mark for mark, marks in self.marks.items() if len(marks) == len(SIDES)]
+        near = [element for element in both if self.depth_m[element] < REACH_M]
+        return sorted(near, key=lambda element: (self.class_id[element], self.depth_m[element]))
 
     def is_right(self, element: int, side: Side, anchor: Any, end: Any) -> bool:
         if side not in self.marks[element]:
@@ -46,13 +47,13 @@ class Truth:
             element, RIGHT_PX, RIGHT_M
         )
 
-    def are_ends_right(self, element: int, side: Side, offered: dict[str, Any]) -> bool:
+    def are_ends_right(self, element: int, side: Side, offered: ProposalMark) -> bool:
         """Of a proposed mark that ``is_right``: those that it says are seen, and are."""
-        if offered["end"] is None:
+        if offered.end is None:
             return True
-        both_known = np.array([offered["anchor_known"], offered["end_known"]])
+        both_known = np.array([offered.anchor_known, offered.end_known])
         both_known &= self.known[element][side]
-        ends = np.array([offered["anchor"], offered["end"]])
+        ends = np.array([offered.anchor, offered.end])
         gaps = np.linalg.norm(ends - self.marks[element][side], axis=1)
         return bool((gaps[both_known] <= self.within_px(element, ALONG_PX, ALONG_M)).all())
 
@@ -72,15 +73,17 @@ def truth_of(street: Street, frame: int) -> Truth:
     seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}
     visible = sorted(seen["left"].keys() | seen["right"].keys())
     marks = {
-        one: {side: seen[side][one][:2] for side in SIDES if one in seen[side]} for one in visible
+        element: {side: seen[side][element][:2] for side in SIDES if element in seen[side]}
+        for element in visible
     }
     known = {
-        one: {side: seen[side][one][3] for side in SIDES if one in seen[side]} for one in visible
+        element: {side: seen[side][element][3] for side in SIDES if element in seen[side]}
+        for element in visible
     }
     return Truth(
         marks,
         known,
-        {one: (seen["left"].get(one) or seen["right"][one])[2] for one in visible},
+        {element: (seen["left"].get(element) or seen["right"][element])[2] for element in visible},
         dict(zip(elements.id.tolist(), depths.tolist(), strict=True)),
         float(street.rig.left.K[0, 0]),
     )
@@ -96,13 +99,13 @@ def by_id(seen: Elements2D, ids: np.ndarray) -> dict[int, Seen]:
     return dict(zip(ids.tolist(), rows, strict=True))
 
 
-def meant(offer: dict[str, Any], truth: Truth) -> int | None:
+def meant(offer: ProposalView, truth: Truth) -> int | None:
     """The element that all marks of a proposal are right for."""
-    sides = [side for side in SIDES if side in offer]
+    sides = [side for side in SIDES if side in offer.marks]
     for element in truth.marks:
-        if truth.class_id[element] == offer["class"] and all(
-            truth.is_right(element, side, offer[side]["anchor"], offer[side]["end"])
-            and truth.are_ends_right(element, side, offer[side])
+        if truth.class_id[element] == offer.class_id and all(
+            truth.is_right(element, side, offer.marks[side].anchor, offer.marks[side].end)
+            and truth.are_ends_right(element, side, offer.marks[side])
             for side in sides
         ):
             return element
@@ -133,7 +136,7 @@ def flags_right(labels: Labels, street: Street) -> tuple[float, float]:
         if row.end_px is None:
             continue
         marks = list(by_id(*street.labels(row.frame_index, row.side)).values())
-        gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
+        gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
         if min(gaps, default=np.inf) <= RIGHT_PX:
             known = marks[int(np.argmin(gaps))][3]
             for told, true in zip((row.anchor_known, row.end_known), known, strict=True):
@@ -146,38 +149,39 @@ def errors_px(labels: Labels, street: Street) -> list[float]:
     errors = []
     for row in labels.observations.values():
         marks = by_id(*street.labels(row.frame_index, row.side)).values()
-        gaps = [error_px((row.anchor_px, row.end_px), one[:2]) for one in marks]
+        gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
         errors.append(min(gaps, default=float("inf")))
     return errors
 
 
-def is_about(offer: dict[str, Any], truth: Truth, element: int) -> bool:
+def is_about(offer: ProposalView, truth: Truth, element: int) -> bool:
     """Whether a proposal lies near an element, of whatever class, in one of the images."""
     return any(
-        error_px((offer[side]["anchor"], offer[side]["end"]), marks) < NEAR_PX
+        error_px((offer.marks[side].anchor, offer.marks[side].end), marks) < NEAR_PX
         for side, marks in truth.marks[element].items()
-        if side in offer
+        if side in offer.marks
     )
 
 
-def why_wrong(offer: dict[str, Any], truth: Truth) -> str:
+def why_wrong(offer: ProposalView, truth: Truth) -> str:
     """What a proposal that is right for nothing has wrong; of an element that it may mean."""
-    about = [one for one in truth.marks if is_about(offer, truth, one)]
+    about = [mark for mark in truth.marks if is_about(offer, truth, mark)]
     if not about:
         return "nothing there"
-    alike = [one for one in about if truth.class_id[one] == offer["class"]]
+    alike = [element for element in about if truth.class_id[element] == offer.class_id]
     if not alike:
         return "another class"
-    sides = [side for side in SIDES if side in offer]
+    sides = [side for side in SIDES if side in offer.marks]
     right = {
-        one: [
-            truth.is_right(one, side, offer[side]["anchor"], offer[side]["end"]) for side in sides
+        element: [
+            truth.is_right(element, side, offer.marks[side].anchor, offer.marks[side].end)
+            for side in sides
         ]
-        for one in alike
+        for element in alike
     }
     if any(all(each) for each in right.values()):
-        one = next(one for one, each in right.items() if all(each))
-        if all(truth.are_ends_right(one, side, offer[side]) for side in sides):
+        element = next(element for element, each in right.items() if all(each))
+        if all(truth.are_ends_right(element, side, offer.marks[side]) for side in sides):
             return "another element than it was"
         return "an end is off along it"
     return "off in one image" if any(any(each) for each in right.values()) else "off"

@@ -1,10 +1,9 @@
-"""How long labels take in and out of each format, and a detector's proposals into a workspace.
+"""Time to import and export labels in each format, and to import a detector's proposals.
 
     python bench/labels_io.py
     python bench/labels_io.py --labels 100000 --proposals 10000
 
-The labels are made up: poles and signs seen in ten images each. Everything is on disk and durable
-when a time ends.
+The labels are synthetic: poles and signs in ten images each. Times include writing to disk.
 """
 
 import json
@@ -19,15 +18,14 @@ from typing import Any, get_args
 import numpy as np
 import tyro
 
-from semviz_annotation.formats.exporting import export_labels
-from semviz_annotation.formats.importing import ForeignFormat, import_labels
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import LabelElement, Observation
-from semviz_annotation.proposals import load_proposals, read_proposals, save_proposals
-from semviz_annotation.rows import derived_id
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.camera import Camera, Rig
-from semviz_core.pose import Pose
+from semviz_annotation.label_formats.exchange import ForeignFormat, export_labels, import_labels
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.labels.labels import LabelElement, Observation
+from semviz_annotation.labels.proposals import load_proposals, read_proposals, save_proposals
+from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.pose import Pose
 
 CAMERA = Camera(1241, 376, np.array([[718.9, 0.0, 607.2], [0.0, 718.9, 185.2], [0.0, 0.0, 1.0]]))
 RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.54, 0.0, 0.0])))
@@ -79,8 +77,8 @@ def time_proposals(folder: Path, count: int, rng: np.random.Generator) -> None:
     for number in range(count):
         u, v = map(float, rng.uniform(0, 300, 2))
         row = {"frame_index": number // 20, "side": ("left", "right")[number % 2]}
-        one = {"class": "pole", "anchor_px": [u, v], "end_px": [u, v + 50.0]}
-        rows.append({**row, **one, "score": float(rng.random()), "sigma_px": 1.5})
+        proposal = {"class": "pole", "anchor_px": [u, v], "end_px": [u, v + 50.0]}
+        rows.append({**row, **proposal, "score": float(rng.random()), "sigma_px": 1.5})
     document = {"format": "semviz-proposals", "version": 1, "proposals": rows}
     (folder / "found.json").write_text(json.dumps(document))
     path = folder / "proposals.parquet"

@@ -1,4 +1,4 @@
-"""Localizability as predicted from the map alone, beside what the localizer then really gets.
+"""Localizability predicted from the map, compared with the results of the localizer.
 
     python bench/localizability.py
     python bench/localizability.py --kitti-poses DIR --pole-maps DIR --sequences 09 10
@@ -23,29 +23,30 @@ import numpy as np
 import tyro
 from scipy.stats import spearmanr
 
-from semviz_core.arrays import FloatArray
-from semviz_core.elements import Elements3D, joined
-from semviz_core.evaluation.metrics import pose_error
-from semviz_core.evaluation.problems import (
+from semviz_core.base.detector_model import NOISE, SIMULATED_DETECTOR
+from semviz_core.base.elements import Elements3D, joined
+from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localizability.expected_error import LOST_M
+from semviz_core.localizability.predict import Localizability, predict
+from semviz_core.localizability.route import Conditions
+from semviz_core.localization.localizer import Localizer
+from semviz_core.metrics.pose_errors import pose_error
+from semviz_core.research.evaluation.problems import (
     CAMERA,
     DETECTOR,
     Difficulty,
     make_problem,
     mapped_elements,
 )
-from semviz_core.evaluation.roads import Road, kitti_road, simulated_road
-from semviz_core.localizability.conditions import Conditions
-from semviz_core.localizability.outlook import LOST_M
-from semviz_core.localizability.predict import Localizability, predict
-from semviz_core.localization import Localization
-from semviz_core.localize import Localizer
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, SemanticMap
-from semviz_core.sources.priors import PriorOptions, simulate_prior
-from semviz_core.sources.street.detector import DETECTOR_MODEL, NOISE, SimulatedDetector
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.map_errors import with_errors
-from semviz_core.sources.street.street import Street
+from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
+from semviz_core.simulation.detector import SimulatedDetector
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.map_errors import with_errors
+from semviz_core.simulation.street import Street
 
 Noise = Literal["low", "paper"]
 FIRST_SEED = 1000
@@ -120,7 +121,7 @@ def time_it() -> None:
     print(f"1,000 positions, 10,000 elements: {wall:.0f} s, of them computing {cpu:.0f} s")
 
 
-def roads(options: Options) -> list[tuple[Road, int]]:
+def roads(options: Options) -> list[tuple[BenchmarkRoad, int]]:
     seeds = range(FIRST_SEED, FIRST_SEED + options.roads)
     found = [(simulated_road(seed), seed) for seed in seeds]
     if options.kitti_poses is not None and options.pole_maps is not None:
@@ -132,7 +133,7 @@ def roads(options: Options) -> list[tuple[Road, int]]:
 
 
 def check_road(
-    road: Road, seed: int, noise: Noise, options: Options
+    road: BenchmarkRoad, seed: int, noise: Noise, options: Options
 ) -> tuple[Localizability, Real]:
     """Along the first part of a road of the benchmark."""
     difficulty = Difficulty(noise=noise)
@@ -149,10 +150,12 @@ def check_road(
 
     def look(added: Elements3D | None) -> Look:
         def answer(position: int, number: int) -> Answer:
-            one = make_problem(seed, difficulty, road, places[position], look=number, added=added)
-            return localizer.localize(one.observed, one.submap, one.camera, one.prior), (
-                one.T_camera_map
+            problem = make_problem(
+                seed, difficulty, road, places[position], variant=number, added=added
             )
+            return localizer.localize(
+                problem.observed, problem.submap, problem.camera, problem.prior
+            ), (problem.T_camera_map)
 
         return answer
 
@@ -167,12 +170,12 @@ def check_street(seed: int, noise: Noise, options: Options) -> tuple[Localizabil
     street = Street(seed, StreetOptions(options.meters // STEP_M, float(STEP_M)))
     semantic_map = with_errors(street.truth_map, seed)
     camera = street.rig.left
-    conditions = Conditions(DETECTOR_MODEL, NOISE[noise], crop_radius_m=50.0)
-    poses = tuple(one.T_map_camera for one in street.frames if one.T_map_camera is not None)
+    conditions = Conditions(SIMULATED_DETECTOR, NOISE[noise], crop_radius_m=50.0)
+    poses = tuple(frame.T_map_camera for frame in street.frames if frame.T_map_camera is not None)
     start = time.perf_counter()
     predicted = predict(semantic_map, camera, poses, conditions)
     seconds = time.perf_counter() - start
-    localizer = Localizer(detector=DETECTOR_MODEL)
+    localizer = Localizer(detector=SIMULATED_DETECTOR)
 
     def look(position: int, number: int) -> Answer:
         observed = SimulatedDetector(street, noise, number).detect(position).observed
@@ -230,8 +233,8 @@ def report_gain(
         )
 
 
-def rank(one: FloatArray, other: FloatArray) -> float:
-    return float(spearmanr(one, other).statistic)
+def rank(first: FloatArray, other: FloatArray) -> float:
+    return float(spearmanr(first, other).statistic)
 
 
 def halves(values: FloatArray) -> float:
@@ -242,11 +245,11 @@ def halves(values: FloatArray) -> float:
 def draw(drawn: dict[str, tuple[Localizability, Real]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from semviz.plot_style import COLORS
+    from semviz.presentation.plots import COLORS
 
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     for axis, noise in zip(figure.subplots(1, 2), ("low", "paper"), strict=True):
-        chosen = {name: one for name, one in drawn.items() if name.endswith(noise)}
+        chosen = {name: value for name, value in drawn.items() if name.endswith(noise)}
         for color, (name, (predicted, real)) in zip(COLORS, chosen.items(), strict=False):
             axis.plot(
                 predicted.expected_m, real.error_m.mean(axis=1), ".", color=color, label=name,

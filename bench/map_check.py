@@ -1,4 +1,4 @@
-"""What 'semviz map check' finds, and how long it takes.
+"""Findings and runtime of 'semviz map check'.
 
     python bench/map_check.py [--kitti /data/kitti] [--streets 10] [--elements 10000]
 
@@ -15,28 +15,31 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import tests_support  # noqa: F401
+from support.street_labels import careful, label_street
 
-from semviz.workspace import Workspace
-from semviz_annotation.labels import LabelElement, Labels, Observation
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.labels.views import rig_view
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.placing.place import PlaceOptions, place
-from semviz_annotation.mapping.placing.sightings import Sightings, Views, gather
-from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
-from semviz_annotation.mapping.quality.leave_out import delete_each, leave_one_out
+from semviz_annotation.mapping.placement.observations import (
+    ObservationArray,
+    ViewArray,
+    collect_observations,
+)
+from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
+from semviz_annotation.mapping.quality.check import mapping_accuracy
+from semviz_annotation.mapping.quality.leave_one_out import delete_each, leave_one_out
 from semviz_annotation.mapping.quality.lint import lint
-from semviz_annotation.rows import derived_id
-from semviz_annotation.storing.exchange import import_operations
-from semviz_annotation.street_labels import careful, label_street
-from semviz_annotation.view import rig_view
-from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.camera import Rig
-from semviz_core.elements import Elements3D
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
-from semviz_core.sources.source import Side, Source
-from semviz_core.sources.street.street import Street
-from semviz_core.sources.street.trajectory import camera_axes
+from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.camera import Rig
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.frame import Dataset, Frame, Side
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.simulation.street import Street, camera_axes
 
 LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 FIRST_SEED = 1000
@@ -72,15 +75,15 @@ def print_plants(seeds: range, sigma_px: float) -> None:
     labels = 0
     for seed in seeds:
         street = Street(seed)
-        views, sightings, _, _ = gather(labels_of(street, sigma_px), street)
+        views, observations, _, _ = collect_observations(labels_of(street, sigma_px), street)
         rng = np.random.default_rng(seed)
-        good = normalized(views, sightings)
-        labels += len(sightings)
+        good = normalized(views, observations)
+        labels += len(observations)
         for row in rng.choice(np.flatnonzero(good), PLANTS, replace=False):
-            thing = np.arange(sightings.count) == sightings.thing[row]
-            mine = np.flatnonzero(thing[sightings.thing])
+            landmark = np.arange(observations.count) == observations.landmark[row]
+            mine = np.flatnonzero(landmark[observations.landmark])
             planted = good.copy()
-            planted[mine] = normalized(views, with_plant(sightings, row, rng).only(thing))
+            planted[mine] = normalized(views, with_plant(observations, row, rng).only(landmark))
             ranks.append(int((planted > planted[row]).sum()))
     first, first_five = np.mean(np.equal(ranks, 0)), np.mean(np.less(ranks, 5))
     print(
@@ -89,26 +92,28 @@ def print_plants(seeds: range, sigma_px: float) -> None:
     )
 
 
-def normalized(views: Views, sightings: Sightings) -> FloatArray:
+def normalized(views: ViewArray, observations: ObservationArray) -> FloatArray:
     """(k,) residuals when left out; 0 where the others say nothing."""
     options = PlaceOptions()
-    placed = place(views, sightings, options)
-    left_out = delete_each(views, sightings, placed.anchor_m, placed.end_m, options)
+    placed = triangulate_landmarks(views, observations, options)
+    left_out = delete_each(views, observations, placed.anchor_m, placed.end_m, options)
     return np.nan_to_num(left_out.normalized)
 
 
-def with_plant(sightings: Sightings, row: int, rng: np.random.Generator) -> Sightings:
+def with_plant(
+    observations: ObservationArray, row: int, rng: np.random.Generator
+) -> ObservationArray:
     """One click moved in any direction; across the pole at an end that is hidden."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     by = CLICK_PX * np.array([np.cos(angle), np.sin(angle)])
-    at_end = sightings.is_line[row] and rng.random() < 0.5
-    if not (sightings.end_known if at_end else sightings.anchor_known)[row]:
-        u, v = sightings.end_px[row] - sightings.anchor_px[row]
+    at_end = observations.is_line[row] and rng.random() < 0.5
+    if not (observations.end_known if at_end else observations.anchor_known)[row]:
+        u, v = observations.end_px[row] - observations.anchor_px[row]
         by = CLICK_PX * np.array([-v, u]) / np.hypot(u, v)
     name = "end_px" if at_end else "anchor_px"
-    pixels = getattr(sightings, name).copy()
+    pixels = getattr(observations, name).copy()
     pixels[row] += by
-    return replace(sightings, **{name: pixels})
+    return replace(observations, **{name: pixels})
 
 
 def print_lint_of_streets(seeds: range) -> None:
@@ -120,7 +125,9 @@ def print_lint_of_streets(seeds: range) -> None:
         labels = labels_of(street, 0.5)
         built, _ = build_map(labels, street)
         elements += len(built)
-        said.update(f"{one.severity}, {one.rule}" for one in lint(built, labels, street))
+        said.update(
+            f"{finding.severity}, {finding.rule}" for finding in lint(built, labels, street)
+        )
     print(f"\nlint of {len(seeds)} streets without faults, {elements} elements:")
     print("\n".join(f"  {count:4} {what}" for what, count in sorted(said.items())) or "  nothing")
 
@@ -133,8 +140,8 @@ def print_lint_of_kitti(kitti: Path) -> None:
             labels = store.labels
         built, _ = build_map(labels, workspace.source)
         print(f"\nlint of KITTI 02, {len(built)} elements:")
-        for one in lint(built, labels, workspace.source):
-            print(f"  {one.severity}, {one.rule}: {one.message}")
+        for finding in lint(built, labels, workspace.source):
+            print(f"  {finding.severity}, {finding.rule}: {finding.message}")
 
 
 # -- times
@@ -160,7 +167,7 @@ class LongRoad:
         raise NotImplementedError
 
 
-def long_map(count: int) -> tuple[SemanticMap, Labels, Source]:
+def long_map(count: int) -> tuple[SemanticMap, Labels, Dataset]:
     """``count`` poles, two beside each frame, each labelled in five frames (left and right)."""
     source = LongRoad(count // 2 + 20)
     rng = np.random.default_rng(0)

@@ -1,15 +1,15 @@
-"""How good maps of simulated streets are: linked labels beside the paper's way.
+"""Quality of maps of simulated streets: semviz compared with the paper's method.
 
     OMP_NUM_THREADS=1 python bench/mapping.py [--seeds 1 2 3]
     OMP_NUM_THREADS=1 python bench/mapping.py --big
 
 Streets have seeds from 1000 on; nothing was tuned on these. --big: time and memory of a long drive.
 
-Columns. complete: share of the things that the labels would fix to 0.3 m, if it were known what is
-what, which the map has within 1 m. twice: elements too many, over all things. merged: elements of
-two things, each with a fifth of the observations; in brackets, of two that one image shows. false:
-elements that are mostly nothing. error: RMS of the position; bound: over that of an efficient
-estimator that knows what is what, and the true noise.
+Columns. complete: share of the landmarks that the labels would fix to 0.3 m, if it were known what
+is what, which the map has within 1 m. twice: elements too many, over all landmarks. merged:
+elements of two landmarks, each with a fifth of the observations; in brackets, of two that one image
+shows. false: elements that are mostly nothing. error: RMS of the position; bound: over that of an
+efficient estimator that knows what is what, and the true noise.
 """
 
 import argparse
@@ -26,14 +26,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-
-from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.options import BuildOptions
-from semviz_annotation.mapping.paper import PaperOptions
-from semviz_annotation.mapping.placing.refine import RefineOptions
-from semviz_annotation.mapping.placing.residuals import residuals
-from semviz_annotation.mapping.placing.sightings import gather
-from semviz_annotation.street_labels import (
+import tests_support  # noqa: F401
+from support.street_labels import (
     Detect,
     DrivenTwice,
     StreetLabels,
@@ -41,24 +35,29 @@ from semviz_annotation.street_labels import (
     label_street,
     with_mistakes,
 )
-from semviz_annotation.view import rig_view
-from semviz_core.arrays import BoolArray, ByteImage, FloatArray
-from semviz_core.classes import POLE
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, SemanticMap
-from semviz_core.sources.source import Side, Source
-from semviz_core.sources.street.detector import Detection, SimulatedDetector
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.street import Street
+
+from semviz_annotation.labels.views import rig_view
+from semviz_annotation.mapping.build import BuildOptions, build_map
+from semviz_annotation.mapping.paper_baseline import PaperOptions
+from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
+from semviz_annotation.mapping.placement.observations import collect_observations
+from semviz_annotation.mapping.placement.reprojection import residuals
+from semviz_core.base.classes import POLE
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Dataset, Frame, Side
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.simulation.detector import Detection, SimulatedDetector
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 Way: TypeAlias = BuildOptions | PaperOptions
 street_of = cache(Street)
 FIXED_M, FOUND_M, SHARE = 0.3, 1.0, 0.2
 EPS_M = (0.25, 0.5, 1.0, 2.0, 4.0)
 NEAR_M, FAR_M = 6.0, 40.0
-"""Between which a long drive shows things."""
+"""Between which a long drive shows landmarks."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class Score:
     twice: int = 0
     merged: int = 0
     together: int = 0
-    """Merged, of things that one image shows."""
+    """Merged, of landmarks that one image shows."""
     false: int = 0
     squared_m2: float = 0.0
     bound_m2: float = 0.0
@@ -127,7 +126,7 @@ class Judge:
 
     @classmethod
     def of(
-        cls, street: Street, given: StreetLabels, source: Source, shift_px: float | None
+        cls, street: Street, given: StreetLabels, source: Dataset, shift_px: float | None
     ) -> "Judge":
         bounds = dict(_bounds(street, given, source, shift_px))
         return cls(street, given, bounds, _together(given))
@@ -136,34 +135,34 @@ class Judge:
         result = Score(possible=len(self.bounds))
         best: dict[int, float] = {}
         count: Counter[int] = Counter()
-        for row, one in enumerate(built.provenance):
-            things = Counter(self.given.truth[name].element_id for name in one.observation_ids)
-            thing, most = things.most_common(1)[0]
+        for row, entry in enumerate(built.provenance):
+            things = Counter(self.given.truth[name].element_id for name in entry.observation_ids)
+            landmark, most = things.most_common(1)[0]
             enough = [
                 t for t, n in things.items() if t >= 0 and n >= max(2, SHARE * things.total())
             ]
             result.merged += len(enough) > 1
             pairs = (frozenset(pair) for pair in combinations(enough, 2))
             result.together += any(pair in self.together for pair in pairs)
-            if thing < 0 or most <= things.total() / 2:
+            if landmark < 0 or most <= things.total() / 2:
                 result.false += 1
                 continue
-            count[thing] += 1
-            error = self._error_m(built.elements, row, thing)
-            best[thing] = min(error, best.get(thing, np.inf))
+            count[landmark] += 1
+            error = self._error_m(built.elements, row, landmark)
+            best[landmark] = min(error, best.get(landmark, np.inf))
         result.things = len(count)
         result.twice = count.total() - len(count)
-        for thing, bound in self.bounds.items():
-            if best.get(thing, np.inf) <= FOUND_M:
+        for landmark, bound in self.bounds.items():
+            if best.get(landmark, np.inf) <= FOUND_M:
                 result.found += 1
-                result.squared_m2 += best[thing] ** 2
+                result.squared_m2 += best[landmark] ** 2
                 result.bound_m2 += bound
         return result
 
-    def _error_m(self, elements: Elements3D, row: int, thing: int) -> float:
+    def _error_m(self, elements: Elements3D, row: int, landmark: int) -> float:
         """Of a sign's middle; of a pole on the ground plane, half-way up the true one."""
         truth = self.street.truth_map.elements
-        true = int(np.searchsorted(truth.id, thing))
+        true = int(np.searchsorted(truth.id, landmark))
         if truth.is_line[true] != elements.is_line[row]:
             return float("inf")
         anchor, end = elements.anchor_m[row], elements.end_m[row]
@@ -175,21 +174,21 @@ class Judge:
 
 
 def _bounds(
-    street: Street, given: StreetLabels, source: Source, shift_px: float | None
+    street: Street, given: StreetLabels, source: Dataset, shift_px: float | None
 ) -> Iterator[tuple[int, float]]:
     """(id, m2) of what two or more frames show, and the labels fix well."""
-    gathered = gather(given.labels, source)
-    true = np.array([given.truth[one.id].element_id for one in gathered.observations])
-    sigma = np.array([given.truth[one.id].sigma_px for one in gathered.observations])
+    gathered = collect_observations(given.labels, source)
+    true = np.array([given.truth[observation.id].element_id for observation in gathered.label_rows])
+    sigma = np.array([given.truth[observation.id].sigma_px for observation in gathered.label_rows])
     truth = street.truth_map.elements
-    thing = np.where(true >= 0, np.searchsorted(truth.id, true), -1)
-    sightings = gathered.sightings.regrouped(thing, len(truth))
-    at = residuals(gathered.views, sightings, truth.anchor_m, truth.end_m)
-    J = _whitened(at.J, sightings.is_line, *sigma[sightings.observation].T, shift_px)
-    information = sightings.per_thing(np.add, J.transpose(0, 2, 1) @ J)
-    frame = gathered.views.frame_index[sightings.view]
+    landmark = np.where(true >= 0, np.searchsorted(truth.id, true), -1)
+    observations = gathered.observations.regrouped(landmark, len(truth))
+    at = residuals(gathered.views, observations, truth.anchor_m, truth.end_m)
+    J = _whitened(at.J, observations.is_line, *sigma[observations.label_row].T, shift_px)
+    information = observations.per_landmark(np.add, J.transpose(0, 2, 1) @ J)
+    frame = gathered.views.frame_index[observations.view]
     frames = np.bincount(
-        np.unique(np.stack([sightings.thing, frame]), axis=1)[0], minlength=len(truth)
+        np.unique(np.stack([observations.landmark, frame]), axis=1)[0], minlength=len(truth)
     )
     for row in np.flatnonzero(frames >= 2):
         if truth.is_line[row]:
@@ -197,7 +196,7 @@ def _bounds(
             middle = covariance.reshape(2, 3, 2, 3).sum(axis=(0, 2))[:2, :2] / 4.0
         else:
             middle = np.linalg.pinv(information[row, :3, :3], hermitian=True)
-        if np.linalg.eigvalsh(middle)[-1] <= FIXED_M**2 and sightings.seen[row] >= 4:
+        if np.linalg.eigvalsh(middle)[-1] <= FIXED_M**2 and observations.seen[row] >= 4:
             yield int(truth.id[row]), float(np.trace(middle))
 
 
@@ -214,11 +213,11 @@ def _whitened(
     """
     shift = across_px / np.sqrt(2.0) if shift_px is None else np.full(len(J), shift_px)
     turn = np.sqrt(across_px**2 - shift**2, where=is_line, out=np.ones(len(J)))
-    one, other = J[:, 0], J[:, 1]
+    whitened, other = J[:, 0], J[:, 1]
     poles = np.stack(
         [
-            (one + other) / (2.0 * shift[:, None]),
-            (one - other) / (2.0 * turn[:, None]),
+            (whitened + other) / (2.0 * shift[:, None]),
+            (whitened - other) / (2.0 * turn[:, None]),
             J[:, 2] / along_px[:, None],
             J[:, 3] / along_px[:, None],
         ],
@@ -228,7 +227,7 @@ def _whitened(
 
 
 def _together(given: StreetLabels) -> set[frozenset[int]]:
-    """Pairs of things that one image shows."""
+    """Pairs of landmarks that one image shows."""
     images = defaultdict(set)
     for row in given.labels.observations.values():
         images[row.frame_index, row.side].add(given.truth[row.id].element_id)
@@ -286,7 +285,7 @@ def tables(
     scores = {name: Score() for name in ways}
     for seed in seeds:
         street = street_of(seed)
-        source: Source = street
+        source: Dataset = street
         see, frames = case.detect(street, seed), range(60)
         if drift_m:
             twice = DrivenTwice(street, drift_m, seed)
@@ -330,8 +329,8 @@ def build_long(frames: int, memory: int, what: str) -> None:
 
 
 class Road:
-    """A straight road, endless if wanted, with ten things in each image and nothing that hides
-    them; a ``Source``."""
+    """A straight road, endless if wanted, with ten landmarks in each image and nothing that hides
+    them; a ``Dataset``."""
 
     def __init__(self, frames: int) -> None:
         rng = np.random.default_rng(0)

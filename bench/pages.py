@@ -1,11 +1,11 @@
-"""How quick the two pages are, in Chromium: start, loading, stepping through frames, saving.
+"""Latency of both pages in Chromium: start, loading, stepping through frames, saving.
 
     python bench/pages.py
 
-Wants an idle machine, Chromium and the test extra. The demo is made beforehand, so that its making
-does not count. A frame counts as shown one screen refresh after its pictures were drawn; a picture
-in 3D when its pixels were read back. Reading back holds the page up, which nobody's own does: only
-while pictures in 3D are timed it is done. One run: every step counts.
+Needs an idle machine, Chromium and the test extra. The demo is made beforehand, outside the timing.
+A frame counts as shown one screen refresh after its images were drawn, a 3D view when its pixels
+were read back. Reading back delays the page, so it is done only while 3D views are timed. One run:
+every step counts.
 """
 
 import os
@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Browser, Frame, Page, sync_playwright
 
-from semviz.demo import ensure_demo
-from semviz.workspace import Workspace
+from semviz.workspace.demo import ensure_demo
+from semviz.workspace.workspace import Workspace
 
 SEMVIZ = Path(sys.executable).parent / "semviz"
 CHROMIUM = [

@@ -1,9 +1,10 @@
-"""Where the paper's chain loses the pose: pairs, coarse pose, refined pose.
+"""Accuracy of each stage of the paper's method: pairs, coarse pose, refined pose.
 
     python bench/paper_stages.py --kitti-poses ... --pole-maps ...
 
-Of the surest pairs, which P3P-RANSAC gets: how many are true. Of all frames: in how many RANSAC
-finds a pose, in how many that is within 1 m of the truth, and what weighted PnPL makes of it.
+Of the most likely pairs, the input of P3P-RANSAC: the share that is true. Of all frames: in how
+many RANSAC finds a pose, in how many it is within 1 m of the truth, and the result of weighted
+PnPL.
 """
 
 from dataclasses import dataclass
@@ -14,11 +15,11 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from semviz_core.evaluation.metrics import pose_error
-from semviz_core.evaluation.problems import Difficulty, Problem, valid_problems
-from semviz_core.learning.drills import KittiFiles
-from semviz_core.localize import Localizer
-from semviz_core.pose import Pose
+from semviz_core.base.pose import Pose
+from semviz_core.localization.localizer import Localizer
+from semviz_core.metrics.pose_errors import pose_error
+from semviz_core.research.evaluation.problems import Difficulty, LocalizationProblem, valid_problems
+from semviz_core.research.training.simulated_samples import KittiFiles
 
 METHODS = ("bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper")
 NOISES: tuple[Literal["paper", "low"], ...] = ("paper", "low")
@@ -50,20 +51,20 @@ class Stages:
 
 def main(options: Options) -> None:
     files = KittiFiles(options.kitti_poses, options.pole_maps)
-    roads = [files.road(one) for one in options.sequences]
+    roads = [files.road(sequence) for sequence in options.sequences]
     heads = ("true pairs", "coarse", "< 1 m", "refined", "< 1 m")
-    print(f"{'':<28}{'frames':>7}" + "".join(f"{one:>11}" for one in heads))
+    print(f"{'':<28}{'frames':>7}" + "".join(f"{head:>11}" for head in heads))
     for noise in NOISES:
         coming = valid_problems(roads, Difficulty(noise=noise), options.first_seed)
         problems = list(islice(coming, options.frames))
         for method in METHODS:
             localizer = Localizer(method)
-            told = [stages(localizer, one) for one in problems]
+            told = [stages(localizer, problem) for problem in problems]
             show(f"{noise}, {method}", told)
-            show(f"  of these >= {MANY} true", [one for one in told if one.many])
+            show(f"  of these >= {MANY} true", [outcome for outcome in told if outcome.many])
 
 
-def stages(localizer: Localizer, problem: Problem) -> Stages:
+def stages(localizer: Localizer, problem: LocalizationProblem) -> Stages:
     found = localizer.localize(problem.observed, problem.submap, problem.camera, problem.prior)
     surest = [] if found.match is None else found.match.order.tolist()
     true = problem.pairs.tolist()
@@ -80,14 +81,14 @@ def stages(localizer: Localizer, problem: Problem) -> Stages:
     )
 
 
-def _below_1m(pose: Pose | None, problem: Problem) -> bool:
+def _below_1m(pose: Pose | None, problem: LocalizationProblem) -> bool:
     return pose is not None and pose_error(pose, problem.T_camera_map)[0] < 1.0
 
 
 def show(name: str, told: list[Stages]) -> None:
     names = ("true_pairs", "coarse", "coarse_below_1m", "refined", "refined_below_1m")
-    shares = [float(np.mean([getattr(one, name) for one in told])) for name in names]
-    print(f"{name:<28}{len(told):>7}" + "".join(f"{one:>11.1%}" for one in shares), flush=True)
+    shares = [float(np.mean([getattr(outcome, name) for outcome in told])) for name in names]
+    print(f"{name:<28}{len(told):>7}" + "".join(f"{share:>11.1%}" for share in shares), flush=True)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,9 @@
 
     OMP_NUM_THREADS=1 taskset -c 0 python bench/recording.py [RUN.rrd]
 
-Without a run, frames are made up, and rather large: 20 detections, a submap of some 120 elements.
-The image, 1241x376, is the same in all of them. Frames are written twelve times; of each frame the
-repetition that took least counts, since whatever else the machine does disturbs the others. Means
-over the frames; CPU times are of all threads.
+Without a run, frames are synthetic and rather large: 20 detections, a submap of about 120 elements,
+and one image of 1241x376. Frames are written twelve times; the fastest repetition of each frame
+counts. Figures are means over the frames; CPU times are of all threads.
 """
 
 import sys
@@ -21,21 +20,21 @@ from unittest import mock
 
 import numpy as np
 
-from semviz.recording import plots, writer
-from semviz.recording.codec import decode
-from semviz.recording.codec import encode as encode_value
-from semviz.recording.columns import Columns
-from semviz.recording.pictures import JPEG_QUALITY
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.recording.writer import RunWriter
-from semviz_core.arrays import ByteImage
-from semviz_core.camera import Camera, Rig
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.frame import Frame, Prior
-from semviz_core.localization import Alternative, Localization, Match, Refinement, Search
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz.runs import rerun_plots, writer
+from semviz.runs.codec import decode
+from semviz.runs.codec import encode as encode_value
+from semviz.runs.columns import Columns
+from semviz.runs.images import JPEG_QUALITY
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.runs.writer import RunWriter
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Frame, Prior
+from semviz_core.base.localization import Alternative, Localization, Match, Refinement, Search
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.arrays import ByteImage
 
 CAMERA = Camera(1241, 376, np.array([[718.9, 0, 607.2], [0, 718.9, 185.2], [0, 0, 1]]))
 LOOKING_ALONG_X = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -189,9 +188,10 @@ class Watch:
 def watched_parts(watch: Watch) -> ExitStack:
     """The parts of ``RunWriter.write``, watched while the context lasts."""
     parts: Sequence[tuple[str, object, str]] = (
-        ("verdict", plots, "verdict"),
-        ("verdict", plots, "explained"),
-        ("drawing", writer.Scene, "draw"),
+        ("diagnosis", rerun_plots, "diagnosis_name"),
+        ("diagnosis", rerun_plots, "frame_diagnosis"),
+        ("drawing", writer.RerunScene, "draw"),
+        ("checksums", writer, "row_checksum"),
         ("exact numbers", writer, "_add_exact"),
         ("to rerun", Columns, "send"),
         ("to the system (flush)", RunWriter, "_flush"),
@@ -213,7 +213,7 @@ class Written:
 
 
 def anew(record: FrameRecord) -> FrameRecord:
-    """The same frame without what is remembered of it: its verdict, its poses' inverses."""
+    """The same frame without what is remembered of it: its diagnosis, its poses' inverses."""
     made = decode(FrameRecord, *encode_value(replace(record, image=None)))
     return replace(made, image=record.image)
 
@@ -222,8 +222,8 @@ def write_all(path: Path, run: Run) -> list[Written]:
     """The run's frames, each measured."""
     watch, measured = Watch(), []
     with RunWriter(path, run.info, run.semantic_map) as writing, watched_parts(watch):
-        for one in run.frames:
-            new = anew(one)
+        for frame in run.frames:
+            new = anew(frame)
             watch.ms = {}
             start = time.perf_counter()
             writing.write(new)
@@ -241,13 +241,16 @@ def measure(run: Run) -> None:
         opened_s = time.perf_counter() - start
         kilobytes = path.stat().st_size / len(run.frames) / 1e3
     frames = list(zip(*repetitions, strict=True))
-    least = [min(same, key=lambda one: one.wall_ms) for same in frames]
-    for part in sorted({part for one in least for part in one.parts_ms}):
-        print(f"  {part:24}{np.mean([one.parts_ms.get(part, 0.0) for one in least]):6.2f} ms CPU")
-    wall_ms = [one.wall_ms for one in least]
+    least = [min(same, key=lambda sample: sample.wall_ms) for same in frames]
+    for part in sorted({part for sample in least for part in sample.parts_ms}):
+        print(
+            f"  {part:24}"
+            f"{np.mean([sample.parts_ms.get(part, 0.0) for sample in least]):6.2f} ms CPU"
+        )
+    wall_ms = [sample.wall_ms for sample in least]
     median, p95 = np.percentile(wall_ms, [50, 95])
     print(f"  {'all':24}{np.mean(wall_ms):6.2f} ms; median {median:.2f} ms, p95 {p95:.2f} ms")
-    usual_ms = np.median([one.wall_ms for same in frames for one in same])
+    usual_ms = np.median([sample.wall_ms for same in frames for sample in same])
     print(f"  with whatever else the machine did: median {usual_ms:.2f} ms")
     print(f"  {kilobytes:.1f} kB a frame; {len(run.frames)} frames open in {opened_s:.2f} s")
 
@@ -272,7 +275,7 @@ def main() -> None:
         run = Run(make_info("bench"), semantic_map, frames)
     encode_images()
     for title, image in (("without images", None), ("with the left image", make_jpeg())):
-        frames = tuple(replace(one, image=image, image_right=None) for one in run.frames)
+        frames = tuple(replace(frame, image=image, image_right=None) for frame in run.frames)
         print(f"{title}, a frame:")
         measure(replace(run, frames=frames))
 

@@ -2,7 +2,7 @@
 
     python bench/startup.py
 
-Prints one line a figure. Times are wall time of whole processes on an otherwise idle machine.
+Prints one line per figure. Times are wall times of whole processes on an otherwise idle machine.
 """
 
 import os
@@ -30,7 +30,7 @@ def median_seconds(command: list[str]) -> float:
 
 def demo_seconds() -> float:
     with tempfile.TemporaryDirectory() as cache:
-        make = "from semviz.demo import ensure_demo; ensure_demo()"
+        make = "from semviz.workspace.demo import ensure_demo; ensure_demo()"
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
         return seconds([sys.executable, "-c", make], environment)
 
@@ -47,7 +47,7 @@ def installed_megabytes() -> dict[str, float]:
             distribution = metadata.distribution(name)
         except metadata.PackageNotFoundError:
             continue  # needed on another platform only
-        paths = [Path(str(distribution.locate_file(one))) for one in distribution.files or ()]
+        paths = [Path(str(distribution.locate_file(file))) for file in distribution.files or ()]
         sizes[name] = sum(path.stat().st_size for path in paths if path.is_file()) / 1e6
         needs = [need for need in distribution.requires or () if "extra ==" not in need]
         pending += [re.split(r"[\s\[<>=!~;(]", need, maxsplit=1)[0] for need in needs]

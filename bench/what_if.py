@@ -1,6 +1,6 @@
 """What-if on simulated streets: python bench/what_if.py [STREETS]
 
-Streets with seeds from 1000 on, 20 of them if not said. Without noise, in every other frame: true
+Streets with seeds from 1000 on (default: 20). Without noise, in every other frame: true
 pairs forced; and one wrong pair forced, with the nearest of its class. With low noise and five
 detections a frame, so that one fault matters: an element is moved or twice in the map, and where
 that harms a frame it is dropped, or what is advised is tried. Last, the time of an answer.
@@ -12,23 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semviz.pose_errors import errors_of
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.trying.advice import most_telling
-from semviz.trying.again import again
-from semviz.trying.change import Change
-from semviz.trying.map_changes import DropElement
-from semviz.trying.pair_changes import ForcePair, ForceTruePairs
-from semviz.verdicts import detector_of, explained
-from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.elements import Elements2D
-from semviz_core.frame import Frame
-from semviz_core.localize import NEEDED_ELEMENTS, Localizer
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.priors import PriorOptions, simulate_prior
-from semviz_core.sources.street.detector import SimulatedDetector
-from semviz_core.sources.street.map_errors import duplicated, moved
-from semviz_core.sources.street.street import Street
+from semviz.runs.diagnosis import detector_of, frame_diagnosis
+from semviz.runs.metrics import errors_of
+from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.what_if.change import WhatIfChange
+from semviz.what_if.scene_changes import DropElement, ForcePair, ForceTruePairs
+from semviz.what_if.solve import best_suggestion, solve_with_changes
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.frame import Frame
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
+from semviz_core.simulation.detector import SimulatedDetector
+from semviz_core.simulation.map_errors import duplicate_element, move_element
+from semviz_core.simulation.street import Street
 
 FIRST_SEED, STREETS = 1000, 20
 CROP_M, ROAD_M = 50.0, 60.0
@@ -37,7 +35,7 @@ HARMED_M, HARMED_TIMES = 0.3, 3.0
 """A fault harms where the error is above both; or where it takes an ``ok`` away."""
 OFF_M = {"moved": (1.0, 3.0), "twice": (0.5, 1.0)}
 Spoil = Callable[[SemanticMap, int, FloatArray], SemanticMap]
-SPOILS: dict[str, Spoil] = {"moved": moved, "twice": duplicated}
+SPOILS: dict[str, Spoil] = {"moved": move_element, "twice": duplicate_element}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +65,8 @@ class Asked:
         )  # fmt: skip
         return cls(run, FrameRecord(frame, found, ids))
 
-    def with_(self, *changes: Change) -> FrameRecord:
-        return again(self.run, self.record, changes)
+    def with_(self, *changes: WhatIfChange) -> FrameRecord:
+        return solve_with_changes(self.run, self.record, changes)
 
     def truly(self) -> IntArray:
         """(k, 2) rows of what is seen and in the submap, and its id."""
@@ -102,13 +100,13 @@ def exact_frames(count: int) -> Iterator[Asked]:
     for street in streets(count):
         for frame in street.frames[::2]:
             seen, ids = street.labels(frame.index, "left")
-            one = Asked.of(street, street.truth_map, frame, seen, ids, "labels")
-            if len(one.truly()) >= NEEDED_ELEMENTS:
-                yield one
+            problem = Asked.of(street, street.truth_map, frame, seen, ids, "labels")
+            if len(problem.truly()) >= NEEDED_ELEMENTS:
+                yield problem
 
 
 def few_seen(count: int) -> Iterator[tuple[Street, Frame, Elements2D, IntArray, int]]:
-    """Five detections of things that are there, and the id of the one that shall be at fault."""
+    """Five detections of elements that are there, and the id of the one that shall be at fault."""
     for street in streets(count):
         detector = SimulatedDetector(street, "low", 0)
         for frame in street.frames:
@@ -123,9 +121,9 @@ def few_seen(count: int) -> Iterator[tuple[Street, Frame, Elements2D, IntArray, 
 
 def bench_exact(count: int) -> None:
     true_m, wrong = [], []
-    for one in exact_frames(count):
-        true_m.append(error_m(one.with_(ForceTruePairs())))
-        wrong.append(_wrong_pair(one))
+    for frame in exact_frames(count):
+        true_m.append(error_m(frame.with_(ForceTruePairs())))
+        wrong.append(_wrong_pair(frame))
     median, p95 = np.percentile(true_m, [50, 95])
     print(
         f"true pairs forced, {len(true_m)} frames without noise: error median {1e3 * median:.1f}, "
@@ -140,38 +138,38 @@ def bench_exact(count: int) -> None:
     )
 
 
-def _wrong_pair(one: Asked) -> tuple[float, float] | None:
+def _wrong_pair(asked: Asked) -> tuple[float, float] | None:
     """Errors before and after the first detection is forced to be another of its class."""
-    submap, (row, element) = one.record.localization.submap, one.truly()[0].tolist()
-    class_id = one.record.localization.observed.class_id[row]
+    submap, (row, element) = asked.record.localization.submap, asked.truly()[0].tolist()
+    class_id = asked.record.localization.observed.class_id[row]
     others = submap[(submap.class_id == class_id) & (submap.id != element)]
     if not len(others):
         return None
     off_m = np.linalg.norm(others.anchor_m - submap.anchor_m[submap.id == element], axis=1)
-    wrong = ForcePair(one.record.frame.index, row, int(others.id[off_m.argmin()]))
-    return error_m(one.record), error_m(one.with_(wrong))
+    wrong = ForcePair(asked.record.frame.index, row, int(others.id[off_m.argmin()]))
+    return error_m(asked.record), error_m(asked.with_(wrong))
 
 
 def bench_planted(count: int, name: str, times_ms: list[float]) -> None:
-    frames = [one for one in planted_frames(count, name) if _is_harmed(one)]
-    dropped = [one.faulty.with_(DropElement(one.planted)) for one in frames]
-    times_ms.extend(sum(one.localization.time_ms.values()) for one in dropped)
+    frames = [frame for frame in planted_frames(count, name) if _is_harmed(frame)]
+    dropped = [frame.faulty.with_(DropElement(frame.planted)) for frame in frames]
+    times_ms.extend(sum(record.localization.time_ms.values()) for record in dropped)
     advised = []
-    for one in frames:
-        run, record = one.faulty.run, one.faulty.record
-        best = most_telling(run, record, explained(run, record))
-        advised.append(record if best is None else one.faulty.with_(best))
+    for frame in frames:
+        run, record = frame.faulty.run, frame.faulty.record
+        best = best_suggestion(run, record, frame_diagnosis(run, record))
+        advised.append(record if best is None else frame.faulty.with_(best))
     columns = {
-        "without the fault": [one.sound.record for one in frames],
-        "with it": [one.faulty.record for one in frames],
+        "without the fault": [frame.sound.record for frame in frames],
+        "with it": [frame.faulty.record for frame in frames],
         "dropped": dropped,
         "advised": advised,
     }
     print(f"{name} in the map, {len(frames)} frames harmed:")
     for title, records in columns.items():
-        errors_m = [error_m(one) for one in records]
-        ok = sum(one.localization.status == "ok" for one in records)
-        far = sum(one > HARMED_M for one in errors_m)
+        errors_m = [error_m(record) for record in records]
+        ok = sum(record.localization.status == "ok" for record in records)
+        far = sum(value_m > HARMED_M for value_m in errors_m)
         print(
             f"  {title:18} median {np.median(errors_m):.2f} m, beyond {HARMED_M} m {far}, ok {ok}"
         )
@@ -197,9 +195,9 @@ def _planted(
     return faulty, element if name == "moved" else int(faulty.elements.id.max())
 
 
-def _is_harmed(one: Planted) -> bool:
-    sound, faulty = one.sound.record, one.faulty.record
-    was_ok, is_ok = (one.localization.status == "ok" for one in (sound, faulty))
+def _is_harmed(planted: Planted) -> bool:
+    sound, faulty = planted.sound.record, planted.faulty.record
+    was_ok, is_ok = (record.localization.status == "ok" for record in (sound, faulty))
     far = error_m(faulty) > max(HARMED_M, HARMED_TIMES * error_m(sound))
     return was_ok and (far or not is_ok)
 

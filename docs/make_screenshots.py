@@ -1,13 +1,14 @@
-"""Makes the pictures of the README and the docs from the simulated street.
+"""Take the screenshots of the README and the docs, all of the simulated street.
 
-    python docs/make_screenshots.py
+    python docs/make_screenshots.py                all of them, in about ten minutes
+    python docs/make_screenshots.py image compare  those of take_image and take_compare
 
-Needs Chromium, the test extra and, for rerun's viewer, mesa-vulkan-drivers. Everything shown is
-simulated; no data set is needed.
+Needs Chromium, the test extra and, for rerun's viewer, mesa-vulkan-drivers; no data set.
 """
 
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -19,26 +20,27 @@ import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
-from semviz.commands.detect_evaluate import REPORT, DetectEvaluate
-from semviz.commands.localize import Localize
-from semviz.commands.map_localizability import MapLocalizability
-from semviz.commands.report import Report
-from semviz.demo import ensure_demo
-from semviz.demo_street import MAP, RUN, SEED
+from semviz.commands.detect import REPORT, DetectEvaluateCommand
+from semviz.commands.maps import MapLocalizabilityCommand
+from semviz.commands.runs import LocalizeCommand, ReportCommand
 from semviz.inspector.server import Inspector
-from semviz.recording.reader import load_run
-from semviz.web.door import Door
-from semviz.workspace import Workspace
-from semviz_annotation.assist.shot import Mark
-from semviz_annotation.edits import AddObservation, Edit
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import new_id
-from semviz_annotation.storing.store import LabelStore
-from semviz_annotation.street_labels import careful, label_street
-from semviz_core.map_file import save_map
-from semviz_core.sources.source import Side
-from semviz_core.sources.street.map_errors import moved
-from semviz_core.sources.street.street import Street
+from semviz.runs.reader import load_run
+from semviz.web.gateway import Gateway
+from semviz.workspace.demo import MAP, RUN, SEED, ensure_demo
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.assist.marked_image import Mark
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.labels.edits import AddObservation, Edit
+from semviz_annotation.labels.labels import new_id
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.frame import Side
+from semviz_core.base.map_file import save_map
+from semviz_core.simulation.map_errors import move_element
+from semviz_core.simulation.street import Street
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from serving import at
+from support.street_labels import careful, label_street
 
 IMAGES = Path(__file__).resolve().parent / "images"
 CHROMIUM = [
@@ -53,14 +55,16 @@ SPACE_FRAME = 113
 MOVED_FRAME = 28
 MOVED_ELEMENT = 29
 COMPARED_FRAMES = range(100, 112)
-"""Between them a pole is moved that matters."""
+"""The pole that most of them detect is moved in the other map."""
 LABELLED_FRAMES = range(3)
 RERUN_PORT = 19_876
 TITLE_PX = 36
 SETTLED_MS = 15_000
+LOADED_MS = 300_000
+"""The first run on a machine compiles the solver."""
 WIDTH, HEIGHT = 1600, 950
 FRAMES = range(10)
-"""Of the labelled street."""
+"""Frames of the labelled street."""
 
 
 @contextmanager
@@ -75,10 +79,11 @@ def browser_page() -> Iterator[Page]:
 
 @contextmanager
 def inspecting(page: Page, address: str, *runs: Path) -> Iterator[str]:
-    """The inspector at an address, over the demo's run if no others are given; its url."""
+    """Open the inspector at an address; yield its URL. ``runs`` default to that of the demo."""
     tool = Inspector(runs or [Workspace.open(ensure_demo()).run_path(RUN)])
-    with closing(tool), Door(tool).running() as url:
-        page.goto(url + address)
+    with closing(tool), Gateway(tool).running() as url:
+        page.goto(at(url, address))
+        page.wait_for_selector("#why-body .sentence", state="attached", timeout=LOADED_MS)
         yield url
         page.goto("about:blank")
 
@@ -87,12 +92,12 @@ def inspecting(page: Page, address: str, *runs: Path) -> Iterator[str]:
 def annotating(
     page: Page, folder: str, labels: Callable[[Street], Iterator[Edit]]
 ) -> Iterator[None]:
-    """The annotator over a labelled street, used by somebody who knows it."""
+    """Open the annotator on a labelled street, with its tour already seen."""
     workspace = Workspace.create_street(Path(folder) / "street", 7, FRAMES)
     with LabelStore.open(workspace.labels_path) as store:
         for edit in labels(workspace.street):
             store.apply(edit, "you")
-    with closing(Annotator(workspace, author="you")) as tool, Door(tool).running() as url:
+    with closing(Annotator(workspace, author="you")) as tool, Gateway(tool).running() as url:
         page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
         page.goto(url)
         yield
@@ -100,7 +105,7 @@ def annotating(
 
 
 def settle(page: Page) -> None:
-    """Software rendering takes its time."""
+    """Wait until software rendering has drawn the page."""
     page.wait_for_timeout(SETTLED_MS)
 
 
@@ -111,7 +116,7 @@ def take_inspector(page: Page) -> None:
 
 
 def take_image(page: Page) -> None:
-    """The image with the frames around, and a view as it is saved."""
+    """The image with the neighbouring frames, and a saved view as SVG."""
     with inspecting(page, f"?frame={MOVED_FRAME}") as url:
         settle(page)
         page.keyboard.press("4")
@@ -120,7 +125,7 @@ def take_image(page: Page) -> None:
         with page.expect_download() as download:
             page.click("dialog button.primary")
         download.value.save_as(IMAGES / "serve-error.svg")
-        page.goto(f"{url}?frame={SHOWN_FRAME}")
+        page.goto(at(url, f"?frame={SHOWN_FRAME}"))
         settle(page)
         for key in ("3", "Tab", "Shift+K"):
             page.keyboard.press(key)
@@ -129,14 +134,14 @@ def take_image(page: Page) -> None:
 
 
 def take_selected(page: Page) -> None:
-    """The card of the pole that was labelled beside where it stands, and the matrix of a row."""
-    page.route("**/view/**", lambda route: route.abort())  # the 3D pane is not in them
+    """The card of the pole that was labelled next to its true position, and the match matrix."""
+    page.route("**/view/**", lambda route: route.abort())  # neither shows the 3D pane
     page.set_viewport_size({"width": WIDTH, "height": 1500})
     with inspecting(page, f"?frame={MOVED_FRAME}&element={MOVED_ELEMENT}&card=selected") as url:
         page.wait_for_selector("#selected-origins .origin", timeout=120_000)
         page.locator("#why").screenshot(path=IMAGES / "serve-selected.png")
         page.set_viewport_size({"width": WIDTH, "height": HEIGHT})
-        page.goto(f"{url}?frame={SHOWN_FRAME}")
+        page.goto(at(url, f"?frame={SHOWN_FRAME}"))
         settle(page)
         page.keyboard.press("Tab")
         page.wait_for_selector("#matrix-value:not(:empty)")
@@ -145,7 +150,7 @@ def take_selected(page: Page) -> None:
 
 
 def take_space(page: Page) -> None:
-    """The map by how often elements are used, with covariances."""
+    """The map coloured by usage, with covariances."""
     with inspecting(page, f"?frame={SPACE_FRAME}"):
         page.wait_for_selector("#space-legend div")
         for key in ("v", "v", "Shift+V"):
@@ -155,7 +160,7 @@ def take_space(page: Page) -> None:
 
 
 def take_solver(page: Page) -> None:
-    """The elements of the demo's run, and how the answer came about that one of them spoils."""
+    """The elements over the demo's run, and the solver's stages in a frame with a wrong pose."""
     chosen = f"element={MOVED_ELEMENT}&list=elements&card=solver"
     with inspecting(page, f"?frame={MOVED_FRAME}&{chosen}"):
         page.wait_for_selector("#element-list li", timeout=120_000)
@@ -165,16 +170,18 @@ def take_solver(page: Page) -> None:
 
 
 def take_compare(page: Page) -> None:
-    """The demo's run against one in a map in which a pole of the row was moved."""
+    """The demo's run compared with one in a map in which a pole was moved."""
     with tempfile.TemporaryDirectory() as folder:
         town = Path(shutil.copytree(ensure_demo(), Path(folder) / "town"))
         workspace = Workspace.open(town)
         run = load_run(workspace.run_path(RUN))
         seen = np.concatenate([run.frames[index].element_id for index in COMPARED_FRAMES])
         often = int(np.bincount(seen[seen >= 0]).argmax())
-        save_map(moved(run.semantic_map, often, (1.2, 1.9, 0.0)), workspace.map_path("newer"))
+        save_map(
+            move_element(run.semantic_map, often, (1.2, 1.9, 0.0)), workspace.map_path("newer")
+        )
         other = workspace.run_path("newer")
-        Localize(town, map="newer", out=other, observations="simulated", seed=SEED).run()
+        LocalizeCommand(town, map="newer", out=other, observations="simulated", seed=SEED).run()
         address = f"?run=newer&base={RUN}&beside=yes&frame=0"
         with inspecting(page, address, workspace.run_path(RUN), other):
             page.click("#map-change-list li", timeout=60_000)
@@ -192,7 +199,7 @@ def take_forecast(page: Page) -> None:
 
 
 def take_what_if(page: Page) -> None:
-    """The frame that a moved pole harms, without it."""
+    """A frame with a wrong pose, solved again without the moved pole."""
     with inspecting(page, f"?frame={MOVED_FRAME}"):
         settle(page)
         page.keyboard.press("x")
@@ -201,7 +208,7 @@ def take_what_if(page: Page) -> None:
 
 
 def take_label(page: Page) -> None:
-    """The label behind the moved pole, opened from the frame that it harms."""
+    """The label behind the moved pole, opened from a frame with a wrong pose."""
     with tempfile.TemporaryDirectory() as folder:
         town = Path(shutil.copytree(ensure_demo(), Path(folder) / "town"))
         with inspecting(page, f"?frame={MOVED_FRAME}", Workspace.open(town).run_path(RUN)):
@@ -222,16 +229,16 @@ def take_report(page: Page) -> None:
     run = Workspace.open(ensure_demo()).run_path(RUN)
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         shutil.copy(run, "demo.rrd")
-        Report((Path("demo.rrd"),)).run()
+        ReportCommand((Path("demo.rrd"),)).run()
         page.goto(Path("report.html").resolve().as_uri())
         page.screenshot(path=IMAGES / "report.png")
         page.goto("about:blank")
 
 
 def take_detector_report(page: Page) -> None:
-    """Where pictures of what was missed begin."""
+    """The images of missed detections."""
     with tempfile.TemporaryDirectory() as folder:
-        DetectEvaluate(out=Path(folder)).run()
+        DetectEvaluateCommand(out=Path(folder)).run()
         page.goto((Path(folder) / REPORT).as_uri())
         page.evaluate("document.querySelector('.crops').scrollIntoView(); scrollBy(0, -300)")
         page.screenshot(path=IMAGES / "detector-report.png")
@@ -239,7 +246,7 @@ def take_detector_report(page: Page) -> None:
 
 
 def take_rerun() -> None:
-    """A run in rerun's own viewer, drawn on the processor; its title bar speaks of that only."""
+    """A run in rerun's viewer, rendered in software; the title bar, which only says so, is cut."""
     import cv2
     import numpy as np
     from rerun.experimental import ViewerClient
@@ -249,7 +256,7 @@ def take_rerun() -> None:
     viewer = ViewerClient.spawn(headless=True, port=RERUN_PORT, hide_welcome_screen=True)
     try:
         viewer.open(str(run))
-        time.sleep(SETTLED_MS / 1e3)  # it first follows the end of what it loads
+        time.sleep(SETTLED_MS / 1e3)  # while it loads, it jumps to the last frame
         viewer.set_time("frame", sequence=RERUN_FRAME)
         time.sleep(SETTLED_MS / 1e3)
         shown = cv2.imdecode(np.frombuffer(viewer.take_screenshot(), np.uint8), cv2.IMREAD_COLOR)
@@ -261,7 +268,7 @@ def take_rerun() -> None:
 
 
 def draw_route() -> None:
-    MapLocalizability(ensure_demo(), map=MAP, plot=IMAGES / "localizability-route.png").run()
+    MapLocalizabilityCommand(ensure_demo(), map=MAP, plot=IMAGES / "localizability-route.png").run()
 
 
 def take_annotator(page: Page) -> None:
@@ -274,7 +281,7 @@ def take_annotator(page: Page) -> None:
 
 
 def take_review(page: Page) -> None:
-    """A question of the last map."""
+    """A decision of map building as a question."""
     with tempfile.TemporaryDirectory() as folder, annotating(page, folder, forgetful_labels):
         page.click("#build")
         page.wait_for_selector('#build[title$="up to operation 1"]', timeout=120_000)
@@ -284,7 +291,7 @@ def take_review(page: Page) -> None:
 
 
 def first_labels(street: Street) -> Iterator[Edit]:
-    """All that the first frames show; in the last of them a third: the rest is expected there."""
+    """All elements in the first frames, but in the last only a third: the rest is proposed."""
     elements: dict[int, str] = {}
     sides: tuple[Side, Side] = ("left", "right")
     for index, side in product(LABELLED_FRAMES, sides):
@@ -298,29 +305,29 @@ def first_labels(street: Street) -> Iterator[Edit]:
 
 
 def forgetful_labels(street: Street) -> Iterator[Edit]:
-    """Of all frames, begun anew every six of them."""
+    """Labels in all frames, with new elements every six frames: map building merges some."""
     made = label_street(careful(street, 0.5, 1), FRAMES, memory=6).labels
     yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
 
 
+WITHOUT_BROWSER = (draw_route, take_rerun)
+IN_BROWSER = (
+    take_inspector, take_image, take_space, take_selected, take_solver, take_compare, take_forecast,
+    take_what_if, take_label, take_report, take_detector_report, take_annotator, take_review,
+)  # fmt: skip
+
+
 def main() -> None:
-    IMAGES.mkdir(exist_ok=True)
-    draw_route()
-    take_rerun()
+    names = sys.argv[1:]
+
+    def is_wanted(take: Callable[..., None]) -> bool:
+        return not names or take.__name__.partition("_")[2] in names
+
+    for draw in filter(is_wanted, WITHOUT_BROWSER):
+        draw()
     with browser_page() as page:
-        take_inspector(page)
-        take_image(page)
-        take_space(page)
-        take_selected(page)
-        take_solver(page)
-        take_compare(page)
-        take_forecast(page)
-        take_what_if(page)
-        take_label(page)
-        take_report(page)
-        take_detector_report(page)
-        take_annotator(page)
-        take_review(page)
+        for take in filter(is_wanted, IN_BROWSER):
+            take(page)
     for path in sorted(IMAGES.glob("*.png")):
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 

@@ -1,69 +1,71 @@
-"""See and mend visual localization in sparse semantic maps of poles and traffic signs.
+"""Debug visual localization in sparse semantic maps of poles and traffic signs.
 
-The public names are loaded when first used: ``import semviz`` itself imports nothing heavy.
+Public names are loaded on first use: ``import semviz`` itself imports nothing heavy.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from semviz.recording.reader import load_run
-    from semviz.workspace import Workspace
-    from semviz_core.camera import Camera, Rig
-    from semviz_core.classes import DEFAULT_CLASSES, ClassSet, ElementClass
-    from semviz_core.detector_model import DetectorModel
-    from semviz_core.elements import Elements2D, Elements3D
-    from semviz_core.errors import SemvizError
-    from semviz_core.frame import Belief, Frame, Prior
-    from semviz_core.localization import Localization
-    from semviz_core.localize import Localizer
-    from semviz_core.map_file import load_map, save_map
-    from semviz_core.pose import Pose
-    from semviz_core.semantic_map import MapFrame, SemanticMap
-    from semviz_core.sequence.odometry import Odometry, OdometryNoise
-    from semviz_core.sequence.tracker import Track, Tracker
-    from semviz_core.solving.matched import localize_matches
-    from semviz_core.solving.matched.matches import Estimate
-    from semviz_core.solving.pairing import Pairing
-    from semviz_core.solving.refine import Failure
-    from semviz_core.sources.kitti import KittiSequence
-    from semviz_core.sources.street.street import Street
+    from semviz.runs.reader import load_run
+    from semviz.workspace.workspace import Workspace
+    from semviz_core.base.camera import Camera, Rig
+    from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ElementClass
+    from semviz_core.base.detector_model import DetectorModel
+    from semviz_core.base.elements import Elements2D, Elements3D
+    from semviz_core.base.frame import Belief, Frame, Odometry, OdometryNoise, Prior
+    from semviz_core.base.localization import Localization
+    from semviz_core.base.map_file import load_map, save_map
+    from semviz_core.base.pose import Pose
+    from semviz_core.base.semantic_map import MapFrame, SemanticMap
+    from semviz_core.common.errors import SemvizError
+    from semviz_core.datasets.kitti import KittiSequence
+    from semviz_core.localization.association import PairConstraints
+    from semviz_core.localization.localizer import Localizer
+    from semviz_core.localization.matched import localize_matches
+    from semviz_core.localization.matched.matches import Estimate
+    from semviz_core.localization.refinement import Failure
+    from semviz_core.simulation.street import Street
+    from semviz_core.tracking.tracker import TrackedPose, Tracker
 
     __version__: str
 
 _HOMES = {
-    "Belief": "semviz_core.frame",
-    "Camera": "semviz_core.camera",
-    "ClassSet": "semviz_core.classes",
-    "DEFAULT_CLASSES": "semviz_core.classes",
-    "DetectorModel": "semviz_core.detector_model",
-    "ElementClass": "semviz_core.classes",
-    "Elements2D": "semviz_core.elements",
-    "Elements3D": "semviz_core.elements",
-    "Estimate": "semviz_core.solving.matched.matches",
-    "Failure": "semviz_core.solving.refine",
-    "Frame": "semviz_core.frame",
-    "KittiSequence": "semviz_core.sources.kitti",
-    "Localization": "semviz_core.localization",
-    "Localizer": "semviz_core.localize",
-    "MapFrame": "semviz_core.semantic_map",
-    "Odometry": "semviz_core.sequence.odometry",
-    "OdometryNoise": "semviz_core.sequence.odometry",
-    "Pairing": "semviz_core.solving.pairing",
-    "Pose": "semviz_core.pose",
-    "Prior": "semviz_core.frame",
-    "Rig": "semviz_core.camera",
-    "SemanticMap": "semviz_core.semantic_map",
-    "SemvizError": "semviz_core.errors",
-    "Street": "semviz_core.sources.street.street",
-    "Track": "semviz_core.sequence.tracker",
-    "Tracker": "semviz_core.sequence.tracker",
-    "Workspace": "semviz.workspace",
-    "load_map": "semviz_core.map_file",
-    "load_run": "semviz.recording.reader",
-    "localize_matches": "semviz_core.solving.matched",
-    "save_map": "semviz_core.map_file",
+    "Belief": "semviz_core.base.frame",
+    "Camera": "semviz_core.base.camera",
+    "ClassSet": "semviz_core.base.classes",
+    "DEFAULT_CLASSES": "semviz_core.base.classes",
+    "DetectorModel": "semviz_core.base.detector_model",
+    "ElementClass": "semviz_core.base.classes",
+    "Elements2D": "semviz_core.base.elements",
+    "Elements3D": "semviz_core.base.elements",
+    "Estimate": "semviz_core.localization.matched.matches",
+    "Failure": "semviz_core.localization.refinement",
+    "Frame": "semviz_core.base.frame",
+    "KittiSequence": "semviz_core.datasets.kitti",
+    "Localization": "semviz_core.base.localization",
+    "Localizer": "semviz_core.localization.localizer",
+    "MapFrame": "semviz_core.base.semantic_map",
+    "Odometry": "semviz_core.base.frame",
+    "OdometryNoise": "semviz_core.base.frame",
+    "PairConstraints": "semviz_core.localization.association",
+    "Pose": "semviz_core.base.pose",
+    "Prior": "semviz_core.base.frame",
+    "Rig": "semviz_core.base.camera",
+    "SemanticMap": "semviz_core.base.semantic_map",
+    "SemvizError": "semviz_core.common.errors",
+    "Street": "semviz_core.simulation.street",
+    "TrackedPose": "semviz_core.tracking.tracker",
+    "Tracker": "semviz_core.tracking.tracker",
+    "Workspace": "semviz.workspace.workspace",
+    "load_map": "semviz_core.base.map_file",
+    "load_run": "semviz.runs.reader",
+    "localize_matches": "semviz_core.localization.matched",
+    "save_map": "semviz_core.base.map_file",
 }
+
+_FORMER = {"Pairing": "PairConstraints", "Track": "TrackedPose"}
+"""Names of version 0.1.0, kept for one release."""
 
 __all__ = [
     "DEFAULT_CLASSES",
@@ -83,14 +85,14 @@ __all__ = [
     "MapFrame",
     "Odometry",
     "OdometryNoise",
-    "Pairing",
+    "PairConstraints",
     "Pose",
     "Prior",
     "Rig",
     "SemanticMap",
     "SemvizError",
     "Street",
-    "Track",
+    "TrackedPose",
     "Tracker",
     "Workspace",
     "__version__",
@@ -106,6 +108,7 @@ def __getattr__(name: str) -> object:
         from importlib.metadata import version
 
         return version("semviz")
+    name = _FORMER.get(name, name)
     if name not in _HOMES:
         raise AttributeError(f"module 'semviz' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)

@@ -3,16 +3,20 @@
 Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 (CI) it fails.
 """
 
+import importlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import hypothesis
 import platformdirs
 import pytest
+from fonts import font_settings
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
@@ -20,6 +24,9 @@ if TYPE_CHECKING:
 # No deadline: machines are shared. Derandomized: a test fails or passes, whoever runs it.
 hypothesis.settings.register_profile("semviz", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("semviz")
+
+OPEN3D_NEEDS = ("libegl1", "libgl1", "libusb-1.0-0", "libx11-6")
+"""Debian packages."""
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CHROMIUM_ARGS = [
@@ -30,6 +37,10 @@ CHROMIUM_ARGS = [
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    # A browser window makes ready two pages of its own for the address bar: twice the time of a
+    # test's page. The list replaces Playwright's, of which the rest is what pages could notice.
+    "--disable-features=WebUIOmniboxPopup,WebUIOmniboxAimPopup,"
+    "HttpsUpgrades,PaintHolding,OptimizationHints,MediaRouter,LensOverlay",
 ]
 
 
@@ -59,18 +70,31 @@ def kitti_pole_map(kitti_root: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def open3d() -> None:
+    """Clusters the paper's maps. It comes by pip, but needs libraries of the system."""
+    try:
+        importlib.import_module("open3d")
+    except ImportError as error:
+        skip_or_fail(f"open3d cannot be imported ({error}); install {' '.join(OPEN3D_NEEDS)}")
+
+
+@pytest.fixture(scope="session")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """For child processes: this Python's scripts first, and a cache folder of the tests' own.
 
-    The demo is made there once for all tests. Only what is compiled is the user's own: it is the
-    same, and takes a minute.
+    The demo is made there once for all tests, whichever process runs them. Only what is compiled is
+    the user's own: it is the same, and takes a minute.
     """
     scripts = Path(sys.executable).parent
-    cache = tmp_path_factory.mktemp("cache")
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     compiled = platformdirs.user_cache_path("semviz") / "compiled"
     compiled.mkdir(parents=True, exist_ok=True)
-    (cache / "semviz").mkdir()
-    (cache / "semviz" / "compiled").symlink_to(compiled, target_is_directory=True)
+    cache = folder / "cache"
+    (cache / "semviz").mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        (cache / "semviz" / "compiled").symlink_to(compiled, target_is_directory=True)
     return {
         **os.environ,
         "XDG_CACHE_HOME": str(cache),
@@ -80,21 +104,41 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator["Browser"]:
-    """A headless Chromium: the system's, or Playwright's own."""
+def chromium_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], "Browser"]]:
+    """A headless Chromium, the system's or Playwright's own, with one set of fonts."""
     try:
         from playwright import sync_api
     except ImportError:
         skip_or_fail("Playwright is not installed; pip install '.[test]' brings it")
     names = ("chromium", "chromium-browser", "google-chrome")
     system = next(filter(None, map(shutil.which, names)), None)
+    folder = tmp_path_factory.mktemp("fonts")
     with sync_api.sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(executable_path=system, args=CHROMIUM_ARGS)
-        except sync_api.Error as error:
-            skip_or_fail(f"no Chromium starts ({error.message.splitlines()[0]}); install chromium")
-        yield browser
-        browser.close()
+
+        @cache
+        def launched(fonts: str) -> "Browser":
+            environment = {**os.environ, **font_settings(fonts, folder)}
+            try:
+                return playwright.chromium.launch(
+                    executable_path=system, args=CHROMIUM_ARGS, env=environment
+                )
+            except sync_api.Error as error:
+                said = error.message.splitlines()[0]
+                skip_or_fail(f"no Chromium starts ({said}); install chromium")
+
+        yield launched
+
+
+@pytest.fixture(scope="session")
+def chromium(chromium_in: Callable[[str], "Browser"]) -> "Browser":
+    """The browser of all tests but those of layouts, which take each of ``FONTS``."""
+    return chromium_in("wide")
+
+
+@pytest.fixture
+def fonts() -> str:
+    """What ``page`` draws with; tests of layouts are parametrized by it."""
+    return "wide"
 
 
 @pytest.fixture
@@ -104,9 +148,11 @@ def page_errors() -> list[str]:
 
 
 @pytest.fixture
-def page(chromium: "Browser", page_errors: list[str]) -> Iterator["Page"]:
+def page(
+    chromium_in: Callable[[str], "Browser"], fonts: str, page_errors: list[str]
+) -> Iterator["Page"]:
     """A fresh page, 1600x950. Errors in its console, or thrown in it, fail the test."""
-    context = chromium.new_context(viewport={"width": 1600, "height": 950})
+    context = chromium_in(fonts).new_context(viewport={"width": 1600, "height": 950})
     page = context.new_page()
 
     def note(message: "ConsoleMessage") -> None:

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import LabelElement, Labels, Observation
-from semviz_annotation.rows import derived_id
-from semviz_annotation.rules import Rules
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.camera import Camera, Rig
-from semviz_core.classes import DEFAULT_CLASSES
-from semviz_core.pose import Pose
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels.rows import Rules, derived_id
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.pose import Pose
 
 CAMERA = Camera(640, 480, np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]))
 RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.5, 0.0, 0.0])))
@@ -85,12 +84,12 @@ def any_labels(draw: st.DrawFn) -> Labels:
     numbers = draw(st.lists(st.integers(1, 999), max_size=5, unique=True))
     rows: list[LabelElement | Observation] = []
     for number in numbers:
-        one = draw(st.sampled_from(list(DEFAULT_CLASSES)))
-        element = LabelElement(derived_id(f"element {number}"), number, one.id)
+        drawn = draw(st.sampled_from(list(DEFAULT_CLASSES)))
+        element = LabelElement(derived_id(f"element {number}"), number, drawn.id)
         rows.append(element)
         images = st.tuples(st.integers(0, 3), st.sampled_from(["left", "right"]))
         for frame, side in draw(st.lists(images, min_size=1, max_size=6, unique=True)):
-            anchor_px, end_px = draw(pixel), draw(pixel) if one.kind == "line" else None
+            anchor_px, end_px = draw(pixel), draw(pixel) if drawn.kind == "line" else None
             if end_px is not None and np.hypot(*np.subtract(anchor_px, end_px)) < 0.5:
                 end_px = (anchor_px[0], anchor_px[1] - 9.0 if anchor_px[1] > 99 else 100.0)
             rows.append(

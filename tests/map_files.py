@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import Reading
-from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
-from semviz_core.elements import Elements3D
-from semviz_core.semantic_map import Decision, MapFrame, Provenance, SemanticMap
+from semviz_annotation.map_formats.reading import MapImportContext
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
 
 FRAME = MapFrame("town")
-READING = Reading(FRAME)
+READING = MapImportContext(FRAME)
 KARLSRUHE = Georeference(49.01, 8.42, 115.0, 33.0)
 ROAD = np.array([[0.0, 0.0, 1.6], [5.0, 0.5, 1.6], [10.0, 2.0, 1.7]])
 
@@ -77,12 +77,16 @@ def georeferences(draw: st.DrawFn) -> Georeference:
     )  # fmt: skip
 
 
-def assert_near(one: SemanticMap, other: SemanticMap, metres: float) -> None:
+def assert_near(semantic_map: SemanticMap, other: SemanticMap, metres: float) -> None:
     """Ids and classes are equal, places nearly."""
-    np.testing.assert_array_equal(one.elements.id, other.elements.id)
-    np.testing.assert_array_equal(one.elements.class_id, other.elements.class_id)
-    np.testing.assert_allclose(one.elements.anchor_m, other.elements.anchor_m, atol=metres, rtol=0)
-    np.testing.assert_allclose(one.elements.end_m, other.elements.end_m, atol=metres, rtol=0)
+    np.testing.assert_array_equal(semantic_map.elements.id, other.elements.id)
+    np.testing.assert_array_equal(semantic_map.elements.class_id, other.elements.class_id)
+    np.testing.assert_allclose(
+        semantic_map.elements.anchor_m, other.elements.anchor_m, atol=metres, rtol=0
+    )
+    np.testing.assert_allclose(
+        semantic_map.elements.end_m, other.elements.end_m, atol=metres, rtol=0
+    )
 
 
 def feature(kind: str, coordinates: Any, class_: str = "pole", **properties: Any) -> dict[str, Any]:

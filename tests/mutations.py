@@ -1,4 +1,4 @@
-"""Files that are nearly right: one thing in JSON or XML is changed, the rest still parses."""
+"""Files that are nearly right: one value in JSON or XML is changed, the rest still parses."""
 
 import json
 import random
@@ -57,28 +57,34 @@ def _json(document: Any, rng: random.Random) -> Any:
 
 def _xml(data: bytes, rng: random.Random) -> bytes:
     tokens = re.findall(rb"<[^>]*>|[^<]+", data) or [b"<annotations/>"]
-    one, other = rng.randrange(len(tokens)), rng.randrange(len(tokens))
+    randrange, other = rng.randrange(len(tokens)), rng.randrange(len(tokens))
     match rng.randrange(6):
         case 0:
-            del tokens[one]
+            del tokens[randrange]
         case 1:
-            tokens.insert(other, tokens[one])
+            tokens.insert(other, tokens[randrange])
         case 2:
-            tokens[one:one] = tokens[one : one + rng.randint(1, 12)]
+            tokens[randrange:randrange] = tokens[randrange : randrange + rng.randint(1, 12)]
         case 3:
             tag = rng.choice(TAGS).encode()
-            tokens[one] = re.sub(rb"^(</?)\w+", rb"\1" + tag, tokens[one])
+            tokens[randrange] = re.sub(rb"^(</?)\w+", rb"\1" + tag, tokens[randrange])
         case 4:
-            tokens[one] = re.sub(rb' \w+="[^"]*"', b"", tokens[one], count=1)
+            tokens[randrange] = re.sub(rb' \w+="[^"]*"', b"", tokens[randrange], count=1)
         case _:
-            shapes = [n for n, token in enumerate(tokens) if b'="' in token] or [one]
-            one = rng.choice(shapes)
+            shapes = [n for n, token in enumerate(tokens) if b'="' in token] or [randrange]
+            randrange = rng.choice(shapes)
             value = str(rng.choice(VALUES)).encode("utf-8", "replace").replace(b'"', b"&quot;")
-            found = list(re.finditer(rb'"[^"]*"', tokens[one])) or [re.match(rb"", tokens[one])]
+            found = list(re.finditer(rb'"[^"]*"', tokens[randrange])) or [
+                re.match(rb"", tokens[randrange])
+            ]
             spot = rng.choice(found)
             assert spot is not None
-            tokens[one] = (
-                tokens[one][: spot.start()] + b'"' + value + b'"' + tokens[one][spot.end() :]
+            tokens[randrange] = (
+                tokens[randrange][: spot.start()]
+                + b'"'
+                + value
+                + b'"'
+                + tokens[randrange][spot.end() :]
             )
     return b"".join(tokens)
 

@@ -1,29 +1,29 @@
-"""Any edit, mostly of things that exist; often one that must be refused."""
+"""Any edit, mostly of elements that exist; often one that must be refused."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from semviz_annotation.edits import (
+from semviz_annotation.labels.edits import (
     AddMany,
     AddObservation,
+    DecideElements,
     DeleteElement,
     DeleteMany,
     DeleteObservation,
     Dismiss,
     Edit,
-    Judge,
     Link,
     MoveObservation,
     ReviewFrame,
+    RevokeDecision,
     SetClass,
     SetKnown,
     SwapEnds,
-    TakeBack,
     Unlink,
 )
-from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
-from semviz_annotation.rows import apart, judged
+from semviz_annotation.labels.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.labels.rows import different_elements, review_decision
 
 
 def pole(frame: int = 0, side: str = "left") -> AddObservation:
@@ -65,8 +65,10 @@ def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
         ReviewFrame(frame, ("unseen", "in work", "reviewed", "reviewed, empty")[rng.integers(4)]),
         Dismiss((down,)),
         Dismiss((down, Dismissal(new_id(), frame, side, why, None))),
-        Judge((apart(a, b),)),
-        Judge((judged(c, ("keep", "leave out")[rng.integers(2)]), apart(b, c))),
-        TakeBack(some(labels.judgements)),
+        DecideElements((different_elements(a, b),)),
+        DecideElements(
+            (review_decision(c, ("keep", "leave out")[rng.integers(2)]), different_elements(b, c))
+        ),
+        RevokeDecision(some(labels.review_decisions)),
     ]
     return choices[rng.integers(len(choices))]

@@ -1,7 +1,8 @@
-"""Starting the web tools as a person does: by their command, until the address is printed."""
+"""Starting the web tools as a person does, by their command, and the addresses that they serve."""
 
 import re
 import subprocess
+import urllib.request
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,3 +29,18 @@ def serving(
     finally:
         process.terminate()
         process.wait(timeout=30)
+
+
+def at(url: str, tail: str) -> str:
+    """The address of ``tail``, a path or a query, below the printed ``url``, with its token."""
+    base, _, token = url.partition("?")
+    separator = "&" if "?" in tail else "?"
+    return f"{base}{tail}{separator if token else ''}{token}"
+
+
+def fetch(url: str) -> bytes:
+    """What a browser gets at ``url``: the token becomes a cookie, as in a browser."""
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with opener.open(url, timeout=30) as answer:
+        content: bytes = answer.read()
+    return content

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.recording.writer import RunWriter
-from semviz_core.localize import Localizer
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.priors import PriorOptions, simulate_prior
-from semviz_core.sources.street.map_errors import moved
-from semviz_core.sources.street.street import Street
+from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.runs.writer import RunWriter
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localization.localizer import Localizer
+from semviz_core.simulation.map_errors import move_element
+from semviz_core.simulation.street import Street
 
 FRAMES = (10, 12, 14, 16, 18, 20)
 Spoil = Callable[[FrameRecord], FrameRecord]
@@ -33,10 +33,10 @@ def run_with_a_moved_pole() -> tuple[Run, int]:
     """The same in a map where the pole that most frames see stands elsewhere, and its id."""
     street = Street(7)
     poles = street.truth_map.elements.id[street.truth_map.elements.is_line]
-    seen = np.concatenate([one.element_id for one in small_run().frames])
+    seen = np.concatenate([frame.element_id for frame in small_run().frames])
     pole = int(np.bincount(seen[np.isin(seen, poles)]).argmax())
     info = replace(small_run().info, name="moved", map_name="moved")
-    return _localized(info, street, moved(street.truth_map, pole, (1.5, 0.8, 0.0))), pole
+    return _localized(info, street, move_element(street.truth_map, pole, (1.5, 0.8, 0.0))), pole
 
 
 def _localized(info: RunInfo, street: Street, semantic_map: SemanticMap) -> Run:
@@ -55,7 +55,7 @@ def _record(street: Street, index: int, semantic_map: SemanticMap) -> FrameRecor
 
 def spoiled(run: Run, by_frame: dict[int, Spoil]) -> Run:
     """The run with some frames changed, by number."""
-    frames = (by_frame.get(one.frame.index, lambda same: same)(one) for one in run.frames)
+    frames = (by_frame.get(frame.frame.index, lambda same: same)(frame) for frame in run.frames)
     return replace(run, frames=tuple(frames))
 
 
@@ -89,7 +89,7 @@ def unanswered(record: FrameRecord) -> FrameRecord:
 
 
 def without_truth(run: Run) -> Run:
-    frames = (replace(one, frame=replace(one.frame, T_map_camera=None)) for one in run.frames)
+    frames = (replace(frame, frame=replace(frame.frame, T_map_camera=None)) for frame in run.frames)
     return replace(run, frames=tuple(frames))
 
 
@@ -98,8 +98,8 @@ def saved(run: Run, path: Path) -> Path:
     writer = RunWriter(path, run.info, run.semantic_map)
     try:
         with writer:
-            for one in run.frames:
-                writer.write(one)
+            for frame in run.frames:
+                writer.write(frame)
             if not run.complete:
                 raise KeyboardInterrupt
     except KeyboardInterrupt:

@@ -1,17 +1,16 @@
-"""Every command in the README and in docs/ works as it is written."""
+"""Every command and every link in the README and in docs/ works as it is written."""
 
 import re
 import shlex
 import subprocess
 import sys
-import urllib.request
 from pathlib import Path
 
 import pytest
-from serving import serving
+from serving import fetch, serving
 
 REPOSITORY = Path(__file__).parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 SETUP = ("python -m venv", ". ", "pip install", "pytest")
 """Lines that make the environment; .ci/run and test_packaging do the same."""
 SERVERS = ("serve", "annotate")
@@ -20,6 +19,13 @@ SERVERS = ("serve", "annotate")
 def commands_of(page: Path) -> list[str]:
     blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     return [line.strip() for block in blocks for line in block.splitlines() if line.strip()]
+
+
+COMMAND_PAGES = [page for page in PAGES if commands_of(page)]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(REPOSITORY).as_posix()
 
 
 def run(command: str, folder: Path, environment: dict[str, str]) -> None:
@@ -31,17 +37,13 @@ def run(command: str, folder: Path, environment: dict[str, str]) -> None:
 
 def start_and_ask(command: str, folder: Path, environment: dict[str, str]) -> None:
     """Start a server as documented and ask for its page."""
-    with (
-        serving(shlex.split(command), environment, folder) as address,
-        urllib.request.urlopen(address, timeout=30) as answer,
-    ):
-        assert answer.status == 200
-        assert b"semviz" in answer.read()
+    with serving(shlex.split(command), environment, folder) as address:
+        assert b"semviz" in fetch(address)
 
 
 @pytest.mark.realdata
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", COMMAND_PAGES, ids=name_of)
 def test_commands_of_page(
     page: Path, tmp_path: Path, environment: dict[str, str], kitti_root: Path
 ) -> None:
@@ -64,11 +66,38 @@ def test_every_documented_line_is_known() -> None:
     """A command this test would silently skip must not creep into the docs."""
     first_words = {
         command.strip().split(" #")[0].split()[0]
-        for page in PAGES
+        for page in COMMAND_PAGES
         for line in commands_of(page)
         for command in line.split("&&")
     }
     assert first_words <= {"semviz", "python", ".", "pip", "pytest"}
+
+
+def text_of(page: Path) -> str:
+    """Without blocks and spans of code, which hold neither links nor headings."""
+    without_blocks = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    return re.sub(
+        r"^(?!#)(.*)$", lambda line: re.sub(r"`[^`]*`", "", line[0]), without_blocks, flags=re.M
+    )
+
+
+def anchors_of(page: Path) -> set[str]:
+    """The anchors that GitHub makes of the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", text_of(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "CHANGELOG.md"], ids=name_of)
+def test_relative_links_resolve(page: Path) -> None:
+    """Files exist, and so do the headings that an anchor names."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
+        if link.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{link}: no such file"
+        assert target.is_relative_to(REPOSITORY), f"{link}: outside of the repository"
+        assert not anchor or anchor in anchors_of(target), f"{link}: no such heading"
 
 
 def python_of(page: Path) -> str:

@@ -1,41 +1,70 @@
-"""The two images on the page: a frame's left and right or, with one camera, two frames."""
+"""The two images on the page, and the camera of every image.
 
-from collections.abc import Mapping
+They are a frame's left and right image or, with one camera, images of two frames; the page
+calls them left and right.
+"""
+
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from semviz.annotator.cameras import Cameras
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.sources.source import Side
+from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_core.base.camera import Rig
+from semviz_core.base.frame import Frame, Side
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+
+
+class Cameras:
+    """Views by frame and side, cached."""
+
+    def __init__(self, rig: Rig, frames: Iterable[Frame]) -> None:
+        self.rig = rig
+        self.T_map_camera = {frame.index: frame.T_map_camera for frame in frames}
+        """Pose of the left camera by frame, in order of time; None if it is unknown."""
+        self._views: dict[tuple[int, Side], PosedView] = {}
+
+    def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
+        """Return the pose of a frame's left camera; None if it is unknown."""
+        pose = self.T_map_camera[frame_index]
+        return None if pose is None else pose.inverse()
+
+    def view(self, frame_index: int, side: Side) -> PosedView:
+        """Return a view in the map frame; in left camera coordinates if the frame has no pose."""
+        key = frame_index, side
+        if key not in self._views:
+            self._views[key] = rig_view(self.rig, side, self.T_camera_map(frame_index))
+        return self._views[key]
+
 
 APART_M = 4.0
-"""How far from the frame on screen its companion is, where there is no right camera: a pole 20 m
-ahead and 4 m aside is then seen from directions 2.5 degrees apart, and is still on screen."""
+"""Baseline of the second image if there is no right camera. A pole 20 m ahead and 4 m aside is then
+seen from directions 2.5 degrees apart, and is still on screen."""
 LEAST_APART_M = 0.3
 MOST_FRAMES_APART = 20
 
 
 @dataclass(frozen=True)
 class Pane:
-    """Which image: of which frame, by which camera."""
+    """One image: its frame and its camera."""
 
     frame_index: int
     side: Side
 
 
 class Panes:
-    """Which images belong on the page together. They are called left and right there."""
+    """Chooses the two images of a page; the page calls them left and right."""
 
     def __init__(self, cameras: Cameras) -> None:
         self._cameras = cameras
         self._indices = tuple(cameras.T_map_camera)
-        self._places = {index: place for place, index in enumerate(self._indices)}
+        self._rank = {index: rank for rank, index in enumerate(self._indices)}
 
     def of(self, frame_index: int) -> Mapping[Side, Pane]:
-        """Left alone where there is neither a right camera nor a frame from elsewhere."""
+        """Return the images of a frame; left alone if there is no second image."""
         if self._cameras.rig.right is not None:
             return {"left": Pane(frame_index, "left"), "right": Pane(frame_index, "right")}
         panes: dict[Side, Pane] = {"left": Pane(frame_index, "left")}
@@ -43,22 +72,22 @@ class Panes:
         return panes if companion is None else panes | {"right": Pane(companion, "left")}
 
     def pane(self, frame_index: int, shown_as: Side) -> Pane:
-        """The image that is shown as ``shown_as``; SemvizError where there is none."""
+        """Return the image shown as ``shown_as``. Raise SemvizError if there is none."""
         try:
             return self.of(frame_index)[shown_as]
         except KeyError:
             raise SemvizError(f"frame {frame_index} has no second image") from None
 
     def _companion(self, frame_index: int) -> int | None:
-        """The earlier frame (or else later one) that is about ``APART_M`` away, or the furthest.
+        """The nearest earlier frame (or else later one) at least ``APART_M`` away, or the furthest.
 
-        What is ahead in a frame is ahead in earlier ones too, and those are labelled already.
+        Elements ahead of a frame are ahead of earlier ones too, and those are labelled already.
         """
-        place = self._places[frame_index]
-        first, end = max(0, place - MOST_FRAMES_APART), place + MOST_FRAMES_APART + 1
-        around = np.r_[np.arange(first, place)[::-1], np.arange(place + 1, end)]
+        rank = self._rank[frame_index]
+        first, end = max(0, rank - MOST_FRAMES_APART), rank + MOST_FRAMES_APART + 1
+        around = np.r_[np.arange(first, rank)[::-1], np.arange(rank + 1, end)]
         around = around[around < len(self._indices)]
-        gaps = np.linalg.norm(self._centers[around] - self._centers[place], axis=1)
+        gaps = np.linalg.norm(self._centers[around] - self._centers[rank], axis=1)
         if np.nanmax(gaps, initial=0.0) < LEAST_APART_M:
             return None
         far = np.flatnonzero(gaps >= APART_M)

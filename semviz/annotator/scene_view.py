@@ -1,4 +1,7 @@
-"""The map so far in viser: mapped elements, the cameras' path, the frame on screen."""
+"""Draw the last map in viser: elements, the cameras' path, the current frame.
+
+Only what changed is redrawn. One thread at a time.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz.web.colors import Theme
-from semviz.web.picking import Offer, Picker
-from semviz.web.scene import TRUTH, Scene, class_rows, elements_ends
-from semviz.web.shapes import facing
-from semviz.web.viewpoint import Viewer, behind
-from semviz_core.arrays import FloatArray
-from semviz_core.camera import Camera
-from semviz_core.classes import ClassSet
-from semviz_core.elements import Elements3D
-from semviz_core.pose import Pose
+from semviz.web.scene import TRUTH, SceneDrawer, class_rows, elements_ends
+from semviz.web.scene_backdrop import BackdropLayer
+from semviz.web.shapes import Theme, facing
+from semviz.web.viewpoint import Pickable, Picker, Viewer, behind
+from semviz_annotation.mapping.backdrop.backdrop import Backdrop
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
 
 if TYPE_CHECKING:
     import viser
@@ -25,18 +28,18 @@ NOWHERE = Pose.identity()
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What the scene shows."""
+    """The contents of the scene."""
 
     elements: Elements3D
     T_map_camera: Pose | None
-    """Of the frame on screen."""
+    """Pose of the frame on screen."""
     marked: frozenset[int] = frozenset()
-    """Numbers of the selected element and of those that a decision is about."""
+    """Numbers of the selected element and of those that the open decision is about."""
     name: str = ""
-    """Written on top of them."""
+    """Label on top of them."""
 
 
-class SceneView:
+class AnnotatorScene:
     """Draws ``Shown`` into one viser server; redraws only what differs. One thread at a time."""
 
     def __init__(
@@ -47,17 +50,18 @@ class SceneView:
         classes: ClassSet,
         on_click: Callable[[int], None],
     ) -> None:
-        self._scene = Scene(server)
+        self._scene = SceneDrawer(server)
         self._viewer = Viewer(server)
         self._trajectory_m = trajectory_m
         self._camera = camera
         self._classes = classes
         self._picker = Picker(server, lambda _, number: on_click(number))
-        self._before: Shown | None = None
+        self._backdrop = BackdropLayer(self._scene)
+        self._shown: Shown | None = None
 
     def show(self, shown: Shown) -> None:
-        before, self._before = self._before, shown
-        with self._scene.in_one_piece():
+        before, self._shown = self._shown, shown
+        with self._scene.atomic():
             if before is None:
                 self._start(shown)
             else:
@@ -68,14 +72,20 @@ class SceneView:
             self._scene.highlight(shown.elements[rows], shown.name)
 
     def set_theme(self, theme: Theme) -> None:
-        """Draws everything anew in other colours."""
-        shown = self._before
+        """Redraw everything in the colours of a theme."""
+        shown = self._shown
         if shown is None or theme == self._scene.theme:
             return
         self._scene.set_theme(theme)
         self._draw_path()
         self._draw_frame(shown)
         self._draw_elements(shown)
+
+    def show_backdrop(self, backdrop: Backdrop | None, shown: bool) -> None:
+        """What stands behind the map, if anything."""
+        with self._scene.atomic():
+            self._backdrop.use(backdrop)
+            self._backdrop.draw(shown)
 
     def _start(self, shown: Shown) -> None:
         self._draw_path()
@@ -105,16 +115,16 @@ class SceneView:
 
     def _draw_elements(self, shown: Shown) -> None:
         elements, classes = shown.elements, self._classes
-        turned = facing(elements.anchor_m, self._trajectory_m)
-        looks, rows = self._scene.class_looks(classes), class_rows(elements.class_id, classes)
-        self._scene.draw_elements("/map", elements, classes, turned, looks, rows)
-        self._picker.offer("element", Offer(elements.id, *elements_ends(elements)))
+        facing_rad = facing(elements.anchor_m, self._trajectory_m)
+        styles, rows = self._scene.class_styles(classes), class_rows(elements.class_id, classes)
+        self._scene.draw_elements("/map", elements, classes, facing_rad, styles, rows)
+        self._picker.set_pickable("element", Pickable(elements.id, *elements_ends(elements)))
 
 
-def _same(one: Elements3D, two: Elements3D) -> bool:
+def _same(before: Elements3D, after: Elements3D) -> bool:
     return (
-        np.array_equal(one.id, two.id)
-        and np.array_equal(one.class_id, two.class_id)
-        and np.array_equal(one.anchor_m, two.anchor_m)
-        and np.array_equal(one.end_m, two.end_m, equal_nan=True)
+        np.array_equal(before.id, after.id)
+        and np.array_equal(before.class_id, after.class_id)
+        and np.array_equal(before.anchor_m, after.anchor_m)
+        and np.array_equal(before.end_m, after.end_m, equal_nan=True)
     )

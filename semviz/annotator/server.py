@@ -1,4 +1,4 @@
-"""The annotator behind the door: its page, its images, and its opened pages."""
+"""Serve the annotator: its page, its images, and a session for each opened page."""
 
 import asyncio
 import contextlib
@@ -10,63 +10,65 @@ from pathlib import Path
 
 from aiohttp import web
 
-from semviz.annotator.opened_page import OpenedPage
+from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.session import LabelSession
-from semviz.annotator.views import Json
-from semviz.author import login_name
-from semviz.web.scenes import Scenes
+from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
-from semviz.workspace import Workspace
-from semviz_core.errors import SemvizError
-from semviz_core.sources.source import Side
+from semviz.web.viser_servers import ViserServers
+from semviz.workspace.workspace import Workspace, login_name
+from semviz_annotation.storage.background_check import Health
+from semviz_annotation.storage.label_file import LabelFileError
+from semviz_core.base.frame import Side
+from semviz_core.common.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
-NEWS_EVERY_S = 1.0
-"""How often to look for what other processes have written: one query."""
-LEARN_S = 0.005
-"""So long an edit may have to wait for what is learnt in the background."""
+POLL_EVERY_S = 1.0
+"""How often to check for changes of other processes: one query."""
+ANALYZE_S = 0.005
+"""Longest time that background analysis may delay an edit."""
 PAUSE_S = 0.01
 KEEP_IMAGE = "private, max-age=3600"
 
 
 class Annotator:
-    """The labelling tool for one workspace, as a ``Tool`` of the door.
+    """The labelling tool for one workspace; a ``Tool`` of the gateway.
 
-    Raises SemvizError where the images or the label file cannot be opened.
+    Raise SemvizError if the images or the label file cannot be opened.
     """
 
     def __init__(self, workspace: Workspace, author: str | None = None) -> None:
         self.session = LabelSession(workspace, author or login_name())
         self.lock = threading.RLock()
-        self.scenes = Scenes()
-        self.painter = ThreadPoolExecutor(1, "semviz-scenes")
-        self.observer = ThreadPoolExecutor(1, "semviz-observer")
-        self._pages: list[OpenedPage] = []
+        self.scenes = ViserServers()
+        self.scene_thread = ThreadPoolExecutor(1, "semviz-scenes")
+        self.search_thread = ThreadPoolExecutor(1, "semviz-search")
+        self._pages: list[AnnotatorPage] = []
         self._closing = threading.Event()
-        self.session.map_work.look()
-        self._listener = threading.Thread(target=self._listen, name="semviz-news", daemon=True)
-        self._listener.start()
-        self._learner = threading.Thread(target=self._learn, name="semviz-facts", daemon=True)
-        self._learner.start()
-        self._sessions = Sessions(self._open)
+        self._sent_health: Health | None = None
+        self.session.map_work.refresh()
+        self._poller = threading.Thread(target=self._poll, name="semviz-updates", daemon=True)
+        self._poller.start()
+        self._analyzer = threading.Thread(target=self._analyze, name="semviz-analysis", daemon=True)
+        self._analyzer.start()
+        self._sessions = Sessions(self._open, HANDLERS.decode)
 
     @property
     def title(self) -> str:
         return f"semviz annotate, {self.session.workspace.name}"
 
     @property
-    def pages(self) -> tuple[OpenedPage, ...]:
+    def pages(self) -> tuple[AnnotatorPage, ...]:
         return tuple(self._pages)
 
-    def forget(self, page: OpenedPage) -> None:
+    def forget(self, page: AnnotatorPage) -> None:
         self._pages.remove(page)
 
     def close(self) -> None:
-        """Stops the threads and closes the label file."""
+        """Stop the threads and close the label file."""
         self._closing.set()
-        self._listener.join()
-        self._learner.join()
-        for pool in (self.painter, self.observer):
+        self._poller.join()
+        self._analyzer.join()
+        for pool in (self.scene_thread, self.search_thread):
             pool.shutdown(wait=True, cancel_futures=True)
         self.session.close()
 
@@ -74,43 +76,50 @@ class Annotator:
         return [
             web.get("/", self._index),
             web.static("/page/", PAGE),
-            web.get(r"/image/{frame:\d+}/{side:left|right}.png", self._image),
-            web.get(r"/thumbnail/{frame:\d+}.jpg", self._thumbnail),
+            web.get(r"/image/{frame:[0-9]{1,9}}/{side:left|right}.png", self._image),
+            web.get(r"/thumbnail/{frame:[0-9]{1,9}}.jpg", self._thumbnail),
             *self._sessions.routes(),
         ]
 
-    def _open(self, session_id: str, send: Send) -> OpenedPage:
-        page = OpenedPage(session_id, send, self)
+    def _open(self, session_id: str, send: Send) -> AnnotatorPage:
+        page = AnnotatorPage(session_id, send, self)
         self._pages.append(page)
         return page
 
-    def _listen(self) -> None:
-        """Tells open pages what other processes have done to the labels."""
-        while not self._closing.wait(NEWS_EVERY_S):
-            # where the file cannot be read, whoever asks for something next is told
-            self.session.map_work.look()
-            with contextlib.suppress(sqlite3.Error):
-                self._tell_news()
+    def _poll(self) -> None:
+        """Send changes of other processes to the open pages."""
+        while not self._closing.wait(POLL_EVERY_S):
+            self.session.map_work.refresh()
+            self._send_health()
+            with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
+                self._send_updates()
 
-    def _learn(self) -> None:
-        """Works out what is worth a visit, a few frames at a time: edits come first."""
-        frames: list[Json] = []
-        done, told = True, time.monotonic()
-        while not self._closing.wait(NEWS_EVERY_S if done else PAUSE_S):
-            with contextlib.suppress(sqlite3.Error), self.lock:
-                learnt, done = self.session.learn(LEARN_S)
-                frames += learnt
-            if frames and (done or time.monotonic() > told + NEWS_EVERY_S):
+    def _send_health(self) -> None:
+        health = self.session.health()
+        if health != self._sent_health:
+            self._sent_health = health
+            for page in self.pages:
+                page.send_health(health)
+
+    def _analyze(self) -> None:
+        """Analyze all frames, a few at a time, because edits come first."""
+        frames: list[FrameSummary] = []
+        done, sent = True, time.monotonic()
+        while not self._closing.wait(POLL_EVERY_S if done else PAUSE_S):
+            with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
+                analyzed, done = self.session.analyze(ANALYZE_S)
+                frames += analyzed
+            if frames and (done or time.monotonic() > sent + POLL_EVERY_S):
                 for page in self.pages:
-                    page.send_facts(frames)
-                frames, told = [], time.monotonic()
+                    page.send_frame_list(frames)
+                frames, sent = [], time.monotonic()
 
-    def _tell_news(self) -> None:
+    def _send_updates(self) -> None:
         with self.lock:
-            if self._pages and self.session.has_news():
-                state = self.session.news()
+            if self._pages and self.session.has_updates():
+                labels = self.session.updates()
                 for page in self.pages:
-                    page.tell("news", state)
+                    page.send_update(labels)
 
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
@@ -127,7 +136,7 @@ class Annotator:
 
 async def _picture(future: "Future[bytes]", kind: str) -> web.Response:
     try:
-        data = await asyncio.shield(asyncio.wrap_future(future))  # others may wait for it too
+        data = await asyncio.shield(asyncio.wrap_future(future))  # others may await it too
     except SemvizError as error:
         raise web.HTTPNotFound(text=str(error)) from None
     return web.Response(body=data, content_type=kind, headers={"Cache-Control": KEEP_IMAGE})

@@ -1,27 +1,29 @@
-"""Labels as the page gets them: plain JSON values."""
+"""Describe labels, elements, frames and operations for the page."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
-from semviz.annotator.facts import FrameFacts
-from semviz.annotator.nearby import Nearby
+from semviz.annotator.association import NearbyElement
+from semviz.annotator.detector_proposals import Disagreement
+from semviz.annotator.frame_quality import FrameFacts
+from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane
-from semviz_annotation.labels import (
+from semviz.web.protocol import ImageSize, Part
+from semviz_annotation.labels.labels import (
     Dismissal,
-    Judgement,
     LabelElement,
     Labels,
     Observation,
+    Pixel,
     Review,
+    ReviewDecision,
+    ReviewState,
     Row,
 )
-from semviz_annotation.rows import elements_of
-from semviz_annotation.storing.store import Operation
-from semviz_core.classes import ClassSet
-from semviz_core.sources.source import Side
-
-Json = dict[str, Any]
+from semviz_annotation.labels.rows import row_elements
+from semviz_annotation.storage.store import Operation
+from semviz_core.base.classes import ClassSet, ElementClass
+from semviz_core.base.frame import Side
 
 VERBS = {
     "add": "Draw",
@@ -35,136 +37,262 @@ VERBS = {
     "link": "Link",
     "unlink": "Unlink",
     "set class": "Class of",
-    "dismiss": "Turn down",
-    "take back": "Leave to the map",
+    "dismiss": "Dismiss",
+    "take back": "Revoke the decision on",
 }
 OF_SEVERAL = ("add many", "delete many", "import")
-"""Kinds of operations that may be about several elements at once."""
+"""Kinds of operations that may change several elements at once."""
 
 
-def element_name(element: LabelElement, classes: ClassSet) -> str:
-    """``P-04``."""
+class ElementRef(Part):
+    """Name and class of an element."""
+
+    id: str
+    name: str
+    class_id: int
+
+
+class ObservationView(Part):
+    """A label in one image."""
+
+    id: str
+    anchor: Pixel
+    end: Pixel | None
+    anchor_known: bool
+    end_known: bool
+    frame: int
+    side: Side
+
+
+class ReviewDecisionView(Part):
+    """A person's decision about an element, applied in every map build."""
+
+    id: str
+    text: str
+
+
+class ElementView(ElementRef):
+    """An element labelled in the images on the page, with its observations there."""
+
+    observations: dict[Side, ObservationView]
+    views: int
+    """Number of its observations in all images."""
+    review_decisions: list[ReviewDecisionView]
+
+
+class NearbyView(ElementRef):
+    """An element to continue, with the nearest frame in which it is labelled."""
+
+    labelled_in: int
+
+
+class PaneView(Part):
+    """An image on the page."""
+
+    frame: int
+    side: Side
+
+
+class WorstLabel(Part):
+    """The label furthest from the projection of its element."""
+
+    px: float
+    element: str | None
+
+
+class FrameSummary(Part):
+    """A frame in the list of frames: its review state and its quality."""
+
+    index: int
+    state: ReviewState
+    elements: int
+    worst: WorstLabel | None = None
+    """None until the frame has been assessed, as are the next two."""
+    proposed: int | None = None
+    disagreement: Disagreement | None = None
+
+
+class OperationView(Part):
+    """One line of the history, and the frame it changed."""
+
+    number: int
+    text: str
+    author: str
+    time: str
+    """UTC, ISO 8601."""
+    kind: str
+    frame: int | None
+
+
+class LabelsView(Part):
+    """The state of the labels and all frames, without the marks of a frame."""
+
+    operation: int
+    """Number of the last operation."""
+    counts: dict[int, int]
+    """Number of elements by class."""
+    mapped: int
+    can_undo: bool
+    can_redo: bool
+    history: list[OperationView]
+    """The last operations, newest first."""
+    map: MapSummary
+    frames: list[FrameSummary]
+    """All frames; in an update, the changed ones."""
+
+
+class WorkspaceView(Part):
+    """What does not change while the page is open."""
+
+    name: str
+    key: str
+    """Prefix of this workspace's entries in the browser's storage."""
+    source: str
+    author: str
+    classes: list[ElementClass]
+    images: dict[Side, ImageSize]
+    has_right: bool
+
+
+def label_element_name(element: LabelElement, classes: ClassSet) -> str:
+    """Return an element's name, for example ``P-04``."""
     return classes.element_name(element.class_id, element.number)
 
 
-def element_json(element: LabelElement, classes: ClassSet) -> Json:
-    """What an element is called and of which class it is."""
-    return {
-        "id": element.id,
-        "name": element_name(element, classes),
-        "class": element.class_id,
-    }
+def element_ref(element: LabelElement, classes: ClassSet) -> ElementRef:
+    """Return name and class of an element."""
+    name = label_element_name(element, classes)
+    return ElementRef(id=element.id, name=name, class_id=element.class_id)
 
 
-def panes_json(panes: Mapping[Side, Pane]) -> Json:
-    """Which images are on the page."""
-    return {side: {"frame": pane.frame_index, "side": pane.side} for side, pane in panes.items()}
+def pane_views(panes: Mapping[Side, Pane]) -> dict[Side, PaneView]:
+    """Return the images on the page."""
+    return {side: PaneView(frame=pane.frame_index, side=pane.side) for side, pane in panes.items()}
 
 
-def elements_json(labels: Labels, panes: Mapping[Side, Pane], classes: ClassSet) -> list[Json]:
-    """The elements labelled in the images on the page by number, with what was drawn in each."""
-    observations: dict[str, dict[str, Json]] = {}
+def element_views(
+    labels: Labels, panes: Mapping[Side, Pane], classes: ClassSet
+) -> list[ElementView]:
+    """Return the elements labelled in the images on the page, by number, with observations."""
+    observations: dict[str, dict[Side, ObservationView]] = {}
     for side, pane in panes.items():
         for row in labels.in_frame(pane.frame_index, pane.side):
-            observations.setdefault(row.element_id, {})[side] = observation_json(row)
-    elements = sorted(map(labels.element, observations), key=lambda one: one.number)
+            observations.setdefault(row.element_id, {})[side] = observation_view(row)
+    elements = sorted(map(labels.element, observations), key=lambda element: element.number)
     return [
-        element_json(one, classes)
-        | {"observations": observations[one.id], "views": len(labels.of_element(one.id))}
-        | {"judged": judged_json(one, labels, classes)}
-        for one in elements
+        ElementView(
+            id=element.id,
+            name=label_element_name(element, classes),
+            class_id=element.class_id,
+            observations=observations[element.id],
+            views=len(labels.of_element(element.id)),
+            review_decisions=_review_decision_views(element, labels, classes),
+        )
+        for element in elements
     ]
 
 
-def judged_json(element: LabelElement, labels: Labels, classes: ClassSet) -> list[Json]:
-    """What people decided about an element for every map."""
-    texts = {"apart": "apart from ", "keep": "kept as one thing", "leave out": "left out of maps"}
-    found = []
-    for row in labels.judgements_of(element.id):
-        others = [labels.elements[one] for one in elements_of(row) if one != element.id]
-        names = [element_name(one, classes) for one in others]
-        found.append({"id": row.id, "text": "".join([texts[row.verdict], *names])})
-    return found
-
-
-def nearby_json(nearby: Iterable[Nearby], labels: Labels, classes: ClassSet) -> list[Json]:
-    """Elements to continue, with the frame they are known from."""
-    return [
-        element_json(labels.element(one.element_id), classes) | {"labelled_in": one.labelled_in}
-        for one in nearby
-    ]
-
-
-def frame_json(labels: Labels, index: int, facts: FrameFacts | None) -> Json:
-    """A frame in the list of all: how far it is, and what is known of its labels."""
-    summary: Json = {
-        "index": index,
-        "state": labels.review(index),
-        "elements": len({row.element_id for row in labels.in_frame(index)}),
+def _review_decision_views(
+    element: LabelElement, labels: Labels, classes: ClassSet
+) -> list[ReviewDecisionView]:
+    texts = {
+        "apart": "apart from ",
+        "keep": "kept as one landmark",
+        "leave out": "left out of maps",
     }
-    if facts is not None:
-        worst = {"px": facts.worst_px, "element": facts.worst_id}
-        summary |= {"worst": worst, "proposed": facts.proposed}
-        if facts.disagreement is not None:
-            summary |= {"disagreement": vars(facts.disagreement)}
-    return summary
+    decisions = []
+    for row in labels.decisions_of(element.id):
+        others = [labels.elements[id_] for id_ in row_elements(row) if id_ != element.id]
+        names = [label_element_name(other, classes) for other in others]
+        decisions.append(ReviewDecisionView(id=row.id, text="".join([texts[row.verdict], *names])))
+    return decisions
+
+
+def nearby_views(
+    nearby: Iterable[NearbyElement], labels: Labels, classes: ClassSet
+) -> list[NearbyView]:
+    """Return the elements to continue, with the nearest frame in which each is labelled."""
+    return [
+        NearbyView(
+            **element_ref(labels.element(near.element_id), classes).model_dump(),
+            labelled_in=near.labelled_in,
+        )
+        for near in nearby
+    ]
+
+
+def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> FrameSummary:
+    """Return a frame's review state, and its quality if known."""
+    elements = len({row.element_id for row in labels.in_frame(index)})
+    state = labels.review(index)
+    if facts is None:
+        return FrameSummary(index=index, state=state, elements=elements)
+    return FrameSummary(
+        index=index,
+        state=state,
+        elements=elements,
+        worst=WorstLabel(px=facts.worst_px, element=facts.worst_id),
+        proposed=facts.proposed,
+        disagreement=facts.disagreement,
+    )
 
 
 def class_counts(labels: Labels) -> dict[int, int]:
-    """Number of elements by class."""
+    """Return the number of elements by class."""
     return dict(Counter(element.class_id for element in labels.elements.values()))
 
 
-def operation_json(operation: Operation, labels: Labels, classes: ClassSet) -> Json:
-    """One line of the history, and the frame that it is about."""
-    return {
-        "number": operation.number,
-        "text": _describe(operation, labels, classes),
-        "author": operation.author,
-        "time": operation.time,
-        "kind": operation.kind,
-        "frame": frame_of(operation, labels),
-    }
+def operation_view(operation: Operation, labels: Labels, classes: ClassSet) -> OperationView:
+    """Return one line of the history, and the frame it changed."""
+    return OperationView(
+        number=operation.number,
+        text=_describe(operation, labels, classes),
+        author=operation.author,
+        time=operation.time,
+        kind=operation.kind,
+        frame=frame_of(operation, labels),
+    )
 
 
 def frame_of(operation: Operation, labels: Labels) -> int | None:
-    """The frame that an operation changed (the first, if several); None where it has none."""
+    """Return the frame that an operation changed, the first if several; None for none."""
     frames = frames_touched(operation)
     if frames:
         return frames[0]
-    about = (one for row in _rows(operation) for one in elements_of(row))
-    seen = next((rows for one in about if (rows := labels.of_element(one))), ())
-    return seen[0].frame_index if seen else None
+    element_ids = (id_ for row in _rows(operation) for id_ in row_elements(row))
+    rows = next((rows for id_ in element_ids if (rows := labels.of_element(id_))), ())
+    return rows[0].frame_index if rows else None
 
 
 def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """What people should know of an operation; empty for most.
+    """Return a message about an operation; empty for most.
 
-    What a deletion took away and what is left; what an undo had to pass over.
+    It tells what a deletion removed and what is left, and what an undo could not restore.
     """
     if operation.kind == "undo" and operation.text:
         return f"Undone operation {operation.undoes}; left as it is: {operation.text}."
     if operation.kind not in ("delete", "delete element"):
         return ""
-    gone = [one.before for one in operation.changes if isinstance(one.before, Observation)]
+    befores = [change.before for change in operation.changes]
+    deleted = [row for row in befores if isinstance(row, Observation)]
     subject = _subject(operation, labels, classes)
-    left = len(labels.of_element(gone[0].element_id)) if gone else 0
+    left = len(labels.of_element(deleted[0].element_id)) if deleted else 0
     if left:
         return f"Deleted {subject}. {_count(left, 'view')} left. Ctrl Z brings it back."
-    frames = len({row.frame_index for row in gone})
-    fell = f"{_count(len(gone), 'view')} in {_count(frames, 'frame')}"
-    return f"Deleted {subject} with {fell}. Ctrl Z brings all back."
+    frames = len({row.frame_index for row in deleted})
+    extent = f"{_count(len(deleted), 'view')} in {_count(frames, 'frame')}"
+    return f"Deleted {subject} with {extent}. Ctrl Z brings all back."
 
 
 def observations_added(operation: Operation) -> int:
-    """How many observations more there are after it."""
+    """Return how many observations an operation added; negative for removed ones."""
     changes = operation.changes
-    after = sum(isinstance(one.after, Observation) for one in changes)
-    return after - sum(isinstance(one.before, Observation) for one in changes)
+    after = sum(isinstance(change.after, Observation) for change in changes)
+    return after - sum(isinstance(change.before, Observation) for change in changes)
 
 
 def frames_touched(operation: Operation) -> list[int]:
-    """All frames whose labels or review an operation changed, ascending."""
+    """Return all frames whose labels or review an operation changed, ascending."""
     rows = _rows(operation)
     return sorted(
         {row.frame_index for row in rows if isinstance(row, Observation | Dismissal | Review)}
@@ -184,73 +312,73 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     if operation.kind == "review":
         frame = frame_of(operation, labels)
         state = labels.review(frame) if frame is not None else "unseen"
-        return f"Frame {frame} {_said(operation) or state}"
+        return f"Frame {frame} {_review_state(operation) or state}"
     if operation.kind == "name":
         return f"Name this state “{operation.text}”"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
     if operation.kind == "judge":
-        return _judged(operation, labels, classes)
+        return _describe_decisions(operation, labels, classes)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
-    seen = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
-    if operation.kind in OF_SEVERAL and len(seen) > 1:
-        return f"{verb} {len(seen)} elements"
+    elements = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
+    if operation.kind in OF_SEVERAL and len(elements) > 1:
+        return f"{verb} {len(elements)} elements"
     return f"{verb} {_subject(operation, labels, classes)}"
 
 
-def _judged(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """``P-03 and P-09 are apart``; of more, ``P-03 is apart from 5 others`` if it alone is."""
-    rows = [row for row in _rows(operation) if isinstance(row, Judgement)]
-    about = [set(elements_of(row)) for row in rows]
-    every, common = set().union(*about), set.intersection(*about)
-    names = _names(every, labels, classes)
+def _describe_decisions(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+    """``P-03 and P-09 are apart``, or ``P-03 is apart from 5 others``."""
+    rows = [row for row in _rows(operation) if isinstance(row, ReviewDecision)]
+    decided = [set(row_elements(row)) for row in rows]
+    elements, common = set().union(*decided), set.intersection(*decided)
+    names = _names(elements, labels, classes)
     match rows[0].verdict:
         case "apart" if len(rows) > 1 and len(common) == 1:
-            return f"{_names(common, labels, classes)} is apart from {len(every) - 1} others"
+            return f"{_names(common, labels, classes)} is apart from {len(elements) - 1} others"
         case "apart":
             return f"{names} are apart"
         case "keep":
-            return f"{names} kept as one thing"
+            return f"{names} kept as one landmark"
         case "leave out":
             return f"{names} left out of maps"
 
 
 def _names(element_ids: set[str], labels: Labels, classes: ClassSet) -> str:
-    """``P-03, P-09 and P-12``, by number, of those that are there still."""
-    known = [labels.elements[one] for one in element_ids if one in labels.elements]
-    names = [element_name(one, classes) for one in sorted(known, key=lambda one: one.number)]
+    """``P-03, P-09 and P-12``, by number; deleted elements are left out."""
+    elements = [labels.elements[id_] for id_ in element_ids if id_ in labels.elements]
+    elements.sort(key=lambda element: element.number)
+    names = [label_element_name(element, classes) for element in elements]
     return " and ".join([", ".join(names[:-1]), *names[-1:]] if len(names) > 1 else names or ["It"])
 
 
-def _said(operation: Operation) -> str:
+def _review_state(operation: Operation) -> str:
     after = operation.changes[0].after if operation.changes else None
     return after.state if isinstance(after, Review) else ""
 
 
 def _subject(operation: Operation, labels: Labels, classes: ClassSet) -> str:
-    """``P-04 left``: the element that an operation is about, and the image if it is only one."""
+    """``P-04 left``: the element that an operation changed, and the image if it is only one."""
     rows = _rows(operation)
-    known = {row.id: row for row in rows if isinstance(row, LabelElement)}
-    seen = [row for row in rows if isinstance(row, Observation | Dismissal)]
-    ids = list(known) or [one for row in rows for one in elements_of(row)]
-    element = known.get(ids[0]) or labels.elements.get(ids[0]) if ids else None
-    name = element_name(element, classes) if element is not None else "an element"
-    sides = {row.side for row in seen}
+    changed = {row.id: row for row in rows if isinstance(row, LabelElement)}
+    sides = {row.side for row in rows if isinstance(row, Observation | Dismissal)}
+    ids = list(changed) or [id_ for row in rows for id_ in row_elements(row)]
+    element = changed.get(ids[0]) or labels.elements.get(ids[0]) if ids else None
+    name = label_element_name(element, classes) if element is not None else "an element"
     return f"{name} {sides.pop()}" if len(sides) == 1 else name
 
 
-def observation_json(row: Observation) -> Json:
-    """What is labelled in one image."""
-    return {
-        "id": row.id,
-        "anchor": row.anchor_px,
-        "end": row.end_px,
-        "anchor_known": row.anchor_known,
-        "end_known": row.end_known,
-        "frame": row.frame_index,
-        "side": row.side,
-    }
+def observation_view(row: Observation) -> ObservationView:
+    """Return a label as the page shows it."""
+    return ObservationView(
+        id=row.id,
+        anchor=row.anchor_px,
+        end=row.end_px,
+        anchor_known=row.anchor_known,
+        end_known=row.end_known,
+        frame=row.frame_index,
+        side=row.side,
+    )
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

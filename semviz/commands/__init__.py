@@ -1,4 +1,5 @@
-"""One module a command: its options as a frozen dataclass, its work as ``run() -> exit status``.
+"""One module per group of commands.
 
-Modules here import nothing heavy before ``run``: ``semviz --help`` reads them all.
+A command is a frozen dataclass: its fields are the options, and ``run`` returns the exit status.
+Modules import nothing heavy before ``run``, because ``semviz --help`` imports them all.
 """

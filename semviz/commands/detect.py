@@ -1,54 +1,65 @@
-"""semviz detect"""
+"""The commands detect, detect evaluate and detect train."""
 
+import json
+import os
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from semviz.commands.parsing import OptionalFloat, OptionalText, parse_frames
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
-    from semviz.workspace import Workspace
-    from semviz_annotation.proposals import Proposals
-    from semviz_core.sources.source import Side
+    from semviz.research.detector_evaluation import EvaluationImage
+    from semviz.workspace.workspace import Workspace
+    from semviz_annotation.labels.proposals import Proposals
+    from semviz_core.base.frame import Side
+    from semviz_core.detection.detector import MeasureRegion
+    from semviz_core.research.training.detector_images import LabelledImages, StreetImages
 
 
 @dataclass(frozen=True)
-class Detect:
-    """Find poles and signs in the images of a workspace; what is found is proposed for labelling,
-    and can be localized with. The same command again goes on where it was stopped. The word 'run'
-    may be left out."""
+class DetectCommand:
+    """Detect poles and signs in the images of a workspace. Detections become proposals for
+    labelling, and observations for 'semviz localize --observations detected'.
+
+    Run the same command again to resume. The word 'run' is optional."""
 
     workspace: Positional[Path]
-    """The workspace."""
+    """Folder of the workspace."""
     model: Annotated[str | None, arg(metavar="MODEL", help_behavior_hint="")] = None
-    """Weights of 'semviz detect train', the .toml of an ONNX model, a folder of a transformers
-    model or hf:NAME; what comes with semviz if not given."""
+    """Weights of 'semviz detect train', the .toml of an ONNX model, the folder of a transformers
+    model, or hf:NAME; default: the shipped weights."""
     measuring: Literal["edges", "paper"] = "edges"
-    """How elements are measured within what the model finds: edges to a fraction of a pixel, or
-    the paper's Canny and morphology."""
-    frames: OptionalText = None
-    """FIRST:END[:STEP]; all frames if not given."""
+    """Measurement within the detected regions: sub-pixel edges, or the paper's Canny and
+    morphology."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP], END excluded; default: all frames."""
     sides: Literal["both", "left"] = "both"
-    """Which images; the left ones are enough to localize."""
-    least_score: OptionalFloat = None
-    """Leave out what is less sure; if not given, the model has the say."""
+    """Images to process; the left ones are enough to localize."""
+    least_score: parsing.OptionalFloat = None
+    """Minimum score; default: the model's own threshold."""
 
     def run(self) -> int:
-        from semviz.detecting import DetectOptions, detect_images, images_of
-        from semviz.workspace import Workspace
-        from semviz_core.detection.models import load_detector
+        from semviz.workspace.detect import DetectOptions, detect_images, images_of
+        from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz_core.detection.detector import load_detector
 
-        workspace = Workspace.open(self.workspace)
+        workspace = parsing.open_workspace(self.workspace)
+        check_outputs(workspace.proposals_path, PARQUET, can_force=False, purpose="proposals")
         options = DetectOptions(self.model, self.measuring, self.least_score)
-        images = images_of(workspace, parse_frames(self.frames), self._sides(workspace))
-        detector = load_detector(self.model, self.measuring)
+        images = images_of(workspace, parsing.parse_frames(self.frames), self._sides(workspace))
+        detector = load_detector(self.model, _measurement(self.measuring))
         start_s = perf_counter()
-        found = detect_images(workspace, detector, options, images)
-        print(f"{workspace.proposals_path}: {_told(found, workspace)}")
+        proposals = detect_images(workspace, detector, options, images)
+        print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
         print(
             f"{perf_counter() - start_s:.0f} s; next: semviz annotate {self.workspace}; "
             f"semviz localize {self.workspace} --observations detected"
@@ -60,9 +71,226 @@ class Detect:
         return ("left", "right") if self.sides == "both" and has_right else ("left",)
 
 
-def _told(proposals: "Proposals", workspace: "Workspace") -> str:
-    """How much was found, in how many images."""
-    images = 0 if proposals.looked is None else len(proposals.looked.images)
-    counts = Counter(row.class_id for row in proposals.found)
-    kinds = [f"{counts[one.id]} {one.name}" for one in workspace.classes if counts[one.id]]
-    return f"{len(proposals.found)} found in {images} images ({', '.join(kinds) or 'nothing'})"
+def _measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
+    """Return the function that ``--measuring`` names."""
+    if measuring == "paper":
+        from semviz_core.research.paper.measurement import measure_as_in_paper
+
+        return measure_as_in_paper
+    from semviz_core.detection.detector import by_edges
+
+    return by_edges
+
+
+def _summary(proposals: "Proposals", workspace: "Workspace") -> str:
+    """Return the number of detections per class, and of images, in words."""
+    images = 0 if proposals.processed is None else len(proposals.processed.images)
+    counts = Counter(row.class_id for row in proposals.detections)
+    classes = [
+        f"{counts[class_.id]} {class_.name}" for class_ in workspace.classes if counts[class_.id]
+    ]
+    return (
+        f"{len(proposals.detections)} found in {images} images ({', '.join(classes) or 'nothing'})"
+    )
+
+
+REPORT = "report.html"
+
+
+@dataclass(frozen=True)
+class DetectEvaluateCommand:
+    """Evaluate a detector: precision and recall per class, localization error, calibration of
+    sigma and runtime, on held-out rendered streets or on labels."""
+
+    workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
+    """Workspaces whose labels are the ground truth; default: rendered streets."""
+    model: Annotated[str | None, arg(metavar="MODEL", help_behavior_hint="")] = None
+    """As for 'semviz detect'; default: the shipped weights."""
+    measuring: Literal["edges", "paper"] = "edges"
+    """Measurement within the detected regions, as for 'semviz detect'."""
+    streets: int = 20
+    """Number of rendered streets; without workspaces only."""
+    frames_a_street: int = 5
+    """Number of frames per street."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: only these frames of the workspaces."""
+    sides: Literal["left", "both"] = "left"
+    """left: left images only; both: right ones too."""
+    reach_m: float = 40.0
+    """Ignore elements farther away than this."""
+    least_score: parsing.OptionalFloat = None
+    """Minimum score; default: the lowest with at most 0.2 false detections per frame."""
+    out: parsing.OptionalPath = None
+    """Folder for report.html: one page without network requests, with images of the errors."""
+    pictures: int = 24
+    """Images of missed detections in the report, and as many of false positives."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        os.environ |= parsing.ONE_THREAD
+
+        import cv2
+
+        from semviz.research.detector_evaluation import evaluate
+        from semviz.research.detector_report import detector_report_html, evaluation_text
+        from semviz.workspace.outputs import check_outputs, contains
+        from semviz_core.common.files import replacing
+        from semviz_core.detection.detector import load_detector
+
+        self._check()
+        cv2.setNumThreads(1)
+        if self.out is not None:
+            ours = contains(b"<!DOCTYPE html>", b"<title>semviz detector: ")
+            check_outputs(self.out / REPORT, ours, force=self.force, reads=self.workspaces)
+        detector = load_detector(self.model, _measurement(self.measuring))
+        images = self._images()
+        settings = {"reach": f"{self.reach_m:g} m"}
+        evaluation = evaluate(detector, self.measuring, images, self.least_score, settings)
+        if self.out is not None:
+            page = detector_report_html(evaluation, self.pictures)
+            with replacing(self.out / REPORT) as temporary:
+                temporary.write_text(page, encoding="utf-8", newline="\n")
+        print(json.dumps(evaluation.as_json()) if self.json else evaluation_text(evaluation))
+        return 0
+
+    def _check(self) -> None:
+        from semviz_core.metrics.detection import NEAREST_M
+
+        for number, option, minimum in (
+            (self.streets, "--streets", 1),
+            (self.frames_a_street, "--frames-a-street", 1),
+            (self.pictures, "--pictures", 0),
+        ):
+            if number < minimum:
+                raise SemvizError(f"{option} {number}: give {minimum} or more")
+        if not self.reach_m > NEAREST_M:
+            raise SemvizError(f"--reach-m {self.reach_m:g}: give more than {NEAREST_M:g} m")
+        if self.least_score is not None and not 0.0 <= self.least_score <= 1.0:
+            raise SemvizError(f"--least-score {self.least_score:g}: give a number from 0 to 1")
+        if self.frames is not None and not self.workspaces:
+            raise SemvizError("--frames needs a workspace; for streets use --frames-a-street")
+
+    def _images(self) -> "list[EvaluationImage]":
+        from semviz.research.detector_evaluation import labelled_images, street_images
+        from semviz_core.base.frame import Side
+
+        sides: tuple[Side, ...] = ("left", "right") if self.sides == "both" else ("left",)
+        if not self.workspaces:
+            return list(street_images(self.streets, self.frames_a_street, sides, self.reach_m))
+        frames = parsing.parse_frames(self.frames)
+        workspaces = [parsing.open_workspace(path) for path in self.workspaces]
+        return [
+            image
+            for workspace in workspaces
+            for image in labelled_images(workspace, frames, sides, self.reach_m)
+        ]
+
+
+STREETS, STREETS_BESIDE_LABELS = 400, 40
+HELD_OUT = 64
+"""Size of the validation set, in crops."""
+IMAGES = "streets"
+
+
+@dataclass(frozen=True)
+class DetectTrainCommand:
+    """Train the detector's network on rendered streets and on labels.
+
+    Run the same command again to resume. A checkpoint is written every minute, at the end, on
+    ctrl-C and on SIGTERM."""
+
+    workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
+    """Also train on the labels of these workspaces."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("detector")
+    """Training folder: rendered images, checkpoint, losses as JSON lines and as a plot."""
+    start: Annotated[str | None, arg(name="from", metavar="WEIGHTS", help_behavior_hint="")] = None
+    """Initial weights; 'shipped': those that come with semviz."""
+    streets: parsing.OptionalInt = None
+    """Number of rendered streets, with ten images each; default: 400, or 40 with workspaces;
+    0: labels only."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: only these frames of the workspaces."""
+    samples: parsing.OptionalInt = None
+    """Total number of crops; default: as planned before, or 48000."""
+    batch: int = 8
+    """Crops per step."""
+    seed: int = 0
+    """Seed of the initial weights and of the crops."""
+    workers: int = 1
+    """Processes that render and make crops."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """bf16: half precision, twice as fast on a GPU or a processor with AMX."""
+    stop_after_s: parsing.OptionalFloat = None
+    """Save and stop after this many seconds of training."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        require_extra("semviz detect train", "torch", "train")
+        if self.workers < 1:
+            raise SemvizError(f"--workers {self.workers}: give 1 or more")
+
+        from semviz.research.training_run import check_training_folder, train
+        from semviz_core.research.training.detector import make_detector
+
+        check_training_folder(self.out, self.force, self.workspaces)
+        start = self._start()
+        task = make_detector(self._source(), self.seed, start)
+        weights = "FOLDER/detector.safetensors"
+        next_commands = [
+            f"semviz weights {self.out} --out FOLDER",
+            f"semviz detect evaluate --model {weights}",
+            f"semviz detect WORKSPACE --model {weights}",
+        ]
+        return train(task, self, HELD_OUT, next_commands)
+
+    def _start(self) -> Path | None:
+        from semviz_core.base.weights import read_weights, shipped_weights
+
+        if self.start is None:
+            return None
+        path = shipped_weights("detector") if self.start == "shipped" else Path(self.start)
+        read_weights(path)  # fail before streets are rendered, not after
+        return path
+
+    def _source(self) -> "LabelledImages":
+        """Return labelled images, rendered streets, or both; render streets that are missing."""
+        from semviz_core.research.training.detector_images import ConcatImages
+
+        sources: list[LabelledImages] = []
+        if self.workspaces:
+            from semviz.research.detector_data import workspace_images
+
+            workspaces = [parsing.open_workspace(path) for path in self.workspaces]
+            sources.append(workspace_images(workspaces, parsing.parse_frames(self.frames)))
+        elif self.frames is not None:
+            raise SemvizError("--frames selects frames of workspaces; name a workspace")
+        if streets := self._streets():
+            sources.append(self._render(streets))
+        if not sources:
+            raise SemvizError("--streets 0: no training images are left; name a workspace")
+        return sources[0] if len(sources) == 1 else ConcatImages(tuple(sources))
+
+    def _streets(self) -> int:
+        if self.streets is not None and not 0 <= self.streets <= 9_000:
+            raise SemvizError(f"--streets {self.streets}: give 0 to 9000")
+        default = STREETS_BESIDE_LABELS if self.workspaces else STREETS
+        return default if self.streets is None else self.streets
+
+    def _render(self, streets: int) -> "StreetImages":
+        from semviz.presentation.progress import track
+        from semviz_core.research.training.detector_images import StreetImages
+
+        images = StreetImages(self.out / IMAGES, streets, max(2, streets // 20))
+        missing = images.missing()
+        try:
+            with ProcessPoolExecutor(self.workers, get_context("spawn")) as pool:
+                rendered = pool.map(images.render, missing)
+                for _ in track(rendered, "rendering streets", len(missing)):
+                    pass
+        except BrokenProcessPool:
+            raise SemvizError(
+                "a rendering process died (out of memory?); run the same command again to resume"
+            ) from None
+        return images

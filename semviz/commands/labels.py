@@ -1,19 +1,19 @@
-"""semviz labels export, semviz labels import, semviz labels propose"""
+"""The commands labels export, import, propose, check, backup and restore."""
 
 import json
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from semviz.author import login_name
-from semviz.commands.parsing import OptionalText
-from semviz_core.errors import SemvizError
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace import Workspace
+    from semviz.workspace.workspace import Workspace
 
 OptionalSide: TypeAlias = Annotated[
     Literal["left", "right"] | None, arg(metavar="{left,right}", help_behavior_hint="")
@@ -26,30 +26,39 @@ ImportFormat: TypeAlias = Annotated[
     Literal["log", "cvat", "labelme", "coco"] | None,
     arg(metavar="{log,cvat,labelme,coco}", help_behavior_hint=""),
 ]
+_CVAT = (b"<annotations>\n  <version>1.1</version>\n  <meta>\n    <task>\n      <name>",)
+_MARKS = {
+    "log": (b'{"format": "semviz-operations"',),
+    "cvat": _CVAT,  # CVAT itself writes the task's id first
+    "cvat-video": _CVAT,
+    "coco": (b'{"info": {"description": "poles and traffic signs", "version": "1.0"}',),
+}
+"""What the start of an export contains, by format."""
 _BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco"}
 
 
 @dataclass(frozen=True)
-class LabelsExport:
-    """Write the labels of a workspace: all operations ever made, or another tool's format."""
+class LabelsExportCommand:
+    """Export the labels of a workspace: the log of all operations, or another tool's format."""
 
     workspace: Positional[Path]
-    """The workspace."""
+    """Folder of the workspace."""
     file: Positional[Path]
-    """The file to write; for labelme a new folder."""
+    """File to write; for labelme a new folder."""
     format: ExportFormat = None
-    """Unless given, .xml is cvat, .json is coco, and all else the log, one operation a line."""
+    """Default by ending: .xml cvat, .json coco, others the log with one operation per line."""
     side: OptionalSide = None
-    """Images of one side only; cvat-video has one, the left unless given."""
+    """Images of one side only; default for cvat-video: left."""
+    force: parsing.Force = False
     json: bool = False
-    """Print one JSON object instead of lines: counts, and what the format cannot hold."""
+    """Print one JSON object instead of lines: counts, and losses of the format."""
 
     def run(self) -> int:
-        from semviz.workspace import Workspace
-        from semviz_annotation.formats.exporting import export_labels
+        from semviz_annotation.label_formats.exchange import export_labels
 
-        workspace = Workspace.open(self.workspace)
+        workspace = parsing.open_workspace(self.workspace)
         format_ = self.format or _BY_ENDING.get(self.file.suffix.lower())
+        self._check_file(format_)
         if format_ is None or format_ == "log":
             return self._export_log(workspace)
         with workspace.open_labels() as store:
@@ -57,12 +66,21 @@ class LabelsExport:
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
 
+    def _check_file(self, format_: ExportFormat) -> None:
+        from semviz.workspace import outputs
+
+        if format_ == "labelme":
+            outputs.check_new_folder(self.file, [self.workspace])
+            return
+        ours = outputs.contains(*_MARKS[format_ or "log"])
+        outputs.check_outputs(self.file, ours, force=self.force, reads=[self.workspace])
+
     def _export_log(self, workspace: "Workspace") -> int:
-        from semviz_annotation.storing.exchange import export_operations
-        from semviz_annotation.storing.store import LabelStore
+        from semviz_annotation.storage.backup import export_operations
+        from semviz_annotation.storage.store import LabelStore
 
         if self.side is not None:
-            raise SemvizError("--side: the log is of both sides")
+            raise SemvizError("--side: the log holds both sides; leave the option out")
         with LabelStore.open(workspace.labels_path, workspace.classes) as store:  # needs no images
             export_operations(store, self.file)
             _print_operations(self.file, store.last_operation, self.json)
@@ -70,40 +88,43 @@ class LabelsExport:
 
 
 @dataclass(frozen=True)
-class LabelsImport:
-    """Add labels of another tool to a workspace, or fill a new one from a log of operations."""
+class LabelsImportCommand:
+    """Import labels of another tool, or fill a new workspace from a log of operations."""
 
     workspace: Positional[Path]
-    """The workspace."""
+    """Folder of the workspace."""
     file: Positional[Path]
-    """A file of 'semviz labels export', CVAT 1.1 .xml, COCO keypoints .json, labelme .json, or a
-    folder of those."""
+    """Export of 'semviz labels export', CVAT 1.1 .xml, COCO keypoints .json, labelme .json, or a
+    folder of these."""
     format: ImportFormat = None
-    """Unless given, what is in the file tells."""
+    """Default: detected from the content."""
     side: OptionalSide = None
-    """Side of the images whose names do not tell."""
+    """Side of images whose names do not tell it."""
     class_map: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=CLASS: what the file calls NAME is CLASS here, or 'ignore'; give it once a name."""
-    author: OptionalText = None
-    """Name in the history; your login name unless given."""
+    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    author: parsing.OptionalText = None
+    """Author in the history; default: your login name."""
     json: bool = False
-    """Print one JSON object instead of lines: counts, and what was left out."""
+    """Print one JSON object instead of lines: counts and dropped items."""
 
     def run(self) -> int:
-        from semviz.workspace import Workspace
-        from semviz_annotation.formats.importing import import_labels
-        from semviz_annotation.formats.reading import parse_class_map
+        from semviz.workspace.workspace import Workspace, login_name
+        from semviz_annotation.label_formats.exchange import import_labels
+        from semviz_annotation.label_formats.reading import parse_class_map
 
         workspace = Workspace.open(self.workspace)
         class_map = parse_class_map(self.class_map)
         with workspace.open_labels() as store:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
-                from semviz_annotation.storing.exchange import import_operations
+                from semviz_annotation.storage.backup import import_operations, tells_its_length
 
                 if class_map or self.side is not None:
-                    raise SemvizError("--side and --class-map are not for a log of operations")
+                    raise SemvizError(
+                        "--side and --class-map do not apply to a log of operations; leave them out"
+                    )
                 import_operations(self.file, store)
-                _print_operations(self.workspace, store.last_operation, self.json)
+                note = "" if tells_its_length(self.file) else UNCHECKED
+                _print_operations(self.workspace, store.last_operation, self.json, note)
                 return 0
             report = import_labels(
                 self.file,
@@ -119,44 +140,115 @@ class LabelsImport:
 
 
 @dataclass(frozen=True)
-class LabelsPropose:
-    """Take in what a detector proposes; people accept or reject it while they label."""
+class LabelsProposeCommand:
+    """Import detections as proposals, to accept or reject while labelling."""
 
     workspace: Positional[Path]
-    """The workspace."""
+    """Folder of the workspace."""
     file: Positional[Path]
-    """JSON or Parquet of the contract in docs/formats.md."""
+    """JSON or Parquet in the format of docs/formats.md."""
     replace: bool = False
-    """Forget earlier proposals; otherwise these are added to them."""
+    """Discard earlier proposals; default: add to them."""
     json: bool = False
     """Print one JSON object instead of a line."""
 
     def run(self) -> int:
-        from semviz.workspace import Workspace
-        from semviz_annotation.proposals import load_proposals, read_proposals, save_proposals
+        from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz_annotation.labels import proposals
 
-        workspace = Workspace.open(self.workspace)
+        workspace = parsing.open_workspace(self.workspace)
         source, path = workspace.source, workspace.proposals_path
+        check_outputs(path, PARQUET, can_force=False, reads=[self.file], purpose="proposals")
         frames = {frame.index for frame in source.frames}
-        read = read_proposals(self.file, workspace.classes, source.rig, frames)
-        before = load_proposals(path, workspace.classes)
-        all_of_them = read if self.replace else before.joined(read)
-        save_proposals(all_of_them, path, workspace.classes)
+        imported = proposals.read_proposals(self.file, workspace.classes, source.rig, frames)
+        earlier = proposals.load_proposals(path, workspace.classes)
+        kept = imported if self.replace else earlier.joined(imported)
+        proposals.save_proposals(kept, path, workspace.classes)
         if self.json:
-            print(json.dumps({"path": str(path), "read": len(read), "kept": len(all_of_them)}))
+            print(json.dumps({"path": str(path), "read": len(imported), "kept": len(kept)}))
         else:
-            print(f"{path}: {len(read)} proposals read, {len(all_of_them)} in all")
+            print(f"{path}: {len(imported)} proposals read, {len(kept)} in total")
         return 0
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a file is a log of operations, by its ending or by its first bytes."""
+    """Whether a file is a log of operations, by its ending or its first line."""
     if path.suffix == ".jsonl" or not path.is_file():
         return path.suffix == ".jsonl"
     with path.open("rb") as file:
         return b'"semviz-operations"' in file.readline(1000)
 
 
-def _print_operations(path: Path, count: int, as_json: bool) -> None:
-    text = f"{path}: {count} operations"
+UNCHECKED = "the log does not tell its length: whether it is complete was not checked"
+
+
+def _print_operations(path: Path, count: int, as_json: bool, note: str = "") -> None:
+    text = f"{path}: {count} operations" + (f"; {note}" if note else "")
     print(json.dumps({"path": str(path), "operations": count}) if as_json else text)
+    if as_json and note:
+        print(note, file=sys.stderr)
+
+
+@dataclass(frozen=True)
+class LabelsCheckCommand:
+    """Check that no label was lost or altered: the log is complete, and the labels follow from it.
+
+    Otherwise, exit with status 2 and name the operation at which the log breaks.
+    """
+
+    workspace: Positional[Path]
+    """Workspace; others may use it meanwhile."""
+    json: bool = False
+    """Print one JSON object instead of a line."""
+
+    def run(self) -> int:
+        from semviz_annotation.storage.backup import check_labels
+
+        path = parsing.open_workspace(self.workspace).labels_path
+        state = check_labels(path)
+        if self.json:
+            print(json.dumps(asdict(state)))
+        else:
+            print(
+                f"{path}: sound; {state.operations} operations, {state.elements} elements, "
+                f"{state.observations} observations; hash {state.hash or 'none'}"
+            )
+        return 0
+
+
+@dataclass(frozen=True)
+class LabelsBackupCommand:
+    """Copy all labels and their history into one file, even while others label."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    file: Positional[Path]
+    """File to write (.db); it may replace only an earlier backup of the same labels."""
+
+    def run(self) -> int:
+        from semviz.workspace.outputs import DATABASE, check_outputs
+        from semviz_annotation.storage.backup import backup_labels
+
+        check_outputs(self.file, DATABASE, can_force=False, reads=[self.workspace])
+        state = backup_labels(parsing.open_workspace(self.workspace).labels_path, self.file)
+        print(f"{self.file}: {state.operations} operations, checked")
+        return 0
+
+
+@dataclass(frozen=True)
+class LabelsRestoreCommand:
+    """Restore the labels of a backup, even while others label; keep the replaced file beside it."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    file: Positional[Path]
+    """Backup made by 'semviz labels backup'."""
+
+    def run(self) -> int:
+        from semviz_annotation.storage.backup import restore_labels
+
+        path = parsing.open_workspace(self.workspace).labels_path
+        state, replaced = restore_labels(path, self.file)
+        kept = "" if replaced is None else f"; the replaced file is kept as {replaced}"
+        print(f"{path}: {state.operations} operations{kept}")
+        return 0

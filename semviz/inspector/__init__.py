@@ -1,1 +1,1 @@
-"""semviz serve: see why a frame failed."""
+"""The tool behind ``semviz serve``: see why a frame failed."""

@@ -1,59 +1,125 @@
-"""Going through runs and frames, selecting, and looking from elsewhere."""
+"""Open runs and frames, select, and change the viewpoint and the map's colours."""
 
-from semviz.inspector.topic import Topic, Verbs, whole
-from semviz.web.sessions import Message
-from semviz_core.errors import SemvizError
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from semviz.inspector import messages
+from semviz.inspector.context import Panel
+from semviz.inspector.scene_map import ELLIPSOID_SCALE
+from semviz.inspector.state import State
+from semviz.inspector.views import MapColorsEvent, ViewpointEvent
+from semviz.web.protocol import SetThemeRequest, handles
+from semviz.web.viewpoint import Viewpoint
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 
-class Navigation(Topic):
-    """The verbs that every page needs."""
+class NavigationPanel(Panel):
+    """The requests that every page needs."""
 
-    def verbs(self) -> Verbs:
-        return {
-            "open": self._open,
-            "go": self._go,
-            "draw": self._draw,
-            "select": self._select,
-            "look": self._look,
-            "theme": self._theme,
-            "alternatives": self._alternatives,
-        }
+    @handles(messages.OpenRunRequest)
+    def _open(self, request: messages.OpenRunRequest) -> None:
+        context = self.context
+        context.state = context.state.with_theme(request.theme)
+        context.open(request.run or context.library.names[0], request.frame)
 
-    def _open(self, message: Message) -> None:
-        desk = self.desk
-        desk.state = desk.state.themed(str(message.get("theme")))
-        desk.open(str(message.get("run") or desk.shelf.names[0]), whole(message, "frame"))
+    @handles(messages.GoToPositionRequest)
+    def _go(self, request: messages.GoToPositionRequest) -> None:
+        self.context.state = self.context.state.at(request.position, self.context.run)
+        self.context.send_frame()
 
-    def _go(self, message: Message) -> None:
-        position = whole(message, "position")
-        if position is None:
-            raise SemvizError("going to a frame needs its position")
-        self.desk.state = self.desk.state.at(position, self.desk.run)
-        self.desk.tell_frame()
+    @handles(messages.DrawFrameRequest)
+    def _draw(self, _: messages.DrawFrameRequest) -> None:
+        self.context.draw_frame()
 
-    def _draw(self, _: Message) -> None:
-        """Asked for once the page shows the frame, and not for frames that it rushes through."""
-        self.desk.draw_frame()
+    @handles(messages.SelectRequest)
+    def _select(self, request: messages.SelectRequest) -> None:
+        self.context.select(request.observed, request.element)
 
-    def _select(self, message: Message) -> None:
-        self.desk.select(whole(message, "observed"), whole(message, "element"))
+    @handles(messages.SetViewRequest)
+    def _set_view(self, request: messages.SetViewRequest) -> None:
+        context = self.context
+        context.state = context.state.with_view(request.view)
+        context.send_state()
+        context.scene.set_view(context.run, context.state)
 
-    def _look(self, message: Message) -> None:
-        desk = self.desk
-        desk.state = desk.state.looking(str(message.get("view")))
-        desk.tell_state()
-        desk.scene.look(desk.run, desk.state)
+    @handles(SetThemeRequest)
+    def _set_theme(self, request: SetThemeRequest) -> None:
+        context = self.context
+        context.state = context.state.with_theme(request.theme)
+        if context.is_open:
+            context.draw_run()
+            for panel in context.panels:
+                panel.on_theme()
 
-    def _theme(self, message: Message) -> None:
-        desk = self.desk
-        desk.state = desk.state.themed(str(message.get("theme")))
-        if desk.is_open:
-            desk.draw_run()
-            for topic in desk.topics:
-                topic.on_theme()
+    @handles(messages.ShowAlternativesRequest)
+    def _show_alternatives(self, request: messages.ShowAlternativesRequest) -> None:
+        context = self.context
+        context.state = context.state.with_alternatives(request.shown)
+        context.send_state()
+        context.draw_frame()
 
-    def _alternatives(self, message: Message) -> None:
-        desk = self.desk
-        desk.state = desk.state.showing_alternatives(bool(message.get("shown")))
-        desk.tell_state()
-        desk.draw_frame()
+
+PRELOAD_DELAY_S = 0.1
+"""Preloading waits so that it does not delay the frame that is shown."""
+
+
+class ViewpointPanel(Panel):
+    """Viewpoints and colours of the 3D map. Sends the map's legend whenever it changes."""
+
+    def on_run(self) -> None:
+        self._send_legend()
+
+    def on_theme(self) -> None:
+        self._send_legend()
+
+    def on_drawn(self) -> None:
+        timer = threading.Timer(PRELOAD_DELAY_S, self._preload, args=(self.context.state,))
+        timer.daemon = True
+        timer.start()
+
+    def _preload(self, drawn: State) -> None:
+        """Preload neighbouring images, unless the page has moved on. Called in a timer thread."""
+        context = self.context
+        with context.lock:
+            if (context.state.run, context.state.position) == (drawn.run, drawn.position):
+                context.scene.preload_images(context.state)
+
+    @handles(messages.SetMapColorsRequest)
+    def _set_map_colors(self, request: messages.SetMapColorsRequest) -> None:
+        context, state = self.context, self.context.state
+        ellipsoids = state.ellipsoids if request.ellipsoids is None else request.ellipsoids
+        context.state = state.with_map_colors(request.colors or state.colors, ellipsoids)
+        context.send_state()
+        context.scene.recolor(context.run, context.state)
+        self._send_legend()
+
+    def _send_legend(self) -> None:
+        context = self.context
+        magnified = ELLIPSOID_SCALE if context.state.ellipsoids else None
+        context.send(
+            MapColorsEvent(legend=context.scene.legend(context.state), magnified=magnified)
+        )
+
+    @handles(messages.GetViewpointRequest)
+    def _send_viewpoint(self, request: messages.GetViewpointRequest) -> None:
+        viewpoint = self.context.scene.viewpoint()
+        eye, target = _rounded(viewpoint.eye_m), _rounded(viewpoint.target_m)
+        self.context.send(ViewpointEvent(reply_to=request.id, eye=eye, target=target))
+
+    @handles(messages.GoToViewpointRequest)
+    def _go_to_viewpoint(self, request: messages.GoToViewpointRequest) -> None:
+        context = self.context
+        viewpoint = Viewpoint(np.array(request.eye), np.array(request.target))
+        if np.linalg.norm(viewpoint.eye_m - viewpoint.target_m) < 1e-3:
+            raise SemvizError("eye and target of this viewpoint coincide; delete and save it again")
+        context.state = replace(context.state, view="free")
+        context.send_state()
+        context.scene.go_to(viewpoint, context.run, context.state)
+
+
+def _rounded(point_m: FloatArray) -> tuple[float, float, float]:
+    x, y, z = point_m.tolist()
+    return round(x, 3), round(y, 3), round(z, 3)

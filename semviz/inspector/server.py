@@ -1,111 +1,108 @@
-"""semviz serve: the page, its pictures, and a session for each opened page."""
+"""Serve the inspector's page and images, and dispatch requests to the panels."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from aiohttp import web
 
-from semviz.inspector.comparing.side_by_side import CompareTopic
-from semviz.inspector.desk import Desk
-from semviz.inspector.images.image_view import ImageTopic
-from semviz.inspector.images.pictures import picture_route
-from semviz.inspector.images.rendering import RenderTopic
-from semviz.inspector.mending.labelling import LabellingTools
-from semviz.inspector.mending.labels import MendTopic
-from semviz.inspector.navigation import Navigation
-from semviz.inspector.over_run.decisions import DecisionTopic
-from semviz.inspector.over_run.elements import ElementTopic
-from semviz.inspector.over_run.forecast import ForecastTopic
-from semviz.inspector.scene.space import SpaceTopic
-from semviz.inspector.selection.matrix import matrix_route
-from semviz.inspector.selection.selected import SelectedTopic
-from semviz.inspector.shelf import Shelf
-from semviz.inspector.solver import SolverTopic
-from semviz.inspector.what_if.topic import WhatIf
-from semviz.web.proxy import Proxy
-from semviz.web.scenes import Scenes
-from semviz.web.sessions import Message, Send, Sessions
-from semviz_core.errors import SemvizError
+from semviz.inspector.backdrop import BackdropPanel
+from semviz.inspector.comparison import ComparisonPanel
+from semviz.inspector.context import EmbeddedAnnotators, PageContext
+from semviz.inspector.decisions import DecisionPanel
+from semviz.inspector.elements import ElementPanel
+from semviz.inspector.forecast import ForecastPanel
+from semviz.inspector.image import ImagePanel, RenderPanel
+from semviz.inspector.label_repair import LabelRepairPanel
+from semviz.inspector.messages import InspectorRequest
+from semviz.inspector.navigation import NavigationPanel, ViewpointPanel
+from semviz.inspector.run_library import RunLibrary, image_route
+from semviz.inspector.selection import SelectionPanel, matrix_route
+from semviz.inspector.solver import SolverPanel
+from semviz.inspector.what_if import WhatIfPanel
+from semviz.web.protocol import Handlers, Request, SceneEvent
+from semviz.web.sessions import Send, Sessions
+from semviz.web.viser_servers import ViserServers
 
 PAGE = Path(__file__).parent / "page"
-TOPICS = (
-    Navigation,
-    SpaceTopic,
-    ImageTopic,
-    SelectedTopic,
-    SolverTopic,
-    ElementTopic,
-    ForecastTopic,
-    DecisionTopic,
-    MendTopic,
-    WhatIf,
-    CompareTopic,
-    RenderTopic,
+PANELS = (
+    NavigationPanel,
+    ViewpointPanel,
+    BackdropPanel,
+    ImagePanel,
+    SelectionPanel,
+    SolverPanel,
+    ElementPanel,
+    ForecastPanel,
+    DecisionPanel,
+    LabelRepairPanel,
+    WhatIfPanel,
+    ComparisonPanel,
+    RenderPanel,
 )
+HANDLERS = Handlers(InspectorRequest, *PANELS)
 
 
 class Inspector:
-    """The tool behind ``semviz serve``: shows runs, the files ``paths``."""
+    """The web tool behind ``semviz serve``; ``paths`` are files of runs."""
 
     title = "semviz serve"
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self._shelf = Shelf(paths)
-        if len(paths) == 1:  # with nothing else to show, a broken run is an error at once
-            self._shelf.run(self._shelf.names[0])
-        self._tools = LabellingTools()
-        self.scenes = Scenes()
-        self._sessions = Sessions(self._session)
+        self._library = RunLibrary(paths)
+        if len(paths) == 1:  # a single broken run is an error at once
+            self._library.run(self._library.names[0])
+        self._annotators = EmbeddedAnnotators()
+        self.scenes = ViserServers()
+        self._sessions = Sessions(self._session, HANDLERS.decode)
 
     def routes(self) -> list[web.AbstractRouteDef]:
-        closed = "these labels are not open; select an element of a run, then press O"
         return [
             web.get("/", self._page),
-            picture_route(self._shelf),
-            matrix_route(self._shelf),
+            image_route(self._library),
+            matrix_route(self._library),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
-            *Proxy("annotate", self._tools.address, closed).routes(),
+            self._annotators.tools,
         ]
 
     def close(self) -> None:
-        """Ends the labelling tools that were opened."""
-        self._tools.close()
+        """Close the annotators that were opened."""
+        self._annotators.close()
 
     def _session(self, session_id: str, send: Send) -> "InspectorSession":
-        return InspectorSession(session_id, self._shelf, self._tools, self.scenes, send)
+        return InspectorSession(session_id, self._library, self._annotators, self.scenes, send)
 
     async def _page(self, _: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
 
 
 class InspectorSession:
-    """One opened page: hands its messages to the topic that knows their verb."""
+    """One open page: passes each request to the panel that handles it."""
 
     def __init__(
-        self, session_id: str, shelf: Shelf, tools: LabellingTools, scenes: Scenes, send: Send
+        self,
+        session_id: str,
+        library: RunLibrary,
+        annotators: EmbeddedAnnotators,
+        scenes: ViserServers,
+        send: Send,
     ) -> None:
-        self._desk = Desk(session_id, shelf, tools, scenes, send)
-        self._desk.topics = tuple(topic(self._desk) for topic in TOPICS)
-        self._verbs = {
-            name: verb for topic in self._desk.topics for name, verb in topic.verbs().items()
-        }
+        self._context = PageContext(session_id, library, annotators, scenes, send)
+        self._context.panels = tuple(panel(self._context) for panel in PANELS)
+        self._handle = HANDLERS.bound_to(*self._context.panels)
 
     def connected(self) -> None:
-        """Tells a page that has just come what is on offer, and where it was."""
-        self._desk.say("runs", list(self._desk.shelf.names))
-        if self._desk.is_open:
-            self._desk.tell_run()
-        if self._desk.has_scene:
-            self._desk.say("scene", True)
+        """Send a page that has connected the runs and its last state."""
+        self._context.send_runs()
+        if self._context.is_open:
+            self._context.send_run()
+        if self._context.has_scene:
+            self._context.send(SceneEvent())
 
-    def receive(self, message: Message) -> None:
-        """``{"verb": ...}`` and what belongs to it. Raises SemvizError for anything else."""
-        verb = self._verbs.get(str(message.get("verb")))
-        if verb is None:
-            raise SemvizError(f"the page asks for '{message.get('verb')}', which does not exist")
-        with self._desk.lock:
-            verb(message)
+    def receive(self, request: Request) -> None:
+        """Handle a request of the page. Raise SemvizError if it cannot be met."""
+        with self._context.lock:
+            self._handle(request)
 
     def close(self) -> None:
-        self._desk.close()
+        self._context.close()

@@ -1,138 +1,283 @@
-"""A run and its frames as JSON values: what the page draws. NaN and missing are null."""
+"""Messages about a run and its frames. NaN and missing values are null; numbers are rounded."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from semviz.inspector.session import State
-from semviz.pose_errors import errors_of, sure_and_wrong
-from semviz.projection import Projected, offsets, project_elements
-from semviz.recording.run import FrameRecord, Run
-from semviz.verdicts import detection_failed, verdict
-from semviz.why import why_card
-from semviz_core.arrays import IntArray
-from semviz_core.camera import Camera
-from semviz_core.classes import ClassSet
-from semviz_core.localization import Localization
-from semviz_core.pose import Pose
+from semviz.inspector.state import ImageMode, MapColors, State, View
+from semviz.runs.diagnosis import DiagnosisCard, detection_errors, diagnosis_card, diagnosis_name
+from semviz.runs.images import Projected, offsets, project_elements
+from semviz.runs.metrics import errors_of, is_overconfident
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.protocol import Event, ImageSize, Part
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.frame import Side
+from semviz_core.base.localization import Localization, Status
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray, IntArray
 
-Json = dict[str, Any]
-
-
-def run_view(name: str, run: Run) -> Json:
-    """Everything about a run that does not change from frame to frame."""
-    return {
-        **run_head(name, run),
-        "note": run.note,
-        "frames": [_frame_row(run, record) for record in run.frames],
-        **_summary(run),
-    }
+Pixel = tuple[float, float]
+Ends = tuple[Pixel, Pixel | None]
+"""An element in an image: the anchor and, for a pole, the end."""
 
 
-def run_head(name: str, run: Run) -> Json:
-    """What it was made with, and what its images are."""
-    rig = run.info.rig
-    return {
-        "name": name,
-        "method": run.info.method,
-        "map": run.info.map_name,
-        "mapFrame": run.semantic_map.frame.name,
-        "created": run.info.created,
-        "elements": len(run.semantic_map),
-        "image": _size(rig.left),
-        "imageRight": None if rig.right is None else _size(rig.right),
-        "classes": _classes(run.semantic_map.classes),
-    }
+class ElementClassView(Part):
+    """A class of elements, with its colours in both themes."""
+
+    id: int
+    name: str
+    letter: str
+    shape: Literal["line", "triangle", "square", "circle", "diamond", "pentagon"]
+    color: str
+    color_light: str
 
 
-def frame_view(run: Run, position: int) -> Json:
-    """One frame: detections, map under estimate and truth, pairs, probabilities, where detection
-    failed (rows of map and detections), the why card."""
-    record = run.frames[position]
-    one = record.localization
-    truth = record.frame.T_map_camera
-    estimated = _projected(one, one.T_camera_map)
-    true = _projected(one, None if truth is None else truth.inverse())
-    mapped, failed = _mapped_columns(record), detection_failed(run, record)
-    return {
-        "position": position,
-        "index": record.frame.index,
-        "hasTruth": truth is not None,
-        "observed": _observed(one, mapped),
-        "mapped": _mapped(one, run.semantic_map.classes, estimated, true),
-        "pairs": _pairs(one, estimated),
-        "truePairs": _true_pairs(one, mapped, true),
-        "matrix": _matrix(one),
-        "missed": np.flatnonzero(np.isin(one.submap.id, failed.missed)).tolist(),
-        "false": list(failed.false),
-        "why": why_card(run, record),
-        **_frame_row(run, record),
-    }
+class RunHead(Part):
+    """Method, map, classes and image sizes of a run."""
+
+    name: str
+    method: str
+    map: str
+    map_frame: str
+    created: str
+    elements: int
+    image: ImageSize
+    image_right: ImageSize | None
+    classes: tuple[ElementClassView, ...]
 
 
-def state_view(state: State) -> Json:
-    """What is selected and how it is looked at."""
-    return {
-        "observed": state.selection.observed,
-        "element": state.selection.element,
-        "view": state.view,
-        "alternatives": state.alternatives,
-        "forecast": state.forecast,
-        "colors": state.colors,
-        "ellipsoids": state.ellipsoids,
-        "base": state.base,
-        "comparing": state.comparing,
-        "mode": state.mode,
-        "side": state.side,
-        "neighbours": state.neighbours,
-    }
+class FrameRow(Part):
+    """A frame in lists. Errors are null without a pose or ground truth."""
+
+    index: int
+    status: Status
+    reason: str
+    diagnosis: str
+    overconfident: bool
+    """Status ok, but more than 1 m off."""
+    error_m: float | None
+    error_deg: float | None
+    ms: float
 
 
-def _size(camera: Camera) -> Json:
-    return {"width": camera.width, "height": camera.height}
+class RunView(RunHead):
+    """Everything about a run that does not depend on the frame shown."""
+
+    note: str
+    frames: tuple[FrameRow, ...]
+    median_m: float | None
+    ok_share: float
 
 
-def _frame_row(run: Run, record: FrameRecord) -> Json:
-    one = record.localization
-    errors = errors_of(record)
-    matched = 0 if one.refinement is None else int(one.refinement.inlier.sum())
-    return {
-        "index": record.frame.index,
-        "status": one.status,
-        "reason": one.reason,
-        "verdict": verdict(run, record),
-        "sureAndWrong": sure_and_wrong(one, errors),
-        "errorM": None if errors is None else errors.distance_m,
-        "errorDeg": None if errors is None else errors.angle_deg,
-        "ms": sum(one.time_ms.values()),
-        "seen": len(one.observed),
-        "matched": matched,
-    }
+class ObservedView(Part):
+    """A detection; ``truth`` is the row of its true element in ``mapped``."""
+
+    class_id: int
+    anchor: Pixel
+    end: Pixel | None
+    anchor_known: bool
+    end_known: bool
+    truth: int | None
 
 
-def _summary(run: Run) -> Json:
-    measured = [errors for record in run.frames if (errors := errors_of(record)) is not None]
+class MappedView(Part):
+    """An element of the submap, projected with the estimated and the true pose."""
+
+    id: int
+    name: str
+    class_id: int
+    estimate: Ends | None
+    truth: Ends | None
+    behind: bool
+
+
+class PairView(Part):
+    """Rows of a detection and an element, and the residual vector from ``start`` (px)."""
+
+    observed: int
+    mapped: int
+    inlier: bool
+    residual_px: float | None
+    start: tuple[float | None, float | None]
+    vector: tuple[float | None, float | None]
+
+
+class MatrixView(Part):
+    """Match probabilities (m + 1, n + 1), and the order of rows and columns by class."""
+
+    probability: tuple[tuple[float, ...], ...]
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+class FrameView(FrameRow):
+    """A frame with all that the page draws of it."""
+
+    position: int
+    has_truth: bool
+    observed: tuple[ObservedView, ...]
+    mapped: tuple[MappedView, ...]
+    pairs: tuple[PairView, ...]
+    true_pairs: tuple[PairView, ...]
+    matrix: MatrixView | None
+    missed_detections: tuple[int, ...]
+    """Rows of ``mapped``."""
+    false_positives: tuple[int, ...]
+    """Rows of ``observed``."""
+    card: DiagnosisCard
+
+
+class StateView(Part):
+    """The selection and the display settings."""
+
+    observed: int | None
+    element: int | None
+    view: View
+    alternatives: bool
+    forecast: bool
+    colors: MapColors
+    ellipsoids: bool
+    backdrop: bool
+    base: str
+    comparing: bool
+    mode: ImageMode
+    side: Side
+    neighbours: bool
+
+
+class RunsEvent(Event):
+    """The runs that can be opened."""
+
+    type: Literal["runs"] = "runs"
+    names: tuple[str, ...]
+
+
+class RunEvent(Event):
+    """Another run was opened."""
+
+    type: Literal["run"] = "run"
+    run: RunView
+
+
+class FrameEvent(Event):
+    """Another frame is shown."""
+
+    type: Literal["frame"] = "frame"
+    frame: FrameView
+    state: StateView
+
+
+class StateEvent(Event):
+    """The selection or the display settings changed."""
+
+    type: Literal["state"] = "state"
+    state: StateView
+
+
+def run_view(name: str, run: Run) -> RunView:
+    """Return everything about a run that does not depend on the frame shown."""
+    errors = [errors for record in run.frames if (errors := errors_of(record)) is not None]
     ok = sum(record.localization.status == "ok" for record in run.frames)
+    return RunView(
+        **dict(run_head(name, run)),
+        note=run.note,
+        frames=tuple(FrameRow(**_row(run, record)) for record in run.frames),
+        median_m=float(np.median([error.distance_m for error in errors])) if errors else None,
+        ok_share=ok / len(run.frames) if run.frames else 0.0,
+    )
+
+
+def run_head(name: str, run: Run) -> RunHead:
+    """Return method, map, classes and image sizes of a run."""
+    rig = run.info.rig
+    return RunHead(
+        name=name,
+        method=run.info.method,
+        map=run.info.map_name,
+        map_frame=run.semantic_map.frame.name,
+        created=run.info.created,
+        elements=len(run.semantic_map),
+        image=_size(rig.left),
+        image_right=None if rig.right is None else _size(rig.right),
+        classes=_classes(run.semantic_map.classes),
+    )
+
+
+def frame_view(run: Run, position: int) -> FrameView:
+    """Return a frame: detections, projected map, pairs, probabilities, diagnosis."""
+    record = run.frames[position]
+    localization, truth = record.localization, record.frame.T_map_camera
+    estimated = _projected(localization, localization.T_camera_map)
+    true = _projected(localization, None if truth is None else truth.inverse())
+    mapped, errors = _mapped_columns(record), detection_errors(run, record)
+    missed = np.flatnonzero(np.isin(localization.submap.id, errors.missed_detections))
+    return FrameView(
+        **_row(run, record),
+        position=position,
+        has_truth=truth is not None,
+        observed=_observed(localization, mapped),
+        mapped=_mapped(localization, run.semantic_map.classes, estimated, true),
+        pairs=_pairs(localization, estimated),
+        true_pairs=_true_pairs(localization, mapped, true),
+        matrix=_matrix(localization),
+        missed_detections=tuple(missed.tolist()),
+        false_positives=tuple(errors.false_positives),
+        card=diagnosis_card(run, record, errors),
+    )
+
+
+def state_view(state: State) -> StateView:
+    """Return the selection and the display settings."""
+    return StateView(
+        observed=state.selection.observed,
+        element=state.selection.element,
+        view=state.view,
+        alternatives=state.alternatives,
+        forecast=state.forecast,
+        colors=state.colors,
+        ellipsoids=state.ellipsoids,
+        backdrop=state.backdrop,
+        base=state.base,
+        comparing=state.comparing,
+        mode=state.mode,
+        side=state.side,
+        neighbours=state.neighbours,
+    )
+
+
+def _size(camera: Camera) -> ImageSize:
+    return ImageSize(width=camera.width, height=camera.height)
+
+
+def _row(run: Run, record: FrameRecord) -> dict[str, Any]:
+    """Return the fields of FrameRow."""
+    localization, errors = record.localization, errors_of(record)
     return {
-        "medianM": float(np.median([one.distance_m for one in measured])) if measured else None,
-        "okShare": ok / len(run.frames) if run.frames else None,
+        "index": record.frame.index,
+        "status": localization.status,
+        "reason": localization.reason,
+        "diagnosis": diagnosis_name(run, record),
+        "overconfident": is_overconfident(localization, errors),
+        "error_m": None if errors is None else errors.distance_m,
+        "error_deg": None if errors is None else errors.angle_deg,
+        "ms": sum(localization.time_ms.values()),
     }
 
 
-def _classes(classes: ClassSet) -> list[Json]:
-    return [
-        {
-            "id": one.id,
-            "name": one.name,
-            "letter": one.letter,
-            "kind": one.kind,
-            "shape": one.shape,
-            "color": one.color,
-            "colorLight": one.color_light,
-        }
-        for one in classes
-    ]
+def _classes(classes: ClassSet) -> tuple[ElementClassView, ...]:
+    return tuple(
+        ElementClassView(
+            id=kind.id,
+            name=kind.name,
+            letter=kind.letter,
+            shape=kind.shape,
+            color=kind.color,
+            color_light=kind.color_light,
+        )
+        for kind in classes
+    )
 
 
 def _projected(localization: Localization, pose: Pose | None) -> Projected | None:
@@ -142,26 +287,24 @@ def _projected(localization: Localization, pose: Pose | None) -> Projected | Non
 
 
 def _mapped_columns(record: FrameRecord) -> IntArray:
-    """(m,) row of the submap that each observed row truly is; -1 where unknown or not there."""
+    """Return (m,) the submap row of each detection's true element; -1 if unknown or outside."""
     rows = {int(id): row for row, id in enumerate(record.localization.submap.id)}
-    found = [rows.get(int(id), -1) for id in record.element_id]
-    return np.array(found, dtype=np.int64)
+    return np.array([rows.get(int(id), -1) for id in record.element_id], dtype=np.int64)
 
 
-def _observed(localization: Localization, mapped: IntArray) -> list[Json]:
-    seen = localization.observed
-    return [
-        {
-            "class": int(seen.class_id[row]),
-            "anchor": numbers(seen.anchor_px[row]),
-            "end": numbers(seen.end_px[row]) if seen.is_line[row] else None,
-            "anchorKnown": bool(seen.anchor_known[row]),
-            "endKnown": bool(seen.end_known[row]),
-            "score": float(seen.score[row]),
-            "truth": None if mapped[row] < 0 else int(mapped[row]),
-        }
-        for row in range(len(seen))
-    ]
+def _observed(localization: Localization, mapped: IntArray) -> tuple[ObservedView, ...]:
+    observed = localization.observed
+    return tuple(
+        ObservedView(
+            class_id=int(observed.class_id[row]),
+            anchor=pixel(observed.anchor_px[row]),
+            end=pixel(observed.end_px[row]) if observed.is_line[row] else None,
+            anchor_known=bool(observed.anchor_known[row]),
+            end_known=bool(observed.end_known[row]),
+            truth=None if mapped[row] < 0 else int(mapped[row]),
+        )
+        for row in range(len(observed))
+    )
 
 
 def _mapped(
@@ -169,92 +312,129 @@ def _mapped(
     classes: ClassSet,
     estimated: Projected | None,
     true: Projected | None,
-) -> list[Json]:
+) -> tuple[MappedView, ...]:
     submap = localization.submap
-    return [
-        {
-            "id": int(submap.id[row]),
-            "name": classes.element_name(int(submap.class_id[row]), int(submap.id[row])),
-            "class": int(submap.class_id[row]),
-            "estimate": place(estimated, row),
-            "truth": place(true, row),
-            "behind": _is_behind(estimated or true, row),
-        }
+    return tuple(
+        MappedView(
+            id=int(submap.id[row]),
+            name=classes.element_name(int(submap.class_id[row]), int(submap.id[row])),
+            class_id=int(submap.class_id[row]),
+            estimate=place(estimated, row),
+            truth=place(true, row),
+            behind=_is_behind(estimated or true, row),
+        )
         for row in range(len(submap))
-    ]
+    )
 
 
 def _is_behind(projected: Projected | None, row: int) -> bool:
     return projected is not None and bool(projected.behind[row])
 
 
-def place(projected: Projected | None, row: int) -> list[Any] | None:
-    """[anchor, end] in the image, or null where it is not shown."""
+def place(projected: Projected | None, row: int) -> Ends | None:
+    """Return an element's ends in the image; None if it is not visible."""
     if projected is None or not projected.shown[row]:
         return None
-    end = numbers(projected.end_px[row])
-    return [numbers(projected.anchor_px[row]), None if None in end else end]
+    end = projected.end_px[row]
+    return pixel(projected.anchor_px[row]), pixel(end) if np.isfinite(end).all() else None
 
 
-def _pairs(localization: Localization, estimated: Projected | None) -> list[Json]:
-    """Pairs that the answer rests on or turned down, with the solver's own residuals."""
-    fine = localization.refinement
-    if fine is None or estimated is None:
-        return []
-    start, vector = offsets(localization.observed, estimated, fine.pairs)
-    size = np.sqrt(np.nansum(fine.residual_px**2, axis=1))
-    return [
-        {
-            "observed": int(i),
-            "mapped": int(j),
-            "inlier": bool(fine.inlier[row]),
-            "residualPx": float(size[row]),
-            "chi2": number(fine.chi2[row]),
-            "start": numbers(start[row]),
-            "vector": numbers(vector[row]),
-        }
-        for row, (i, j) in enumerate(fine.pairs)
-    ]
+def _pairs(localization: Localization, estimated: Projected | None) -> tuple[PairView, ...]:
+    """Return the inliers and outliers of the estimate, with the solver's residuals."""
+    refinement = localization.refinement
+    if refinement is None or estimated is None:
+        return ()
+    start, vector = offsets(localization.observed, estimated, refinement.pairs)
+    size = np.sqrt(np.nansum(refinement.residual_px**2, axis=1))
+    return _pair_views(refinement.pairs, refinement.inlier.tolist(), size, start, vector)
 
 
-def _true_pairs(localization: Localization, mapped: IntArray, true: Projected | None) -> list[Json]:
-    """What the residuals would be at the true pose, between true pairs."""
+def _true_pairs(
+    localization: Localization, mapped: IntArray, true: Projected | None
+) -> tuple[PairView, ...]:
+    """Return the true pairs, with their residuals at the true pose."""
     if true is None:
-        return []
+        return ()
     rows = np.flatnonzero(mapped >= 0)
     pairs = np.stack([rows, mapped[rows]], axis=1)
     start, vector = offsets(localization.observed, true, pairs)
     size = np.linalg.norm(vector, axis=1)
-    return [
-        {
-            "observed": int(i),
-            "mapped": int(mapped[i]),
-            "inlier": True,
-            "residualPx": number(size[row]),
-            "chi2": None,
-            "start": numbers(start[row]),
-            "vector": numbers(vector[row]),
-        }
-        for row, i in enumerate(rows)
-    ]
+    return _pair_views(pairs, [True] * len(pairs), size, start, vector)
 
 
-def _matrix(localization: Localization) -> Json | None:
-    """Probabilities, and the order of rows and columns that makes classes blocks."""
+def _pair_views(
+    pairs: IntArray, inlier: list[bool], size: FloatArray, start: FloatArray, vector: FloatArray
+) -> tuple[PairView, ...]:
+    return tuple(
+        PairView(
+            observed=int(i),
+            mapped=int(j),
+            inlier=inlier[row],
+            residual_px=number(size[row]),
+            start=(number(start[row, 0]), number(start[row, 1])),
+            vector=(number(vector[row, 0]), number(vector[row, 1])),
+        )
+        for row, (i, j) in enumerate(pairs)
+    )
+
+
+def _matrix(localization: Localization) -> MatrixView | None:
+    """Return the probabilities, and the order of rows and columns by class."""
     if localization.match is None:
         return None
-    return {
-        "probability": np.round(localization.match.probability, 4).tolist(),
-        "rows": np.argsort(localization.observed.class_id, kind="stable").tolist(),
-        "columns": np.argsort(localization.submap.class_id, kind="stable").tolist(),
-    }
+    observed, submap = localization.observed, localization.submap
+    return MatrixView(
+        probability=np.round(localization.match.probability, 4).tolist(),
+        rows=np.argsort(observed.class_id, kind="stable").tolist(),
+        columns=np.argsort(submap.class_id, kind="stable").tolist(),
+    )
 
 
-def numbers(values: ArrayLike) -> list[float | None]:
-    """Numbers rounded to a hundredth; NaN and infinity as null."""
-    return [number(one) for one in np.asarray(values, dtype=np.float64).ravel()]
+def pixel(values: ArrayLike) -> Pixel:
+    """Return a point (2,) in an image, which must be finite."""
+    u, v = np.asarray(values, dtype=np.float64).tolist()
+    return round(u, 2), round(v, 2)
 
 
 def number(value: float | np.floating[Any]) -> float | None:
-    """A number rounded to a hundredth; NaN and infinity as null."""
+    """Return a number rounded to a hundredth; None for NaN and infinity."""
     return round(float(value), 2) if np.isfinite(value) else None
+
+
+class MapColorLevel(Part):
+    """A colour of the map: its line, its name, and how many elements have it."""
+
+    color: str
+    width: float
+    name: str
+    elements: int
+
+
+class MapLegend(Part):
+    """The meaning of the map's colours; without levels they show the classes."""
+
+    by: MapColors
+    levels: tuple[MapColorLevel, ...]
+
+
+class MapColorsEvent(Event):
+    """The legend of the map in 3D; ``magnified`` is the scale of ellipsoids, if they are shown."""
+
+    type: Literal["map_colors"] = "map_colors"
+    legend: MapLegend
+    magnified: float | None
+
+
+class ViewpointEvent(Event):
+    """The user's viewpoint in 3D, metres in the map frame."""
+
+    type: Literal["viewpoint"] = "viewpoint"
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+
+
+class SceneImageEvent(Event):
+    """The 3D pane as a PNG file, base64."""
+
+    type: Literal["scene_image"] = "scene_image"
+    png: str

@@ -1,1 +1,1 @@
-"""What both web tools share: the front door, the 3D scene, the look."""
+"""Shared by both web tools: the gateway, the protocol, the 3D scene and the page style."""

@@ -1,12 +1,22 @@
-"""Line work of the 3D scene: glyphs, frusta, circles, dashes; segments are (k, 2, 3), metres."""
+"""Line work of the 3D scene: glyphs, frusta, circles, dashes; and the scene's colours.
+
+Segments are (k, 2, 3) in metres. Ellipsoids show 1 sigma of covariances. Colours are adjusted
+so that viser displays them as intended; their hexadecimal values are those of
+``static/base.css``, and a test compares both.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
-from semviz_core.classes import ClassSet
-from semviz_core.elements import Elements3D
-from semviz_core.pose import Pose
+from semviz.presentation import palette
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray, IntArray
 
 GLYPH_RADIUS_M = 0.45
 CAP_HALF_WIDTH_M = 0.25
@@ -21,7 +31,7 @@ _CORNERS = {  # number of corners, angle of the first one from the right
 
 
 def pole_segments(poles: Elements3D) -> FloatArray:
-    """Each pole from its peak to its bottom, with a cap at the peak."""
+    """Return each pole from its peak to its bottom, with a cap at the peak."""
     shafts = np.stack([poles.anchor_m, poles.end_m], axis=1)
     tips = [[[-1.0, 0, 0], [1.0, 0, 0]], [[0, -1.0, 0], [0, 1.0, 0]]]
     caps = poles.anchor_m[:, None, None, :] + CAP_HALF_WIDTH_M * np.array(tips)
@@ -29,7 +39,7 @@ def pole_segments(poles: Elements3D) -> FloatArray:
 
 
 def sign_segments(signs: Elements3D, shape: str, facing_rad: FloatArray) -> FloatArray:
-    """Upright outlines of ``shape``, their normals turned by ``facing_rad`` (n,) about z from x."""
+    """Return upright outlines of ``shape``, with normals at ``facing_rad`` (n,) about z from x."""
     count, first_deg = _CORNERS[shape]
     angles = np.deg2rad(first_deg) + 2 * np.pi * np.arange(count + 1) / count
     right = np.stack([-np.sin(facing_rad), np.cos(facing_rad), np.zeros(len(signs))], axis=1)
@@ -40,19 +50,19 @@ def sign_segments(signs: Elements3D, shape: str, facing_rad: FloatArray) -> Floa
 
 
 def element_segments(elements: Elements3D, classes: ClassSet, facing_rad: FloatArray) -> FloatArray:
-    """Each element as its class is drawn: poles, and signs turned by ``facing_rad`` (n,)."""
+    """Return the segments of poles, and of signs turned by ``facing_rad`` (n,)."""
     pieces = [np.zeros((0, 2, 3))]
-    for one in classes:
-        rows = np.flatnonzero(elements.class_id == one.id)
-        if len(rows) and one.kind == "line":
+    for class_ in classes:
+        rows = np.flatnonzero(elements.class_id == class_.id)
+        if len(rows) and class_.kind == "line":
             pieces.append(pole_segments(elements[rows]))
         elif len(rows):
-            pieces.append(sign_segments(elements[rows], one.shape, facing_rad[rows]))
+            pieces.append(sign_segments(elements[rows], class_.shape, facing_rad[rows]))
     return np.concatenate(pieces)
 
 
 def strokes(elements: Elements3D) -> FloatArray:
-    """One segment for each element: a pole's shaft, and one as high as the glyph of a sign."""
+    """Return one segment for each element: a pole's shaft, or the height of a sign's glyph."""
     half = np.array([0.0, 0.0, GLYPH_RADIUS_M])
     line = elements.is_line[:, None]
     low = np.where(line, elements.end_m, elements.anchor_m - half)
@@ -61,7 +71,7 @@ def strokes(elements: Elements3D) -> FloatArray:
 
 
 def ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Half axes (k, 3) of 1 sigma, and rotations (k, 4) as w, x, y, z, of covariances (k, 3, 3)."""
+    """Return 1-sigma half axes (k, 3) and rotations (k, 4), wxyz, of covariances (k, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     variances, directions = np.linalg.eigh(covariances)
@@ -71,7 +81,7 @@ def ellipsoids(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def facing(positions_m: FloatArray, trajectory_m: FloatArray) -> FloatArray:
-    """(n,) direction (rad) of the road where it passes each position: signs face the traffic."""
+    """Return the direction (n,), rad, of the road at each position: signs face the traffic."""
     if len(trajectory_m) < 2:
         return np.zeros(len(positions_m))
     from scipy.spatial import cKDTree
@@ -83,7 +93,7 @@ def facing(positions_m: FloatArray, trajectory_m: FloatArray) -> FloatArray:
 
 
 def frustum_corners(T_map_camera: Pose, camera: Camera, depth_m: float) -> FloatArray:
-    """(4, 3) corners of the image at ``depth_m``, clockwise from the top left one."""
+    """Return the corners (4, 3) of the image at ``depth_m``, clockwise from the top left."""
     right, bottom = camera.width - 0.5, camera.height - 0.5
     pixels = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
     rays = np.concatenate([camera.normalize(pixels), np.ones((4, 1))], axis=1)
@@ -91,7 +101,7 @@ def frustum_corners(T_map_camera: Pose, camera: Camera, depth_m: float) -> Float
 
 
 def frustum_segments(camera: Camera, depth_m: float) -> FloatArray:
-    """Four rays from the camera centre, and the image's border, in the camera's frame."""
+    """Return four rays from the camera centre and the image border, in camera coordinates."""
     corners = frustum_corners(Pose.identity(), camera, depth_m)
     rays = np.stack([np.zeros_like(corners), corners], axis=1)
     border = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
@@ -99,7 +109,7 @@ def frustum_segments(camera: Camera, depth_m: float) -> FloatArray:
 
 
 def ring_segments(low_m: FloatArray, high_m: FloatArray) -> FloatArray:
-    """Rings at both ends (n, 3) and the middle of each pole; three crossed rings for a sign."""
+    """Return rings at the ends (n, 3) and the middle of poles; three crossed rings for a sign."""
     rings = []
     for low, high in zip(low_m, high_m, strict=True):
         if np.array_equal(low, high):
@@ -112,7 +122,7 @@ def ring_segments(low_m: FloatArray, high_m: FloatArray) -> FloatArray:
 
 
 def circle_segments(center_m: FloatArray, radius_m: float, count: int = 96) -> FloatArray:
-    """A level circle."""
+    """Return a level circle of ``count`` segments."""
     angles = 2 * np.pi * np.arange(count + 1) / count
     level = np.stack([np.cos(angles), np.sin(angles), np.zeros(count + 1)], axis=1)
     points = np.asarray(center_m) + radius_m * level
@@ -120,7 +130,7 @@ def circle_segments(center_m: FloatArray, radius_m: float, count: int = 96) -> F
 
 
 def dashed(segments: FloatArray, dash_m: float, gap_m: float) -> FloatArray:
-    """Cuts each segment into dashes."""
+    """Cut each segment into dashes."""
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     pieces = []
     for segment, length in zip(segments, lengths, strict=True):
@@ -132,17 +142,17 @@ def dashed(segments: FloatArray, dash_m: float, gap_m: float) -> FloatArray:
 
 
 def grid_segments(half_m: float, step_m: float) -> FloatArray:
-    """A level square grid around the origin, each side of each square by itself: a hairline with an
-    end behind the eye is not drawn at all."""
+    """Return a level square grid around the origin, with a segment for each side of each square: a
+    hairline with an end behind the eye is not drawn at all."""
     at = np.arange(-half_m, half_m + step_m / 2, step_m)
-    across, low = (one.ravel() for one in np.meshgrid(at, at[:-1]))
+    across, low = (grid.ravel() for grid in np.meshgrid(at, at[:-1]))
     along_y = np.stack([np.stack([across, low], 1), np.stack([across, low + step_m], 1)], axis=1)
     flat = np.concatenate([along_y, along_y[:, :, ::-1]])
     return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
 
 
 def ribbon(points_m: FloatArray, width_m: float) -> tuple[FloatArray, IntArray]:
-    """Vertices (2k, 3) and faces (2k - 2, 3) of a level band along ``points_m`` (k, 3)."""
+    """Return vertices (2k, 3) and faces (2k - 2, 3) of a level band along ``points_m`` (k, 3)."""
     along = np.gradient(points_m[:, :2], axis=0)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = along / np.maximum(length, 1e-9)
@@ -157,3 +167,101 @@ def ribbon(points_m: FloatArray, width_m: float) -> tuple[FloatArray, IntArray]:
         ]
     )
     return np.concatenate([left, right]), faces
+
+
+Theme = Literal["dark", "light"]
+Rgb = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of one theme, sRGB hex."""
+
+    scene: str
+    road: str
+    grid: str
+    faint: str
+    accent: str
+    truth: str
+    estimate: str
+    prior: str
+    alternative: str
+    residual: tuple[str, ...]
+    """From good to bad; the palette holds the limits, ``RESIDUAL_LIMITS_PX``."""
+
+
+def _palette(theme: Theme, scene: str, road: str, grid: str, faint: str, accent: str) -> Palette:
+    def pick(tone: palette.Tone) -> str:
+        return tone.dark if theme == "dark" else tone.light
+
+    return Palette(
+        scene=scene,
+        road=road,
+        grid=grid,
+        faint=faint,
+        accent=accent,
+        truth=pick(palette.TRUTH),
+        estimate=pick(palette.ESTIMATE),
+        prior=pick(palette.PRIOR),
+        alternative=pick(palette.ALTERNATIVE),
+        residual=tuple(pick(tone) for tone in palette.RESIDUAL),
+    )
+
+
+PALETTES: dict[Theme, Palette] = {
+    "dark": _palette("dark", "#17181A", "#26282B", "#2A2C30", "#7D828A", "#4DABF7"),
+    "light": _palette("light", "#F7F8F9", "#E7E9EC", "#E4E6E9", "#767D86", "#1971C2"),
+}
+
+
+def rgb(color: str) -> Rgb:
+    """Return ``#RRGGBB`` as bytes, for images and the background: viser shows those exactly."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def mix(color: str, background: str, opacity: float) -> str:
+    """Return ``color`` blended over ``background``: lines in viser have no opacity."""
+    blend = opacity * np.array(rgb(color)) + (1.0 - opacity) * np.array(rgb(background))
+    return "#" + "".join(f"{round(channel):02X}" for channel in blend)
+
+
+# three.js maps the light of lines and meshes to the screen by Stephen Hill's fit of the ACES
+# filmic curve (BakingLab/ACES.hlsl), which viser leaves on: y = OUT . fit(IN . x / 0.6).
+_ACES_IN = np.array(
+    [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]]
+)
+_ACES_OUT = np.array(
+    [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]]
+)
+
+
+@lru_cache(maxsize=256)
+def scene_rgb(color: str) -> Rgb:
+    """Return the colour with which viser shows a line or mesh as ``color`` in white ambient light.
+
+    It inverts the tone mapping, within one step of 255 in the curve's range. Brighter or more
+    saturated colours (white gives 226) come as close as possible.
+    """
+    y = np.linalg.solve(_ACES_OUT, _linear(np.array(rgb(color)) / 255.0))
+    # fit(v) = (v (v + a) - b) / (v (c v + d) + e), solved for v
+    a, b, c, d, e = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
+    p, q, r = 1.0 - c * y, a - d * y, -b - e * y
+    v = (-q + np.sqrt(q * q - 4.0 * p * r)) / (2.0 * p)
+    light = np.clip(np.linalg.solve(_ACES_IN, v) * 0.6, 0.0, 1.0)
+    red, green, blue = np.round(255.0 * _encoded(light)).astype(int).tolist()
+    return red, green, blue
+
+
+def scene_light(color: str) -> FloatArray:
+    """Return ``scene_rgb`` (3,) as linear light, for glTF models."""
+    return _linear(np.array(scene_rgb(color)) / 255.0)
+
+
+def _linear(encoded: FloatArray) -> FloatArray:
+    low = encoded <= 0.04045
+    return np.where(low, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def _encoded(linear: FloatArray) -> FloatArray:
+    low = linear <= 0.0031308
+    return np.where(low, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)

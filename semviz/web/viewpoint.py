@@ -1,35 +1,42 @@
-"""Where a scene is looked at from: behind the vehicle, above it, or through its camera."""
+"""Viewpoints of a 3D scene, and the element under the pointer.
 
+A viewpoint is behind the vehicle, above it, or through its camera. viser reports the ray of
+every click. The nearest segment is computed on the server, which costs the browser nothing:
+100,000 segments take about 4 ms.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from semviz.web.scene import FIELD_OF_VIEW_DEG
-from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.camera import Camera
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose, heading_rad
+from semviz_core.base.camera import Camera
+from semviz_core.base.pose import Pose, heading_rad
+from semviz_core.common.arrays import ByteImage, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     import viser
 
 UP = np.array([0.0, 0.0, 1.0])
-PICTURE_S = 60.0
-"""So long the browser may take to draw a picture."""
+RENDER_TIMEOUT_S = 60.0
+"""How long the browser may take to render an image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """An eye (3,), what it looks at (3,), both in the map frame, and its field of view."""
+    """An eye (3,) and its target (3,), both in the map frame, and a field of view."""
 
     eye_m: FloatArray
     target_m: FloatArray
     tangents: tuple[float, float] | None = None
-    """Half the width and half the height that must be seen at depth 1; None for the usual view."""
+    """Half the width and half the height to be seen at depth 1; None: the default field of view."""
 
     def fov_rad(self, aspect: float) -> float:
-        """Vertical field of view in a pane that is ``aspect`` times as wide as high."""
+        """Return the vertical field of view in a pane that is ``aspect`` times as wide as high."""
         if self.tangents is None:
             return float(np.deg2rad(FIELD_OF_VIEW_DEG))
         width, height = self.tangents
@@ -37,20 +44,20 @@ class Viewpoint:
 
 
 def behind(T_map_camera: Pose) -> Viewpoint:
-    """Over the shoulder: the vehicle and the road ahead."""
+    """Return a view from behind: the vehicle and the road ahead."""
     center, ahead = T_map_camera.translation, _ahead(T_map_camera)
     return Viewpoint(center - 12.0 * ahead + 7.0 * UP, center + 8.0 * ahead)
 
 
 def above(T_map_camera: Pose, height_m: float = 65.0) -> Viewpoint:
-    """From above, driving direction up."""
+    """Return a view from above, driving direction up."""
     center, ahead = T_map_camera.translation, _ahead(T_map_camera)
     target = center + 12.0 * ahead
     return Viewpoint(target + height_m * UP - 0.02 * height_m * ahead, target)
 
 
 def through(T_map_camera: Pose, camera: Camera) -> Viewpoint:
-    """From the camera's centre along its optical axis, so that the whole image fits."""
+    """Return the camera's own view along its optical axis; the whole image fits."""
     center = T_map_camera.translation
     axis = T_map_camera.rotation[:, 2]
     tangents = (camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1])
@@ -58,7 +65,7 @@ def through(T_map_camera: Pose, camera: Camera) -> Viewpoint:
 
 
 class Viewer:
-    """Moves the cameras of everybody who looks at a scene, and of those who come later."""
+    """Moves the scene cameras of all clients, also of those that connect later."""
 
     def __init__(self, server: "viser.ViserServer") -> None:
         self._server = server
@@ -66,7 +73,7 @@ class Viewer:
         server.on_client_connect(self._turn)
 
     def show(self, view: Viewpoint) -> None:
-        """Takes a viewpoint."""
+        """Show the scene from a viewpoint."""
         self._view = view
         initial = self._server.initial_camera
         initial.position, initial.look_at = _triple(view.eye_m), _triple(view.target_m)
@@ -74,26 +81,28 @@ class Viewer:
             self._turn(client)
 
     def now(self) -> Viewpoint:
-        """Where the scene is looked at from at present; as last shown while nobody looks."""
+        """Return the first client's viewpoint; without clients, the last one shown."""
         for client in self._server.get_clients().values():
             camera = client.camera
             return Viewpoint(np.array(camera.position), np.array(camera.look_at))
         return self._view
 
-    def picture(self, width: int, height: int) -> ByteImage:
-        """(height, width, 4) The scene as it is looked at, drawn by the browser; where nothing is,
-        it is transparent. Takes a second. SemvizError while nobody looks."""
+    def render(self, width: int, height: int) -> ByteImage:
+        """Return the present view as (height, width, 4), rendered by the browser on a transparent
+        ground; takes a second. Raise SemvizError if no client answers."""
         for client in self._server.get_clients().values():
             try:
                 return np.asarray(
-                    client.get_render(height, width, transport_format="png", timeout=PICTURE_S)
+                    client.get_render(
+                        height, width, transport_format="png", timeout=RENDER_TIMEOUT_S
+                    )
                 )
             except (TimeoutError, RuntimeError):
                 break
         raise SemvizError("the 3D pane does not answer; wait until it is drawn, then try again")
 
     def move_along(self, before: Pose, after: Pose) -> None:
-        """Carries the cameras along with the vehicle: each one's view relative to it stays."""
+        """Move the cameras with the vehicle; their views relative to it stay."""
         self._view = _carried(self._view, before, after)
         for client in self._server.get_clients().values():
             camera = client.camera
@@ -122,5 +131,104 @@ def _ahead(T_map_camera: Pose) -> FloatArray:
 
 
 def _triple(point: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(one) for one in point)
+    x, y, z = (float(value) for value in point)
     return x, y, z
+
+
+REACH = 0.025
+"""A click may miss by this share of the pane's height: 10 px of 400."""
+STEPS = 4
+"""Within the same quarter of the reach, a click picks what is nearest to the eye."""
+BEFORE_EYE_M = 0.1
+
+Clicked = Callable[[str, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Pickable:
+    """Clickable segments of one kind; a point has two equal ends."""
+
+    number: IntArray
+    """(n,) reported by a click."""
+    low_m: FloatArray
+    """(n, 3)"""
+    high_m: FloatArray
+    """(n, 3)"""
+
+    @cached_property
+    def balls(self) -> tuple[FloatArray, FloatArray]:
+        """Return center (n, 3) and radius (n,) of the balls around the segments."""
+        half_m = (self.high_m - self.low_m) / 2
+        return self.low_m + half_m, np.linalg.norm(half_m, axis=1)
+
+    def near(self, origin_m: FloatArray, direction: FloatArray, reach_rad: float) -> IntArray:
+        """Return the rows that may lie within ``reach_rad`` of a ray of unit ``direction``."""
+        middle_m, radius_m = self.balls
+        away_m = middle_m - origin_m
+        depth_m = away_m @ direction
+        apart_m2 = np.einsum("ni,ni->n", away_m, away_m) - depth_m**2
+        within_m = radius_m + reach_rad * np.maximum(depth_m + radius_m, BEFORE_EYE_M)
+        return np.flatnonzero((apart_m2 <= within_m**2) & (depth_m + radius_m > BEFORE_EYE_M))
+
+    def __getitem__(self, rows: IntArray) -> "Pickable":
+        return Pickable(self.number[rows], self.low_m[rows], self.high_m[rows])
+
+
+class Picker:
+    """Reports kind and number of what was clicked, in a thread of viser's."""
+
+    def __init__(self, server: "viser.ViserServer", on_click: Clicked) -> None:
+        self._pickables: dict[str, Pickable] = {}
+        self._on_click = on_click
+        server.scene.on_click()(self._clicked)
+
+    def set_pickable(self, kind: str, pickable: Pickable) -> None:
+        """Replace what can be clicked of one kind."""
+        self._pickables = {**self._pickables, kind: pickable}
+
+    def _clicked(self, event: "viser.SceneClickEvent") -> None:
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        reach_rad = REACH * event.client.camera.fov
+        picked = pick(self._pickables, origin, direction, reach_rad)
+        if picked is not None:
+            self._on_click(*picked)
+
+
+def pick(
+    pickables: dict[str, Pickable], origin_m: FloatArray, direction: FloatArray, reach_rad: float
+) -> tuple[str, int] | None:
+    """Return kind and number of what lies within ``reach_rad`` of a ray; None if nothing does."""
+    best: tuple[tuple[int, float], str, int] | None = None
+    ahead = direction / np.linalg.norm(direction)
+    for kind, pickable in pickables.items():
+        near = pickable[pickable.near(origin_m, ahead, reach_rad)]
+        distance_m, depth_m = ray_distances(near, origin_m, ahead)
+        angle = distance_m / np.maximum(depth_m, BEFORE_EYE_M)
+        rows = np.flatnonzero((angle <= reach_rad) & (depth_m > BEFORE_EYE_M))
+        if not len(rows):
+            continue
+        step = np.floor(STEPS * angle[rows] / reach_rad).astype(np.int64)
+        first = int(np.lexsort((depth_m[rows], step))[0])
+        row = int(rows[first])
+        rank = (int(step[first]), float(depth_m[row]))
+        if best is None or rank < best[0]:
+            best = rank, kind, int(near.number[row])
+    return None if best is None else best[1:]
+
+
+def ray_distances(
+    pickable: Pickable, origin_m: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the distances (n,) from a line of unit ``direction``, and the depths (n,) along it.
+
+    The closest points of a line and a segment (Ericson, Real-Time Collision Detection, 5.1.9).
+    """
+    along, start = pickable.high_m - pickable.low_m, pickable.low_m - origin_m
+    squared, on_ray = np.einsum("ni,ni->n", along, along), along @ direction
+    start_on_ray, start_along = start @ direction, np.einsum("ni,ni->n", start, along)
+    spread = squared - on_ray**2  # 0 where the segment is a point, or parallel to the line
+    share = (on_ray * start_on_ray - start_along) / np.where(spread > 1e-12, spread, np.inf)
+    share = np.clip(share, 0.0, 1.0)
+    depth = start_on_ray + share * on_ray
+    gap = start + share[:, None] * along - depth[:, None] * direction
+    return np.linalg.norm(gap, axis=1), depth

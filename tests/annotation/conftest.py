@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.storing.store import LabelStore
-from semviz_annotation.view import rig_view
-from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.camera import Camera, Rig
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame
-from semviz_core.sources.source import Side
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
+from semviz_annotation.labels.views import rig_view
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.frame import Frame, Side
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.arrays import ByteImage, FloatArray
 
 K = np.array([[720.0, 0.0, 610.0], [0.0, 720.0, 180.0], [0.0, 0.0, 1.0]])
 BASE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -25,7 +24,7 @@ BASE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 class World:
     """A straight drive past given poles and signs; a ``Source`` without images."""
 
-    things: dict[int, tuple[int, FloatArray, FloatArray | None]]
+    landmarks: dict[int, tuple[int, FloatArray, FloatArray | None]]
     """Number -> class, anchor (3,), end (3,) or None."""
     rig: Rig = field(
         default_factory=lambda: Rig(
@@ -45,15 +44,17 @@ class World:
         raise NotImplementedError
 
     def labels(self, sigma_px: float = 0.0, seed: int = 0) -> Labels:
-        """Every thing that is in an image, labelled there."""
+        """Every landmark that is in an image, labelled there."""
         rng = np.random.default_rng(seed)
-        elements = {n: LabelElement(new_id(), n, kind) for n, (kind, _, _) in self.things.items()}
+        elements = {
+            n: LabelElement(new_id(), n, kind) for n, (kind, _, _) in self.landmarks.items()
+        }
         rows: list[LabelElement | Observation] = []
         for frame in self.frames:
             assert frame.T_map_camera is not None
             for side in ("left", "right"):
                 view = rig_view(self.rig, side, frame.T_map_camera.inverse())
-                for number, (_, anchor, end) in self.things.items():
+                for number, (_, anchor, end) in self.landmarks.items():
                     pixels = view.project(np.stack([anchor, anchor if end is None else end]))
                     pixels = pixels + rng.normal(0.0, 1.0, (2, 2)) * sigma_px
                     if not view.camera.contains(pixels).all():
@@ -72,7 +73,9 @@ class World:
                         )
                     )
         seen = {row.element_id for row in rows if isinstance(row, Observation)}
-        return Labels.from_rows([one for one in elements.values() if one.id in seen] + rows)
+        return Labels.from_rows(
+            [element for element in elements.values() if element.id in seen] + rows
+        )
 
 
 @pytest.fixture

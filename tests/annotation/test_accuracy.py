@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.quality.accuracy import Gate, mapping_accuracy
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_annotation.mapping.quality.check import Gate, mapping_accuracy
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.errors import SemvizError
 
 
 def observation(element: LabelElement, frame: int, anchor, end=None) -> Observation:

@@ -6,18 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semviz_annotation.edits import DeleteObservation, Link
-from semviz_annotation.labels import LabelElement, Labels, Observation, Row, new_id
-from semviz_annotation.mapping.build import build_map, rebuild_map
-from semviz_annotation.mapping.options import BuildOptions
-from semviz_annotation.mapping.paper import PaperOptions
-from semviz_annotation.mapping.placing.refine import RefineOptions
-from semviz_annotation.mapping.quality.accuracy import mapping_accuracy
-from semviz_annotation.observe import UNKNOWN, observe
-from semviz_annotation.rules import Rules
-from semviz_core.camera import Rig
-from semviz_core.errors import SemvizError
-from semviz_core.map_file import load_map, save_map
+from semviz_annotation.labels.edits import DeleteObservation, Link
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation, Row, new_id
+from semviz_annotation.labels.rows import Rules
+from semviz_annotation.mapping.build import BuildOptions, build_map, rebuild_map
+from semviz_annotation.mapping.paper_baseline import PaperOptions
+from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
+from semviz_annotation.mapping.quality.check import mapping_accuracy
+from semviz_annotation.mapping.quality.label_links import UNKNOWN, observe
+from semviz_core.base.camera import Rig
+from semviz_core.base.map_file import load_map, save_map
+from semviz_core.common.errors import SemvizError
 
 POLE = (np.array([20.0, 5.0, 4.0]), np.array([20.0, 5.02, 0.4]))
 SIGN = np.array([22.0, -4.0, 2.4])
@@ -49,7 +48,7 @@ def test_exact_labels_give_the_exact_map(world, tmp_path):
     elements = semantic_map.elements
     assert list(elements.id) == [3, 4, 7, 9]
     for row, number in enumerate(elements.id):
-        class_id, anchor, end = world.things[number]
+        class_id, anchor, end = world.landmarks[number]
         assert elements.class_id[row] == class_id
         assert np.allclose(elements.anchor_m[row], anchor, atol=1e-6)
         assert np.array_equal(np.isfinite(elements.end_m[row]), [end is not None] * 3)
@@ -61,7 +60,7 @@ def test_exact_labels_give_the_exact_map(world, tmp_path):
     assert np.allclose(semantic_map.trajectory_m[:, 0], 2.0 * np.arange(world.count))
     assert semantic_map.operation == 42
     assert semantic_map.provenance[0].label_ids == (
-        next(one.id for one in labels.elements.values() if one.number == 3),
+        next(element.id for element in labels.elements.values() if element.number == 3),
     )
     assert set(semantic_map.provenance[0].observation_ids) <= labels.observations.keys()
     save_map(semantic_map, tmp_path / "m.parquet")
@@ -77,7 +76,7 @@ def test_covariances_hold_and_fusing_beats_single_pairs(world):
         first = build_map(labels, world, options, frames=[0])[0].elements
         for elements, errors in ((fused, normalized), (first, single)):
             row = list(elements.id).index(7)
-            error = elements.anchor_m[row] - world.things[7][1]
+            error = elements.anchor_m[row] - world.landmarks[7][1]
             errors.append(error @ np.linalg.solve(elements.covariance_m2[row, :3, :3], error))
             if elements is fused:
                 far = np.trace(first.covariance_m2[list(first.id).index(7)])
@@ -89,12 +88,12 @@ def test_covariances_hold_and_fusing_beats_single_pairs(world):
 def test_what_has_no_identity_is_linked(world):
     labels = split_by_frame(world.labels(sigma_px=0.2))
     semantic_map, report = build_map(labels, world)
-    assert len(semantic_map) == len(world.things)
-    merges = [one for one in report.decisions if one.kind == "merge"]
-    assert len(merges) == len(report.decisions) == len(world.things)
+    assert len(semantic_map) == len(world.landmarks)
+    merges = [decision for decision in report.decisions if decision.kind == "merge"]
+    assert len(merges) == len(report.decisions) == len(world.landmarks)
     assert semantic_map.elements.id[0] == 100
-    for one, row in zip(semantic_map.provenance, semantic_map.elements.id, strict=True):
-        numbers = sorted(labels.element(label_id).number for label_id in one.label_ids)
+    for entry, row in zip(semantic_map.provenance, semantic_map.elements.id, strict=True):
+        numbers = sorted(labels.element(label_id).number for label_id in entry.label_ids)
         assert numbers[0] == row
         assert len(numbers) == world.count
         assert tuple(numbers) in {merge.numbers for merge in merges}
@@ -103,16 +102,17 @@ def test_what_has_no_identity_is_linked(world):
 def test_ids_stay_over_rebuilds_and_links(world):
     labels = split_by_frame(world.labels(sigma_px=0.2))
     before, _ = build_map(labels, world)
-    by_number = {one.number: one.id for one in labels.elements.values()}
+    by_number = {element.number: element.id for element in labels.elements.values()}
     first, second = sorted(labels.element(i).number for i in before.provenance[0].label_ids)[:2]
     edit = Link((by_number[second], by_number[first]))
     after, _ = build_map(labels.changed(edit.changes(labels, Rules())), world)
     assert np.array_equal(after.elements.id, before.elements.id)
 
 
+@pytest.mark.usefixtures("open3d")
 def test_given_identity_is_kept_however_far_apart(world):
     """Metres of noise in depth: DBSCAN tears the pairs apart, the annotator does not."""
-    far = replace(world, things={1: (1, np.array([55.0, 3.0, 3.0]), None)})
+    far = replace(world, landmarks={1: (1, np.array([55.0, 3.0, 3.0]), None)})
     labels = far.labels(sigma_px=1.0)
     semantic_map, _ = build_map(labels, far)
     assert list(semantic_map.elements.id) == [1]
@@ -122,7 +122,7 @@ def test_given_identity_is_kept_however_far_apart(world):
 
 
 @pytest.mark.parametrize("frames", [None, [0, 1]])
-def test_what_one_image_shows_twice_is_two_things(make_world, frames):
+def test_what_one_image_shows_twice_is_two_landmarks(make_world, frames):
     """However near: labelled badly enough, each two would fit one place."""
     twins = make_world(
         {
@@ -135,14 +135,14 @@ def test_what_one_image_shows_twice_is_two_things(make_world, frames):
     labels = twins.labels(sigma_px=0.2)
     semantic_map, report = build_map(labels, twins, frames=frames)
     assert list(semantic_map.elements.id) == [1, 2, 3, 4]
-    assert [(one.kind, one.numbers, one.by) for one in report.decisions] == [
+    assert [(decision.kind, decision.numbers, decision.by) for decision in report.decisions] == [
         ("apart", (1, 2), "machine"),
         ("apart", (3, 4), "machine"),
     ]
     assert "kept apart T-01, T-02: frame 0 shows both in its left image" in str(report)
     torn, _ = build_map(split_by_frame(labels), twins)
     assert len(torn) == 4
-    assert all(len(one.label_ids) == twins.count for one in torn.provenance)
+    assert all(len(entry.label_ids) == twins.count for entry in torn.provenance)
 
 
 def test_seen_together_in_an_unused_frame_still_counts(make_world):
@@ -183,12 +183,12 @@ def test_an_end_hidden_in_some_views_comes_from_the_others(make_world):
 
 def test_what_too_few_frames_show_is_left_out(world):
     labels = split_by_frame(world.labels(sigma_px=0.1))
-    lonely = replace(world, things={1: (2, np.array([15.0, -3.0, 3.0]), None)}, count=1).labels()
+    lonely = replace(world, landmarks={1: (2, np.array([15.0, -3.0, 3.0]), None)}, count=1).labels()
     both = Labels.from_rows(
         [
             row
-            for one in (labels, lonely)
-            for row in [*one.elements.values(), *one.observations.values()]
+            for part in (labels, lonely)
+            for row in [*part.elements.values(), *part.observations.values()]
         ]
     )
     assert len(build_map(both, world)[0]) == 5
@@ -209,7 +209,7 @@ def test_what_cannot_be_placed_is_reported_by_name(world):
     semantic_map, report = build_map(rebuilt(labels, rows), world)
     assert {3, 4} <= set(semantic_map.elements.id)
     assert "left out O-09: labelled in one image only" in str(report).splitlines()
-    assert any(one.numbers == (7,) for one in report.decisions)
+    assert any(decision.numbers == (7,) for decision in report.decisions)
 
 
 def test_what_is_too_far_for_stereo_is_placed_by_motion(make_world):
@@ -225,7 +225,9 @@ def test_what_is_too_far_for_stereo_is_placed_by_motion(make_world):
 
 def seen_from_the_left(labels: Labels) -> Labels:
     rows = [row for row in labels.observations.values() if row.side == "left"]
-    return Labels.from_rows([*(labels.element(one) for one in {r.element_id for r in rows}), *rows])
+    return Labels.from_rows(
+        [*(labels.element(element_id) for element_id in {r.element_id for r in rows}), *rows]
+    )
 
 
 @pytest.mark.parametrize("stereo", [False, True])
@@ -236,7 +238,7 @@ def test_one_camera_is_enough_where_it_moves(world, stereo):
     elements = semantic_map.elements
     assert list(elements.id) == [3, 4, 7, 9]
     for row, number in enumerate(elements.id):
-        _, anchor, end = world.things[number]
+        _, anchor, end = world.landmarks[number]
         assert np.allclose(elements.anchor_m[row], anchor, atol=1e-6)
         assert end is None or np.allclose(elements.end_m[row], end, atol=1e-6)
     assert report.decisions == ()
@@ -248,8 +250,8 @@ def test_one_camera_is_enough_where_it_moves(world, stereo):
 
 def test_covariances_by_motion_hold_near_and_far(make_world):
     """Views from 45 m to 12 m of a sign, and of a pole whose bottom hides in half of them."""
-    things = {1: (1, np.array([45.0, -4.0, 2.4]), None), 2: (0, *POLE)}
-    world = make_world(things, count=7)
+    landmarks = {1: (1, np.array([45.0, -4.0, 2.4]), None), 2: (0, *POLE)}
+    world = make_world(landmarks, count=7)
     normalized: dict[int, list[float]] = {1: [], 2: []}
     for seed in range(60):
         labels = seen_from_the_left(world.labels(sigma_px=0.5, seed=seed))
@@ -259,7 +261,7 @@ def test_covariances_by_motion_hold_near_and_far(make_world):
         ]
         elements = build_map(rebuilt(labels, rows), world, BuildOptions(sigma_px=0.5))[0].elements
         for row, number in enumerate(elements.id):
-            _, anchor, end = things[number]
+            _, anchor, end = landmarks[number]
             error = elements.anchor_m[row] - anchor
             if end is not None:
                 error = np.append(error, elements.end_m[row] - end)
@@ -283,27 +285,29 @@ def test_motion_that_tells_nothing_is_said_by_name(make_world):
     assert "the rays are nearly parallel (0.0" in only.reason
 
 
-def test_two_things_under_one_name_are_not_placed_between_them(make_world):
-    """One camera; one of the two in a single frame: too little to be a thing."""
+def test_two_landmarks_under_one_name_are_not_placed_between_them(make_world):
+    """One camera; one of the two in a single frame: too little to be a landmark."""
     signs = {1: (1, SIGN, None), 2: (1, SIGN + np.array([0.0, -2.0, 0.3]), None), 3: (0, *POLE)}
     world = make_world(signs)
     labels = seen_from_the_left(world.labels())
-    by_number = {one.number: one.id for one in labels.elements.values()}
+    by_number = {element.number: element.id for element in labels.elements.values()}
     rows = [
         replace(row, element_id=by_number[1]) if row.element_id == by_number[2] else row
         for row in labels.observations.values()
         if (row.element_id == by_number[2]) == (row.frame_index == 3) or row.end_px
     ]
-    mixed = Labels.from_rows([*(one for one in labels.elements.values() if one.number != 2), *rows])
+    mixed = Labels.from_rows(
+        [*(element for element in labels.elements.values() if element.number != 2), *rows]
+    )
     semantic_map, report = build_map(mixed, world)
     assert list(semantic_map.elements.id) == [1, 3]
     assert np.allclose(semantic_map.elements.anchor_m[0], SIGN, atol=1e-6)
     (left_out,) = report.decisions
-    assert [mixed.observation(one).frame_index for one in left_out.observation_ids] == [3]
+    assert [mixed.observation(id_).frame_index for id_ in left_out.observation_ids] == [3]
 
 
 def test_pairs_that_are_wrong_do_not_spoil_the_motion(make_world):
-    """Too far for stereo; in one frame the right click is on another thing."""
+    """Too far for stereo; in one frame the right click is on another landmark."""
     place = np.array([80.0, -9.0, 3.0])
     world = make_world({1: (2, place, None)})
     labels = world.labels()
@@ -362,8 +366,10 @@ WAYS = (
 
 
 @pytest.mark.parametrize("options", WAYS)
-def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options):
+def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options, request):
     """From its file; labels that are another way now make another map."""
+    if isinstance(options, PaperOptions):
+        request.getfixturevalue("open3d")
     labels = world.labels()
     path = tmp_path / "main.parquet"
     built, _ = build_map(labels, world, options, frames=range(1, 4))
@@ -373,7 +379,7 @@ def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options):
     assert again.made_by == built.made_by
     assert again.settings == built.settings
     fewer = labels
-    (nine,) = (one for one in labels.elements.values() if one.number == 9)
+    (nine,) = (element for element in labels.elements.values() if element.number == 9)
     for row in labels.of_element(nine.id):
         fewer = fewer.changed(DeleteObservation(row.id).changes(fewer, Rules()))
     assert 9 not in rebuild_map(built, fewer, world)[0].elements.id
@@ -398,7 +404,7 @@ def test_observing_labels_gives_elements_and_the_ids_they_should_match(world):
         assert (elements.sigma_px == 0.7).all()
         assert np.array_equal(elements.end_known, elements.is_line)
         by_id = dict(zip(semantic_map.elements.id, semantic_map.elements.class_id, strict=True))
-        assert [by_id[one] for one in ids] == list(elements.class_id)
+        assert [by_id[id_] for id_ in ids] == list(elements.class_id)
         assert len(set(ids)) == 4
     assert list(observe(labels, 2, "left", semantic_map)[1]) == [UNKNOWN] * 4
     assert list(observe(labels, 2)[1]) == [UNKNOWN] * 4

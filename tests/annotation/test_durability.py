@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from random_edits import pole, random_edit
 
-from semviz_annotation.labels import Labels
-from semviz_annotation.storing.integrity import check_labels
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.storage.backup import check_labels
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.common.errors import SemvizError
 
-NURSERY = Path(__file__).with_name("nursery.py")
+NURSERY = Path(__file__).with_name("writer_processes.py")
 KILLS = 200
 KILLS_A_FILE = 25
 PAGE = 4096
@@ -72,7 +72,7 @@ def test_two_hundred_kills_lose_nothing_acknowledged(tmp_path):
             path = tmp_path / f"{kill // KILLS_A_FILE}.db"
             acknowledged = killed(process, path, rng)
             with LabelStore.open(path) as store:
-                log = {one.request_id: one.number for one in store.operations()}
+                log = {operation.request_id: operation.number for operation in store.operations()}
             for line in acknowledged:
                 number, request_id = line.split()
                 assert log[request_id] == int(number)
@@ -123,7 +123,7 @@ def test_a_torn_tail_leaves_the_state_of_an_operation(torn, tmp_path, fault):
             assert store.labels == states[store.last_operation]
             lengths.add(store.last_operation)
             store.apply(pole(), "ann")
-        assert check_labels(copy).operations in {one + 1 for one in lengths}
+        assert check_labels(copy).operations in {length + 1 for length in lengths}
     assert len(lengths) > 5
 
 
@@ -182,7 +182,7 @@ def test_a_disk_that_is_full_refuses_and_goes_on_when_there_is_room(tmp_path):
 
 def test_a_file_that_stays_locked_is_named_after_waiting(path, monkeypatch):
     LabelStore.open(path).close()
-    monkeypatch.setattr("semviz_annotation.storing.connection.WAIT_S", 0.05)
+    monkeypatch.setattr("semviz_annotation.storage.database.WAIT_S", 0.05)
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(SemvizError, match=r"Not opened: another program keeps .*labels.db locked"):

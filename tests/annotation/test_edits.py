@@ -4,29 +4,28 @@ from dataclasses import replace
 
 import pytest
 
-from semviz_annotation.edits import (
+from semviz_annotation.labels.edits import (
     AddMany,
     AddObservation,
+    DecideElements,
     DeleteElement,
     DeleteMany,
     DeleteObservation,
     Dismiss,
-    Judge,
     Link,
     MoveObservation,
     ReviewFrame,
+    RevokeDecision,
     SetClass,
     SetKnown,
     SwapEnds,
-    TakeBack,
     Unlink,
     edit_from_json,
     edit_to_json,
 )
-from semviz_annotation.labels import Dismissal, Labels, new_id, proposal_id
-from semviz_annotation.rows import apart, judged
-from semviz_annotation.rules import Rules
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.labels.rows import Rules, different_elements, review_decision
+from semviz_core.common.errors import SemvizError
 
 RULES = Rules()
 
@@ -54,13 +53,15 @@ def sign(**more) -> AddObservation:
     return pole(**({"end_px": None, "class_id": 1} | more))
 
 
-def partner(first: AddObservation) -> AddObservation:
+def correspondence(first: AddObservation) -> AddObservation:
     return replace(first, observation_id=new_id(), side="right", class_id=None)
 
 
 def test_one_element_is_labelled_in_both_images_and_over_frames():
     first = pole()
-    labels = after(Labels(), first, partner(first), replace(partner(first), frame_index=1))
+    labels = after(
+        Labels(), first, correspondence(first), replace(correspondence(first), frame_index=1)
+    )
     labels = after(labels, pole(frame=1))
     (pair,) = labels.pairs(0)
     assert pair.element.id == first.element_id
@@ -71,71 +72,73 @@ def test_one_element_is_labelled_in_both_images_and_over_frames():
     assert labels.find(first.element_id, 1, "left") is None
     assert labels.find(first.element_id, 0, "right") == pair.right
     assert labels.frames == (0, 1)
-    assert [one.number for one in labels.elements.values()] == [1, 2]
+    assert [element.number for element in labels.elements.values()] == [1, 2]
 
 
 def test_numbers_are_never_used_again():
     first, second = pole(), pole(frame=1)
     labels = after(Labels(), first, second, DeleteElement(second.element_id), pole(frame=2))
-    assert sorted(one.number for one in labels.elements.values()) == [1, 3]
+    assert sorted(element.number for element in labels.elements.values()) == [1, 3]
 
 
 def test_moving_swapping_and_hiding():
-    one = pole()
-    labels = after(Labels(), one, MoveObservation(one.observation_id, end_px=(5.0, 6.0)))
-    assert labels.observation(one.observation_id).anchor_px == one.anchor_px
-    assert labels.observation(one.observation_id).end_px == (5.0, 6.0)
-    labels = after(labels, SetKnown(one.observation_id, end_known=False))
-    assert labels.observation(one.observation_id).anchor_known
-    labels = after(labels, SwapEnds(one.observation_id))
-    swapped = labels.observation(one.observation_id)
-    assert (swapped.anchor_px, swapped.end_px) == ((5.0, 6.0), one.anchor_px)
+    edit = pole()
+    labels = after(Labels(), edit, MoveObservation(edit.observation_id, end_px=(5.0, 6.0)))
+    assert labels.observation(edit.observation_id).anchor_px == edit.anchor_px
+    assert labels.observation(edit.observation_id).end_px == (5.0, 6.0)
+    labels = after(labels, SetKnown(edit.observation_id, end_known=False))
+    assert labels.observation(edit.observation_id).anchor_known
+    labels = after(labels, SwapEnds(edit.observation_id))
+    swapped = labels.observation(edit.observation_id)
+    assert (swapped.anchor_px, swapped.end_px) == ((5.0, 6.0), edit.anchor_px)
     assert (swapped.anchor_known, swapped.end_known) == (False, True)
-    assert after(labels, SwapEnds(one.observation_id), SwapEnds(one.observation_id)) == labels
+    assert after(labels, SwapEnds(edit.observation_id), SwapEnds(edit.observation_id)) == labels
 
 
 def test_the_last_observation_takes_its_element_along():
-    one = pole()
-    labels = after(Labels(), one, partner(one), DeleteObservation(one.observation_id))
+    edit = pole()
+    labels = after(Labels(), edit, correspondence(edit), DeleteObservation(edit.observation_id))
     assert len(labels.elements) == 1
     (rest,) = labels.observations
     assert after(labels, DeleteObservation(rest)) == Labels()
 
 
 def test_many_are_deleted_together_or_not_at_all():
-    one, other = pole(), pole(frame=1)
-    more = partner(one)
-    labels = after(Labels(), one, more, other, Judge((judged(one.element_id, "keep"),)))
+    first, other = pole(), pole(frame=1)
+    more = correspondence(first)
+    labels = after(
+        Labels(), first, more, other, DecideElements((review_decision(first.element_id, "keep"),))
+    )
     left = after(labels, DeleteMany((more.observation_id, other.observation_id)))
-    assert set(left.observations) == {one.observation_id}
-    assert len(left.judgements) == 1
-    assert after(left, DeleteMany((one.observation_id,))) == Labels()
-    every = DeleteMany((one.observation_id, more.observation_id, other.observation_id))
+    assert set(left.observations) == {first.observation_id}
+    assert len(left.review_decisions) == 1
+    assert after(left, DeleteMany((first.observation_id,))) == Labels()
+    every = DeleteMany((first.observation_id, more.observation_id, other.observation_id))
     assert after(labels, every) == Labels()
     with pytest.raises(SemvizError, match="no observation"):
-        after(labels, DeleteMany((one.observation_id, new_id())))
+        after(labels, DeleteMany((first.observation_id, new_id())))
 
 
 def test_link_keeps_the_smaller_number_and_unlink_makes_a_new_one():
     first, second = pole(), pole(side="right")
     labels = after(Labels(), first, second, Link((second.element_id, first.element_id)))
-    assert [one.number for one in labels.elements.values()] == [1]
+    assert [element.number for element in labels.elements.values()] == [1]
     assert len(list(labels.pairs(0))) == 1
     labels = after(labels, Unlink((second.observation_id,), new_id()))
-    assert sorted(one.number for one in labels.elements.values()) == [1, 3]
+    assert sorted(element.number for element in labels.elements.values()) == [1, 3]
     assert list(labels.pairs(0)) == []
 
 
-def test_a_verdict_is_overtaken_by_later_labels():
+def test_a_review_is_overtaken_by_later_labels():
     assert Labels().review(0) == "unseen"
     labels = after(Labels(), ReviewFrame(0, "reviewed, empty"))
     assert labels.review(0) == "reviewed, empty"
-    one = pole()
-    labels = after(labels, one)
+    edit = pole()
+    labels = after(labels, edit)
     assert labels.review(0) == "in work"
     labels = after(labels, ReviewFrame(0, "reviewed"))
     assert labels.review(0) == "reviewed"
-    assert after(labels, DeleteObservation(one.observation_id)).review(0) == "in work"
+    assert after(labels, DeleteObservation(edit.observation_id)).review(0) == "in work"
     assert after(labels, ReviewFrame(0, "unseen")).review(0) == "in work"
     assert after(Labels(), ReviewFrame(4, "in work")).review(4) == "in work"
 
@@ -149,10 +152,15 @@ def of_detector(frame: int) -> Dismissal:
 
 
 def test_ids_of_proposals_depend_on_element_frame_and_side_only():
-    one, other = new_id(), new_id()
-    ids = {proposal_id(e, f, s) for e in (one, other) for f in (1, 11) for s in ("left", "right")}
+    element_id, other = new_id(), new_id()
+    ids = {
+        proposal_id(e, f, s)
+        for e in (element_id, other)
+        for f in (1, 11)
+        for s in ("left", "right")
+    }
     assert len(ids) == 8
-    assert all(dismissal(one, 1).id in ids and len(x) == 36 and x[14] == "8" for x in ids)
+    assert all(dismissal(element_id, 1).id in ids and len(x) == 36 and x[14] == "8" for x in ids)
     fixed = proposal_id("01a1fda4-ce72-7ec6-ab2d-ece8376e7e3d", 3, "left")
     assert fixed == "57976abb-55a0-8b7d-83f6-a3a0f939f8df"
 
@@ -173,7 +181,7 @@ def test_drawing_where_it_was_turned_down_takes_that_back():
     accepted = pole(frame=1, observation_id=foreign.id)
     assert set(after(labels, accepted).dismissals) == {elsewhere.id}
     again = after(labels, Dismiss((replace(elsewhere, why="occluded"),)))
-    assert [one.why for one in again.dismissed_in(2)] == ["occluded"]
+    assert [refusal.why for refusal in again.dismissed_in(2)] == ["occluded"]
     assert list(Dismiss((elsewhere,)).changes(labels, RULES)) == []
 
 
@@ -183,87 +191,108 @@ def test_dismissals_go_with_their_element():
     labels = after(Labels(), a, b, turned_down)
     for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
         rest = after(labels, gone).dismissals.values()
-        assert {one.element_id for one in rest} == {a.element_id, None}
+        assert {row.element_id for row in rest} == {a.element_id, None}
     linked = after(labels, Link((b.element_id, a.element_id)))  # b is seen where a was turned down
-    assert [one.element_id for one in linked.dismissals.values()] == [None]
+    assert [refusal.element_id for refusal in linked.dismissals.values()] == [None]
 
 
-def test_a_judgement_is_made_once_about_its_elements_and_taken_back():
+def test_a_decision_is_made_once_about_its_elements_and_taken_back():
     a, b = pole(), pole(frame=1)
-    two, other = apart(b.element_id, a.element_id), judged(a.element_id, "leave out")
-    assert two == apart(a.element_id, b.element_id)
+    two, other = (
+        different_elements(b.element_id, a.element_id),
+        review_decision(a.element_id, "leave out"),
+    )
+    assert two == different_elements(a.element_id, b.element_id)
     assert two.element_id < (two.other_id or "")
-    labels = after(Labels(), a, b, Judge((two, judged(a.element_id, "keep"))))
-    labels = after(labels, Judge((two, other)))
-    assert set(labels.judgements.values()) == {two, other}
-    assert set(labels.judgements_of(a.element_id)) == {two, other}
-    assert labels.judgements_of(b.element_id) == (two,)
-    assert list(Judge((two, other)).changes(labels, RULES)) == []
-    labels = after(labels, TakeBack(two.id))
-    assert labels.judgements_of(b.element_id) == ()
-    with pytest.raises(SemvizError, match="nothing was decided"):
-        after(labels, TakeBack(two.id))
+    labels = after(Labels(), a, b, DecideElements((two, review_decision(a.element_id, "keep"))))
+    labels = after(labels, DecideElements((two, other)))
+    assert set(labels.review_decisions.values()) == {two, other}
+    assert set(labels.decisions_of(a.element_id)) == {two, other}
+    assert labels.decisions_of(b.element_id) == (two,)
+    assert list(DecideElements((two, other)).changes(labels, RULES)) == []
+    labels = after(labels, RevokeDecision(two.id))
+    assert labels.decisions_of(b.element_id) == ()
+    with pytest.raises(SemvizError, match="there is no such decision"):
+        after(labels, RevokeDecision(two.id))
 
 
-def test_judgements_go_with_their_element():
+def test_review_decisions_go_with_their_element():
     a, b, c = pole(), pole(frame=1), pole(frame=2)
-    said = Judge(
-        (apart(a.element_id, b.element_id), judged(b.element_id, "keep"),
-         judged(c.element_id, "leave out"))
+    said = DecideElements(
+        (different_elements(a.element_id, b.element_id), review_decision(b.element_id, "keep"),
+         review_decision(c.element_id, "leave out"))
     )  # fmt: skip
     labels = after(Labels(), a, b, c, said)
     for gone in (DeleteElement(b.element_id), DeleteObservation(b.observation_id)):
         rest = after(labels, gone)
-        assert set(rest.judgements.values()) == {judged(c.element_id, "leave out")}
-        assert rest.judgements_of(a.element_id) == ()
+        assert set(rest.review_decisions.values()) == {review_decision(c.element_id, "leave out")}
+        assert rest.decisions_of(a.element_id) == ()
 
 
 def test_what_was_said_of_linked_elements_is_said_of_the_one_that_is_kept():
     a, b, c, d = (pole(frame=frame) for frame in range(4))
-    ab, bd, cd = (apart(one.element_id, two.element_id) for one, two in ((a, b), (b, d), (c, d)))
-    said = Judge((ab, bd, cd, judged(b.element_id, "keep"), judged(c.element_id, "leave out")))
+    ab, bd, cd = (
+        different_elements(first.element_id, second.element_id)
+        for first, second in ((a, b), (b, d), (c, d))
+    )
+    said = DecideElements(
+        (
+            ab,
+            bd,
+            cd,
+            review_decision(b.element_id, "keep"),
+            review_decision(c.element_id, "leave out"),
+        )
+    )
     labels = after(Labels(), a, b, c, d, said)
     linked = after(labels, Link((c.element_id, a.element_id, b.element_id)))
-    (first,) = (one for one in linked.judgements_of(a.element_id) if one.other_id is None)
+    (first,) = (
+        decision for decision in linked.decisions_of(a.element_id) if decision.other_id is None
+    )
     assert first.verdict in ("keep", "leave out")  # of b and c: either, but always the same
-    assert set(linked.judgements.values()) == {first, apart(a.element_id, d.element_id)}
+    assert set(linked.review_decisions.values()) == {
+        first,
+        different_elements(a.element_id, d.element_id),
+    }
     alone = after(labels, Link((a.element_id, b.element_id)))
-    assert set(alone.judgements.values()) == {
-        judged(a.element_id, "keep"), apart(a.element_id, d.element_id), cd,
-        judged(c.element_id, "leave out"),
+    assert set(alone.review_decisions.values()) == {
+        review_decision(a.element_id, "keep"), different_elements(a.element_id, d.element_id), cd,
+        review_decision(c.element_id, "leave out"),
     }  # fmt: skip
-    own = judged(a.element_id, "leave out")
-    stays = after(labels, Judge((own,)), Link((a.element_id, b.element_id)))
-    assert own in stays.judgements.values()
+    own = review_decision(a.element_id, "leave out")
+    stays = after(labels, DecideElements((own,)), Link((a.element_id, b.element_id)))
+    assert own in stays.review_decisions.values()
 
 
 def test_what_is_unlinked_is_apart_and_no_longer_kept_as_one():
     first = pole()
-    more = [replace(partner(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
-    labels = after(Labels(), first, *more, Judge((judged(first.element_id, "keep"),)))
+    more = [replace(correspondence(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
+    labels = after(
+        Labels(), first, *more, DecideElements((review_decision(first.element_id, "keep"),))
+    )
     new = new_id()
-    labels = after(labels, Unlink(tuple(one.observation_id for one in more), new))
-    assert [len(labels.of_element(one)) for one in (first.element_id, new)] == [1, 2]
-    assert set(labels.judgements.values()) == {apart(first.element_id, new)}
-    assert not after(labels, Link((new, first.element_id))).judgements
-    left_out = after(labels, Judge((judged(new, "leave out"),)))
+    labels = after(labels, Unlink(tuple(row.observation_id for row in more), new))
+    assert [len(labels.of_element(value)) for value in (first.element_id, new)] == [1, 2]
+    assert set(labels.review_decisions.values()) == {different_elements(first.element_id, new)}
+    assert not after(labels, Link((new, first.element_id))).review_decisions
+    left_out = after(labels, DecideElements((review_decision(new, "leave out"),)))
     left_out = after(left_out, Unlink((more[0].observation_id,), new_id()))
-    assert judged(new, "leave out") in left_out.judgements.values()
+    assert review_decision(new, "leave out") in left_out.review_decisions.values()
 
 
 def test_many_are_added_together_or_not_at_all():
     first, lonely = pole(), pole(frame=4)
     down = dismissal(first.element_id, 1)
-    labels = after(Labels(), AddMany((first, partner(first), lonely)))
+    labels = after(Labels(), AddMany((first, correspondence(first), lonely)))
     assert len(list(labels.pairs(0))) == 1
-    assert sorted(one.number for one in labels.elements.values()) == [1, 2]
-    more = [replace(partner(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
+    assert sorted(element.number for element in labels.elements.values()) == [1, 2]
+    more = [replace(correspondence(first), observation_id=new_id(), frame_index=f) for f in (1, 2)]
     labels = after(
         labels,
         Dismiss((replace(down, side="right", id=proposal_id(first.element_id, 1, "right")),)),
     )
     assert after(labels, AddMany(tuple(more))).dismissals == {}
-    with pytest.raises(SemvizError, match="P-01 is labelled already"):
+    with pytest.raises(SemvizError, match="P-01 is already labelled"):
         after(labels, AddMany((more[0], replace(more[0], observation_id=new_id()))))
 
 
@@ -273,9 +302,9 @@ A, B, S = pole(), pole(), sign(frame=3)
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (replace(A, element_id=new_id()), "exists already"),
-        (replace(A, observation_id=new_id()), "leave its class out"),
-        (replace(A, observation_id=new_id(), class_id=None), "P-01 is labelled already"),
+        (replace(A, element_id=new_id()), "already exists"),
+        (replace(A, observation_id=new_id()), "omit its class"),
+        (replace(A, observation_id=new_id(), class_id=None), "P-01 is already labelled"),
         (pole(class_id=None), "no element"),
         (pole(class_id=7), "unknown class 7"),
         (pole(end_px=None), "two points"),
@@ -292,21 +321,40 @@ A, B, S = pole(), pole(), sign(frame=3)
         (Link((A.element_id, S.element_id)), "differ in class"),
         (Unlink((A.observation_id,), new_id()), "only observation"),
         (Link((A.element_id, S.element_id, A.element_id)), "itself"),
-        (Unlink((A.observation_id, B.observation_id), new_id()), "not all of them are"),
+        (Unlink((A.observation_id, B.observation_id), new_id()), "not all observations are"),
         (Unlink((A.observation_id,) * 2, new_id()), "nothing to unlink|same row twice"),
-        (Judge((judged(new_id(), "keep"),)), "no element"),
-        (Judge((apart(A.element_id, new_id()),)), "no element"),
-        (Judge((apart(A.element_id, A.element_id),)), "are apart, smaller id first"),
-        (Judge((replace(judged(A.element_id, "keep"), verdict="apart"),)), "two elements"),
-        (Judge((replace(apart(A.element_id, B.element_id), verdict="keep"),)), "about one"),
-        (Judge((replace(judged(A.element_id, "keep"), id=new_id()),)), "not the id"),
-        (Judge((judged(A.element_id, "keep"), judged(A.element_id, "leave out"))), "twice"),
+        (DecideElements((review_decision(new_id(), "keep"),)), "no element"),
+        (DecideElements((different_elements(A.element_id, new_id()),)), "no element"),
+        (
+            DecideElements((different_elements(A.element_id, A.element_id),)),
+            "the one with the smaller id first",
+        ),
+        (
+            DecideElements((replace(review_decision(A.element_id, "keep"), verdict="apart"),)),
+            "two elements",
+        ),
+        (
+            DecideElements(
+                (replace(different_elements(A.element_id, B.element_id), verdict="keep"),)
+            ),
+            "only a decision .apart. is about two",
+        ),
+        (
+            DecideElements((replace(review_decision(A.element_id, "keep"), id=new_id()),)),
+            "not the id",
+        ),
+        (
+            DecideElements(
+                (review_decision(A.element_id, "keep"), review_decision(A.element_id, "leave out"))
+            ),
+            "twice",
+        ),
         (SetClass(A.element_id, 2), "cannot become"),
         (SetClass(S.element_id, 9), "unknown class 9"),
         (DeleteElement(new_id()), "no element"),
         (ReviewFrame(0, "reviewed, empty"), "not empty"),
         (ReviewFrame(8, "reviewed"), "no labels"),
-        (AddMany((pole(frame=7), A)), "exists already"),
+        (AddMany((pole(frame=7), A)), "already exists"),
         (Dismiss((dismissal(A.element_id, 0),)), "P-01 is labelled in this left image"),
         (Dismiss((dismissal(new_id(), 0),)), "no element"),
         (Dismiss((replace(of_detector(1), id=A.observation_id),)), "was accepted"),
@@ -350,8 +398,10 @@ EVERY = [
     ReviewFrame(3, "reviewed, empty"),
     AddMany((A, S)),
     Dismiss((dismissal(A.element_id, 1), of_detector(2))),
-    Judge((apart(A.element_id, B.element_id), judged(A.element_id, "leave out"))),
-    TakeBack(judged(A.element_id, "keep").id),
+    DecideElements(
+        (different_elements(A.element_id, B.element_id), review_decision(A.element_id, "leave out"))
+    ),
+    RevokeDecision(review_decision(A.element_id, "keep").id),
 ]
 
 
@@ -383,7 +433,13 @@ def test_broken_json_is_refused_by_field(change, field):
 
 
 def test_an_empty_list_is_no_edit():
-    for edit in (AddMany(()), Dismiss(()), Judge(()), DeleteMany(()), Unlink((), new_id())):
+    for edit in (
+        AddMany(()),
+        Dismiss(()),
+        DecideElements(()),
+        DeleteMany(()),
+        Unlink((), new_id()),
+    ):
         with pytest.raises(SemvizError, match="at least 1 item"):
             edit_from_json(edit_to_json(edit))
 

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from label_files import FRAMES, RULES
 
-from semviz_annotation.formats.coco import read_coco
-from semviz_annotation.formats.plan import plan_import
-from semviz_annotation.formats.reading import Found, Reading
-from semviz_annotation.labels import Labels
-from semviz_core.errors import SemvizError
+from semviz_annotation.label_formats.coco import read_coco
+from semviz_annotation.label_formats.import_plan import plan_import
+from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.labels.labels import Labels
+from semviz_core.common.errors import SemvizError
 
-READING = Reading(RULES, FRAMES, class_map={"person": "ignore"})
+READING = LabelImportContext(RULES, FRAMES, class_map={"person": "ignore"})
 POLE = {"id": 1, "image_id": 10, "category_id": 1, "keypoints": [10, 20, 2, 11.5, 200.25, 1]}
 SIGN = {"id": 2, "image_id": 11, "category_id": 2, "keypoints": [7.5, 8.5, 2]}
 BOXED = {"id": 3, "image_id": 10, "category_id": 3, "bbox": [10.5, 20.5, 20, 40]}
@@ -37,7 +37,7 @@ def document(*annotations: Any, **more: Any) -> dict[str, Any]:
     }
 
 
-def read(tmp_path: Path, content: Any) -> Found:
+def read(tmp_path: Path, content: Any) -> ParsedLabels:
     path = tmp_path / "street.json"
     path.write_text(json.dumps(content))
     return read_coco(path, READING)
@@ -46,7 +46,7 @@ def read(tmp_path: Path, content: Any) -> Found:
 def test_annotations(tmp_path: Path) -> None:
     others = {"area": 3.0, "num_keypoints": 2, "iscrowd": 0, "segmentation": [[1, 2]]}
     found = read(tmp_path, document(POLE | others, SIGN, BOXED, {**POLE, "category_id": 4}))
-    pole, sign, boxed = found.seen
+    pole, sign, boxed = found.observations
     assert (pole.frame_index, pole.side, pole.class_id) == (3, "left", 0)
     assert (pole.anchor_px, pole.end_px) == ((10.0, 20.0), (11.5, 200.25))
     assert (pole.anchor_known, pole.end_known) == (True, False)
@@ -63,7 +63,7 @@ def test_annotations(tmp_path: Path) -> None:
 def test_keypoints_are_told_by_name_not_by_place(tmp_path: Path) -> None:
     content = document(POLE)
     content["categories"][0]["keypoints"] = ["bottom", "peak"]
-    (pole,) = read(tmp_path, content).seen
+    (pole,) = read(tmp_path, content).observations
     assert (pole.anchor_px, pole.end_px) == ((11.5, 200.25), (10.0, 20.0))
     assert (pole.anchor_known, pole.end_known) == (False, True)
 
@@ -76,7 +76,7 @@ def test_what_is_not_labelled_is_dropped(tmp_path: Path) -> None:
         POLE | {"keypoints": None},
     )
     found = read(tmp_path, content)
-    assert not found.seen
+    assert not found.observations
     assert sum(found.dropped.values()) == 4
 
 
@@ -87,7 +87,7 @@ def test_what_is_not_labelled_is_dropped(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_tracks_and_names_are_elements(tmp_path: Path, mark: dict[str, Any]) -> None:
     found = read(tmp_path, document(POLE | mark, POLE | {"image_id": 11} | mark, POLE))
-    assert len(plan_import(found.seen[:2], Labels()).elements) == 1
+    assert len(plan_import(found.observations[:2], Labels()).elements) == 1
     assert found.dropped == {}
 
 

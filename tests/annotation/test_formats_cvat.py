@@ -7,16 +7,16 @@ import pytest
 from defusedxml import ElementTree
 from label_files import FRAMES, RIG, RULES, labels_of, pole
 
-from semviz_annotation.formats.cvat import read_cvat, write_cvat, write_cvat_video
-from semviz_annotation.formats.plan import plan_import
-from semviz_annotation.formats.reading import MOST_XML_BYTES, Found, Reading
-from semviz_annotation.formats.writing import Writing
-from semviz_annotation.labels import Labels
-from semviz_core.classes import DEFAULT_CLASSES
-from semviz_core.errors import SemvizError
+from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
+from semviz_annotation.label_formats.import_plan import plan_import
+from semviz_annotation.label_formats.reading import MOST_XML_BYTES, LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.writing import LabelExportContext
+from semviz_annotation.labels.labels import Labels
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.common.errors import SemvizError
 
 REPOSITORY = Path(__file__).parents[2]
-READING = Reading(RULES, FRAMES)
+READING = LabelImportContext(RULES, FRAMES)
 POLE = '<polyline label="pole" occluded="0" points="10.5,20.5;11.5,200.5"/>'
 
 
@@ -26,7 +26,7 @@ def image(
     return f'<image id="0" name="{name}" {size}>{inside}</image>'
 
 
-def read(tmp_path: Path, inside: str, reading: Reading = READING) -> Found:
+def read(tmp_path: Path, inside: str, reading: LabelImportContext = READING) -> ParsedLabels:
     path = tmp_path / "street.xml"
     path.write_text(f"<annotations><version>1.1</version>{inside}</annotations>")
     return read_cvat(path, reading)
@@ -45,7 +45,7 @@ def test_images(tmp_path: Path) -> None:
             '<polyline label="lamp post" occluded="1" points="1,2;3,4;5,99"/>', "image_3/5.png"
         ),
     )
-    first, second, third, fourth = found.seen
+    first, second, third, fourth = found.observations
     assert (first.frame_index, first.side, first.class_id) == (3, "left", 0)
     assert (first.anchor_px, first.end_px) == ((10.0, 20.0), (11.0, 200.0))
     assert (second.class_id, second.anchor_px, second.end_px) == (3, (7.0, 8.0), None)
@@ -72,12 +72,15 @@ def test_tracks_end_where_they_are_outside(tmp_path: Path) -> None:
         + '</track><track id="8" label="pole">' + shape.format(3, 0, 99) + "</track>"
     )  # fmt: skip
     found = read(tmp_path, tracks)
-    assert [(one.frame_index, one.side, one.number) for one in found.seen] == [
+    assert [
+        (observation.frame_index, observation.side, observation.number)
+        for observation in found.observations
+    ] == [
         (3, "right", 7),
         (4, "right", 7),
         (3, "right", 8),
     ]
-    plan = plan_import(found.seen, Labels())
+    plan = plan_import(found.observations, Labels())
     assert (len(plan.elements), len(plan.observations)) == (2, 3)
     assert found.dropped == {}
 
@@ -86,14 +89,19 @@ def test_a_track_needs_a_side(tmp_path: Path) -> None:
     track = '<track id="7" label="pole"><polyline frame="3" outside="0" points="1,2;3,40"/></track>'
     with pytest.raises(SemvizError, match=r"item 1: a track does not say whether .* --side left"):
         read(tmp_path, track)
-    assert read(tmp_path, track, Reading(RULES, side="right")).seen[0].side == "right"
+    assert (
+        read(tmp_path, track, LabelImportContext(RULES, side="right")).observations[0].side
+        == "right"
+    )
 
 
 def test_a_track_is_ended_where_nothing_follows(tmp_path: Path) -> None:
     """Otherwise CVAT would carry the last shape on to the end of the drive."""
     ends = (10.0, 20.0), (11.0, 99.0)
     labels = labels_of(*(pole(1, frame, "left", *ends) for frame in (2, 3, 7)))
-    write_cvat_video(Writing.of(labels, DEFAULT_CLASSES, RIG, "left"), tmp_path / "a.xml")
+    write_cvat_video(
+        LabelExportContext.of(labels, DEFAULT_CLASSES, RIG, "left"), tmp_path / "a.xml"
+    )
     text = (tmp_path / "a.xml").read_text()
     frames = [(f'frame="{n}" outside="{o}"' in text) for n, o in ((2, 0), (3, 0), (4, 1), (8, 1))]
     assert frames == [True] * 4
@@ -101,16 +109,21 @@ def test_a_track_is_ended_where_nothing_follows(tmp_path: Path) -> None:
 
 
 def test_the_documented_labels_are_those_that_a_file_lists(tmp_path: Path) -> None:
-    write_cvat(Writing.of(labels_of(), DEFAULT_CLASSES, RIG), tmp_path / "a.xml")
+    write_cvat(LabelExportContext.of(labels_of(), DEFAULT_CLASSES, RIG), tmp_path / "a.xml")
     written = ElementTree.parse(tmp_path / "a.xml").findall("meta/task/labels/label")
     documented = json.loads((REPOSITORY / "docs" / "formats" / "cvat_labels.json").read_text())
     assert [
-        (one.findtext("name"), one.findtext("type"), one.findtext("color"),
-         [attribute.findtext("name") for attribute in one.findall("attributes/attribute")])
-        for one in written
+        (label.findtext("name"), label.findtext("type"), label.findtext("color"),
+         [attribute.findtext("name") for attribute in label.findall("attributes/attribute")])
+        for label in written
     ] == [
-        (one["name"], one["type"], one["color"], [part["name"] for part in one["attributes"]])
-        for one in documented
+        (
+            class_["name"],
+            class_["type"],
+            class_["color"],
+            [part["name"] for part in class_["attributes"]],
+        )
+        for class_ in documented
     ]  # fmt: skip
 
 
@@ -121,21 +134,23 @@ def test_groups_and_names_are_elements(tmp_path: Path, by: str) -> None:
         "name": POLE.replace("/>", '><attribute name="element">lamp 5</attribute></polyline>'),
     }[by]
     found = read(tmp_path, image(marked) + image(marked, "right/3.png") + image(POLE, "left/4.png"))
-    plan = plan_import(found.seen, Labels())
+    plan = plan_import(found.observations, Labels())
     assert len(plan.elements) == 2
     assert plan.observations[0].element_id == plan.observations[1].element_id
     twice = image(marked + marked.replace("10.5", "99.5"))
     with pytest.raises(SemvizError, match=r"street.xml, item 2: element .* is twice in this image"):
-        plan_import(read(tmp_path, twice).seen, Labels())
+        plan_import(read(tmp_path, twice).observations, Labels())
 
 
 def test_known_ends_are_attributes(tmp_path: Path) -> None:
     known = '<attribute name="{}">{}</attribute>'
     shape = POLE.replace('occluded="0"', 'occluded="1"').replace("/>", ">{}</polyline>")
-    (one,) = read(tmp_path, image(shape.format(known.format("anchor_known", "False")))).seen
-    assert (one.anchor_known, one.end_known) == (False, False)
-    (one,) = read(tmp_path, image(shape.format(known.format("end_known", "true")))).seen
-    assert (one.anchor_known, one.end_known) == (True, True)
+    (track,) = read(
+        tmp_path, image(shape.format(known.format("anchor_known", "False")))
+    ).observations
+    assert (track.anchor_known, track.end_known) == (False, False)
+    (track,) = read(tmp_path, image(shape.format(known.format("end_known", "true")))).observations
+    assert (track.anchor_known, track.end_known) == (True, True)
 
 
 def test_other_shapes_and_ignored_classes_are_dropped_by_name(tmp_path: Path) -> None:
@@ -146,8 +161,10 @@ def test_other_shapes_and_ignored_classes_are_dropped_by_name(tmp_path: Path) ->
         '<points label="rounded sign" points="1,2;3,4"/>'
         '<box label="pole" xtl="1" ytl="1" xbr="2" ybr="99"/>'
     )
-    found = read(tmp_path, image(others + POLE), Reading(RULES, class_map={"car": "ignore"}))
-    assert len(found.seen) == 1
+    found = read(
+        tmp_path, image(others + POLE), LabelImportContext(RULES, class_map={"car": "ignore"})
+    )
+    assert len(found.observations) == 1
     assert sum(found.dropped.values()) == 7
     assert "polygon: neither line, point nor box" in found.dropped
     assert "shapes of class 'car': ignored, as asked" in found.dropped
@@ -155,9 +172,11 @@ def test_other_shapes_and_ignored_classes_are_dropped_by_name(tmp_path: Path) ->
 
 def test_a_class_map_names_classes(tmp_path: Path) -> None:
     lamp = POLE.replace('"pole"', '"Laterne"')
-    assert read(tmp_path, image(lamp), Reading(RULES, class_map={"Laterne": "pole"})).seen
+    assert read(
+        tmp_path, image(lamp), LabelImportContext(RULES, class_map={"Laterne": "pole"})
+    ).observations
     with pytest.raises(SemvizError, match="'Laterne' is mapped to 'tree', which is not known"):
-        read(tmp_path, image(lamp), Reading(RULES, class_map={"Laterne": "tree"}))
+        read(tmp_path, image(lamp), LabelImportContext(RULES, class_map={"Laterne": "tree"}))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Whatever a file holds, only a SemvizError comes out of a reader. ``tests/fuzz.py`` does more."""
+"""Whatever a file holds, only a SemvizError comes out of a reader. ``bench/fuzz.py`` does more."""
 
 import random
 from collections.abc import Callable
@@ -8,15 +8,15 @@ import pytest
 from label_files import FRAMES, RULES, said, store_of, street
 from mutations import mutated
 
-from semviz_annotation.formats.coco import read_coco
-from semviz_annotation.formats.cvat import read_cvat
-from semviz_annotation.formats.exporting import ExportFormat, export_labels
-from semviz_annotation.formats.labelme import read_labelme
-from semviz_annotation.formats.plan import ImportLabels, plan_import
-from semviz_annotation.formats.reading import Found, Reading
-from semviz_annotation.labels import Labels
-from semviz_annotation.proposals import Proposals, read_proposals, save_proposals
-from semviz_core.errors import SemvizError
+from semviz_annotation.label_formats.coco import read_coco
+from semviz_annotation.label_formats.cvat import read_cvat
+from semviz_annotation.label_formats.exchange import ExportFormat, export_labels
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
+from semviz_annotation.label_formats.labelme import read_labelme
+from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposals import Proposals, read_proposals, save_proposals
+from semviz_core.common.errors import SemvizError
 
 PROPOSALS = b"""{"format": "semviz-proposals", "version": 1, "proposals": [
  {"frame_index": 1, "side": "left", "class": "pole", "anchor_px": [1, 2], "end_px": [1.5, 90],
@@ -34,7 +34,7 @@ PROPOSALS = b"""{"format": "semviz-proposals", "version": 1, "proposals": [
     ],
 )
 def test_readers(
-    tmp_path: Path, format_: ExportFormat, read: Callable[[Path, Reading], Found]
+    tmp_path: Path, format_: ExportFormat, read: Callable[[Path, LabelImportContext], ParsedLabels]
 ) -> None:
     with store_of(street(), tmp_path / "store") as store:
         export_labels(store, tmp_path / "out", format_)
@@ -45,8 +45,8 @@ def test_readers(
     for _ in range(300):
         path.write_bytes(mutated(data, rng))
         try:
-            found = read(path, Reading(RULES, FRAMES, "left"))
-            plan = plan_import(found.seen, Labels())
+            found = read(path, LabelImportContext(RULES, FRAMES, "left"))
+            plan = plan_import(found.observations, Labels())
             edit = ImportLabels(tuple(plan.elements), tuple(plan.observations))
             labels = Labels().changed(edit.changes(Labels(), RULES))
             assert len(said(labels)) == len(plan.observations)

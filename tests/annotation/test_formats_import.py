@@ -8,25 +8,34 @@ import pytest
 from label_files import FRAMES, RIG, RULES, labels_of, pole, store_of, street
 
 from semviz import cli
-from semviz.workspace import Workspace
-from semviz_annotation.edits import DeleteElement, Dismiss, MoveObservation, ReviewFrame, Unlink
-from semviz_annotation.formats.exporting import export_labels
-from semviz_annotation.formats.importing import guess_format, import_labels
-from semviz_annotation.formats.plan import ImportLabels, plan_import
-from semviz_annotation.formats.reading import Reading, Seen, parse_class_map
-from semviz_annotation.labels import Labels
-from semviz_annotation.rows import Dismissal, new_id, proposal_id
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.errors import SemvizError
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.exchange import export_labels, guess_format, import_labels
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
+from semviz_annotation.label_formats.reading import (
+    LabelImportContext,
+    ParsedObservation,
+    parse_class_map,
+)
+from semviz_annotation.labels.edits import (
+    DeleteElement,
+    Dismiss,
+    MoveObservation,
+    ReviewFrame,
+    Unlink,
+)
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.rows import Dismissal, new_id, proposal_id
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.common.errors import SemvizError
 
 
-def seen(u: float, **more: object) -> Seen:
+def seen(u: float, **more: object) -> ParsedObservation:
     given = {"where": f"a.xml, item {u:.0f}", "frame_index": 3, "side": "left", "class_id": 0}
-    return Seen(**{**given, "anchor_px": (u, 20.0), "end_px": (u, 200.0), **more})  # type: ignore[arg-type]
+    return ParsedObservation(**{**given, "anchor_px": (u, 20.0), "end_px": (u, 200.0), **more})  # type: ignore[arg-type]
 
 
-def after(labels: Labels, *things: Seen) -> Labels:
-    plan = plan_import(things, labels)
+def after(labels: Labels, *landmarks: ParsedObservation) -> Labels:
+    plan = plan_import(landmarks, labels)
     edit = ImportLabels(tuple(plan.elements), tuple(plan.observations))
     return labels.changed(edit.changes(labels, RULES))
 
@@ -40,7 +49,7 @@ def test_a_file_that_has_grown_adds_what_is_new(tmp_path: Path) -> None:
     plan = plan_import(grown, labels)
     assert (plan.already, len(plan.observations), len(plan.elements)) == (3, 2, 1)
     later = after(labels, *grown)
-    (row,) = (one for one in later.in_frame(4))
+    (row,) = (observation for observation in later.in_frame(4))
     assert len(later.of_element(row.element_id)) == 3
     assert after(later, *grown) == later
 
@@ -55,8 +64,8 @@ def test_numbers_of_two_files_are_not_one_element() -> None:
 def test_the_number_of_a_named_element_is_enough() -> None:
     """Whoever adds a shape in labelme types the group's number, not its name."""
     sign = {"class_id": 3, "end_px": None}
-    things = [seen(10, name="lamp", number=4), seen(11, number=4, side="right")]
-    labels = after(Labels(), *things, seen(60, number=4, **sign))
+    landmarks = [seen(10, name="lamp", number=4), seen(11, number=4, side="right")]
+    labels = after(Labels(), *landmarks, seen(60, number=4, **sign))
     assert len(labels.elements) == 2
     assert len(list(labels.pairs(3))) == 1
 
@@ -102,9 +111,22 @@ def test_numbers_are_kept_where_no_element_ever_had_them(tmp_path: Path) -> None
     ):
         export_labels(first, tmp_path / "out.json", "coco")
         import_labels(tmp_path / "out.json", second, "bea")
-        assert sorted(one.number for one in second.labels.elements.values()) == [1, 2, 3, 4, 5]
-        same = [one for one in first.labels.elements if first.labels.elements[one].number > 1]
-        assert all(second.labels.elements[one] == first.labels.elements[one] for one in same)
+        assert sorted(element.number for element in second.labels.elements.values()) == [
+            1,
+            2,
+            3,
+            4,
+            5,
+        ]
+        same = [
+            element
+            for element in first.labels.elements
+            if first.labels.elements[element].number > 1
+        ]
+        assert all(
+            second.labels.elements[element_id] == first.labels.elements[element_id]
+            for element_id in same
+        )
 
 
 def test_an_import_overrules_that_it_is_not_there(tmp_path: Path) -> None:
@@ -184,7 +206,7 @@ def test_what_is_in_a_file_tells_its_format(
     ],
 )
 def test_names_of_images(name: str, expected: tuple[int, str]) -> None:
-    assert Reading(RULES).image(name) == expected
+    assert LabelImportContext(RULES).image(name) == expected
 
 
 def test_a_class_map_is_name_and_class() -> None:
@@ -277,4 +299,4 @@ def test_a_log_with_an_import_goes_into_a_new_workspace(
     status, _, err = semviz(
         capsys, "labels", "import", again, tmp_path / "a.jsonl", "--side", "left"
     )
-    assert (status, "not for a log of operations" in err) == (2, True)
+    assert (status, "do not apply to a log of operations" in err) == (2, True)

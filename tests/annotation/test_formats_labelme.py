@@ -7,15 +7,14 @@ from typing import Any
 import pytest
 from label_files import FRAMES, RULES, said, store_of, street
 
-from semviz_annotation.edits import MoveObservation
-from semviz_annotation.formats.exporting import export_labels
-from semviz_annotation.formats.importing import KEPT, import_labels
-from semviz_annotation.formats.labelme import read_labelme
-from semviz_annotation.formats.reading import Found, Reading
-from semviz_annotation.labels import Labels
-from semviz_core.errors import SemvizError
+from semviz_annotation.label_formats.exchange import KEPT, export_labels, import_labels
+from semviz_annotation.label_formats.labelme import read_labelme
+from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.labels.edits import MoveObservation
+from semviz_annotation.labels.labels import Labels
+from semviz_core.common.errors import SemvizError
 
-READING = Reading(RULES, FRAMES)
+READING = LabelImportContext(RULES, FRAMES)
 
 
 def shape(kind: str, label: str, *points: list[Any], **more: Any) -> dict[str, Any]:
@@ -39,7 +38,7 @@ def write(folder: Path, name: str, content: Any) -> Path:
     return path
 
 
-def read(tmp_path: Path, *shapes: Any, **more: Any) -> Found:
+def read(tmp_path: Path, *shapes: Any, **more: Any) -> ParsedLabels:
     return read_labelme(write(tmp_path, "left/a.json", document(*shapes, **more)), READING)
 
 
@@ -52,7 +51,7 @@ def test_shapes(tmp_path: Path) -> None:
         shape("circle", "whatever", [1, 2], [3, 4]), shape("polygon", "car", [1, 2], [3, 4]),
         imageData="aGVsbG8=",
     )  # fmt: skip
-    pole, lamp, sign, triangle = found.seen
+    pole, lamp, sign, triangle = found.observations
     assert (pole.frame_index, pole.side) == (3, "left")
     assert (pole.anchor_px, pole.end_px, pole.end_known) == ((10.0, 20.0), (11.0, 200.0), True)
     assert (lamp.class_id, lamp.end_px, lamp.number) == (0, (4.5, 98.5), 7)
@@ -91,7 +90,9 @@ def test_what_only_labelme_understands_comes_back(tmp_path: Path) -> None:
         assert report.dropped == {}
         store.undo("bea")
         store.redo("bea")
-        (row,) = (one for one in store.labels.in_frame(3) if one.end_px is None)
+        (row,) = (
+            observation for observation in store.labels.in_frame(3) if observation.end_px is None
+        )
         store.apply(MoveObservation(row.id, (8.0, 9.0)), "ann")
         export_labels(store, tmp_path / "out", "labelme", "left")
         assert len(list((tmp_path / "store" / KEPT).iterdir())) == 1
@@ -99,7 +100,7 @@ def test_what_only_labelme_understands_comes_back(tmp_path: Path) -> None:
     assert back["flags"] == {"night": True}
     assert back["project"] == strange
     assert back["version"] == "5.0.1"
-    (pole, point) = sorted(back["shapes"], key=lambda one: str(one["shape_type"]))
+    (pole, point) = sorted(back["shapes"], key=lambda entry: str(entry["shape_type"]))
     assert pole["points"] == POLE["points"]
     assert {key: point[key] for key in strange} == strange
     assert point["description"] == "bent"
@@ -111,7 +112,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     with store_of(street(), tmp_path / "store") as store:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "mine.json").write_text("{}")
-        with pytest.raises(SemvizError, match="is there already; choose a new folder"):
+        with pytest.raises(SemvizError, match="already exists; choose a new folder"):
             export_labels(store, tmp_path / "out", "labelme")
         assert [file.name for file in (tmp_path / "out").iterdir()] == ["mine.json"]
         (tmp_path / "out" / "mine.json").unlink()

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from conftest import skip_or_fail
 
-from semviz_annotation.formats.importing import ImportReport, guess_format, import_labels
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.errors import SemvizError
+from semviz_annotation.label_formats.exchange import ImportReport, guess_format, import_labels
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.common.errors import SemvizError
 
 pytestmark = pytest.mark.realdata
 

@@ -8,29 +8,27 @@ import pytest
 from hypothesis import given, settings
 from label_files import FRAMES, RIG, RULES, any_labels, said, store_of, street
 
-from semviz_annotation.formats.coco import read_coco, write_coco
-from semviz_annotation.formats.cvat import read_cvat, write_cvat, write_cvat_video
-from semviz_annotation.formats.exporting import export_labels
-from semviz_annotation.formats.importing import import_labels
-from semviz_annotation.formats.kept import Kept
-from semviz_annotation.formats.labelme import read_labelme, write_labelme
-from semviz_annotation.formats.numbers import from_corner, to_corner
-from semviz_annotation.formats.plan import ImportLabels, plan_import
-from semviz_annotation.formats.reading import Found, Reading
-from semviz_annotation.formats.writing import Writing
-from semviz_annotation.labels import Labels
-from semviz_core.classes import DEFAULT_CLASSES
-from semviz_core.sources.source import Side
+from semviz_annotation.label_formats.coco import read_coco, write_coco
+from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
+from semviz_annotation.label_formats.exchange import export_labels, import_labels
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
+from semviz_annotation.label_formats.labelme import read_labelme, write_labelme
+from semviz_annotation.label_formats.numbers import from_corner, to_corner
+from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.writing import LabelExportContext, Sidecar
+from semviz_annotation.labels.labels import Labels
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.frame import Side
 
-READING = Reading(RULES, FRAMES)
+READING = LabelImportContext(RULES, FRAMES)
 
 
-def writing(labels: Labels, side: Side | None = None) -> Writing:
-    return Writing.of(labels, DEFAULT_CLASSES, RIG, side)
+def writing(labels: Labels, side: Side | None = None) -> LabelExportContext:
+    return LabelExportContext.of(labels, DEFAULT_CLASSES, RIG, side)
 
 
-def taken_in(before: Labels, found: Found) -> Labels:
-    plan = plan_import(found.seen, before)
+def taken_in(before: Labels, found: ParsedLabels) -> Labels:
+    plan = plan_import(found.observations, before)
     edit = ImportLabels(tuple(plan.elements), tuple(plan.observations))
     return before.changed(edit.changes(before, RULES))
 
@@ -51,7 +49,7 @@ def through_cvat_video(labels: Labels, folder: Path) -> Labels:
 def through_labelme(labels: Labels, folder: Path) -> Labels:
     if not labels.observations:
         return Labels()
-    write_labelme(writing(labels), folder, Kept())
+    write_labelme(writing(labels), folder, Sidecar())
     return taken_in(Labels(), read_labelme(folder, READING))
 
 
@@ -80,7 +78,7 @@ def test_tracks_come_back_the_same_but_for_numbers(labels: Labels) -> None:
 
 
 def unnumbered(labels: Labels) -> set[tuple[object, ...]]:
-    return {(one[0].id, one[0].class_id, *one[1:]) for one in said(labels)}
+    return {(content[0].id, content[0].class_id, *content[1:]) for content in said(labels)}
 
 
 @pytest.mark.parametrize(
@@ -98,7 +96,7 @@ def test_where_the_centre_of_the_first_pixel_is(tmp_path: Path) -> None:
     labels = labels_of(pole(1, 0, "left", (0.0, 0.0)))
     write_cvat(writing(labels), tmp_path / "a.xml")
     assert 'points="0.5,0.5"' in (tmp_path / "a.xml").read_text()
-    write_labelme(writing(labels), tmp_path, Kept())
+    write_labelme(writing(labels), tmp_path, Sidecar())
     assert '"points": [[0.5, 0.5]]' in (tmp_path / "left" / "000000.json").read_text()
     write_coco(writing(labels), tmp_path / "a.json")
     flat = "".join((tmp_path / "a.json").read_text().split())

@@ -6,17 +6,23 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.street_labels import careful, label_street
 
-from semviz_annotation.labels import Dismissal, LabelElement, Labels, Observation, proposal_id
+from semviz_annotation.labels.labels import (
+    Dismissal,
+    LabelElement,
+    Labels,
+    Observation,
+    proposal_id,
+)
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.quality.lint import Finding, lint
-from semviz_annotation.street_labels import careful, label_street
-from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import Decision, MapFrame, Provenance, SemanticMap
-from semviz_core.sources.street.map_errors import moved
-from semviz_core.sources.street.street import Street
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.simulation.map_errors import move_element
+from semviz_core.simulation.street import Street
 
 FRAMES = range(0, 40, 2)
 SECOND = "ffffffff-0000-8000-8000-000000000000"
@@ -37,7 +43,7 @@ class Town:
     def often_seen(self, *classes: int) -> int:
         """Id of the element of these classes that is labelled most."""
         counts = {
-            int(number): sum(len(self.labels.of_element(one)) for one in provenance.label_ids)
+            int(number): sum(len(self.labels.of_element(id_)) for id_ in provenance.label_ids)
             for number, class_id, provenance in zip(
                 self.true.elements.id, self.true.elements.class_id, self.true.provenance,
                 strict=True,
@@ -102,7 +108,7 @@ def anchored(base: SemanticMap, number: int, above_m: object) -> SemanticMap:
 def carried(base: SemanticMap, number: int, to_m: np.ndarray) -> SemanticMap:
     """Moved on the ground plane."""
     here = base.elements.anchor_m[base.elements.id.tolist().index(number), :2]
-    return moved(base, number, np.append(to_m[:2] - here, 0.0))
+    return move_element(base, number, np.append(to_m[:2] - here, 0.0))
 
 
 def mirrored(given: Town, number: int) -> SemanticMap:
@@ -112,7 +118,7 @@ def mirrored(given: Town, number: int) -> SemanticMap:
     nearest = np.linalg.norm(cameras[:-1] - here, axis=1).argmin()
     ahead = cameras[nearest + 1] - cameras[nearest]
     left = np.array([-ahead[1], ahead[0], 0.0]) / np.linalg.norm(ahead[:2])
-    return moved(given.true, number, -2.0 * ((here - cameras[nearest]) @ left) * left)
+    return move_element(given.true, number, -2.0 * ((here - cameras[nearest]) @ left) * left)
 
 
 def behind(given: Town, number: int) -> np.ndarray:
@@ -133,19 +139,19 @@ PLANTS: list[tuple[str, str, tuple[int, ...], Plant]] = [
     ("too short pole", "error", (POLE,), lambda t, n: anchored(t.true, n, (0.0, 0.0, 0.2))),
     ("too tall pole", "warning", (POLE,), lambda t, n: anchored(t.true, n, (0.0, 0.0, 20.0))),
     ("too tall pole", "error", (POLE,), lambda t, n: anchored(t.true, n, (0.0, 0.0, 50.0))),
-    ("below ground", "error", (POLE,), lambda t, n: moved(t.true, n, (0.0, 0.0, -2.0))),
-    ("below ground", "error", SIGNS, lambda t, n: moved(t.true, n, (0.0, 0.0, -5.0))),
-    ("hovering", "warning", (POLE,), lambda t, n: moved(t.true, n, (0.0, 0.0, 2.5))),
-    ("hovering", "warning", SIGNS, lambda t, n: moved(t.true, n, (0.0, 0.0, 12.0))),
+    ("below ground", "error", (POLE,), lambda t, n: move_element(t.true, n, (0.0, 0.0, -2.0))),
+    ("below ground", "error", SIGNS, lambda t, n: move_element(t.true, n, (0.0, 0.0, -5.0))),
+    ("hovering", "warning", (POLE,), lambda t, n: move_element(t.true, n, (0.0, 0.0, 2.5))),
+    ("hovering", "warning", SIGNS, lambda t, n: move_element(t.true, n, (0.0, 0.0, 12.0))),
     ("in the lane", "error", (POLE,), lambda t, n: carried(t.true, n, t.true.trajectory_m[20])),
     ("in the lane", "error", SIGNS, lambda t, n: carried(
-        moved(t.true, n, (0.0, 0.0, -1.0)), n, t.true.trajectory_m[20])),
-    ("far from the road", "error", SIGNS, lambda t, n: moved(t.true, n, (0.0, 400.0, 0.0))),
+        move_element(t.true, n, (0.0, 0.0, -1.0)), n, t.true.trajectory_m[20])),
+    ("far from the road", "error", SIGNS, lambda t, n: move_element(t.true, n, (0.0, 400.0, 0.0))),
     ("behind the camera", "error", (POLE,), lambda t, n: carried(t.true, n, behind(t, n))),
     ("behind the camera", "error", SIGNS, lambda t, n: carried(t.true, n, behind(t, n))),
     ("wrong side of the road", "error", (POLE,), mirrored),
     ("wrong side of the road", "error", SIGNS, mirrored),
-    ("sign without post", "hint", SIGNS, lambda t, n: moved(t.true, n, (1.5, -1.5, 0.0))),
+    ("sign without post", "hint", SIGNS, lambda t, n: move_element(t.true, n, (1.5, -1.5, 0.0))),
     ("class conflict", "error", (RECTANGULAR,), lambda t, n: changed(t.true, n, class_id=ROUNDED)),
     ("class conflict", "warning", (RECTANGULAR,), lambda t, n: with_copy(
         t.true, n, (0.1, 0.1, 0.0), class_id=ROUNDED)),
@@ -161,10 +167,14 @@ def test_a_planted_fault_is_found(rule, severity, classes, plant):
     given = town()
     number = given.often_seen(*classes)
     found = given.find(plant(given, number))
-    mine = [one for one in found if number in one.element_ids and one.rule == rule]
-    assert [one.severity for one in mine] == [severity]
-    others = [one for one in found if number not in one.element_ids and one.severity != "hint"]
-    assert [one for one in others if one not in given.find(given.true)] == []
+    mine = [finding for finding in found if number in finding.element_ids and finding.rule == rule]
+    assert [finding.severity for finding in mine] == [severity]
+    others = [
+        finding
+        for finding in found
+        if number not in finding.element_ids and finding.severity != "hint"
+    ]
+    assert [other for other in others if other not in given.find(given.true)] == []
     name = given.true.classes.element_name(given.true.elements.class_id[given.row(number)], number)
     assert name[1:] in mine[0].message
     assert any(digit.isdigit() for digit in mine[0].message.replace(name, ""))
@@ -176,9 +186,13 @@ def test_a_planted_fault_is_found(rule, severity, classes, plant):
 def test_the_truth_is_without_fault(seed):
     given = town(seed)
     for semantic_map in (given.true, given.street.truth_map):
-        assert [one for one in given.find(semantic_map) if one.severity == "error"] == []
+        assert [
+            finding for finding in given.find(semantic_map) if finding.severity == "error"
+        ] == []
     said = given.find(given.true)
-    assert {one.rule for one in said} <= {"ray angle too small"}  # what is far ahead at the end
+    assert {finding.rule for finding in said} <= {
+        "ray angle too small"
+    }  # what is far ahead at the end
     assert len(said) <= 0.15 * len(given.true)
 
 
@@ -196,8 +210,8 @@ def test_rays_that_hardly_meet(classes):
     first = given.labels_of(number)[0].frame_index
     pair = [row for row in given.labels_of(number) if row.frame_index == first]
     found = given.find(given.true, kept(given.labels, pair))
-    narrow = [one for one in found if one.rule == "ray angle too small"]
-    assert number in {one.element_ids[0] for one in narrow}
+    narrow = [finding for finding in found if finding.rule == "ray angle too small"]
+    assert number in {finding.element_ids[0] for finding in narrow}
     assert "deg apart" in narrow[0].message
 
 
@@ -208,9 +222,9 @@ def test_never_seen_again():
     alone = frames[len(frames) // 2]
     pair = [row for row in given.labels_of(number) if row.frame_index == alone]
     labels = kept(given.labels, pair)
-    found = [one for one in given.find(given.true, labels) if number in one.element_ids]
-    again = [one for one in found if one.rule == "never seen again"]
-    assert [(one.severity, one.frame_index) for one in again] == [("warning", alone)]
+    found = [finding for finding in given.find(given.true, labels) if number in finding.element_ids]
+    again = [finding for finding in found if finding.rule == "never seen again"]
+    assert [(finding.severity, finding.frame_index) for finding in again] == [("warning", alone)]
     assert f"frame {alone - 2} and {alone + 2} should show it" in again[0].message
     hidden = [
         Dismissal(proposal_id(pair[0].element_id, index, "left"), index, "left", "occluded",
@@ -219,7 +233,7 @@ def test_never_seen_again():
     ]  # fmt: skip
     said = Labels.from_rows([*labels.rows(), *hidden])
     assert "never seen again" not in {
-        one.rule for one in given.find(given.true, said) if number in one.element_ids
+        finding.rule for finding in given.find(given.true, said) if number in finding.element_ids
     }
 
 
@@ -233,9 +247,9 @@ def test_what_was_decided_about_a_pair_counts():
     for by, expected in (("machine", ["hint"]), ("human", [])):
         decision = Decision("apart", (label_id, SECOND), (number, number + 1000), by, "they differ")
         found = lint(replace(named, decisions=(decision,)), Labels(), given.street)
-        pairs = [one for one in found if one.rule == "duplicate nearby"]
-        assert [one.severity for one in pairs] == expected
-        assert all("kept apart: they differ" in one.message for one in pairs)
+        pairs = [finding for finding in found if finding.rule == "duplicate nearby"]
+        assert [pair.severity for pair in pairs] == expected
+        assert all("kept apart: they differ" in pair.message for pair in pairs)
 
 
 def doubled(given: Town, number: int, class_id: int) -> Labels:
@@ -259,8 +273,8 @@ def test_what_one_image_shows_twice_is_a_hint():
     number = given.often_seen(POLE)
     twins = labelled_copy(given, number, (0.05, 0.0, 0.0))
     found = given.find(twins, doubled(given, number, POLE))
-    pairs = [one for one in found if one.rule == "duplicate nearby"]
-    assert [one.severity for one in pairs] == ["hint"]
+    pairs = [finding for finding in found if finding.rule == "duplicate nearby"]
+    assert [pair.severity for pair in pairs] == ["hint"]
     assert "labelled twice?" in pairs[0].message
 
 
@@ -268,20 +282,20 @@ VAGUE = np.diag([0.25] * 6)
 """m2: half a metre in each direction."""
 
 
-def test_what_one_image_shows_is_two_things():
+def test_what_one_image_shows_is_two_landmarks():
     """Half a metre apart and vague, or of two classes on one post: no duplicate, no conflict."""
     given = town()
     number = given.often_seen(POLE)
     twins = labelled_copy(given, number, (0.5, 0.0, 0.0), covariance_m2=VAGUE)
-    assert [one.rule for one in given.find(twins, Labels()) if number in one.element_ids] == [
-        "duplicate nearby"
-    ]
+    assert [
+        finding.rule for finding in given.find(twins, Labels()) if number in finding.element_ids
+    ] == ["duplicate nearby"]
     found = given.find(twins, doubled(given, number, POLE))
-    assert [one for one in found if number in one.element_ids] == []
+    assert [finding for finding in found if number in finding.element_ids] == []
     number = given.often_seen(RECTANGULAR)
     twins = labelled_copy(given, number, (0.1, 0.0, 0.0), class_id=ROUNDED)
     found = given.find(twins, doubled(given, number, ROUNDED))
-    assert [one for one in found if number in one.element_ids] == []
+    assert [finding for finding in found if number in finding.element_ids] == []
 
 
 def hidden(base: SemanticMap, number: int) -> SemanticMap:
@@ -292,13 +306,13 @@ EXCUSES: list[tuple[str, tuple[int, ...], Plant]] = [
     ("short, but its bottom is hidden", (POLE,), lambda t, n: hidden(
         anchored(t.true, n, (0.0, 0.0, 0.7)), n)),
     ("high up, but its bottom is hidden", (POLE,), lambda t, n: hidden(
-        moved(t.true, n, (0.0, 0.0, 2.5)), n)),
+        move_element(t.true, n, (0.0, 0.0, 2.5)), n)),
     ("over the lane", SIGNS, lambda t, n: carried(
-        moved(t.true, n, (0.0, 0.0, 3.0)), n, t.true.trajectory_m[20])),
+        move_element(t.true, n, (0.0, 0.0, 3.0)), n, t.true.trajectory_m[20])),
     ("leans by 8 deg, good to 9", (POLE,), lambda t, n: changed(
         anchored(t.true, n, (0.42, 0.0, 3.0)), n, covariance_m2=VAGUE / 2.0)),
     ("without a post, good to a metre", SIGNS, lambda t, n: changed(
-        moved(t.true, n, (1.0, 0.0, 0.0)), n, covariance_m2=np.diag([0.5] * 3 + [0.0] * 3))),
+        move_element(t.true, n, (1.0, 0.0, 0.0)), n, covariance_m2=np.diag([0.5] * 3 + [0.0] * 3))),
 ]  # fmt: skip
 
 
@@ -309,7 +323,7 @@ def test_what_has_an_excuse_is_not_found(why, classes, plant):
     told = {"in the lane", "hovering", "leaning pole", "too short pole", "sign without post"}
     over_the_lane = {"sign without post"} if why == "over the lane" else set()
     found = given.find(plant(given, number), Labels())
-    rules = {one.rule for one in found if number in one.element_ids}
+    rules = {finding.rule for finding in found if number in finding.element_ids}
     assert rules & told == over_the_lane
 
 
@@ -318,8 +332,10 @@ def test_maps_from_elsewhere_have_no_labels():
     given = town()
     number = given.often_seen(POLE)
     bare = replace(given.true, provenance=(), trajectory_m=np.zeros((0, 3)))
-    found = given.find(moved(bare, number, (0.0, 0.0, -3.0)), Labels())
-    assert [(one.rule, one.element_ids) for one in found] == [("below ground", (number,))]
+    found = given.find(move_element(bare, number, (0.0, 0.0, -3.0)), Labels())
+    assert [(finding.rule, finding.element_ids) for finding in found] == [
+        ("below ground", (number,))
+    ]
     frame = found[0].frame_index
     seen = np.concatenate([given.street.labels(frame, side)[1] for side in ("left", "right")])
     assert number in seen
@@ -329,18 +345,18 @@ def test_the_cameras_height_is_told_by_the_poles():
     """A lorry's camera is 2.95 m up; with fewer than five poles, 1.65 m is taken."""
     given = town()
     lorry = replace(given.true, trajectory_m=given.true.trajectory_m + np.array([0.0, 0.0, 1.3]))
-    assert [one for one in given.find(lorry) if one.severity == "error"] == []
+    assert [finding for finding in given.find(lorry) if finding.severity == "error"] == []
     away = np.linalg.norm(lorry.trajectory_m[:, None, :2] - lorry.elements.end_m[:, :2], axis=2)
     nearest = np.argsort(away.min(axis=0))[:4]  # signs have no end, so they come last
     few = replace(lorry, elements=lorry.elements[nearest], provenance=())
     found = given.find(few, Labels())
-    assert [one.rule for one in found] == ["below ground"] * 4
+    assert [finding.rule for finding in found] == ["below ground"] * 4
 
 
 def test_the_worst_come_first():
     given = town()
-    one, two = given.often_seen(POLE), given.often_seen(*SIGNS)
-    both = moved(moved(given.true, two, (1.5, -1.5, 0.0)), one, (0.0, 0.0, -3.0))
+    first, second = given.often_seen(POLE), given.often_seen(*SIGNS)
+    both = move_element(move_element(given.true, second, (1.5, -1.5, 0.0)), first, (0.0, 0.0, -3.0))
     severities = [finding.severity for finding in given.find(both)]
     assert severities[0] == "error"
     assert severities[-1] == "hint"
@@ -352,8 +368,10 @@ def test_frames_without_a_pose_are_left_alone(world):
     labels = world.labels()
     built, _ = build_map(labels, world)
     found = lint(built, labels, replace(world, count=3))
-    assert [one.message for one in found] == [one.message for one in lint(built, labels, world)]
-    assert {one.frame_index for one in found} == {2}
+    assert [finding.message for finding in found] == [
+        finding.message for finding in lint(built, labels, world)
+    ]
+    assert {finding.frame_index for finding in found} == {2}
     with pytest.raises(SemvizError, match="the map is of 'moon'"):
         lint(replace(built, frame=MapFrame("moon")), labels, world)
 
@@ -376,5 +394,7 @@ def test_what_is_no_geometry_is_still_looked_at(labelled):
         found = given.find(odd, labels)
         given.find(replace(odd, trajectory_m=odd.trajectory_m[:1]), labels)
         given.find(replace(odd, elements=odd.elements[~odd.elements.is_line], provenance=()))
-    rules = {(one.rule, one.element_ids[0]) for one in found if one.severity == "error"}
+    rules = {
+        (finding.rule, finding.element_ids[0]) for finding in found if finding.severity == "error"
+    }
     assert {("too short pole", pole), ("in the lane", sign)} <= rules

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from semviz_annotation.labels import Labels
-from semviz_annotation.map_formats.exporting import export_colmap
-from semviz_annotation.map_formats.tally import ExchangeReport
-from semviz_annotation.view import rig_view
-from semviz_core.camera import Camera
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
-from semviz_core.sources.source import Source
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.views import rig_view
+from semviz_annotation.map_formats.exchange import export_colmap
+from semviz_annotation.map_formats.writing import ExchangeReport
+from semviz_core.base.camera import Camera
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.frame import Dataset
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.errors import SemvizError
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -23,17 +23,17 @@ pycolmap = pytest.importorskip("pycolmap")
 class Model:
     """A map of a world, as it was exported."""
 
-    world: Source
+    world: Dataset
     semantic_map: SemanticMap
     labels: Labels
     report: ExchangeReport
     folder: Path
 
 
-def export(world: Source, folder: Path) -> Model:
-    """The world's things, exactly where they are; no bottoms seen right, no peaks in frame 1."""
+def export(world: Dataset, folder: Path) -> Model:
+    """The world's landmarks, exactly where they are; no bottoms seen right, no peaks in frame 1."""
     labels = world.labels(sigma_px=0.7)  # type: ignore[attr-defined]
-    things = world.things  # type: ignore[attr-defined]
+    landmarks = world.landmarks  # type: ignore[attr-defined]
     rows = [
         replace(
             row,
@@ -43,18 +43,18 @@ def export(world: Source, folder: Path) -> Model:
         for row in labels.observations.values()
     ]
     labels = Labels.from_rows([*labels.elements.values(), *rows])
-    elements = sorted(labels.elements.values(), key=lambda one: one.number)
+    elements = sorted(labels.elements.values(), key=lambda element: element.number)
     nothing = np.full(3, np.nan)
-    ends = [things[one.number][2] for one in elements]
+    ends = [landmarks[element.number][2] for element in elements]
     mapped = Elements3D.from_ends(
-        [one.number for one in elements],
-        [things[one.number][1] for one in elements],
+        [element.number for element in elements],
+        [landmarks[element.number][1] for element in elements],
         [nothing if end is None else end for end in ends],
-        [one.class_id for one in elements],
+        [element.class_id for element in elements],
     )
     provenance = tuple(
-        Provenance((one.id,), tuple(row.id for row in rows if row.element_id == one.id))
-        for one in elements
+        Provenance((element.id,), tuple(row.id for row in rows if row.element_id == element.id))
+        for element in elements
     )
     semantic_map = SemanticMap(mapped, world.map_frame, provenance=provenance)
     report = export_colmap(semantic_map, labels, world, folder)
@@ -62,7 +62,7 @@ def export(world: Source, folder: Path) -> Model:
 
 
 @pytest.fixture
-def model(world: Source, tmp_path: Path) -> Model:
+def model(world: Dataset, tmp_path: Path) -> Model:
     return export(world, tmp_path / "model")
 
 
@@ -93,7 +93,7 @@ def test_observations_are_tracks(model: Model) -> None:
         for image in read.images.values()
         for point in image.points2D
     }
-    numbers = {one.id: one.number for one in model.labels.elements.values()}
+    numbers = {element.id: element.number for element in model.labels.elements.values()}
     wanted = {}
     for row in model.labels.observations.values():
         name = f"{row.side}/{row.frame_index:06d}.png"
@@ -106,9 +106,9 @@ def test_observations_are_tracks(model: Model) -> None:
         np.testing.assert_allclose(marks[key], np.array(pixel) + 0.5, atol=1e-9)
     for point in read.points3D.values():
         errors = []
-        for one in point.track.elements:
-            image = read.images[one.image_id]
-            seen = image.points2D[one.point2D_idx].xy
+        for element in point.track.elements:
+            image = read.images[element.image_id]
+            seen = image.points2D[element.point2D_idx].xy
             errors.append(np.linalg.norm(image.project_point(point.xyz) - seen))
         assert point.error == pytest.approx(np.mean(errors), abs=1e-9)
 
@@ -135,11 +135,11 @@ def test_ends_that_nobody_saw_are_no_points(model: Model, tmp_path: Path) -> Non
     assert report.dropped[lost] == len(model.labels.observations)
 
 
-def test_a_camera_with_distortion(make_world: type, world: Source, tmp_path: Path) -> None:
+def test_a_camera_with_distortion(make_world: type, world: Dataset, tmp_path: Path) -> None:
     left = world.rig.left
     bent = Camera(left.width, left.height, left.K, np.array([-0.1, 0.02, 0.001, -0.002, 0.01]))
     rig = replace(world.rig, left=bent)
-    model = export(make_world(world.things, rig=rig), tmp_path / "model")  # type: ignore[attr-defined]
+    model = export(make_world(world.landmarks, rig=rig), tmp_path / "model")  # type: ignore[attr-defined]
     read = pycolmap.Reconstruction(model.folder)
     assert [read.cameras[k].model.name for k in (1, 2)] == ["FULL_OPENCV", "PINHOLE"]
     image = read.find_image_with_name("left/000000.png")
@@ -154,7 +154,7 @@ def test_a_camera_with_distortion(make_world: type, world: Source, tmp_path: Pat
 
 def test_nothing_is_overwritten_or_left_half(model: Model, tmp_path: Path) -> None:
     before = (model.folder / "images.txt").read_bytes()
-    with pytest.raises(SemvizError, match="is there already; choose a new folder"):
+    with pytest.raises(SemvizError, match="already exists; choose a new folder"):
         export_colmap(model.semantic_map, model.labels, model.world, model.folder)
     assert (model.folder / "images.txt").read_bytes() == before
     elements = replace(model.semantic_map.elements, id=np.array([-1, 2, 3, 4]))
@@ -164,4 +164,4 @@ def test_nothing_is_overwritten_or_left_half(model: Model, tmp_path: Path) -> No
     negative = SemanticMap(elements, MapFrame("world"))
     with pytest.raises(SemvizError, match="no negative numbers"):
         export_colmap(negative, model.labels, model.world, tmp_path / "other")
-    assert [one.name for one in tmp_path.iterdir()] == ["model"]
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]

@@ -7,12 +7,12 @@ import pytest
 from conftest import skip_or_fail
 from map_files import READING
 
+from semviz_annotation.map_formats.exchange import import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.importing import import_map
-from semviz_annotation.map_formats.reading import Reading
-from semviz_core.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame
+from semviz_annotation.map_formats.reading import MapImportContext
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.errors import SemvizError
 
 pytestmark = pytest.mark.realdata
 
@@ -30,7 +30,7 @@ def test_lanelet2_example(maps: Path) -> None:
     path = maps / "lanelet2_mapping_example.osm"
     with pytest.raises(SemvizError, match="say --anchor LATITUDE,LONGITUDE"):
         import_map(path, READING)
-    reading = Reading(MapFrame("town"), anchor=Georeference(49.0, 8.4))
+    reading = MapImportContext(MapFrame("town"), anchor=Georeference(49.0, 8.4))
     town, report = import_map(path, reading)
     assert report.counts == {"poles": 0, "signs": 11}
     assert sorted(town.elements.class_id.tolist()) == [TRIANGULAR] * 10 + [RECTANGULAR]
@@ -64,7 +64,8 @@ def test_a_straight_road_of_esmini(maps: Path) -> None:
     }
     mapped = dict.fromkeys(("cnshi", "cnjin", "de_274-50"), "rounded sign")
     town, report = import_map(
-        maps / "esmini_straight_500m_signs.xodr", Reading(MapFrame("town"), class_map=mapped)
+        maps / "esmini_straight_500m_signs.xodr",
+        MapImportContext(MapFrame("town"), class_map=mapped),
     )
     assert (report.counts, report.dropped) == ({"poles": 15, "signs": 19}, {})
 

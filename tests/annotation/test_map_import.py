@@ -9,18 +9,17 @@ import pytest
 from map_files import FRAME, KARLSRUHE, READING, feature, small_map
 from mutations import mutated
 
-from semviz_annotation.map_formats.exporting import FileFormat, export_map
+from semviz_annotation.map_formats.exchange import FileFormat, ImportFormat, export_map, import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.importing import ImportFormat, import_map
-from semviz_annotation.map_formats.reading import Reading
-from semviz_annotation.map_formats.tally import ExchangeReport
-from semviz_core.classes import POLE, RECTANGULAR, TRIANGULAR
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz_annotation.map_formats.reading import MapImportContext
+from semviz_annotation.map_formats.writing import ExchangeReport
+from semviz_core.base.classes import POLE, RECTANGULAR, TRIANGULAR
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.errors import SemvizError
 
 HERE = Georeference(49.0, 8.0, 100.0)
-AT_HERE = Reading(FRAME, anchor=HERE)
+AT_HERE = MapImportContext(FRAME, anchor=HERE)
 NORTH = [8.0, 49.0001]
 OSM = """<osm version="0.6">
  <node id="1" lat="49.0" lon="8.0001"><tag k="ele" v="102"/></node>
@@ -42,7 +41,7 @@ def geojson(folder: Path, *features: object, **members: object) -> Path:
     return path
 
 
-def read(path: Path, reading: Reading = AT_HERE) -> tuple[SemanticMap, ExchangeReport]:
+def read(path: Path, reading: MapImportContext = AT_HERE) -> tuple[SemanticMap, ExchangeReport]:
     return import_map(path, reading)
 
 
@@ -56,7 +55,7 @@ def test_points_and_lines_of_others(tmp_path: Path) -> None:
         feature("Point", [8.0, 49.0, 102.0], "give way"),
         feature("Polygon", [[NORTH, NORTH, NORTH]], "house"),
     )
-    mapped = Reading(FRAME, class_map={"give way": "triangular sign"}, anchor=HERE)
+    mapped = MapImportContext(FRAME, class_map={"give way": "triangular sign"}, anchor=HERE)
     town, report = read(path, mapped)
     elements = town.elements
     assert elements.class_id.tolist() == [POLE, POLE, TRIANGULAR]
@@ -90,7 +89,7 @@ def test_lanelet2_of_others(tmp_path: Path) -> None:
         "ways of type 'fence': neither sign nor pole": 1,
         "signs 'xx1': say --class-map xx1=CLASS": 1,
     }
-    mapped = Reading(FRAME, class_map={"xx1": "round", "fence": "ignore"}, anchor=HERE)
+    mapped = MapImportContext(FRAME, class_map={"xx1": "round", "fence": "ignore"}, anchor=HERE)
     town, report = read(path, mapped)
     assert len(town) == 3
     assert report.assumed["middles of signs: their lower edge where they have no height"] == 1
@@ -257,7 +256,7 @@ def test_only_a_line_comes_out_of_a_reader(tmp_path: Path, format_: ImportFormat
     for _ in range(200):
         path.write_bytes(mutated(data, rng))
         try:
-            town, _ = import_map(path, Reading(FRAME, anchor=KARLSRUHE), format_)
+            town, _ = import_map(path, MapImportContext(FRAME, anchor=KARLSRUHE), format_)
             assert len(town)
             whole += 1
         except SemvizError as error:

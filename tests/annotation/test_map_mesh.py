@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from map_files import small_map
 
-from semviz_annotation.map_formats.exporting import FileFormat, export_map
+from semviz_annotation.map_formats.exchange import FileFormat, export_map
 from semviz_annotation.map_formats.mesh import map_mesh
-from semviz_core.arrays import FloatArray
+from semviz_core.common.arrays import FloatArray
 
 
 def bodies(path: Path) -> list[tuple[FloatArray, FloatArray, list[int]]]:
@@ -44,7 +44,7 @@ def test_bodies_are_where_elements_are(tmp_path: Path, format_: FileFormat) -> N
         else:  # linear light
             light = np.array(wanted[:3]) / 255
             assert color[:3] == pytest.approx(255 * light**2.2, abs=4)
-    tall = max(found, key=lambda one: float((one[1] - one[0]).max()))
+    tall = max(found, key=lambda box: float((box[1] - box[0]).max()))
     assert int((tall[1] - tall[0]).argmax()) == (2 if format_ == "ply" else 1)
 
 

@@ -10,15 +10,15 @@ from map_files import READING
 from scipy.integrate import quad
 from scipy.special import fresnel
 
+from semviz_annotation.map_formats.exchange import import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.importing import import_map
-from semviz_annotation.map_formats.reading import Reading
-from semviz_annotation.map_formats.road_line import Bend, ParamPoly3, Poly3
-from semviz_annotation.map_formats.tally import ExchangeReport
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz_annotation.map_formats.reading import MapImportContext
+from semviz_annotation.map_formats.reference_line import Bend, ParamPoly3, Poly3
+from semviz_annotation.map_formats.writing import ExchangeReport
+from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0.5" length="100"><line/></geometry>'
 ENDLESS = '<object type="pole"><repeat s="0" length="1e9" distance="1e-9"/></object>'
@@ -35,7 +35,7 @@ def road(
 
 
 def read(
-    folder: Path, *roads: str, header: str = "", reading: Reading = READING
+    folder: Path, *roads: str, header: str = "", reading: MapImportContext = READING
 ) -> tuple[SemanticMap, ExchangeReport]:
     path = folder / "town.xodr"
     path.write_text(f"<OpenDRIVE><header>{header}</header>{''.join(roads)}</OpenDRIVE>")
@@ -137,7 +137,7 @@ def test_what_is_neither_pole_nor_sign_is_listed(tmp_path: Path) -> None:
         "signals 'xx9': say --class-map xx9=CLASS": 1,
         "signals that change, such as traffic lights: no signs": 1,
     }
-    mapped = Reading(MapFrame("town"), class_map={"tree": "pole", "xx9": "rounded sign"})
+    mapped = MapImportContext(MapFrame("town"), class_map={"tree": "pole", "xx9": "rounded sign"})
     town, report = read(tmp_path, road(objects=objects, signals=signals), reading=mapped)
     assert town.elements.class_id.tolist() == [POLE, ROUNDED]
 
@@ -157,7 +157,10 @@ def test_a_file_that_is_on_earth(tmp_path: Path) -> None:
     )
     place = Georeference(49.01, 8.42, 90.0, 120.0)
     town, report = read(
-        tmp_path, road(signals=signal), header=header, reading=Reading(READING.frame, anchor=place)
+        tmp_path,
+        road(signals=signal),
+        header=header,
+        reading=MapImportContext(READING.frame, anchor=place),
     )
     np.testing.assert_allclose(town.elements.anchor_m, [[0.0, 0.0, 12.0]], atol=1e-3)
     assert town.frame.origin == (49.01, 8.42, 90.0)
@@ -229,7 +232,7 @@ def test_broken_roads_are_named(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_a_reference_that_nobody_understands(tmp_path: Path) -> None:
-    reading = Reading(READING.frame, anchor=Georeference(49.0, 8.4))
+    reading = MapImportContext(READING.frame, anchor=Georeference(49.0, 8.4))
     with pytest.raises(SemvizError, match="geoReference 'nowhere' is not understood"):
         read(
             tmp_path, road(objects=POLE_AT_30), header="<geoReference>nowhere</geoReference>",

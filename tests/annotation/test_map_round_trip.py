@@ -19,10 +19,9 @@ from map_files import (
     small_map,
 )
 
-from semviz_annotation.map_formats.exporting import FileFormat, export_map
+from semviz_annotation.map_formats.exchange import FileFormat, export_map, import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.importing import import_map
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
 
 COUNT = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -66,8 +65,8 @@ def test_csv_is_exact(tmp_path: Path, before: SemanticMap) -> None:
     again = there_and_back(after, tmp_path / "again.csv", "csv")
     assert again.digest == after.digest
     sigmas = (
-        np.sqrt(np.diagonal(one.elements.covariance_m2, axis1=1, axis2=2))
-        for one in (before, after)
+        np.sqrt(np.diagonal(labels.elements.covariance_m2, axis1=1, axis2=2))
+        for labels in (before, after)
     )
     np.testing.assert_array_equal(*sigmas)
 
@@ -151,7 +150,7 @@ def test_lanelet2_itself_reads_it(tmp_path: Path) -> None:
 def test_osm_ids_are_those_of_one_kind_only(tmp_path: Path) -> None:
     export_map(small_map(), tmp_path / "map.osm", None, KARLSRUHE)
     root = ElementTree.parse(tmp_path / "map.osm").getroot()
-    ids = [one.get("id") for one in root if one.tag in ("node", "way")]
+    ids = [node.get("id") for node in root if node.tag in ("node", "way")]
     assert len(ids) == len(set(ids)) == 15
 
 

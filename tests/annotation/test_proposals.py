@@ -13,20 +13,20 @@ from hypothesis import strategies as st
 from label_files import RIG
 
 from semviz import cli
-from semviz.workspace import Workspace
-from semviz_annotation.detections import as_elements, as_proposals
-from semviz_annotation.looked import Looked
-from semviz_annotation.proposals import (
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_elements, as_proposals
+from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposals import (
     Proposal,
     Proposals,
     load_proposals,
     read_proposals,
     save_proposals,
 )
-from semviz_annotation.rows import derived_id, is_id
-from semviz_core.camera import Rig
-from semviz_core.elements import Elements2D
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels.rows import derived_id, is_id
+from semviz_core.base.camera import Rig
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.errors import SemvizError
 
 POLE: dict[str, Any] = {
     "frame_index": 3, "side": "left", "class": "pole", "anchor_px": [10.5, 20.0],
@@ -163,8 +163,8 @@ def test_newer_ones_take_the_place_of_those_with_their_id(tmp_path: Path) -> Non
         ((POLE, SIGN | {"anchor_px": [-0.6, 1]}), "item 2: point .* is outside the right image"),
         ((POLE | {"sigma_px": 0},), "item 1: sigma_px"),
         ((POLE | {"id": "7"},), "item 1: id"),
-        ((POLE, SIGN, POLE), "item 3: has the id of item 1, or is the same"),
-        ((SIGN, SIGN | {"score": 0.5}), "item 2: has the id of item 1"),
+        ((POLE, SIGN, POLE), "item 3: duplicates item 1, or has its id"),
+        ((SIGN, SIGN | {"score": 0.5}), "item 2: duplicates item 1"),
         ((POLE | {"colour": "red"},), "item 1: colour: Extra inputs"),
         (({**POLE, "score": "0.5"},), "item 1: score"),
         ((3,), "item 1: .*object"),
@@ -181,7 +181,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, rows: tuple[Any, ...], words: st
 
 def test_what_is_no_file_of_proposals_is_refused(tmp_path: Path) -> None:
     for more in ({"format": "coco"}, {"version": 2}, {"more": 1}, {"proposals": 3}):
-        with pytest.raises(SemvizError, match=r"found.json: no proposals \("):
+        with pytest.raises(SemvizError, match=r"found.json: not a file of proposals \("):
             read_proposals(write(tmp_path, **more))
     (tmp_path / "a").write_bytes(b"PAR1 and nothing more")
     with pytest.raises(SemvizError, match="a: not a readable Parquet file"):
@@ -223,7 +223,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         return int(caught.value.code or 0), out.out, out.err
 
     write(tmp_path, POLE, SIGN)
-    assert propose() == (0, f"{town}/proposals.parquet: 2 proposals read, 2 in all\n", "")
+    assert propose() == (0, f"{town}/proposals.parquet: 2 proposals read, 2 in total\n", "")
     before = workspace.proposals_path.read_bytes()
     write(tmp_path, POLE | {"frame_index": 99})
     status, _, err = propose("--replace")
@@ -231,7 +231,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert workspace.proposals_path.read_bytes() == before
     write(tmp_path, POLE | {"frame_index": 2})
     assert json.loads(propose("--json")[1])["kept"] == 3
-    assert propose("--replace")[1].endswith("1 proposals read, 1 in all\n")
+    assert propose("--replace")[1].endswith("1 proposals read, 1 in total\n")
     assert load_proposals(workspace.proposals_path).frames == (2,)
 
 
@@ -252,10 +252,12 @@ def test_finds_go_there_and_back(tmp_path: Path) -> None:
     )  # fmt: skip
     rows = as_proposals(3, "left", elements, RIG.left, "ours")
     assert [row.anchor_px for row in rows] == [(10.1, 20.0), (30.3, 40.0), (0.0, 5.0)]
-    looked = Looked("ours", {"model": "1a", "least": None}, frozenset({(3, "left"), (4, "right")}))
+    looked = ProcessedImages(
+        "ours", {"model": "1a", "least": None}, frozenset({(3, "left"), (4, "right")})
+    )
     save_proposals(Proposals.of(rows, looked), tmp_path / "kept.parquet")
     kept = load_proposals(tmp_path / "kept.parquet")
-    assert kept.looked == looked
+    assert kept.processed == looked
     assert kept.rows() == rows
     back = as_elements(kept.in_frame(3))
     for name, values in vars(back).items():
@@ -267,6 +269,8 @@ def test_whose_finds_count() -> None:
     elements = Elements2D.from_ends([[5.0, 6.0]], [[np.nan, np.nan]], [1])
     own = as_proposals(3, "left", elements, RIG.left, "ours")
     other = as_proposals(3, "right", elements, RIG.left, "theirs")
-    assert Proposals.of([*own, *other]).found == (*own, *other)
-    assert Proposals.of([*own, *other], Looked("ours")).found == own
-    assert Proposals.of(own, Looked("ours")).joined(Proposals.of(other)).looked == Looked("ours")
+    assert Proposals.of([*own, *other]).detections == (*own, *other)
+    assert Proposals.of([*own, *other], ProcessedImages("ours")).detections == own
+    assert Proposals.of(own, ProcessedImages("ours")).joined(
+        Proposals.of(other)
+    ).processed == ProcessedImages("ours")

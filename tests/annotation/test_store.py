@@ -14,16 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_edits import pole, random_edit
 
-from semviz_annotation.edits import (
-    AddObservation,
-    Edit,
-    MoveObservation,
-)
-from semviz_annotation.labels import LabelElement, Labels, new_id
-from semviz_annotation.storing.store import LabelStore, Operation
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels.edits import AddObservation, Edit, MoveObservation
+from semviz_annotation.labels.labels import LabelElement, Labels, new_id
+from semviz_annotation.storage.store import LabelStore, Operation
+from semviz_core.common.errors import SemvizError
 
-WORKER = Path(__file__).with_name("worker.py")
+WORKER = Path(__file__).with_name("label_writer.py")
 
 
 def try_apply(store: LabelStore, edit: Edit, author: str) -> Operation | None:
@@ -91,10 +87,10 @@ def test_log_tables_and_state_agree_whatever_several_people_do(seed):
         with LabelStore.open(store.path) as again:
             assert again.labels.next_number == store.labels.next_number
         operations = store.operations()
-        assert [one.number for one in operations] == list(range(1, len(operations) + 1))
+        assert [operation.number for operation in operations] == list(range(1, len(operations) + 1))
         assert store.last_operation == len(operations) == store.labels.operation
         owner: dict[int, str] = {}
-        for change in (change for one in operations for change in one.changes):
+        for change in (change for operation in operations for change in operation.changes):
             if isinstance(change.after, LabelElement):
                 assert owner.setdefault(change.after.number, change.after.id) == change.after.id
         assert refused < 60
@@ -158,10 +154,10 @@ def test_threads_share_a_store(store):
             store.apply(pole(frame), author)
 
     threads = [threading.Thread(target=work, args=(name,)) for name in "abcd"]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     assert store.last_operation == len(store.labels.observations) == 60
     assert replayed(store) == reopened(store) == store.labels
 
@@ -176,13 +172,13 @@ def test_many_open_the_same_new_file_at_once(tmp_path):
             opened.append(LabelStore.open(path))
 
         threads = [threading.Thread(target=work, args=(path, barrier, opened)) for _ in range(4)]
-        for one in threads:
-            one.start()
-        for one in threads:
-            one.join()
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
         assert len(opened) == 4
         opened[0].apply(pole(), "ann")
-        assert [len(one.labels.elements) for one in opened] == [1] * 4
+        assert [len(store.labels.elements) for store in opened] == [1] * 4
         for store in opened:
             store.close()
 
@@ -197,7 +193,9 @@ def start(path: Path, author: str, count: int) -> "subprocess.Popen[str]":
 
 def test_two_processes_write_the_same_new_file(path):
     workers = [start(path, name, 30) for name in ("ann", "bea")]
-    acknowledged = [line for one in workers for line in one.communicate()[0].split("\n")[1:-1]]
+    acknowledged = [
+        line for worker in workers for line in worker.communicate()[0].split("\n")[1:-1]
+    ]
     with LabelStore.open(path) as store:
         assert sorted(int(line.split()[0]) for line in acknowledged) == list(range(1, 61))
         assert replayed(store) == store.labels

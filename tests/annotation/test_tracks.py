@@ -1,4 +1,4 @@
-"""Which labels are one thing: merges, splits, misfits, and what people decided."""
+"""Which labels are one landmark: merges, splits, outliers, and what people decided."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -8,31 +8,28 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from semviz_annotation.edits import Judge
-from semviz_annotation.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.mapping.assemble import PART_ID
-from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.linking.agreement import Places, agreement
-from semviz_annotation.mapping.linking.exclusion import Exclusion, Reason
-from semviz_annotation.mapping.options import BuildOptions
-from semviz_annotation.mapping.placing.place import PlaceOptions, place
-from semviz_annotation.mapping.placing.sightings import gather
-from semviz_annotation.observe import observe
-from semviz_annotation.rows import apart, judged
-from semviz_annotation.rules import Rules
-from semviz_annotation.street_labels import (
+from support.street_labels import (
     DrivenTwice,
     StreetLabels,
     careful,
     label_street,
     with_mistakes,
 )
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import Decision, SemanticMap
-from semviz_core.sources.street.detector import SimulatedDetector
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.street import Street
+
+from semviz_annotation.labels.edits import DecideElements
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
+from semviz_annotation.labels.rows import Rules, different_elements, review_decision
+from semviz_annotation.mapping.association.candidates import LandmarkPositions, agreement
+from semviz_annotation.mapping.association.nodes import CannotLink, Reason
+from semviz_annotation.mapping.build import PART_ID, BuildOptions, build_map
+from semviz_annotation.mapping.placement.observations import collect_observations
+from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
+from semviz_annotation.mapping.quality.label_links import observe
+from semviz_core.base.semantic_map import Decision, SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.simulation.detector import SimulatedDetector
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 SIGN, OTHER = np.array([22.0, -4.0, 2.4]), np.array([25.0, -3.0, 2.4])
 POLE = (np.array([20.0, 5.0, 4.0]), np.array([20.0, 5.02, 0.4]))
@@ -53,15 +50,15 @@ def renamed(labels: Labels, name: Callable[[int, Observation], int]) -> Labels:
 
 
 def id_of(labels: Labels, number: int) -> str:
-    return next(one.id for one in labels.elements.values() if one.number == number)
+    return next(element.id for element in labels.elements.values() if element.number == number)
 
 
 def decided(semantic_map: SemanticMap, kind: str) -> list[Decision]:
-    return [one for one in semantic_map.decisions if one.kind == kind]
+    return [decision for decision in semantic_map.decisions if decision.kind == kind]
 
 
 def halves(number: int, row: Observation) -> int:
-    """A thing is labelled anew from frame 3 on."""
+    """A landmark is labelled anew from frame 3 on."""
     return number + 10 * (row.frame_index >= 3)
 
 
@@ -88,7 +85,7 @@ def test_neighbours_seen_together_stay_two_transitively(make_world):
         lambda n, row: n + 10 * (row.frame_index >= 1 + n),
     )
     built, _ = build_map(labels, twins, NEAR_IS_ONE)
-    assert [one.numbers for one in decided(built, "merge")] == [(1, 11), (2, 12)]
+    assert [decision.numbers for decision in decided(built, "merge")] == [(1, 11), (2, 12)]
     assert np.allclose(built.elements.anchor_m[0], SIGN, atol=0.3)
     (two,) = decided(built, "apart")
     assert two.by == "machine"
@@ -97,7 +94,7 @@ def test_neighbours_seen_together_stay_two_transitively(make_world):
     single = renamed(labels, lambda n, row: n)
     alone = [row for row in single.observations.values() if row.frame_index in (0, 4)]
     alone = [r for r in alone if single.element(r.element_id).number in (1, 12)]
-    rows = [single.element(one) for one in {row.element_id for row in alone}]
+    rows = [single.element(element_id) for element_id in {row.element_id for row in alone}]
     assert len(build_map(Labels.from_rows([*rows, *alone]), twins, NEAR_IS_ONE)[0]) == 1
 
 
@@ -107,18 +104,18 @@ def test_no_group_has_a_mark_twice(seed):
     n = int(rng.integers(1, 12))
     node = rng.integers(0, n, 20)
     pairs = np.unique(np.stack([node, rng.integers(0, 15, 20)]), axis=1)
-    exclusion = Exclusion(pairs[0], pairs[1], (Reason("image"),) * 15)
+    exclusion = CannotLink(pairs[0], pairs[1], (Reason("image"),) * 15)
     group = rng.integers(-1, 3, n)
     out = exclusion.clashing(group, rng.permutation(n))
     kept = np.where(out, -1, group)
     named = [
-        (kept[one], mark) for one, mark in zip(pairs[0], pairs[1], strict=True) if kept[one] >= 0
+        (kept[pair], mark) for pair, mark in zip(pairs[0], pairs[1], strict=True) if kept[pair] >= 0
     ]
     assert len(set(named)) == len(named)
-    one, other = rng.integers(0, n, (2, 8))
+    member, other = rng.integers(0, n, (2, 8))
     marks = [set(pairs[1][pairs[0] == row].tolist()) for row in range(n)]
-    expected = [min(marks[a] & marks[b], default=-1) for a, b in zip(one, other, strict=True)]
-    assert exclusion.shared(one, other).tolist() == expected
+    expected = [min(marks[a] & marks[b], default=-1) for a, b in zip(member, other, strict=True)]
+    assert exclusion.shared(member, other).tolist() == expected
 
 
 def under_one_name(make_world, sigma_px: float = 0.3):
@@ -144,11 +141,11 @@ def test_a_planted_split_is_found(make_world):
     assert np.allclose(built.elements.anchor_m[2], OTHER, atol=0.3)
     (split,) = built.decisions
     assert (split.kind, split.numbers, split.label_ids) == ("split", (5,), (id_of(labels, 5),))
-    frames = {labels.observation(one).frame_index for one in split.observation_ids}
+    frames = {labels.observation(id_).frame_index for id_ in split.observation_ids}
     assert frames == {4, 5}
     assert set(split.observation_ids) == set(built.provenance[2].observation_ids)
     assert split.evidence["distance_m"] == pytest.approx(np.hypot(3.0, 1.0), abs=0.3)
-    assert "split T-05: 4 of its labels are of another thing 3." in str(report)
+    assert "split T-05: 4 of its labels are of another landmark 3." in str(report)
     _, ids = observe(labels, 5, "left", built)
     assert sorted(ids) == [7, PART_ID + 5]
 
@@ -156,7 +153,7 @@ def test_a_planted_split_is_found(make_world):
 def test_what_is_split_off_joins_what_it_is(make_world):
     """The second sign has a name of its own, too, in the frames before."""
     world, labels = under_one_name(make_world)
-    again = replace(world, things={8: (1, OTHER, None)}).labels()
+    again = replace(world, landmarks={8: (1, OTHER, None)}).labels()
     before = [row for row in again.observations.values() if row.frame_index < 4]
     rows = [*labels.rows(), *again.elements.values(), *before]
     both = Labels.from_rows(rows)
@@ -174,14 +171,14 @@ def test_people_have_the_last_word(make_world):
     world, labels = under_one_name(make_world)
 
     def built_after(*verdicts) -> SemanticMap:
-        judged_ = labels.changed(Judge(verdicts).changes(labels, Rules()))
+        judged_ = labels.changed(DecideElements(verdicts).changes(labels, Rules()))
         return build_map(judged_, world)[0]
 
-    kept = built_after(judged(id_of(labels, 5), "keep"))
+    kept = built_after(review_decision(id_of(labels, 5), "keep"))
     assert list(kept.elements.id) == [5, 7]
     assert kept.decisions == ()
     assert len(kept.provenance[0].observation_ids) == 12
-    gone = built_after(judged(id_of(labels, 5), "leave out"))
+    gone = built_after(review_decision(id_of(labels, 5), "leave out"))
     assert list(gone.elements.id) == [7]
     (left_out,) = gone.decisions
     assert (left_out.kind, left_out.numbers, left_out.by) == ("leave out", (5,), "human")
@@ -189,13 +186,13 @@ def test_people_have_the_last_word(make_world):
 
 def test_what_a_person_called_two_is_two(world):
     labels = renamed(world.labels(), lambda n, row: n + 10 * (row.frame_index % 3) if n == 4 else n)
-    one = apart(id_of(labels, 4), id_of(labels, 14))
-    judged_labels = labels.changed(Judge((one,)).changes(labels, Rules()))
+    first = different_elements(id_of(labels, 4), id_of(labels, 14))
+    judged_labels = labels.changed(DecideElements((first,)).changes(labels, Rules()))
     built, report = build_map(judged_labels, world)
     assert len(built) == 5
-    (two,) = decided(built, "apart")
-    assert (two.numbers, two.by) == ((4, 14), "human")
-    assert "a person said that 4 and 14 are two things" in str(report)
+    (second,) = decided(built, "apart")
+    assert (second.numbers, second.by) == ((4, 14), "human")
+    assert "a person said that 4 and 14 are two landmarks" in str(report)
     (merge,) = decided(built, "merge")
     assert merge.numbers in ((4, 24), (14, 24))
 
@@ -205,11 +202,11 @@ def test_the_order_of_rows_means_nothing():
     rows = list(given.labels.rows())
     order = np.random.default_rng(0).permutation(len(rows))
     shuffled = Labels.from_rows([rows[k] for k in order])
-    one, _ = build_map(given.labels, STREET, MACHINE)
+    built, _ = build_map(given.labels, STREET, MACHINE)
     other, _ = build_map(shuffled, STREET, MACHINE)
-    assert one.digest == other.digest
-    assert one.decisions == other.decisions
-    assert one.provenance == other.provenance
+    assert built.digest == other.digest
+    assert built.decisions == other.decisions
+    assert built.provenance == other.provenance
 
 
 def test_ids_stay_when_labels_are_added(world):
@@ -232,28 +229,28 @@ def detected(seed: int) -> StreetLabels:
     return label_street(SimulatedDetector(STREET, "low", seed).detect, range(24))
 
 
-def things_of(built: SemanticMap, given: StreetLabels) -> list[Counter[int]]:
+def landmarks_of(built: SemanticMap, given: StreetLabels) -> list[Counter[int]]:
     """What each map element is made from."""
     return [
-        Counter(given.truth[name].element_id for name in one.observation_ids)
-        for one in built.provenance
+        Counter(given.truth[name].element_id for name in entry.observation_ids)
+        for entry in built.provenance
     ]
 
 
-def test_a_street_without_identity_gives_each_thing_once():
+def test_a_street_without_identity_gives_each_landmark_once():
     given = label_street(careful(STREET, 0.5, 1), range(24))
     built, _ = build_map(given.labels, STREET, BuildOptions(sigma_px=0.5))
-    things = things_of(built, given)
-    assert all(len(one) == 1 for one in things)
-    assert len({next(iter(one)) for one in things}) == len(built) > 15
+    landmarks = landmarks_of(built, given)
+    assert all(len(landmark) == 1 for landmark in landmarks)
+    assert len({next(iter(landmark)) for landmark in landmarks}) == len(built) > 15
 
 
 def test_no_element_is_seen_twice_in_one_image():
     given = detected(2)
     built, _ = build_map(given.labels, STREET, BuildOptions(sigma_px=4.0, pose_sigma_m=1.0))
     assert decided(built, "merge")
-    for one in built.provenance:
-        rows = [given.labels.observation(name) for name in one.observation_ids]
+    for entry in built.provenance:
+        rows = [given.labels.observation(name) for name in entry.observation_ids]
         assert len({(row.frame_index, row.side) for row in rows}) == len(rows)
 
 
@@ -261,9 +258,13 @@ def test_mistakes_in_identity_are_found():
     given = label_street(careful(STREET, 0.5, 1), range(24), memory=8)
     mixed, names = with_mistakes(given, 4, seed=5)
     built, _ = build_map(mixed.labels, STREET, BuildOptions(sigma_px=0.5))
-    things = things_of(built, given)
-    assert all(len(one) == 1 for one in things)
-    found = {one.label_ids[0] for one in built.decisions if one.kind in ("split", "leave out")}
+    landmarks = landmarks_of(built, given)
+    assert all(len(landmark) == 1 for landmark in landmarks)
+    found = {
+        decision.label_ids[0]
+        for decision in built.decisions
+        if decision.kind in ("split", "leave out")
+    }
     assert found == names
 
 
@@ -273,10 +274,10 @@ def test_a_second_pass_with_other_poses_is_the_same_street():
     given = label_street(see, range(48), memory=24)
     built, _ = build_map(given.labels, source, BuildOptions(sigma_px=0.5, pose_sigma_m=0.2))
     strict, _ = build_map(given.labels, source, BuildOptions(sigma_px=0.5, pose_sigma_m=0.001))
-    things = [one.most_common(1)[0][0] for one in things_of(built, given)]
-    assert len(things) == len(set(things)) < 0.7 * len(strict)
-    seen = Counter(one.element_id for one in given.truth.values())
-    assert {thing for thing, count in seen.items() if count > 8} <= set(things)
+    landmarks = [votes.most_common(1)[0][0] for votes in landmarks_of(built, given)]
+    assert len(landmarks) == len(set(landmarks)) < 0.7 * len(strict)
+    seen = Counter(row.element_id for row in given.truth.values())
+    assert {landmark for landmark, count in seen.items() if count > 8} <= set(landmarks)
 
 
 @pytest.mark.parametrize("number", [3, 7])
@@ -285,25 +286,27 @@ def test_the_test_of_one_place_keeps_its_level(world, number):
     ratios = []
     for seed in range(40):
         labels = world.labels(sigma_px=1.0, seed=seed)
-        views, sightings, elements, _ = gather(labels, world)
-        row = [one.number for one in elements].index(number)
-        mine = sightings.only(np.arange(sightings.count) == row)
+        views, observations, elements, _ = collect_observations(labels, world)
+        row = [element.number for element in elements].index(number)
+        mine = observations.only(np.arange(observations.count) == row)
         first = views.frame_index[mine.view] == 1
-        others = place(views, mine.where(~first), PlaceOptions(outlier_sigmas=np.inf))
-        result = agreement(views, mine.where(first), Places.of(others), 1.0, 0.0)
+        others = triangulate_landmarks(
+            views, mine.where(~first), PlaceOptions(outlier_sigmas=np.inf)
+        )
+        result = agreement(views, mine.where(first), LandmarkPositions.of(others), 1.0, 0.0)
         ratios.append(result.chi2[0] / result.freedom[0])
     assert 0.75 < np.mean(ratios) < 1.25
 
 
 def test_nothing_is_left_where_people_leave_out_all(world):
     labels = world.labels()
-    every = tuple(judged(one, "leave out") for one in sorted(labels.elements))
+    every = tuple(review_decision(element, "leave out") for element in sorted(labels.elements))
     with pytest.raises(SemvizError, match="nothing can be placed; the first of all: a person said"):
-        build_map(labels.changed(Judge(every).changes(labels, Rules())), world)
+        build_map(labels.changed(DecideElements(every).changes(labels, Rules())), world)
     some = every[:3]
-    built, _ = build_map(labels.changed(Judge(some).changes(labels, Rules())), world)
+    built, _ = build_map(labels.changed(DecideElements(some).changes(labels, Rules())), world)
     assert len(built) == 1
-    assert [one.by for one in built.decisions] == ["human"] * 3
+    assert [decision.by for decision in built.decisions] == ["human"] * 3
 
 
 def test_what_one_image_shows_joins_what_it_is_and_is_nothing_by_itself(world):
@@ -312,14 +315,14 @@ def test_what_one_image_shows_joins_what_it_is_and_is_nothing_by_itself(world):
         lambda n, row: 50 + n if (row.frame_index, row.side) == (2, "left") and n in (4, 7) else n,
     )
     built, _ = build_map(labels, world)
-    assert [one.numbers for one in built.decisions] == [(4, 54), (7, 57)]
+    assert [decision.numbers for decision in built.decisions] == [(4, 54), (7, 57)]
     assert list(built.elements.id) == [3, 4, 7, 9]
     alone = [row for row in labels.rows() if not isinstance(row, LabelElement)]
     alone = [row for row in alone if labels.element(row.element_id).number not in (4, 7)]
-    rest = [labels.element(one) for one in sorted({row.element_id for row in alone})]
+    rest = [labels.element(element_id) for element_id in sorted({row.element_id for row in alone})]
     built, _ = build_map(Labels.from_rows([*rest, *alone]), world)
     assert list(built.elements.id) == [3, 9]
-    assert {one.reason for one in built.decisions} == {"labelled in one image only"}
+    assert {decision.reason for decision in built.decisions} == {"labelled in one image only"}
 
 
 def test_what_is_hardly_known_is_not_in_the_map(make_world):
@@ -328,7 +331,9 @@ def test_what_is_hardly_known_is_not_in_the_map(make_world):
     )
     built, _ = build_map(far.labels(0.5), far, BuildOptions(0.5, min_angle_deg=1e-3))
     assert list(built.elements.id) == [2]
-    assert [one.reason for one in built.decisions] == ["where it stands is not known to 20 m"]
+    assert [decision.reason for decision in built.decisions] == [
+        "where it stands is not known to 20 m"
+    ]
 
 
 def test_a_bottom_that_only_a_mistaken_label_shows_is_held(make_world):
@@ -344,7 +349,7 @@ def test_a_bottom_that_only_a_mistaken_label_shows_is_held(make_world):
     rows = [replace(row, end_known=False) for row in own]
     rows.append(replace(mistake, element_id=own[0].element_id))
     mixed = Labels.from_rows([labels.element(own[0].element_id), *rows])
-    alone = place(*gather(mixed, long)[:2])
+    alone = triangulate_landmarks(*collect_observations(mixed, long)[:2])
     assert alone.ok.all()
     assert np.linalg.eigvalsh(alone.covariance_m2[0])[-1] < 1.0
     built, _ = build_map(mixed, long)

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from semviz_annotation.labels import Observation, new_id
-from semviz_annotation.triangulate import (
+from semviz_annotation.labels.labels import Observation, new_id
+from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_annotation.mapping.placement.triangulation import (
     MIN_ANGLE_RAD,
-    Failed,
     Triangulated,
+    TriangulationFailure,
     triangulate,
     triangulate_pair,
 )
-from semviz_annotation.view import View, rig_view
-from semviz_core.camera import Camera, Rig
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.pose import Pose
+from semviz_core.common.errors import SemvizError
 
 K = np.array([[720.0, 0.0, 610.0], [0.0, 720.0, 180.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(1241, 376, K)
@@ -27,7 +27,7 @@ RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.54, 0.0, 0.0])))
 PAIR = (rig_view(RIG, "left"), rig_view(RIG, "right"))
 
 
-def seen(view: View, anchor, end=None, *, noise=None, **known) -> Observation:
+def seen(view: PosedView, anchor, end=None, *, noise=None, **known) -> Observation:
     points = np.array([anchor, anchor if end is None else end], dtype=np.float64)
     pixels = view.project(points) + (0.0 if noise is None else noise)
     return Observation(
@@ -42,7 +42,7 @@ def seen(view: View, anchor, end=None, *, noise=None, **known) -> Observation:
     )
 
 
-def answered(result: Triangulated | Failed) -> Triangulated:
+def answered(result: Triangulated | TriangulationFailure) -> Triangulated:
     assert isinstance(result, Triangulated), result
     return result
 
@@ -66,7 +66,7 @@ def test_exact_recovery_from_any_views(T_camera_map, place, lean, far_away):
     """Also far from the map's origin, where numbers are large."""
     shift = np.array([far_away, -far_away, 0.0])
     views = [
-        View(CAMERA, replace(T, translation=T.translation - T.rotation @ shift))
+        PosedView(CAMERA, replace(T, translation=T.translation - T.rotation @ shift))
         for T in T_camera_map
     ]
     anchor = shift + np.array([0.0, -3.0, 14.0]) + np.array(place) * [4.0, 1.0, 4.0]
@@ -117,8 +117,8 @@ def test_an_end_nobody_saw_is_the_furthest_point_seen():
 def test_covariance_agrees_with_monte_carlo(end, views):
     rng = np.random.default_rng(5)
     sigma_px = 0.5
-    cameras = [*PAIR, View(CAMERA, Pose(np.eye(3), [0.1, 0.0, -3.0]))]
-    cameras = [*cameras, View(CAMERA, Pose(np.eye(3), [-0.44, 0.0, -3.0]))][:views]
+    cameras = [*PAIR, PosedView(CAMERA, Pose(np.eye(3), [0.1, 0.0, -3.0]))]
+    cameras = [*cameras, PosedView(CAMERA, Pose(np.eye(3), [-0.44, 0.0, -3.0]))][:views]
     anchor = np.array([-3.0, -1.5, 12.0])
     rows, predicted = [], np.zeros((6, 6))
     for trial in range(801):
@@ -142,18 +142,20 @@ def test_covariance_agrees_with_monte_carlo(end, views):
 def test_failures_have_reasons():
     anchor, end = np.array([-1.0, -1.0, 10.0]), np.array([-1.0, 1.0, 10.0])
     left, right = seen(PAIR[0], anchor), seen(PAIR[1], anchor)
-    pole, partner = seen(PAIR[0], anchor, end), seen(PAIR[1], anchor, end)
+    pole, correspondence = seen(PAIR[0], anchor, end), seen(PAIR[1], anchor, end)
 
-    def reason(one, two) -> str:
-        result = triangulate_pair(RIG, one, two)
-        assert isinstance(result, Failed)
+    def reason(first, second) -> str:
+        result = triangulate_pair(RIG, first, second)
+        assert isinstance(result, TriangulationFailure)
         return result.reason
 
     assert "parallel (0.00 deg" in reason(left, left)
     assert "parallel" in reason(pole, pole)
     assert "behind the camera" in reason(right, left)
-    assert "behind the camera" in reason(partner, pole)
-    swapped = replace(partner, anchor_px=partner.end_px, end_px=partner.anchor_px)
+    assert "behind the camera" in reason(correspondence, pole)
+    swapped = replace(
+        correspondence, anchor_px=correspondence.end_px, end_px=correspondence.anchor_px
+    )
     assert "swapped" in reason(pole, swapped)
     level = np.array([1.0, -1.0, 10.0])
     assert "along the line between" in reason(
@@ -178,7 +180,7 @@ def test_whatever_is_clicked_gives_a_place_ahead_or_a_reason(left, right, is_pol
     ]
     for min_angle_rad in (0.0, MIN_ANGLE_RAD):
         result = triangulate(PAIR, clicked, min_angle_rad=min_angle_rad)
-        if isinstance(result, Failed):
+        if isinstance(result, TriangulationFailure):
             assert result.reason
             continue
         assert result.angle_rad >= min_angle_rad

@@ -5,21 +5,20 @@ from pathlib import Path
 
 import pytest
 
-from semviz_annotation.edits import (
+from semviz_annotation.labels.edits import (
     AddObservation,
+    DecideElements,
     DeleteElement,
-    Judge,
     MoveObservation,
     ReviewFrame,
 )
-from semviz_annotation.labels import new_id
-from semviz_annotation.rows import judged
-from semviz_annotation.storing import schema
-from semviz_annotation.storing.backup import backup_labels, restore_labels
-from semviz_annotation.storing.integrity import check_labels
-from semviz_annotation.storing.operations import CHANGES, Operation
-from semviz_annotation.storing.store import LabelStore
-from semviz_core.errors import SemvizError
+from semviz_annotation.labels.labels import new_id
+from semviz_annotation.labels.rows import review_decision
+from semviz_annotation.storage import database
+from semviz_annotation.storage.backup import backup_labels, check_labels, restore_labels
+from semviz_annotation.storage.operations import CHANGES, Operation
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.common.errors import SemvizError
 
 VERSION_1 = """
 CREATE TABLE operations (
@@ -90,9 +89,9 @@ def old(known: LabelStore, path: Path) -> Path:
     """The file of version 1 with the same content."""
     connection = sqlite3.connect(path)
     connection.executescript(VERSION_1)
-    for one in known.operations():
+    for operation in known.operations():
         connection.execute(
-            "INSERT INTO operations VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", version_1(one)
+            "INSERT INTO operations VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", version_1(operation)
         )
     connection.execute("DELETE FROM counters")
     connection.execute("ATTACH ? AS known", (str(known.path),))
@@ -103,10 +102,10 @@ def old(known: LabelStore, path: Path) -> Path:
     return path
 
 
-def version_1(one: Operation) -> tuple[object, ...]:
-    changes = CHANGES.dump_json(one.changes).decode()
-    who = (one.request_id, one.author, one.origin, one.time)
-    return (one.number, *who, one.kind, changes, one.undoes, one.redoes)
+def version_1(operation: Operation) -> tuple[object, ...]:
+    changes = CHANGES.dump_json(operation.changes).decode()
+    who = (operation.request_id, operation.author, operation.origin, operation.time)
+    return (operation.number, *who, operation.kind, changes, operation.undoes, operation.redoes)
 
 
 def test_nothing_is_lost_and_the_chain_begins_at_the_first_operation(old, known):
@@ -140,11 +139,11 @@ def test_a_failed_upgrade_leaves_the_file_as_it_was(old, monkeypatch):
 
     for step in range(1, 8):
 
-        def write(connection: sqlite3.Connection, one: Operation, step: int = step) -> None:
-            if one.number == step:
+        def write(connection: sqlite3.Connection, operation: Operation, step: int = step) -> None:
+            if operation.number == step:
                 raise sqlite3.OperationalError("disk I/O error")
 
-        monkeypatch.setattr(schema, "write_operation", write)
+        monkeypatch.setattr(database, "write_operation", write)
         with pytest.raises(SemvizError, match=r"Not opened: .*disk I/O error"):
             LabelStore.open(old)
         assert dump(old) == before
@@ -179,7 +178,7 @@ def test_an_old_file_is_checked_and_backed_up_as_it_is(old, known, tmp_path):
 
 
 @pytest.fixture
-def without_judgements(known: LabelStore, tmp_path: Path) -> Path:
+def without_decisions(known: LabelStore, tmp_path: Path) -> Path:
     """The file of version 2 with the same content."""
     path = tmp_path / "version_2.db"
     backup_labels(known.path, path)
@@ -189,26 +188,26 @@ def without_judgements(known: LabelStore, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_of_version_2_gets_room_for_judgements_and_loses_nothing(without_judgements, known):
-    assert check_labels(without_judgements) == check_labels(known.path)
-    with LabelStore.open(without_judgements) as store:
+def test_a_file_of_version_2_gets_room_for_decisions_and_loses_nothing(without_decisions, known):
+    assert check_labels(without_decisions) == check_labels(known.path)
+    with LabelStore.open(without_decisions) as store:
         assert store.operations() == known.operations()
         assert store.labels == known.labels
         (element_id,) = store.labels.elements
-        store.apply(Judge((judged(element_id, "keep"),)), "ann")
-    assert contents(without_judgements, "sqlite_master") == contents(known.path, "sqlite_master")
-    check_labels(without_judgements)
-    with LabelStore.open(without_judgements) as store:
-        assert [one.verdict for one in store.labels.judgements_of(element_id)] == ["keep"]
+        store.apply(DecideElements((review_decision(element_id, "keep"),)), "ann")
+    assert contents(without_decisions, "sqlite_master") == contents(known.path, "sqlite_master")
+    check_labels(without_decisions)
+    with LabelStore.open(without_decisions) as store:
+        assert [decision.verdict for decision in store.labels.decisions_of(element_id)] == ["keep"]
 
 
 def test_an_upgrade_from_version_2_that_fails_leaves_the_file_as_it_was(
-    without_judgements, monkeypatch
+    without_decisions, monkeypatch
 ):
-    before = dump(without_judgements)
-    monkeypatch.setattr(schema, "_SINCE_3", schema._SINCE_3 + "CREATE TABLE elements (id);\n")
+    before = dump(without_decisions)
+    monkeypatch.setattr(database, "_SINCE_3", database._SINCE_3 + "CREATE TABLE elements (id);\n")
     with pytest.raises(SemvizError, match=r"Not opened: .*elements already exists"):
-        LabelStore.open(without_judgements)
-    assert dump(without_judgements) == before
+        LabelStore.open(without_decisions)
+    assert dump(without_decisions) == before
     monkeypatch.undo()
-    LabelStore.open(without_judgements).close()
+    LabelStore.open(without_decisions).close()

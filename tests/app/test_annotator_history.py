@@ -1,17 +1,21 @@
 """History of the labelling page: every state can be seen, named and brought back, none is lost."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from annotating import Served, annotating, draw_signs
+from annotator_page import Served, annotating, draw_signs
+from drawn_marks import do
 from journeys.driver import ROUNDED, LabelDriver
+from streets import street_workspace
 
-from semviz.annotator.past import PAGE
-from semviz.workspace import Workspace
-from semviz_annotation.labels import new_id
-from semviz_core.errors import SemvizError
+from semviz.annotator.history import PAGE_SIZE
+from semviz.annotator.page_session import HANDLERS
+from semviz.web.protocol import MalformedRequestError
+from semviz.workspace.workspace import Workspace
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -21,7 +25,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
-    return Workspace.create_street(tmp_path / "street", 7, range(0, 3))
+    return street_workspace(tmp_path / "street", 7, 3)
 
 
 @pytest.fixture
@@ -44,10 +48,10 @@ def names(page: "Page") -> list[str]:
 
 
 def look(driver: LabelDriver, number: int) -> None:
-    """Presses "look" at an operation and waits for what it left."""
+    """Presses "view" at an operation and waits for what it left."""
     row = driver.page.locator(f'.operation[data-number="{number}"]')
     row.hover()
-    row.locator(".look").click()
+    row.locator(".view").click()
     driver.page.wait_for_selector(f"#past:has-text('State after operation {number}')")
     driver.settle()
 
@@ -68,7 +72,7 @@ def test_an_earlier_state_is_looked_at_and_nothing_changes(
     assert set(numbers) == {"—"}  # they would be those of now
     driver.zoom_to("left", (700.0, 150.0))
     driver.click_at("left", (700.0, 150.0))
-    page.wait_for_selector("#message:has-text('state after operation 4: Esc goes back to now')")
+    page.wait_for_selector("#message:has-text('state after operation 4: press Esc to return')")
     page.keyboard.press("Control+z")
     page.keyboard.press("Enter")
     driver.goto(1)  # the past of every frame
@@ -132,7 +136,7 @@ def test_a_state_gets_a_name_and_is_found_by_it(driver: LabelDriver, served: Ser
     page.keyboard.press("Control+b")
     page.keyboard.type("Before lunch <b>")
     page.keyboard.press("Enter")
-    page.wait_for_selector('#message:has-text("operation 4 is named")')
+    page.wait_for_selector('#message:has-text("operation 4 is already named")')
     assert served.labels.operation == 5
 
 
@@ -148,12 +152,12 @@ def test_whose_edit_it_was_and_where(driver: LabelDriver) -> None:
 def test_older_operations_come_when_the_list_is_scrolled(
     workspace: Workspace, page: "Page"
 ) -> None:
-    count = 2 * PAGE + 30
+    count = 2 * PAGE_SIZE + 30
     draw_signs(workspace, [(0, 4.0 * place) for place in range(count)], "tester")
     with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
-        for shown in (PAGE, 2 * PAGE, count):
+        for shown in (PAGE_SIZE, 2 * PAGE_SIZE, count):
             page.wait_for_function(
                 "count => document.querySelectorAll('.operation').length === count", arg=shown
             )
@@ -169,16 +173,18 @@ def test_what_the_page_may_ask_of_the_past(workspace: Workspace) -> None:
     draw_signs(workspace, [(0, 300.0), (1, 300.0)], "one")
     with annotating(workspace) as served:
         session = served.annotator.session
-        past = session.past
-        session.do(new_id(), {"kind": "name", "name": "both"})
-        (named,) = past.operations(None)["named"]
-        assert (named["number"], named["text"]) == (3, "both")
-        assert [row["number"] for row in past.operations(3)["operations"]] == [2, 1]
-        assert past.frame(0, 0)["frame"]["elements"] == past.frame(1, 1)["frame"]["elements"] == []
-        assert past.frame(2, 1)["frame"]["elements"] == session.frame(1)["elements"]
-        assert past.frame(0, 0)["done"] is None
-        for number, frame in ((4, 0), (-1, 0), (True, 0), ("1", 0), (1, 9), (1, None)):
+        past = session.history
+        do(session, {"kind": "name", "name": "both"})
+        (named,) = past.named_states()
+        assert (named.number, named.text) == (3, "both")
+        assert [row.number for row in past.operations(3)] == [2, 1]
+        assert past.frame(0, 0).frame.elements == past.frame(1, 1).frame.elements == []
+        assert past.frame(2, 1).frame.elements == session.frame(1).elements
+        assert past.frame(0, 0).done is None
+        for number, frame in ((4, 0), (1, 9)):
             with pytest.raises(SemvizError):
                 past.frame(number, frame)
-        with pytest.raises(SemvizError):
-            past.operations("2")
+    for number, frame in ((-1, 0), (True, 0), ("1", 0), (1, None)):
+        asked = {"type": "show_past_frame", "id": "1", "operation": number, "frame": frame}
+        with pytest.raises(MalformedRequestError):
+            HANDLERS.decode(json.dumps(asked))

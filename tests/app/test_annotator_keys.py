@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotating import Served, annotating
+from annotator_page import Served, annotating
 from journeys.driver import RECTANGULAR, TRIANGULAR, LabelDriver
+from streets import street_workspace
 
-from semviz.workspace import Workspace
-from semviz_core.classes import DEFAULT_CLASSES, ClassSet, ElementClass
+from semviz.workspace.workspace import Workspace
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ElementClass
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
-    return Workspace.create_street(tmp_path / "street", 7, range(0, 3))
+    return street_workspace(tmp_path / "street", 7, 3)
 
 
 @pytest.fixture
@@ -82,7 +83,7 @@ def test_a_changed_key_works_is_shown_everywhere_and_stays(
     [
         ("x", "X is both “Reject: not here” and “Loupe”: nothing was changed."),
         ("w", "W moves the camera of the 3D scene: nothing was changed."),
-        ("ArrowUp", "↑ is both “Nudge 0.1 px (cursor 1 px)” and “Loupe”: nothing was changed."),
+        ("ArrowUp", "↑ is both “Move 0.1 px (cursor 1 px)” and “Loupe”: nothing was changed."),
         ("Control+l", "Ctrl L belongs to the browser: nothing was changed."),
     ],
 )
@@ -105,14 +106,14 @@ def test_every_command_is_in_the_help_and_in_the_palette(driver: LabelDriver) ->
     page.click("text=Change keys…")
     in_help = page.locator("dialog.help button.kbd").count()
     groups = page.locator("dialog.help h3").all_inner_texts()
-    assert groups == ["Draw", "Proposals", "See", "Frames", "Map", "Safety", "Anywhere"]
+    assert groups == ["Draw", "Proposals", "View", "Frames", "Map", "History", "General"]
     page.keyboard.press("Escape")
     page.keyboard.press("Control+k")
     in_palette = page.locator("dialog.palette [role=option]").count()
     assert in_palette == in_help + 1  # Esc has its place and cannot be changed
     page.keyboard.type("revi emp")
     options = page.locator("dialog.palette [role=option]")
-    assert options.all_inner_texts() == ["Frames\nReviewed, empty\nShift\nEnter"]
+    assert options.all_inner_texts() == ["Frames\nMark as reviewed, empty\nShift\nEnter"]
     before = driver.operation
     page.keyboard.press("Enter")
     driver.wait_saved(before)
@@ -135,7 +136,7 @@ def test_class_keys_follow_the_classes_of_the_workspace(
         assert page.inner_text("#classes .row.chosen .fill") == "Lamp"
         assert driver.draw_sign("left", (700.0, 40.0), 5) == "L-01"
         driver.press_and_save("Shift+Digit2")
-        assert [one.class_id for one in served.labels.elements.values()] == [TRIANGULAR]
+        assert [element.class_id for element in served.labels.elements.values()] == [TRIANGULAR]
         page.keyboard.press("?")
         keys = help_row(page, "Class of the selected sign").locator("kbd").all_inner_texts()
         assert keys == ["Shift", "2", "3", "4", "6"]
@@ -147,7 +148,7 @@ def press(page: "Page", key: str, times: int) -> None:
         page.keyboard.press(key)
 
 
-def test_a_pole_and_its_partner_are_drawn_by_keys_alone(
+def test_a_pole_and_its_correspondence_are_drawn_by_keys_alone(
     driver: LabelDriver, served: Served
 ) -> None:
     page = driver.page
@@ -262,7 +263,7 @@ def test_the_tour_leads_through_three_steps_beside_the_images(served: Served, pa
         page.set_viewport_size({"width": width, "height": height})
         page.goto(served.url)
         page.wait_for_selector("#tour:not([hidden])")
-        tour, images = (page.locator(one).bounding_box() for one in ("#tour", ".images"))
+        tour, images = (page.locator(selector).bounding_box() for selector in ("#tour", ".images"))
         assert tour is not None
         assert images is not None
         assert tour["x"] >= images["x"] + images["width"]
@@ -276,7 +277,7 @@ def test_the_tour_leads_through_three_steps_beside_the_images(served: Served, pa
     driver.click_at("left", (700.0, 60.0))
     driver.click_at("left", (700.0, 200.0))
     driver.wait_saved(before)
-    assert title.inner_text() == "Partner and next frames"
+    assert title.inner_text() == "Second image, next frames"
     driver.goto(1)
     driver.settle()
     assert title.inner_text() == "Saved, and undo"

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from annotating import Served, annotating, draw_signs
+from annotator_page import Served, annotating, draw_signs
+from fonts import FONTS
 from journeys.driver import POLE, LabelDriver
-
-from semviz.workspace import Workspace
+from streets import street_workspace
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -46,7 +46,7 @@ NAMELESS = """() => [...document.querySelectorAll("button, input, canvas.marks, 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("layout") / "street"
-    workspace = Workspace.create_street(folder, 7, range(0, 30))
+    workspace = street_workspace(folder, 7, 30)
     draw_signs(workspace, [(0, 100.0 * place) for place in range(1, 11)], "tester")
     with annotating(workspace) as served:
         yield served
@@ -67,9 +67,9 @@ def bounding_box(page: "Page", selector: str) -> dict[str, float]:
     return dict(box)
 
 
-def overlap(one: dict[str, Any], two: dict[str, Any]) -> bool:
-    across = min(one["right"], two["right"]) - max(one["left"], two["left"])
-    down = min(one["bottom"], two["bottom"]) - max(one["top"], two["top"])
+def overlap(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    across = min(first["right"], second["right"]) - max(first["left"], second["left"])
+    down = min(first["bottom"], second["bottom"]) - max(first["top"], second["top"])
     return across > 0.5 and down > 0.5
 
 
@@ -77,19 +77,20 @@ def faults(page: "Page", size: tuple[int, int]) -> list[str]:
     """Panels that overlap, stick out of the window or are too low to show anything; cut texts."""
     panels = page.evaluate(GEOMETRY)
     found = [
-        f"{one['name']} over {two['name']}"
-        for place, one in enumerate(panels)
-        for two in panels[:place]
-        if overlap(one, two)
+        f"{first['name']} over {second['name']}"
+        for place, first in enumerate(panels)
+        for second in panels[:place]
+        if overlap(first, second)
     ]
-    for one in panels:
-        if one["right"] > size[0] + 0.5 or one["bottom"] > size[1] + 0.5:
-            found.append(f"{one['name']} sticks out")
-        if one["bottom"] - one["top"] < 28:
-            found.append(f"{one['name']} is {one['bottom'] - one['top']} high")
+    for panel in panels:
+        if panel["right"] > size[0] + 0.5 or panel["bottom"] > size[1] + 0.5:
+            found.append(f"{panel['name']} sticks out")
+        if panel["bottom"] - panel["top"] < 28:
+            found.append(f"{panel['name']} is {panel['bottom'] - panel['top']} high")
     return found + [f"cut off: {text}" for text in page.evaluate(CUT_OFF)]
 
 
+@pytest.mark.parametrize("fonts", FONTS)
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
     driver: LabelDriver, size: tuple[int, int]
@@ -99,7 +100,7 @@ def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
         left, right = (((u, 60.0), (u, 260.0)) for u in (600.0, 580.0))
         driver.draw_pair(POLE, left, right)
     driver.clear_selection()
-    columns = [bounding_box(page, one)["width"] for one in (".left .panel", "#card")]
+    columns = [bounding_box(page, selector)["width"] for selector in (".left .panel", "#card")]
     assert columns == pytest.approx(SIZES[size], abs=20)
     states = {"idle": [], "history": ["h"], "back": ["h"], "bright": ["b"], "naming": ["Control+b"]}
     for state, keys in states.items():

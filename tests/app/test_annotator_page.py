@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotating import Killable, Served, annotating
+from annotator_page import Killable, Served, annotating
+from drawn_marks import do
 from journeys.driver import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, LabelDriver
+from streets import street_workspace
 
 from semviz.annotator.session import LabelSession
-from semviz.workspace import Workspace
-from semviz_annotation.labels import new_id
-from semviz_core.errors import SemvizError
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import new_id
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -25,7 +27,7 @@ PANE_MS = 240_000
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
-    return Workspace.create_street(tmp_path / "street", 7, range(0, 4))
+    return street_workspace(tmp_path / "street", 7, 4)
 
 
 @pytest.fixture
@@ -183,9 +185,9 @@ def test_drag_nudge_flag_swap_and_delete(driver: LabelDriver, served: Served) ->
 def test_two_drawn_apart_are_linked_and_one_class_becomes_another(
     driver: LabelDriver, served: Served
 ) -> None:
-    one = driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
-    two = driver.draw_sign("right", (680.0, 120.0), TRIANGULAR)
-    assert (one, two) == ("T-01", "T-02")
+    first = driver.draw_sign("left", (700.0, 120.0), TRIANGULAR)
+    second = driver.draw_sign("right", (680.0, 120.0), TRIANGULAR)
+    assert (first, second) == ("T-01", "T-02")
     driver.click_at("left", (700.0, 120.0))
     driver.page.keyboard.down("Control")
     driver.click_at("right", (680.0, 120.0))
@@ -194,7 +196,7 @@ def test_two_drawn_apart_are_linked_and_one_class_becomes_another(
     assert len(served.labels.elements) == 1
     driver.select("T-01")
     driver.press_and_save("Shift+Digit4")
-    assert [one.class_id for one in served.labels.elements.values()] == [ROUNDED]
+    assert [element.class_id for element in served.labels.elements.values()] == [ROUNDED]
 
 
 def test_reviewing_is_an_act_and_shows_in_the_frames(driver: LabelDriver, served: Served) -> None:
@@ -226,7 +228,7 @@ def test_an_edit_by_another_process_appears_by_itself(
 ) -> None:
     other = LabelSession(workspace, "somebody else")
     for frame in (0, 2):
-        other.do(new_id(), rounded_sign(frame))
+        do(other, rounded_sign(frame))
     other.close()
     driver.page.wait_for_selector('#elements .row:has-text("O-01")')
     driver.page.wait_for_selector('.tile[data-frame="2"][title*="1 element"]')
@@ -322,7 +324,10 @@ def _count_pixels(png: bytes, color: tuple[int, int, int]) -> int:
 
 
 def test_an_image_that_cannot_be_read_says_why(
-    page: "Page", workspace: Workspace, page_errors: list[str]
+    page: "Page",
+    workspace: Workspace,
+    page_errors: list[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     source = workspace.source
     image = source.image
@@ -332,7 +337,7 @@ def test_an_image_that_cannot_be_read_says_why(
             raise SemvizError("000000.png is 1242x375, calibration says 1241x376")
         return image(index, side)
 
-    source.image = broken  # type: ignore[method-assign]
+    monkeypatch.setattr(source, "image", broken)  # the source is shared between tests
     with annotating(workspace) as served:
         page.goto(served.url)
         page.wait_for_selector("#right-image .message:has-text('calibration says 1241x376')")
@@ -343,7 +348,7 @@ def test_an_image_that_cannot_be_read_says_why(
 def test_every_command_is_in_the_help_and_no_key_is_taken_twice(driver: LabelDriver) -> None:
     driver.page.keyboard.press("?")
     text = driver.page.inner_text("dialog.help")
-    for title in ("Swap peak and bottom", "Reviewed, empty", "Redo", "Epipolar line"):
+    for title in ("Swap peak and bottom", "Mark as reviewed, empty", "Redo", "Epipolar line"):
         assert title in text
     badges = driver.page.locator("dialog.help li .keys").all_inner_texts()
     assert not {badge.strip().lower() for badge in badges} & set("wasdqe")
@@ -381,6 +386,26 @@ def test_kill_9_loses_nothing_that_was_called_saved_nor_what_was_drawn_after(
     places = sorted(row.anchor_px[0] for row in labels.observations.values())
     np.testing.assert_allclose(places, (420.0, 700.0), atol=0.05)
     page_errors.clear()  # the browser reports the connections that were refused
+
+
+def test_an_open_page_goes_on_once_the_new_address_was_opened(
+    page: "Page", workspace: Workspace, killable: Killable, page_errors: list[str]
+) -> None:
+    """Each start has another token; the browser has one cookie for all its pages."""
+    driver = LabelDriver(page)
+    driver.open(killable.start())
+    killable.kill()
+    page.keyboard.press("2")
+    driver.click_at("left", (400.0, 150.0))
+    page.wait_for_selector("#saved:has-text('Offline, 1 kept here')")
+    killable.token = "another"
+    url = killable.start()
+    page.wait_for_timeout(1000)
+    assert len(workspace.read_labels().observations) == 0
+    page.context.request.get(url)
+    page.wait_for_selector("#saved:has-text('Saved operation 1')", timeout=60_000)
+    assert len(workspace.read_labels().observations) == 1
+    page_errors.clear()
 
 
 def test_edits_kept_by_a_closed_page_are_saved_by_the_next_one(

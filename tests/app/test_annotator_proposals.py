@@ -1,4 +1,4 @@
-"""What the page proposes on a simulated street: accepted, turned down, kept through all trouble."""
+"""The page's proposals on a simulated street: accepted, rejected, kept through failures."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotating import SIDES, Served, annotating, true_finds
+from annotator_page import SIDES, Served, annotating, true_detections
+from drawn_marks import do
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
+from streets import street_workspace
 
-from semviz.workspace import Workspace
-from semviz_annotation.labels import new_id
-from semviz_annotation.proposals import Proposal, Proposals, save_proposals
-from semviz_core.camera import Rig
-from semviz_core.sources.street.street import Street
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import new_id
+from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
+from semviz_core.base.camera import Rig
+from semviz_core.simulation.street import Street
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -55,7 +57,7 @@ def truth(street: Street, frame: int, side: Side, element: int) -> tuple[np.ndar
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
-    return Workspace.create_street(tmp_path / "street", 7, range(0, 6))
+    return street_workspace(tmp_path / "street", 7, 6)
 
 
 @pytest.fixture
@@ -82,7 +84,7 @@ def wait_for_score(driver: LabelDriver, name: str) -> None:
     driver.page.wait_for_selector(f'#elements .row:has-text("{name}") .score')
 
 
-def test_the_partner_is_proposed_and_one_key_accepts_it(
+def test_the_correspondence_is_proposed_and_one_key_accepts_it(
     driver: LabelDriver, served: Served
 ) -> None:
     element = draw_first(driver, served)
@@ -130,13 +132,15 @@ def test_a_mapped_element_is_followed_into_the_next_frame(
 def test_one_key_accepts_what_a_detector_found_in_both_images(
     page: "Page", workspace: Workspace
 ) -> None:
-    """One of its finds, then all that are sure; the next frame knows them by their names."""
-    found = true_finds(workspace.street, 0, SIDES).joined(true_finds(workspace.street, 1, SIDES))
+    """One of its detections, then all that are sure; the next frame knows them by their names."""
+    found = true_detections(workspace.street, 0, SIDES).joined(
+        true_detections(workspace.street, 1, SIDES)
+    )
     save_proposals(found, workspace.proposals_path)
     with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
-        page.wait_for_function("() => semviz.state.sureOffers.length > 1")
+        page.wait_for_function("() => semviz.state.confidentProposals.length > 1")
         driver.settle()
         page.locator('#elements .row:has-text("new pole"):has(.score)').last.click()
         before = driver.operation
@@ -149,12 +153,14 @@ def test_one_key_accepts_what_a_detector_found_in_both_images(
         page.wait_for_function("() => semviz.state.frame === 1")
         driver.settle()
         assert len(served.labels.elements) > 1
-        for one in served.labels.elements:
-            assert {row.side for row in served.labels.of_element(one)} == set(SIDES)
-        offered = served.annotator.session.frame(1)["offers"]
-        mapped = {one["name"] for one in offered if one["origin"] == "map"}
+        for element in served.labels.elements:
+            assert {row.side for row in served.labels.of_element(element)} == set(SIDES)
+        proposed = served.annotator.session.frame(1).proposals
+        mapped = {proposal.name for proposal in proposed if proposal.origin == "map"}
         assert "P-01" in mapped
-        assert len(mapped) > len([one for one in offered if one["origin"] == "detector"])
+        assert len(mapped) > len(
+            [proposal for proposal in proposed if proposal.origin == "detector"]
+        )
         page.goto("about:blank")
 
 
@@ -172,7 +178,7 @@ def test_the_proposal_nearest_to_the_pointer_is_the_one_that_keys_are_for(
         driver = LabelDriver(page)
         driver.open(served.url)
         page.wait_for_function(
-            "() => semviz.state.offers.filter(({ score }) => score !== null).length === 2"
+            "() => semviz.state.proposals.filter(({ score }) => score !== null).length === 2"
         )
         assert under_pointer(driver, (620.0, 335.0)) == POLE
         assert under_pointer(driver, sign) == ROUNDED
@@ -186,7 +192,7 @@ def under_pointer(driver: LabelDriver, at: Pixel) -> int:
     driver.page.mouse.move(*driver.view("left").screen(at))
     driver.settle()
     assert driver.page.evaluate("() => semviz.state.pointed !== null")
-    return int(driver.page.evaluate("() => semviz.state.currentOffer.class"))
+    return int(driver.page.evaluate("() => semviz.state.currentProposal.class_id"))
 
 
 def test_the_jump_list_leads_to_where_the_detector_disagrees(
@@ -198,14 +204,14 @@ def test_the_jump_list_leads_to_where_the_detector_disagrees(
     with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
-        page.click("#jumps .row:has-text('Detector disagrees'):has-text('1 new, 0 unseen')")
+        page.click("#jumps .row:has-text('Detector disagrees'):has-text('1 new, 0 missed')")
         page.wait_for_selector('.tile.current[data-frame="3"]')
-        page.wait_for_function("() => semviz.state.currentOffer?.name === 'new rounded sign'")
+        page.wait_for_function("() => semviz.state.currentProposal?.name === 'new rounded sign'")
         page.goto("about:blank")
 
 
 @pytest.mark.parametrize(("key", "why"), [("x", "rejected"), ("n", "absent"), ("o", "occluded")])
-def test_what_is_turned_down_stays_so_until_it_is_undone(
+def test_a_rejection_holds_until_it_is_undone(
     driver: LabelDriver, served: Served, key: str, why: str
 ) -> None:
     draw_first(driver, served)
@@ -214,7 +220,7 @@ def test_what_is_turned_down_stays_so_until_it_is_undone(
     driver.goto(1)
     wait_for_score(driver, "P-01")
     driver.press_and_save(key)
-    assert {one.why for one in served.labels.dismissed_in(1)} == {why}
+    assert {dismissal.why for dismissal in served.labels.dismissed_in(1)} == {why}
     driver.page.reload()
     driver.page.wait_for_selector("#saved.saved")
     driver.page.wait_for_selector("#elements-about:has-text('0 here')")
@@ -237,7 +243,11 @@ def test_a_click_beside_a_pole_snaps_to_its_axis(served: Served, page: "Page") -
     page.keyboard.press("m")
     driver.clear_selection()
     driver.draw_sign("left", (700.0, 120.0), ROUNDED)
-    free = [one for one in served.labels.observations.values() if one.end_px is None]
+    free = [
+        observation
+        for observation in served.labels.observations.values()
+        if observation.end_px is None
+    ]
     np.testing.assert_allclose(free[0].anchor_px, (700.0, 120.0), atol=0.05)
 
 
@@ -246,14 +256,14 @@ def test_a_bottom_behind_a_car_is_hidden_unless_one_says_it_is_not(
 ) -> None:
     """The ground is known from two poles that are whole; one key says otherwise."""
     behind_car, whole = 20, (14, 15)
-    with annotating(Workspace.create_street(tmp_path / "cars", 2, range(0, 8))) as served:
+    with annotating(street_workspace(tmp_path / "cars", 2, 8)) as served:
         driver = LabelDriver(page)
         driver.open(served.url, with_snap=True)
         street = street_of(served)
         for element in whole:
-            driver.draw_pole("left", *(tuple(one) for one in truth(street, 0, "left", element)))
+            driver.draw_pole("left", *(tuple(point) for point in truth(street, 0, "left", element)))
         driver.settle()
-        peak, bottom = (tuple(one) for one in truth(street, 0, "left", behind_car))
+        peak, bottom = (tuple(point) for point in truth(street, 0, "left", behind_car))
         driver.draw_pole("left", peak, bottom)
         known = [row.end_known for row in served.labels.in_frame(0, "left")]
         assert known == [True, True, False]
@@ -262,9 +272,9 @@ def test_a_bottom_behind_a_car_is_hidden_unless_one_says_it_is_not(
         page.keyboard.press("1")
         driver.click_at("left", peak)
         page.mouse.move(*driver.view("left").screen(bottom))
-        page.wait_for_function("() => semviz.state.look?.snapped?.end_known === false")
+        page.wait_for_function("() => semviz.state.preview?.snapped?.end_known === false")
         page.keyboard.press("o")
-        page.wait_for_function("() => semviz.state.look?.snapped?.end_known !== false")
+        page.wait_for_function("() => semviz.state.preview?.snapped?.end_known !== false")
         before = driver.operation
         driver.click_at("left", bottom)
         driver.wait_saved(before)
@@ -316,7 +326,7 @@ def test_two_versions_of_a_label_are_asked_about(
     try:
         driver.page.keyboard.press("Shift+ArrowRight")
         driver.page.wait_for_selector("#saved.saving")
-        served.annotator.session.do(new_id(), theirs)
+        do(served.annotator.session, theirs)
     finally:
         served.annotator.lock.release()
     driver.page.wait_for_selector("#conflict:has-text('keep yours or theirs')")
@@ -335,7 +345,7 @@ def test_what_somebody_deleted_can_be_kept(driver: LabelDriver, served: Served) 
     try:
         driver.page.keyboard.press("Shift+ArrowRight")
         driver.page.wait_for_selector("#saved.saving")
-        served.annotator.session.do(new_id(), {"kind": "delete", "observation_id": row.id})
+        do(served.annotator.session, {"kind": "delete", "observation_id": row.id})
     finally:
         served.annotator.lock.release()
     driver.page.click("#conflict button:has-text('mine')")
@@ -375,12 +385,12 @@ def test_one_camera_is_labelled_in_two_frames(page: "Page", workspace: Workspace
         driver = LabelDriver(page)
         driver.open(served.url)
         page.wait_for_selector("#right-image h2:has-text('Frame 5')")
-        later = {one for one, _, _ in poles(served, 5, 60.0)}
-        element, peak, bottom = next(one for one in poles(served, 0, 60.0) if one[0] in later)
+        later = {pole for pole, _, _ in poles(served, 5, 60.0)}
+        element, peak, bottom = next(pole for pole in poles(served, 0, 60.0) if pole[0] in later)
         driver.draw_pole("left", peak, bottom)
         wait_for_score(driver, "P-01")
         there = truth(street, 5, "left", element)
-        driver.draw_pole("right", *(tuple(one) for one in there), element="P-01")
+        driver.draw_pole("right", *(tuple(point) for point in there), element="P-01")
         assert sorted(row.frame_index for row in served.labels.observations.values()) == [0, 5]
         (place,) = served.annotator.session.elements_3d().anchor_m
         rows = street.truth_map.elements

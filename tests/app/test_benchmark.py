@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calling import Call, call
+from command_line import Call, call
 
 import semviz_core
-from semviz.benchmark import methods, paper_table, runner
-from semviz.benchmark.methods import KNOWN
-from semviz.benchmark.plan import code_digest
-from semviz.benchmark.report import Report
-from semviz.benchmark.suites import SUITES, choose_suites
-from semviz_core.errors import SemvizError
-from semviz_core.evaluation.answers import Method
-from semviz_core.evaluation.outcomes import Facts, Outcome
-from semviz_core.evaluation.tables import rows
+from semviz.research.benchmark import paper_table, runner, suites
+from semviz.research.benchmark.report import BenchmarkReport
+from semviz.research.benchmark.runner import code_digest
+from semviz.research.benchmark.suites import KNOWN, SUITES, choose_suites
+from semviz_core.common.errors import SemvizError
+from semviz_core.metrics.pose_errors import Outcome, ProblemFacts
+from semviz_core.research.evaluation.methods import Method
+from semviz_core.research.evaluation.outcomes import rows
 
 QUICK = ("--methods", "true matches,bound", "--noise", "low", "--no-plots", "--json")
 KEYS = {
@@ -162,7 +161,7 @@ def test_what_cannot_run_is_left_out_and_said(
         raise SemvizError("x.safetensors: no such weights")
 
     known = {**KNOWN, "single": {**KNOWN["single"], "untrained": untrained}}
-    monkeypatch.setattr(methods, "KNOWN", known)
+    monkeypatch.setattr(suites, "KNOWN", known)
     options = ("--frames", 1, "--noise", "low", "--no-plots", "--json", "--out", tmp_path)
     _, output, _ = run("--methods", "untrained,bound", *options)
     (note,) = json.loads(output)["notes"]
@@ -236,7 +235,7 @@ def test_the_papers_table_stands_beside_what_was_measured(run: Call, tmp_path: P
 
 
 def test_each_method_stands_under_its_printed_row() -> None:
-    measured = [fake("search"), *(fake(one.method) for one in paper_table.PRINTED if one.method)]
+    measured = [fake("search"), *(fake(row.method) for row in paper_table.PRINTED if row.method)]
     table = paper_table.beside_printed(rows(measured))
     names = [cells[0] for cells in table.cells if cells[1] in ("printed", "all")]
     for printed in paper_table.PRINTED:
@@ -250,7 +249,7 @@ def test_frames_without_a_pose_are_counted_beside_the_quartiles() -> None:
     nothing = {"status": "cannot", "rte_m": None, "rre_deg": None, "nees": None}
     outcomes = [fake("search"), replace(fake("search"), **nothing), fake("search")]
     table = paper_table.beside_printed(rows(outcomes))
-    (cells,) = (one for one in table.cells if one[:2] == ("search", "all"))
+    (cells,) = (cell for cell in table.cells if cell[:2] == ("search", "all"))
     assert cells[2] == "2/3"
     assert cells[7] == "66.7%"
 
@@ -262,18 +261,18 @@ def test_printed_figures_are_whole() -> None:
             _, *quartiles = map(float, words.split())
             assert len(quartiles) == 3
             assert quartiles == sorted(quartiles)
-    means = [float(one.rte_m.split()[0]) for one in paper_table.PRINTED]
+    means = [float(row.rte_m.split()[0]) for row in paper_table.PRINTED]
     assert min(means) == means[-1] == 0.22
 
 
 def test_the_papers_table_has_methods_that_there_are() -> None:
     assert set(paper_table.METHODS) <= set(KNOWN["single"])
-    assert {one.method for one in paper_table.PRINTED if one.method} <= set(paper_table.METHODS)
+    assert {row.method for row in paper_table.PRINTED if row.method} <= set(paper_table.METHODS)
 
 
 def test_all_suites_hold_no_problem_twice() -> None:
-    assert paper_table.SUITE not in {one.name for one in choose_suites("all")}
-    assert [one.name for one in choose_suites(paper_table.SUITE)] == [paper_table.SUITE]
+    assert paper_table.SUITE not in {suite.name for suite in choose_suites("all")}
+    assert [suite.name for suite in choose_suites(paper_table.SUITE)] == [paper_table.SUITE]
 
 
 def test_results_of_other_weights_are_not_mixed(
@@ -292,13 +291,13 @@ def test_results_of_other_weights_are_not_mixed(
 @pytest.mark.parametrize("suite", ["frames", "paper"])
 def test_tables_fit_a_terminal(suite: str) -> None:
     longest = max((name for named in KNOWN.values() for name in named), key=len)
-    text = Report({"seed": 1000}, (), tuple(rows([fake(longest, suite)]))).as_text()
+    text = BenchmarkReport({"seed": 1000}, (), tuple(rows([fake(longest, suite)]))).as_text()
     assert max(map(len, text.splitlines())) <= 120
 
 
 def fake(method: str, suite: str = "paper") -> Outcome:
     return Outcome(
         suite=suite, method=method, noise="low", frame=0,
-        facts=Facts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
+        facts=ProblemFacts(detections=8, true_matches=7, recall=0.7, bound_m=0.1, bound_rms_m=0.12),
         status="ok", rte_m=0.1, rre_deg=0.1, nees=1234.5, total_ms=12345.6,
     )  # fmt: skip

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calling import Call, call
+from command_line import Call, call
 
 from semviz.cli import main
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord
-from semviz.recording.writer import RunWriter
-from semviz.workspace import TRUTH, Workspace
-from semviz_core.elements import Elements3D
-from semviz_core.map_file import load_map, save_map
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord
+from semviz.runs.writer import RunWriter
+from semviz.workspace.workspace import TRUTH, Workspace
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.map_file import load_map, save_map
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["localize", folder, "--map", TRUTH, "--out", folder / "runs" / "first.rrd"],
     ):
         with pytest.raises(SystemExit) as ended:
-            main([str(one) for one in command])
+            main([str(argument) for argument in command])
         assert ended.value.code == 0
     return folder
 
@@ -129,7 +129,7 @@ def test_impossible_options(run: Call, street: Path, option: str, value: str) ->
 
 
 @pytest.mark.parametrize("name", [".", "folder.rrd", "first.txt", "first.rrd/second.rrd"])
-def test_a_run_takes_no_other_things_place(run: Call, street: Path, name: str) -> None:
+def test_a_run_takes_no_other_files_place(run: Call, street: Path, name: str) -> None:
     runs = street / "runs"
     (runs / "folder.rrd").mkdir(exist_ok=True)
     before = sorted(runs.iterdir())
@@ -143,6 +143,15 @@ def test_a_busy_port(run: Call, street: Path) -> None:
         port = taken.getsockname()[1]
         result = run("serve", street, "--port", port, "--no-open")
     assert_refused(result, str(port), "in use", "--port")
+
+
+@pytest.mark.parametrize("tool", ["serve", "annotate"])
+def test_no_token_for_other_machines_or_beside_one(run: Call, street: Path, tool: str) -> None:
+    exposed = run(tool, street, "--no-token", "--host", "0.0.0.0", "--no-open")
+    assert_refused(exposed, "--no-token", "loopback", "0.0.0.0")
+    assert_refused(
+        run(tool, street, "--no-token", "--token", "x", "--no-open"), "--token", "either"
+    )
 
 
 def test_a_map_of_another_frame(run: Call, street: Path) -> None:
@@ -242,7 +251,7 @@ def test_an_interrupted_run_leaves_the_earlier_one(
     assert (status, errors) == (130, "semviz: interrupted\n")
     assert first.read_bytes() == before
     partial = first.with_name("first.partial.rrd")
-    assert [one.frame.index for one in load_run(partial).frames] == [0, 1]
+    assert [frame.frame.index for frame in load_run(partial).frames] == [0, 1]
     partial.unlink()
 
 
@@ -254,7 +263,7 @@ def test_a_full_disk_ends_a_run_and_keeps_its_frames(street: Path) -> None:
     code = (
         "import resource, sys\n"
         "from semviz.cli import main\n"
-        "from semviz.recording import writer\n"
+        "from semviz.runs import writer\n"
         "writer.FLUSH_LIMIT_S = 5.0\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
         "main(sys.argv[1:])"

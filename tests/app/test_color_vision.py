@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from semviz import palette, web
-from semviz.palette import Tone
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import DEFAULT_CLASSES
+from semviz import web
+from semviz.presentation import palette
+from semviz.presentation.palette import Tone
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.common.arrays import FloatArray
 
 LEAST = 12.0
 """CIEDE2000; about 1 is just noticeable side by side."""
@@ -46,7 +47,7 @@ XYZ_OF_RGB = np.array(
 )
 
 FAMILIES = {
-    "classes": [Tone(one.color, one.color_light) for one in DEFAULT_CLASSES],
+    "classes": [Tone(class_.color, class_.color_light) for class_ in DEFAULT_CLASSES],
     "poses": [palette.TRUTH, palette.ESTIMATE, palette.PRIOR, palette.ALTERNATIVE],
     "status": list(palette.STATUS.values()),
 }
@@ -64,19 +65,19 @@ def simulated_lab(color: str, matrix: object) -> FloatArray:
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-def ciede2000(one: FloatArray, two: FloatArray) -> float:
+def ciede2000(first: FloatArray, second: FloatArray) -> float:
     """Difference of two CIELAB colours (CIE 142-2001, as Sharma et al. 2005 write it)."""
-    chroma = np.mean([np.hypot(*one[1:]), np.hypot(*two[1:])])
+    chroma = np.mean([np.hypot(*first[1:]), np.hypot(*second[1:])])
     g = 0.5 * (1 - np.sqrt(chroma**7 / (chroma**7 + 25.0**7)))
-    a = np.array([one[1], two[1]]) * (1 + g)
-    b = np.array([one[2], two[2]])
+    a = np.array([first[1], second[1]]) * (1 + g)
+    b = np.array([first[2], second[2]])
     c, h = np.hypot(a, b), np.degrees(np.arctan2(b, a)) % 360
     gray = c.prod() == 0
     dh = 0.0 if gray else (h[1] - h[0] + 180) % 360 - 180
     mean_h = h.sum() if gray else (h[0] + dh / 2) % 360
-    d_light, d_chroma = two[0] - one[0], c[1] - c[0]
+    d_light, d_chroma = second[0] - first[0], c[1] - c[0]
     d_hue = 2 * np.sqrt(c.prod()) * np.sin(np.radians(dh / 2))
-    light, chroma = (one[0] + two[0]) / 2, c.mean()
+    light, chroma = (first[0] + second[0]) / 2, c.mean()
     cosines = np.cos(np.radians([mean_h - 30, 2 * mean_h, 3 * mean_h + 6, 4 * mean_h - 63]))
     t = 1 + np.array([-0.17, 0.24, 0.32, -0.20]) @ cosines
     turn = 30 * np.exp(-(((mean_h - 275) / 25) ** 2))
@@ -88,7 +89,7 @@ def ciede2000(one: FloatArray, two: FloatArray) -> float:
 
 
 @pytest.mark.parametrize(
-    ("one", "two", "expected"),
+    ("first", "second", "expected"),
     [
         ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),
         ((50.0, -1.3802, -84.2814), (50.0, 0.0, -82.7485), 1.0000),
@@ -99,10 +100,10 @@ def ciede2000(one: FloatArray, two: FloatArray) -> float:
     ],
 )
 def test_the_difference_is_that_of_the_published_pairs(
-    one: tuple[float, ...], two: tuple[float, ...], expected: float
+    first: tuple[float, ...], second: tuple[float, ...], expected: float
 ) -> None:
-    assert ciede2000(np.array(one), np.array(two)) == pytest.approx(expected, abs=1e-4)
-    assert ciede2000(np.array(two), np.array(one)) == pytest.approx(expected, abs=1e-4)
+    assert ciede2000(np.array(first), np.array(second)) == pytest.approx(expected, abs=1e-4)
+    assert ciede2000(np.array(second), np.array(first)) == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
@@ -113,18 +114,18 @@ def test_colours_of_a_family_stay_apart(
 ) -> None:
     colors = [getattr(tone, theme) for tone in FAMILIES[family]]
     seen = {color: simulated_lab(color, SIMULATED[vision]) for color in colors}
-    least = {pair: ciede2000(*(seen[one] for one in pair)) for pair in combinations(colors, 2)}
+    least = {pair: ciede2000(*(seen[name] for name in pair)) for pair in combinations(colors, 2)}
     assert min(least.values()) >= LEAST, min(least, key=least.__getitem__)
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_text_stands_out_from_every_surface(theme: str) -> None:
     """Contrast of WCAG 2: 4.5 for text, 3 for what only adds to it."""
-    dark, light = (dict(re.findall(r"--([\w-]+): (#\w{6});", one)) for one in themes())
+    dark, light = (dict(re.findall(r"--([\w-]+): (#\w{6});", theme)) for theme in themes())
     colors = dark if theme == "dark" else dark | light
     for text, least in (("text", 7.0), ("dim", 4.5), ("faint", 3.0)):
         for surface in ("page", "panel", "raised"):
-            low, high = sorted(luminance(colors[one]) for one in (text, surface))
+            low, high = sorted(luminance(colors[name]) for name in (text, surface))
             assert (high + 0.05) / (low + 0.05) >= least, (text, surface)
 
 
@@ -138,5 +139,5 @@ def luminance(color: str) -> float:
 
 
 def test_no_meaning_of_a_class_is_in_its_colour_alone() -> None:
-    shapes = [one.shape for one in DEFAULT_CLASSES]
+    shapes = [class_.shape for class_ in DEFAULT_CLASSES]
     assert len(set(shapes)) == len(shapes)

@@ -7,22 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calling import Call, call
+from command_line import Call, call
 from hypothesis import given
 from hypothesis import strategies as st
 from small_runs import FRAMES, ambiguous, off_by, saved, small_run, spoiled, unanswered
 from small_runs import without_truth as untold
 
-from semviz.comparing.comparison import compare_runs
-from semviz.comparing.conditions import LONGEST, parse_condition
-from semviz.comparing.map_changes import map_changes
-from semviz.comparing.metrics import metrics_of, trend
-from semviz.comparing.setups import setups
-from semviz.measure import summarize_run
-from semviz.recording.run import Run
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame
+from semviz.runs.comparison import compare_runs
+from semviz.runs.differences import map_changes, setups
+from semviz.runs.gates import MAX_LENGTH, parse_condition
+from semviz.runs.metrics import metrics_of, summarize_run, trend
+from semviz.runs.run import Run
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.errors import SemvizError
 
 
 @pytest.fixture
@@ -47,9 +45,9 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_fixed_broken_and_same_are_told_apart() -> None:
     comparison = compare_runs(*spoiled_pair())
-    assert [one.index for one in comparison.of("fixed")] == [12]
-    assert [one.index for one in comparison.of("broken")] == [14, 16, 18]
-    assert [one.index for one in comparison.of("same")] == [10, 20]
+    assert [frame.index for frame in comparison.of("fixed")] == [12]
+    assert [frame.index for frame in comparison.of("broken")] == [14, 16, 18]
+    assert [frame.index for frame in comparison.of("same")] == [10, 20]
     broken = comparison.of("broken")[0].errors
     assert broken[0] is not None
     assert broken[1] is not None
@@ -64,19 +62,21 @@ def test_a_run_is_the_same_as_itself_and_the_other_way_round_swaps() -> None:
     assert not itself.differences
     assert itself.base == itself.other
     there, back = compare_runs(base, other), compare_runs(other, base)
-    assert [one.index for one in there.of("fixed")] == [one.index for one in back.of("broken")]
+    assert [frame.index for frame in there.of("fixed")] == [
+        frame.index for frame in back.of("broken")
+    ]
     assert (there.base, there.other) == (back.other, back.base)
 
 
 def test_without_truth_the_status_decides_and_that_is_said() -> None:
     base, other = (untold(run) for run in spoiled_pair())
     comparison = compare_runs(base, other)
-    assert [one.index for one in comparison.of("broken")] == [16, 18]
-    assert [one.index for one in comparison.of("fixed")] == [12, 20]
-    assert comparison.notes == ("6 of 6 frames have no true pose: judged by their status alone",)
+    assert [frame.index for frame in comparison.of("broken")] == [16, 18]
+    assert [frame.index for frame in comparison.of("fixed")] == [12, 20]
+    assert comparison.notes == ("6 of 6 frames have no true pose: compared by status alone",)
     assert comparison.other["median_rte_m"] is None
     one_side = compare_runs(base, spoiled_pair()[1])
-    assert [one.index for one in one_side.of("fixed")] == [12, 20]
+    assert [frame.index for frame in one_side.of("fixed")] == [12, 20]
 
 
 def test_metrics_are_those_of_evaluate_over_the_frames_in_both() -> None:
@@ -105,7 +105,10 @@ def test_settings_and_maps_that_differ_are_told() -> None:
     info = replace(base.info, method="direct", options={"noise": "paper"})
     other = replace(base, info=info, semantic_map=replace(base.semantic_map, elements=elements))
     comparison = compare_runs(base, other)
-    told = {one.what: (one.base, one.other) for one in comparison.differences}
+    told = {
+        difference.what: (difference.base, difference.other)
+        for difference in comparison.differences
+    }
     assert told.keys() == {"method", "map", "noise"}
     assert told["method"] == ("search", "direct")
     assert comparison.maps is not None
@@ -116,7 +119,7 @@ def test_map_changes_come_with_the_frames_that_saw_them() -> None:
     base = spoiled(small_run(), {12: unanswered})
     other = spoiled(small_run(), {14: off_by(1.2), 16: ambiguous})
     elements = base.semantic_map.elements
-    seen = [set(one.element_id.tolist()) for one in base.frames]  # of frames 10, 12, 14, ...
+    seen = [set(frame.element_id.tolist()) for frame in base.frames]  # of frames 10, 12, 14, ...
     row = next(at for at, id in enumerate(elements.id.tolist()) if id in seen[1] & seen[2])
     anchor, end = elements.anchor_m.copy(), elements.end_m.copy()
     anchor[row, 0] += 0.5
@@ -139,7 +142,7 @@ def test_map_changes_come_with_the_frames_that_saw_them() -> None:
 
 def test_what_runs_were_made_with_side_by_side() -> None:
     base = small_run()
-    assert all(one.base == one.other for one in setups(base, base))
+    assert all(setup.base == setup.other for setup in setups(base, base))
     first = replace(base.frames[0], image=b"one")
     pictured = replace(base, frames=(first, *base.frames[1:]))
     info = replace(base.info, method="direct", options={"noise": "paper"}, map_name="newer")
@@ -147,13 +150,13 @@ def test_what_runs_were_made_with_side_by_side() -> None:
     fewer = replace(base.semantic_map, elements=elements, operation=9)
     again = replace(pictured.frames[0], image=b"two")
     other = replace(base, info=info, semantic_map=fewer, frames=(again, *base.frames[1:]))
-    told = {one.what: one[1:] for one in setups(pictured, other) if one.base != one.other}
+    told = {setup.what: setup[1:] for setup in setups(pictured, other) if setup.base != setup.other}
     assert told == {
         "Map": ("street", "newer"),
         "Labels": ("none", "operation 9"),
         "Method": ("search", "direct"),
         "noise": ("-", "paper"),
-        "Images": ("1 frame", "1 frame, 1 of them otherwise"),
+        "Images": ("1 frame", "1 frame, 1 different"),
     }
 
 
@@ -182,7 +185,7 @@ def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
     assert told["failed"] == ["broken > 2"]
     assert told["metrics"]["coverage"]["base"] == pytest.approx(4 / 6)
     assert told["metrics"].keys() == metrics_of(small_run()).keys()
-    assert [one["frame"] for one in told["each"]] == list(FRAMES)
+    assert [frame["frame"] for frame in told["each"]] == list(FRAMES)
 
 
 @pytest.mark.parametrize(
@@ -219,10 +222,10 @@ def test_several_gates_and_each_that_fails_is_told(command: Call, pair: tuple[Pa
 @pytest.mark.parametrize(
     ("condition", "said"),
     [
-        ("median_rte > base", "no 'median_rte' in the other run; there are frames, mean_rte_m"),
+        ("median_rte > base", "no 'median_rte' in the other run; choose from frames, mean_rte_m"),
         ("broken > base", "no 'broken' in the base run"),
-        ("q1_rte_m + q3_rte_m > base", "name one metric beside it, not 2"),
-        ("base > 1", "name one metric beside it, not 0"),
+        ("q1_rte_m + q3_rte_m > base", "use exactly one metric with it, not 2"),
+        ("base > 1", "use exactly one metric with it, not 0"),
         ("coverage > 1/0", "cannot be computed (float division by zero)"),
         ("coverage > " + "9" * 180, ""),
         ("coverage", "write a comparison"),
@@ -256,7 +259,7 @@ def test_a_gate_does_not_pass_because_nothing_is_known(command: Call, tmp_path: 
     paths = saved(small_run(), tmp_path / "a.rrd"), saved(nothing, tmp_path / "b.rrd")
     status, _, errors = command(*paths, "--fail-if", "median_rte_m > 1.05*base")
     assert status == 2
-    assert "the other run does not tell median_rte_m" in errors
+    assert "median_rte_m of the other run is unknown" in errors
 
 
 def test_an_interrupted_run_is_noted_and_never_gated(command: Call, tmp_path: Path) -> None:
@@ -267,7 +270,7 @@ def test_an_interrupted_run_is_noted_and_never_gated(command: Call, tmp_path: Pa
     assert "other run: This run was interrupted after frame 14; 3 frames are readable." in output
     status, output, errors = command(*paths, "--fail-if", "broken > 0")
     assert (status, output) == (2, "")
-    assert "b.rrd: --fail-if needs a whole run" in errors
+    assert "b.rrd: --fail-if needs a complete run" in errors
 
 
 def test_runs_that_cannot_be_compared_are_refused() -> None:
@@ -278,7 +281,7 @@ def test_runs_that_cannot_be_compared_are_refused() -> None:
     halves = replace(run, frames=run.frames[:3]), replace(run, frames=run.frames[3:])
     with pytest.raises(SemvizError, match="no frame in common: 3 from 10 to 14; 3 from 16 to 20"):
         compare_runs(*halves)
-    with pytest.raises(SemvizError, match="no frame in common: 6 from 10 to 20; none at all"):
+    with pytest.raises(SemvizError, match="no frame in common: 6 from 10 to 20; no frames"):
         compare_runs(run, replace(run, frames=()))
     with pytest.raises(SemvizError, match=r"9\.0 m apart .*: the runs are of two drives"):
         compare_runs(run, shifted(run, 9.0))
@@ -290,11 +293,11 @@ def test_runs_that_cannot_be_compared_are_refused() -> None:
 def shifted(run: Run, metres: float) -> Run:
     """With other true poses."""
     frames = []
-    for one in run.frames:
-        truth = one.frame.T_map_camera
+    for frame in run.frames:
+        truth = frame.frame.T_map_camera
         assert truth is not None
         there = Pose(truth.rotation, truth.translation + np.array([metres, 0.0, 0.0]))
-        frames.append(replace(one, frame=replace(one.frame, T_map_camera=there)))
+        frames.append(replace(frame, frame=replace(frame.frame, T_map_camera=there)))
     return replace(run, frames=tuple(frames))
 
 
@@ -304,8 +307,8 @@ NUMBERS = st.one_of(
 SUMS = st.recursive(
     st.one_of(NUMBERS, st.just("coverage")),
     lambda parts: st.one_of(
-        st.tuples(parts, st.sampled_from("+-*/"), parts).map(lambda one: f"({''.join(one)})"),
-        parts.map(lambda one: f"-{one}"),
+        st.tuples(parts, st.sampled_from("+-*/"), parts).map(lambda words: f"({''.join(words)})"),
+        parts.map(lambda text: f"-{text}"),
     ),
     max_leaves=8,
 )
@@ -314,7 +317,7 @@ SUMS = st.recursive(
 @given(SUMS, st.sampled_from(["<", "<=", ">", ">=", "==", "!="]), SUMS)
 def test_conditions_mean_what_python_means(left: str, sign: str, right: str) -> None:
     text = f"{left} {sign} {right}"
-    if len(text) > LONGEST:
+    if len(text) > MAX_LENGTH:
         return
     try:
         expected = eval(text, {"coverage": 0.5})

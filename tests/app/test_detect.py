@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from finders import Knowing, Slow
+from region_models import Knowing, Slow
 
 from semviz import cli
-from semviz.identifying import identifying
-from semviz.recording.reader import load_run
-from semviz.verdicts import detection_failed
-from semviz.workspace import Workspace
-from semviz_annotation.proposals import Proposals, load_proposals
-from semviz_core.classes import POLE, RECTANGULAR, ROUNDED
-from semviz_core.detection import models
-from semviz_core.detection.detector import Detector, Finder
-from semviz_core.elements import Elements2D
-from semviz_core.errors import SemvizError
-from semviz_core.explaining.told import FALSE, UNKNOWN
+from semviz.runs.diagnosis import detection_errors
+from semviz.runs.reader import load_run
+from semviz.workspace.observations import identify_detections
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.proposals import Proposals, load_proposals
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection import detector
+from semviz_core.detection.detector import Detector, RegionModel
+from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
 
 SEED, FRAMES = 5, 3
 PROPOSED = """{"format": "semviz-proposals", "version": 1, "proposals": [{"frame_index": 0,
@@ -31,7 +31,7 @@ PROPOSED = """{"format": "semviz-proposals", "version": 1, "proposals": [{"frame
 
 
 @pytest.fixture(scope="module")
-def finder(tmp_path_factory: pytest.TempPathFactory) -> Knowing:
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> Knowing:
     """It takes seconds to know its street."""
     folder = tmp_path_factory.mktemp("street") / "town"
     return Knowing(Workspace.create_street(folder, SEED, range(FRAMES)).street)
@@ -42,14 +42,14 @@ def town(tmp_path: Path) -> Path:
     return Workspace.create_street(tmp_path / "town", SEED, range(FRAMES)).path
 
 
-def use(monkeypatch: pytest.MonkeyPatch, finder: Finder) -> None:
+def use(monkeypatch: pytest.MonkeyPatch, loaded: RegionModel) -> None:
     """Any model is this one."""
-    monkeypatch.setattr(models, "load_detector", lambda *_: Detector(finder))
+    monkeypatch.setattr(detector, "load_detector", lambda *_: Detector(loaded))
 
 
 def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as exit:
-        cli.main([str(one) for one in arguments])
+        cli.main([str(argument) for argument in arguments])
     code = exit.value.code
     assert isinstance(code, int)
     return code
@@ -60,10 +60,10 @@ def found(town: Path) -> Proposals:
 
 
 def test_from_images_to_poses(
-    tmp_path: Path, finder: Knowing, monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, loaded: Knowing, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    use(monkeypatch, finder)
+    use(monkeypatch, loaded)
     town = tmp_path / "town"
     assert run("new", town, "--simulate", SEED, "--frames", f"0:{FRAMES}") == 0
     assert run("detect", town) == 0
@@ -76,20 +76,20 @@ def test_from_images_to_poses(
     assert recorded.info.observations.startswith("detected by knowing ")
     assert recorded.info.options["detector_measuring"] == "edges"
     assert len(recorded.info.options["detector_model"]) == 64
-    for one in recorded.frames:
-        assert one.localization.status == "ok"
-        truth = finder.street.labels(one.frame.index, "left")[1]
-        assert (one.element_id == FALSE).sum() == 1  # the pole in the sky
-        known = one.element_id[one.element_id >= 0]
+    for frame in recorded.frames:
+        assert frame.localization.status == "ok"
+        truth = loaded.street.labels(frame.frame.index, "left")[1]
+        assert (frame.element_id == FALSE_POSITIVE).sum() == 1  # the pole in the sky
+        known = frame.element_id[frame.element_id >= 0]
         findable = set(truth) - set(truth[3::7])
         assert set(known) <= findable
         assert len(known) > 0.8 * len(findable)
-        failed = detection_failed(recorded, one)
-        assert len(failed.false) == 1
-        assert not set(failed.missed) & set(known)
+        failed = detection_errors(recorded, frame)
+        assert len(failed.false_positives) == 1
+        assert not set(failed.missed_detections) & set(known)
     assert run("localize", town, "--map", "truth", "--observations", "detected",
                "--least-score", 0.5) == 0  # fmt: skip
-    assert all((one.element_id != FALSE).all() for one in load_run(path).frames)
+    assert all((frame.element_id != FALSE_POSITIVE).all() for frame in load_run(path).frames)
 
 
 def test_a_killed_one_goes_on_where_it_was(town: Path, tmp_path: Path) -> None:
@@ -98,12 +98,13 @@ def test_a_killed_one_goes_on_where_it_was(town: Path, tmp_path: Path) -> None:
     script = f"""
 import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from pathlib import Path
-from finders import Slow
-from semviz import cli, detecting
-from semviz_core.detection import models
+from region_models import Slow
+from semviz import cli
+from semviz.workspace import detect
+from semviz_core.detection import detector
 from semviz_core.detection.detector import Detector
-models.load_detector = lambda *_: Detector(Slow(Path({str(tmp_path / "diary")!r}), 0.2))
-detecting.EVERY_S, detecting.SAVING_SHARE = 0.0, 1.0
+detector.load_detector = lambda *_: Detector(Slow(Path({str(tmp_path / "diary")!r}), 0.2))
+detect.SAVE_INTERVAL_S, detect.SAVING_SHARE = 0.0, 1.0
 cli.main(["detect", {str(town)!r}])
 """
     path = town / "proposals.parquet"
@@ -114,8 +115,8 @@ cli.main(["detect", {str(town)!r}])
     child.send_signal(signal.SIGKILL)
     child.wait()
     kept = found(town)
-    assert kept.looked is not None
-    done = kept.looked.images
+    assert kept.processed is not None
+    done = kept.processed.images
     assert 0 < len(done) < 2 * FRAMES
     assert {(row.frame_index, row.side) for row in kept.rows()} == done
     diary = tmp_path / "diary"
@@ -135,16 +136,16 @@ def test_other_settings_replace_only_what_was_detected(
     assert run("labels", "propose", town, tmp_path / "theirs.json") == 0
     assert run("detect", town, "--sides", "left") == 0
     assert Counter(row.detector[:4] for row in found(town).rows()) == {"slow": FRAMES, "": 1}
-    assert len(found(town).found) == FRAMES
+    assert len(found(town).detections) == FRAMES
     assert run("detect", town, "--sides", "left") == 0
     assert len((tmp_path / "diary").read_text().splitlines()) == FRAMES  # nothing left to do
     assert run("detect", town, "--frames", "0:2", "--least-score", 0.9) == 0
     assert [row.detector for row in found(town).rows()] == [""]
-    looked = found(town).looked
+    looked = found(town).processed
     assert looked is not None
     assert looked.images == {(frame, side) for frame in (0, 1) for side in ("left", "right")}
     assert run("labels", "propose", town, tmp_path / "theirs.json", "--replace") == 0
-    assert found(town).looked is None
+    assert found(town).processed is None
 
 
 def test_what_is_brought_in_meanwhile_stays(
@@ -162,32 +163,32 @@ def test_what_is_brought_in_meanwhile_stays(
     assert sorted(row.detector[:4] for row in found(town).rows()) == ["", "slow"]
 
 
-def test_whose_each_detection_is(town: Path, finder: Knowing) -> None:
+def test_whose_each_detection_is(town: Path, loaded: Knowing) -> None:
     """By the street: also under another class; -1 where nothing is, not where something is that
     nobody would label."""
     workspace = Workspace.open(town)
-    street, frame = finder.street, finder.street.frames[1]
-    identify = identifying(workspace, street.truth_map)
+    street, frame = loaded.street, loaded.street.frames[1]
+    identify = identify_detections(workspace, street.truth_map)
     elements, ids = street.labels(frame.index, "left")
     assert identify(frame, elements).tolist() == ids.tolist()
     swapped = np.where(elements.class_id == ROUNDED, RECTANGULAR, elements.class_id)
     assert identify(frame, replace(elements, class_id=swapped)).tolist() == ids.tolist()
     far = Elements2D.from_ends([[600.0, 5.0]], [[600.0, 60.0]], [POLE])
-    assert identify(frame, far).tolist() == [FALSE]
+    assert identify(frame, far).tolist() == [FALSE_POSITIVE]
 
 
-def test_without_street_and_labels_the_map_tells(town: Path, finder: Knowing) -> None:
+def test_without_street_and_labels_the_map_tells(town: Path, loaded: Knowing) -> None:
     """And says of nothing that it is not real."""
     workspace = Workspace.open(town)
-    street, frame = finder.street, finder.street.frames[1]
+    street, frame = loaded.street, loaded.street.frames[1]
     elements, ids = street.labels(frame.index, "left")
     clear = elements.end_known & elements.anchor_known
-    identify = identifying(_without_street(workspace), street.truth_map)
+    identify = identify_detections(_without_street(workspace), street.truth_map)
     told = identify(frame, elements)
     assert (told[clear] == ids[clear]).mean() > 0.8
-    assert FALSE not in told
+    assert FALSE_POSITIVE not in told
     blind = replace(frame, T_map_camera=None)
-    assert set(identify(blind, elements)) == {UNKNOWN}
+    assert set(identify(blind, elements)) == {UNKNOWN_ID}
 
 
 def _without_street(workspace: Workspace) -> Workspace:
@@ -210,17 +211,17 @@ class Refusing:
     ("arguments", "said"),
     [
         (("detect", "nowhere"), "nowhere: no such workspace"),
-        (("detect", "TOWN", "--model", "m.doc"), "m.doc: no model that semviz knows"),
+        (("detect", "TOWN", "--model", "m.doc"), "m.doc: not a model that semviz can read"),
         (("detect", "TOWN", "--model", "none.safetensors"), "none.safetensors: no such weights"),
-        (("detect", "TOWN", "--frames", "90:95"), "no frames are left"),
+        (("detect", "TOWN", "--frames", "90:95"), "none of these frames"),
         (("detect", "TOWN", "--least-score", "2"), "score 2: give a number from 0 to 1"),
-        (("localize", "TOWN", "--map", "truth", "--observations", "detected"), "nothing is detect"),
+        (("localize", "TOWN", "--map", "truth", "--observations", "detected"), "no detections yet"),
     ],
 )
 def test_mistakes_are_one_line(
     town: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
 ) -> None:
-    assert run(*(town if one == "TOWN" else one for one in arguments)) == 2
+    assert run(*(town if argument == "TOWN" else argument for argument in arguments)) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
@@ -243,6 +244,6 @@ def test_frames_that_nobody_looked_at_are_not_localized(
     assert run("detect", town, "--frames", "0:2") == 0
     localize = ("localize", town, "--map", "truth", "--observations", "detected")
     assert run(*localize) == 2
-    assert "no detector looked at frame 2" in capsys.readouterr().err
+    assert "frame 2 was not processed" in capsys.readouterr().err
     assert not list((town / "runs").iterdir())
     assert run(*localize, "--frames", "0:2") == 0

@@ -15,19 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from calling import call
+from command_line import call
+from fonts import FONTS
 
-from semviz.commands.detect_evaluate import REPORT, DetectEvaluate
-from semviz.demo_labels import EVERY, demo_labels
-from semviz.known_images import KnownImage, labelled_images, street_images
-from semviz.workspace import Workspace
-from semviz_annotation.edits import DeleteObservation, Judge, ReviewFrame
-from semviz_annotation.rows import judged
-from semviz_annotation.storing.exchange import import_operations
-from semviz_core.classes import POLE, ROUNDED, TRIANGULAR
-from semviz_core.elements import Elements2D, joined
-from semviz_core.errors import SemvizError
-from semviz_core.evaluation.detection import IGNORED, matched
+from semviz.commands.detect import REPORT, DetectEvaluateCommand
+from semviz.research.detector_evaluation import EvaluationImage, labelled_images, street_images
+from semviz.workspace.demo import LABELLED_EVERY, demo_labels
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.edits import DecideElements, DeleteObservation, ReviewFrame
+from semviz_annotation.labels.rows import review_decision
+from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
+from semviz_core.base.elements import Elements2D, joined
+from semviz_core.common.errors import SemvizError
+from semviz_core.metrics.detection import IGNORED, match_detections
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 STREETS, FRAMES = 2, 2
 TAKEN = "taken for a rounded sign"
 LABELS = Path(__file__).parents[2] / "docs" / "kitti02" / "labels.jsonl"
-LABELLED = range(0, 9, EVERY)
+LABELLED = range(0, 9, LABELLED_EVERY)
 NO_SLIP = -1
 NAMED = SimpleNamespace(name="<planted>")
 Spoil = Callable[[Elements2D], Elements2D]
@@ -47,12 +48,14 @@ class Planted:
 
     truths: dict[bytes, Elements2D]
     spoil: Spoil
-    finder: Any
+    model: Any
     measuring: str = "edges"
 
     @classmethod
-    def of(cls, images: tuple[KnownImage, ...], spoil: Spoil) -> "Planted":
-        return cls({one.read().tobytes(): one.truth().elements for one in images}, spoil, NAMED)
+    def of(cls, images: tuple[EvaluationImage, ...], spoil: Spoil) -> "Planted":
+        return cls(
+            {image.read().tobytes(): image.truth().elements for image in images}, spoil, NAMED
+        )
 
     def detect(self, image: np.ndarray) -> Elements2D:
         return self.spoil(self.truths[image.tobytes()])
@@ -68,27 +71,27 @@ def spoiled(true: Elements2D) -> Elements2D:
 
 
 @pytest.fixture(scope="module")
-def images() -> tuple[KnownImage, ...]:
+def images() -> tuple[EvaluationImage, ...]:
     """Painted once."""
     made = street_images(STREETS, FRAMES, ("left",))
-    return tuple(replace(one, read=cache(one.read), truth=cache(one.truth)) for one in made)
+    return tuple(replace(image, read=cache(image.read), truth=cache(image.truth)) for image in made)
 
 
 @pytest.fixture
 def plant(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    def planted(images: tuple[KnownImage, ...], spoil: Spoil) -> None:
+    def planted(images: tuple[EvaluationImage, ...], spoil: Spoil) -> None:
         detector = Planted.of(images, spoil)
-        monkeypatch.setattr("semviz.known_images.street_images", lambda *_: images)
-        monkeypatch.setattr("semviz_core.detection.models.load_detector", lambda *_: detector)
+        monkeypatch.setattr("semviz.research.detector_evaluation.street_images", lambda *_: images)
+        monkeypatch.setattr("semviz_core.detection.detector.load_detector", lambda *_: detector)
 
     return planted
 
 
-def on_streets(**options: Any) -> DetectEvaluate:
-    return DetectEvaluate(streets=STREETS, frames_a_street=FRAMES, **options)
+def on_streets(**options: Any) -> DetectEvaluateCommand:
+    return DetectEvaluateCommand(streets=STREETS, frames_a_street=FRAMES, **options)
 
 
-def told(capsys: pytest.CaptureFixture[str], command: DetectEvaluate) -> dict[str, Any]:
+def told(capsys: pytest.CaptureFixture[str], command: DetectEvaluateCommand) -> dict[str, Any]:
     assert replace(command, json=True).run() == 0
     return dict(json.loads(capsys.readouterr().out))
 
@@ -107,7 +110,7 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_truth_is_perfect(
     plant: Callable[..., None],
-    images: tuple[KnownImage, ...],
+    images: tuple[EvaluationImage, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     plant(images, lambda true: true)
@@ -117,15 +120,15 @@ def test_the_truth_is_perfect(
     assert told_["settings"]["images"] == "4 of 2 places, street-30000 to street-30001"
     assert figures["frames"] == STREETS * FRAMES
     assert figures["false_a_frame"] == 0.0
-    counted = sum(int(one.truth().counts.sum()) for one in images)
-    assert sum(one["recall"]["of"] for one in figures["classes"].values()) == counted
-    assert all(one["recall"]["share"] == 1.0 for one in figures["classes"].values())
+    counted = sum(int(image.truth().counts.sum()) for image in images)
+    assert sum(figure["recall"]["of"] for figure in figures["classes"].values()) == counted
+    assert all(figure["recall"]["share"] == 1.0 for figure in figures["classes"].values())
     assert 0.0 < figures["time_ms_median"] <= figures["time_ms_p95"]
 
 
 def test_planted_errors_are_counted(
     plant: Callable[..., None],
-    images: tuple[KnownImage, ...],
+    images: tuple[EvaluationImage, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     plant(images, spoiled)
@@ -155,11 +158,11 @@ def test_labels_are_the_truth(
     both = labelled_images(workspace, None, ("left", "right"))
     assert len(both) == 2 * len(LABELLED)
     plant(both, lambda true: true)
-    command = DetectEvaluate((labelled,), sides="both")
+    command = DetectEvaluateCommand((labelled,), sides="both")
     figures = told(capsys, command)["figures"]
     assert figures["frames"] == len(both)
     assert figures["false_a_frame"] == 0.0
-    assert all(one["recall"]["share"] in (1.0, None) for one in figures["classes"].values())
+    assert all(figure["recall"]["share"] in (1.0, None) for figure in figures["classes"].values())
     near = sum(share["of"] for share in figures["classes"]["pole"]["recall_by_distance"])
     assert 30 < near <= figures["classes"]["pole"]["recall"]["of"]
     some = told(capsys, replace(command, frames="3:9", sides="left"))
@@ -192,7 +195,7 @@ def test_what_is_left_out_of_maps_does_not_count(labelled: Path, tmp_path: Path)
     row = int(np.flatnonzero(before.counts)[0])
     element_id = labels.in_frame(LABELLED[0], "left")[row].element_id
     with workspace.open_labels() as store:
-        store.apply(Judge((judged(element_id, "leave out"),)), "tester")
+        store.apply(DecideElements((review_decision(element_id, "leave out"),)), "tester")
     after = labelled_images(workspace, None, ("left",))[0].truth()
     assert before.counts[row]
     assert not after.counts[row]
@@ -205,12 +208,12 @@ def test_what_is_mapped_and_not_labelled_does_not_count(labelled: Path, tmp_path
     truth = before.truth()
     row = int(np.flatnonzero(truth.counts & truth.elements.is_line)[0])
     with workspace.open_labels() as store:
-        one = workspace.read_labels().in_frame(before.frame_index, "left")[row]
-        store.apply(DeleteObservation(one.id), "tester")
+        image = workspace.read_labels().in_frame(before.frame_index, "left")[row]
+        store.apply(DeleteObservation(image.id), "tester")
     after = labelled_images(workspace, None, ("left",))[0].truth()
     found = truth.elements[[row]]
-    assert matched(found, truth).tolist() == [row]
-    assert matched(found, after).tolist() == [IGNORED]
+    assert match_detections(found, truth).tolist() == [row]
+    assert match_detections(found, after).tolist() == [IGNORED]
     assert after.counts.sum() == truth.counts.sum() - 1
 
 
@@ -221,11 +224,11 @@ def test_labels_of_real_images(kitti_root: Path, tmp_path: Path) -> None:
     with workspace.open_labels() as store:
         import_operations(LABELS, store)
     rows = workspace.read_labels().observations.values()
-    for reach_m, count in ((40.0, 98), (200.0, sum(one.side == "left" for one in rows))):
+    for reach_m, count in ((40.0, 98), (200.0, sum(row.side == "left" for row in rows))):
         images = labelled_images(workspace, None, ("left",), reach_m)
         assert len(images) == 20
-        assert all(one.is_complete for one in images)
-        assert sum(int(one.truth().counts.sum()) for one in images) == count
+        assert all(image.is_complete for image in images)
+        assert sum(int(image.truth().counts.sum()) for image in images) == count
 
 
 def test_frames_that_nobody_reviewed_are_noted(
@@ -235,14 +238,14 @@ def test_frames_that_nobody_reviewed_are_noted(
     with workspace.open_labels() as store:
         store.apply(demo_labels(workspace.street, NO_SLIP, 0), "tester")
     plant(labelled_images(workspace, None, ("left",)), lambda true: true)
-    (note,) = told(capsys, DetectEvaluate((workspace.path,)))["notes"]
+    (note,) = told(capsys, DetectEvaluateCommand((workspace.path,)))["notes"]
     assert note.startswith("1 of 1 images are labelled but not reviewed")
 
 
 @pytest.fixture
 def report(
     plant: Callable[..., None],
-    images: tuple[KnownImage, ...],
+    images: tuple[EvaluationImage, ...],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> Path:
@@ -265,19 +268,22 @@ def test_the_report_shows_what_went_wrong(report: Path) -> None:
         for part in page.split("<h2>Missed")[1].split("<h2>False")
     )
     assert len(missed) > 10
-    assert any(one.startswith("triangular sign, ") and TAKEN in one for one in missed)
-    away = [int(re.findall(r"(\d+) m away", one)[0]) for one in missed]
+    assert any(fault.startswith("triangular sign, ") and TAKEN in fault for fault in missed)
+    away = [int(re.findall(r"(\d+) m away", fault)[0]) for fault in missed]
     assert away == sorted(away)
-    assert sum(one == "pole, score 0.70: nothing is there" for one in invented) == STREETS * FRAMES
-    assert any(
-        one.startswith("rounded sign, ") and "is a triangular sign" in one for one in invented
+    assert (
+        sum(fault == "pole, score 0.70: nothing is there" for fault in invented) == STREETS * FRAMES
     )
-    scores = [float(re.findall(r"score (\d\.\d\d)", one)[0]) for one in invented]
+    assert any(
+        fault.startswith("rounded sign, ") and "is a triangular sign" in fault for fault in invented
+    )
+    scores = [float(re.findall(r"score (\d\.\d\d)", fault)[0]) for fault in invented]
     assert scores == sorted(scores, reverse=True)
     assert "&lt;planted&gt;" in page
 
 
 @pytest.mark.browser
+@pytest.mark.parametrize("fonts", FONTS)
 @pytest.mark.parametrize("width", [1280, 1920])
 def test_the_report_asks_for_nothing_and_nothing_overlaps(
     report: Path, page: "Page", width: int
@@ -320,7 +326,7 @@ def test_the_report_asks_for_nothing_and_nothing_overlaps(
         (("--pictures", -1), "--pictures -1: give 0 or more"),
         (("--reach-m", 3), "--reach-m 3: give more than 3 m"),
         (("--least-score", 1.5), "--least-score 1.5: give a number from 0 to 1"),
-        (("--frames", "0:3"), "--frames is for workspaces"),
+        (("--frames", "0:3"), "--frames needs a workspace"),
         (("--model", "none.toml"), "none.toml"),
         (("--model", "none.safetensors"), "none.safetensors"),
         (("none",), "none: no such workspace"),
@@ -336,20 +342,20 @@ def test_bad_input_is_refused_in_one_line(
 
 
 def test_a_workspace_without_labels_is_refused(
-    plant: Callable[..., None], images: tuple[KnownImage, ...], tmp_path: Path, labelled: Path
+    plant: Callable[..., None], images: tuple[EvaluationImage, ...], tmp_path: Path, labelled: Path
 ) -> None:
     plant(images, lambda true: true)
     empty = Workspace.create_street(tmp_path / "empty", 3, range(2)).path
-    with pytest.raises(SemvizError, match="nothing is labelled, so nobody knows") as refused:
-        DetectEvaluate((empty,), out=tmp_path / "out").run()
+    with pytest.raises(SemvizError, match="nothing is labelled; label images with") as refused:
+        DetectEvaluateCommand((empty,), out=tmp_path / "out").run()
     assert str(empty) in str(refused.value)
     with pytest.raises(SemvizError, match="nothing is labelled in frames 1:3"):
-        DetectEvaluate((labelled,), frames="1:3").run()
+        DetectEvaluateCommand((labelled,), frames="1:3").run()
     assert not (tmp_path / "out").exists()
 
 
 def test_ctrl_c_leaves_nothing(
-    plant: Callable[..., None], images: tuple[KnownImage, ...], tmp_path: Path
+    plant: Callable[..., None], images: tuple[EvaluationImage, ...], tmp_path: Path
 ) -> None:
     looked = 0
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from calling import Call, call
+from command_line import Call, call
 from safetensors.torch import load_file
 
-from semviz_core.learning.training import CHECKPOINT
-from semviz_core.learning.weights import shipped_weights
+from semviz_core.base.weights import shipped_weights
+from semviz_core.research.training.trainer import CHECKPOINT
 
 TINY = ("--streets", 1, "--samples", 12, "--batch", 4)
 
@@ -36,9 +36,9 @@ def test_streets_to_weights_and_on_from_wherever_it_stopped(
         assert status == 0
         if "finished" in output:
             break
-    one, other = load_file(whole / CHECKPOINT), load_file(parts / CHECKPOINT)
-    assert one.keys() == other.keys()
-    assert all(torch.equal(one[name], other[name]) for name in one)
+    file, other = load_file(whole / CHECKPOINT), load_file(parts / CHECKPOINT)
+    assert file.keys() == other.keys()
+    assert all(torch.equal(file[name], other[name]) for name in file)
 
     assert call(capsys, "weights", whole, "--out", folder)[0] == 0
     card = json.loads((folder / "detector.json").read_text())
@@ -72,7 +72,7 @@ def test_what_ships_has_a_card_and_begins_a_training(train: Call, tmp_path: Path
     ("arguments", "line"),
     [
         (("--streets", -1), "--streets -1: give 0 to 9000"),
-        (("--streets", 0), "nothing is left to learn from"),
+        (("--streets", 0), "no training images are left"),
         (("--frames", "0:5"), "name a workspace"),
         (("--workers", 0), "--workers 0: give 1 or more"),
         (("--from", "nowhere.safetensors", "--streets", 1), "nowhere.safetensors: no such weights"),

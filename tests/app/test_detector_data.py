@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.street_labels import careful, label_street
 
-from semviz.detector_data import WorkspaceImages, workspace_images
-from semviz.workspace import Workspace
-from semviz_annotation.edits import Dismiss, ReviewFrame
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import Dismissal, proposal_id
-from semviz_annotation.street_labels import careful, label_street
-from semviz_core.errors import SemvizError
+from semviz.research.detector_data import WorkspaceImages, workspace_images
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.labels.edits import Dismiss, ReviewFrame
+from semviz_annotation.labels.labels import Dismissal, proposal_id
+from semviz_core.common.errors import SemvizError
 
 FRAMES = 6
 REVIEWED, IN_WORK, EMPTY, UNLABELLED, LEFT_ONLY = range(5)
@@ -32,7 +32,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
         if (row.frame_index, row.side) != (LEFT_ONLY, "right")
     ]
     seen = {row.element_id for row in rows}
-    elements = tuple(one for one in labels.elements.values() if one.id in seen)
+    elements = tuple(element for element in labels.elements.values() if element.id in seen)
     with workspace.open_labels() as store:
         store.apply(ImportLabels(elements, tuple(rows)), "tester")
         for index in (REVIEWED, LEFT_ONLY, FRAMES - 1):
@@ -47,32 +47,32 @@ def images_of(workspace: Workspace) -> WorkspaceImages:
 
 def test_frames_come_in_order_and_the_last_ones_are_kept_back(workspace: Workspace) -> None:
     images = images_of(workspace)
-    order = [(one.frame_index, one.side) for one in (*images.training, *images.kept_back)]
+    order = [(row.frame_index, row.side) for row in (*images.training, *images.kept_back)]
     both = [(index, side) for index in (0, 1, 2, 4, 5) for side in ("left", "right")]
-    assert order == [one for one in both if one != (LEFT_ONLY, "right")]
-    assert {one.frame_index for one in images.kept_back} == {FRAMES - 1}
+    assert order == [image for image in both if image != (LEFT_ONLY, "right")]
+    assert {image.frame_index for image in images.kept_back} == {FRAMES - 1}
     first = workspace_images([workspace], range(0, 2))
-    assert {one.frame_index for one in (*first.training, *first.kept_back)} == {0, 1}
+    assert {image.frame_index for image in (*first.training, *first.kept_back)} == {0, 1}
     assert pickle.loads(pickle.dumps(first)).describe() == first.describe()
     assert first.describe()["content"] != images.describe()["content"]
 
 
 def test_a_reviewed_empty_frame_is_all_background(workspace: Workspace) -> None:
     number = 2 * EMPTY
-    one = images_of(workspace).image(number)
-    assert len(one.elements) == 0
-    np.testing.assert_array_equal(one.image, workspace.source.image(EMPTY, "left"))
-    assert one.ignored is None
+    image = images_of(workspace).image(number)
+    assert len(image.elements) == 0
+    np.testing.assert_array_equal(image.image, workspace.source.image(EMPTY, "left"))
+    assert image.ignored is None
 
 
 def test_only_the_surroundings_of_labels_count_where_nobody_reviewed(
     workspace: Workspace,
 ) -> None:
-    one = images_of(workspace).image(2 * IN_WORK)
-    assert one.ignored is not None
-    columns, rows = one.elements.anchor_px.round().astype(int).T
-    assert not one.ignored[rows, columns].any()
-    assert one.ignored.mean() > 0.5
+    image = images_of(workspace).image(2 * IN_WORK)
+    assert image.ignored is not None
+    columns, rows = image.elements.anchor_px.round().astype(int).T
+    assert not image.ignored[rows, columns].any()
+    assert image.ignored.mean() > 0.5
 
 
 def test_what_is_mapped_and_neither_labelled_nor_turned_down_is_left_open(
@@ -86,9 +86,9 @@ def test_what_is_mapped_and_neither_labelled_nor_turned_down_is_left_open(
     left, there = (labels.in_frame(REVIEWED, side) for side in ("left", "right"))
     missing = sorted({row.element_id for row in left} - {row.element_id for row in there})
     with workspace.open_labels() as store:
-        for one in missing:
-            down = proposal_id(one, REVIEWED, "right")
-            row = Dismissal(down, REVIEWED, "right", "absent", one)
+        for element_id in missing:
+            down = proposal_id(element_id, REVIEWED, "right")
+            row = Dismissal(down, REVIEWED, "right", "absent", element_id)
             store.apply(Dismiss((row,)), "tester")
     after = images_of(workspace).training[right]
     assert len(after.doubtful_px) < len(before.doubtful_px)

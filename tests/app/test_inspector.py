@@ -7,14 +7,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from inspecting import in_url, near, open_page, pixels, record_street, wait_for
+from fonts import FONTS
+from inspector_page import (
+    changed,
+    in_url,
+    near,
+    open_flat,
+    open_page,
+    pixels,
+    record_street,
+    wait_for,
+)
+from streets import street
 
 from semviz.inspector.server import Inspector
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run
-from semviz.web.door import Door
-from semviz_core.localize import Localizer
-from semviz_core.sources.street.street import Street
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run
+from semviz.runs.writer import write_run
+from semviz.web.gateway import Gateway
+from semviz_core.base.localization import Alternative
+from semviz_core.base.pose import Pose
+from semviz_core.localization.localizer import Localizer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -30,13 +43,13 @@ MARKUP = "<img src=x onerror=document.title='taken'>"
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run through the simulated street, with images, one failure and hostile words."""
-    street = Street(7)
+    rig = street(7).rig
 
     def spoil(record: FrameRecord) -> FrameRecord:
         if record.frame.index != FAILED:
             return record
-        one = record.localization
-        found = Localizer().localize(one.observed[[0, 1]], one.submap, street.rig.left, one.prior)
+        result = record.localization
+        found = Localizer().localize(result.observed[[0, 1]], result.submap, rig.left, result.prior)
         hostile = replace(found, reason=f"{found.reason} {MARKUP}")
         return replace(record, localization=hostile, element_id=record.element_id[:2])
 
@@ -58,7 +71,7 @@ def tool(recorded: Path) -> Inspector:
 
 @pytest.fixture  # tests ask for it before the page, so that the page closes first
 def url(tool: Inspector) -> Iterator[str]:
-    with Door(tool).running() as url:
+    with Gateway(tool).running() as url:
         yield url
 
 
@@ -71,7 +84,7 @@ def test_page_shows_the_run_and_its_worst_frame_first(url: str, page: "Page", ru
     assert page.locator("#status").text_content() == "Ok"
     matrix = page.locator("#matrix-about").text_content()
     seen, mapped = len(run.frames[0].localization.observed), len(run.frames[0].localization.submap)
-    assert matrix == f"{seen} seen × {mapped} mapped"
+    assert matrix == f"{seen} detected × {mapped} mapped"
     image = pixels(page, "#image-canvas")
     assert image.std() > 20
     assert near(image, "#EFE154") > 50
@@ -83,19 +96,20 @@ def test_stepping_changes_numbers_picture_and_address(url: str, page: "Page") ->
     before = pixels(page, "#image-canvas")
     page.keyboard.press(".")
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
-    page.wait_for_timeout(300)
     assert page.locator("#frame-number").text_content() == "Frame 12 of 18"
     assert page.locator("#numbers").text_content() != numbers
-    after = pixels(page, "#image-canvas")
-    assert (np.abs(after - before).max(axis=2) > 30).mean() > 0.2
+    wait_for(
+        page,
+        lambda: (np.abs(pixels(page, "#image-canvas") - before).max(axis=2) > 30).mean() > 0.2,
+        "another picture",
+    )
     page.keyboard.press(",")
     wait_for(page, lambda: in_url(page, "frame") == "10", "back at frame 10")
-    page.wait_for_timeout(300)
-    assert np.abs(pixels(page, "#image-canvas") - before).mean() < 1
+    wait_for(page, lambda: changed(page, "#image-canvas", before) < 1, "the first picture")
 
 
 def test_timeline_click_goes_to_its_frame(url: str, page: "Page") -> None:
-    open_page(page, url)
+    open_flat(page, url)
     box = page.locator("#timeline-canvas").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + box["width"] - 20, box["y"] + 30)
@@ -104,7 +118,7 @@ def test_timeline_click_goes_to_its_frame(url: str, page: "Page") -> None:
 
 
 def test_list_click_goes_to_the_failure_and_says_why(url: str, page: "Page") -> None:
-    open_page(page, url)
+    open_flat(page, url)
     page.locator("#frame-list li").first.click()
     wait_for(page, lambda: in_url(page, "frame") == str(FAILED), "the failed frame")
     wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
@@ -114,7 +128,7 @@ def test_list_click_goes_to_the_failure_and_says_why(url: str, page: "Page") -> 
 
 
 def test_words_from_the_run_are_never_markup(url: str, page: "Page") -> None:
-    open_page(page, url, f"frame={FAILED}")
+    open_flat(page, url, f"frame={FAILED}")
     wait_for(page, lambda: page.locator("#why .sentence").count() == 1, "the sentence")
     assert MARKUP in (page.locator("#why .sentence").text_content() or "")
     assert page.locator("#why img, #frame-list img").count() == 0
@@ -122,11 +136,11 @@ def test_words_from_the_run_are_never_markup(url: str, page: "Page") -> None:
 
 
 def test_matrix_cell_selects_the_pair_everywhere(url: str, page: "Page", run: Run) -> None:
-    open_page(page, url)
+    open_flat(page, url)
     before = near(pixels(page, "#image-canvas"), "#4DABF7")
     fine = run.frames[0].localization.refinement
     assert fine is not None
-    observed, mapped = (int(one) for one in fine.pairs[0])
+    observed, mapped = (int(pair) for pair in fine.pairs[0])
     box = page.locator("#matrix-canvas").bounding_box()
     assert box is not None
     submap = run.frames[0].localization.submap
@@ -139,25 +153,25 @@ def test_matrix_cell_selects_the_pair_everywhere(url: str, page: "Page", run: Ru
             break
     page.mouse.click(box["x"] + x, box["y"] + y)
     wait_for(page, lambda: in_url(page, "element") == str(submap.id[mapped]), "the element")
-    page.wait_for_timeout(300)
-    assert near(pixels(page, "#image-canvas"), "#4DABF7") > before + 60
+    marked = lambda: near(pixels(page, "#image-canvas"), "#4DABF7")  # noqa: E731
+    wait_for(page, lambda: marked() > before + 60, "its mark in the image")
     page.keyboard.press("Escape")
     wait_for(page, lambda: in_url(page, "element") is None, "nothing selected")
 
 
 def test_click_on_a_detection_selects_it(url: str, page: "Page", run: Run) -> None:
-    open_page(page, url)
-    one = run.frames[0].localization
-    assert one.refinement is not None
-    observed, mapped = (int(row) for row in one.refinement.pairs[-1])
+    open_flat(page, url)
+    result = run.frames[0].localization
+    assert result.refinement is not None
+    observed, mapped = (int(row) for row in result.refinement.pairs[-1])
     box = page.locator("#image-canvas").bounding_box()
     assert box is not None
-    scale = min(box["width"] / one.camera.width, box["height"] / one.camera.height)
-    left = (box["width"] - scale * one.camera.width) / 2
-    top = (box["height"] - scale * one.camera.height) / 2
-    u, v = one.observed.anchor_px[observed] + 0.5
+    scale = min(box["width"] / result.camera.width, box["height"] / result.camera.height)
+    left = (box["width"] - scale * result.camera.width) / 2
+    top = (box["height"] - scale * result.camera.height) / 2
+    u, v = result.observed.anchor_px[observed] + 0.5
     page.mouse.click(box["x"] + left + scale * u, box["y"] + top + scale * v)
-    wait_for(page, lambda: in_url(page, "element") == str(one.submap.id[mapped]), "the element")
+    wait_for(page, lambda: in_url(page, "element") == str(result.submap.id[mapped]), "the element")
 
 
 def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool: Inspector) -> None:
@@ -170,8 +184,8 @@ def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool:
     (client,) = servers[0].get_clients().values()
     box = frame.bounding_box()
     assert box is not None
-    one = run.frames[0].localization
-    assert one.refinement is not None
+    result = run.frames[0].localization
+    assert result.refinement is not None
     eye, target = np.array(client.camera.position), np.array(client.camera.look_at)
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -179,9 +193,9 @@ def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool:
     down = np.cross(forward, right)
     focal = box["height"] / 2 / np.tan(client.camera.fov / 2)
     middles = np.where(
-        one.submap.is_line[:, None],
-        (one.submap.anchor_m + one.submap.end_m) / 2,
-        one.submap.anchor_m,
+        result.submap.is_line[:, None],
+        (result.submap.anchor_m + result.submap.end_m) / 2,
+        result.submap.anchor_m,
     )
     offset = middles - eye
     depth = offset @ forward
@@ -190,7 +204,7 @@ def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool:
     inside = (depth > 2) & (x > 10) & (x < box["width"] - 10) & (y > 10) & (y < box["height"] - 60)
     nearest = int(np.flatnonzero(inside)[np.argmin(depth[inside])])
     page.mouse.click(box["x"] + x[nearest], box["y"] + y[nearest])
-    wait_for(page, lambda: in_url(page, "element") == str(one.submap.id[nearest]), "the element")
+    wait_for(page, lambda: in_url(page, "element") == str(result.submap.id[nearest]), "the element")
     page.keyboard.press(".")  # the 3D pane has the focus, and the page its keys all the same
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
     carried = run.frames[1].localization.T_camera_map
@@ -206,7 +220,7 @@ def test_click_in_3d_selects_the_element(url: str, page: "Page", run: Run, tool:
 
 def test_address_brings_back_run_frame_and_selection(url: str, page: "Page", run: Run) -> None:
     element = int(run.frames[1].localization.submap.id[0])
-    open_page(page, url, f"run=first&frame=12&element={element}")
+    open_flat(page, url, f"run=first&frame=12&element={element}")
     assert page.locator("#frame-number").text_content() == "Frame 12 of 18"
     wait_for(page, lambda: in_url(page, "element") == str(element), "the element")
 
@@ -226,7 +240,7 @@ def test_two_pages_do_not_disturb_each_other(url: str, page: "Page", chromium: "
 
 
 def test_keys_faster_than_the_server_end_at_the_right_frame(url: str, page: "Page") -> None:
-    open_page(page, url)
+    open_flat(page, url)
     for _ in range(3):
         page.keyboard.press(".")
     page.keyboard.press(",")
@@ -235,7 +249,7 @@ def test_keys_faster_than_the_server_end_at_the_right_frame(url: str, page: "Pag
 
 
 def test_a_broken_run_is_said_in_one_line_and_the_page_lives_on(url: str, page: "Page") -> None:
-    open_page(page, url)
+    open_flat(page, url)
     page.select_option("#run", "broken")
     notice = page.locator("#notice")
     wait_for(page, lambda: "broken.rrd" in (notice.text_content() or ""), "the notice")
@@ -247,23 +261,24 @@ def test_a_broken_run_is_said_in_one_line_and_the_page_lives_on(url: str, page: 
 
 
 def test_theme_and_help(url: str, page: "Page") -> None:
-    open_page(page, url)
+    open_flat(page, url)
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.keyboard.press("t")
     after = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert before != after
     page.keyboard.press("?")
     help_text = page.locator("dialog.help").text_content() or ""
-    for said in ("Frame before", "Pairs with outliers", "From above", "Dark or light"):
+    for said in ("Previous frame", "Pairs with outliers", "View from above", "Dark or light"):
         assert said in help_text
     page.keyboard.press("Escape")
     wait_for(page, lambda: page.locator("dialog").count() == 0, "the help closed")
 
 
+@pytest.mark.parametrize("fonts", FONTS)
 @pytest.mark.parametrize("size", [(1280, 720), (1600, 950)])
 def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[int, int]) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})
-    open_page(page, url)
+    open_flat(page, url)
     out = page.evaluate(
         """() => [...document.querySelectorAll(".panel, .topbar > *, #timeline > *")]
         .map((one) => [one.id || one.className, one.getBoundingClientRect()])
@@ -277,3 +292,28 @@ def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[in
     for tab in ("selected", "solver", "what-if"):
         page.click(f"#why [data-tab={tab}]")
         assert page.locator("main").evaluate("e => e.scrollHeight <= e.clientHeight"), tab
+
+
+@pytest.mark.parametrize("fonts", FONTS)
+def test_an_alternative_pose_takes_one_line_of_the_card(
+    run: Run, page: "Page", tmp_path: Path
+) -> None:
+    """Also the longest one, in a small window."""
+    record = run.frames[0]
+    estimate = record.localization.T_camera_map
+    assert estimate is not None
+    turn = Pose(np.diag([-1.0, 1.0, -1.0]), np.array([30.0, -3.0, 25.0]))
+    others = tuple(Alternative(turn @ estimate, -12.0) for _ in range(6))
+    localization = replace(record.localization, status="ambiguous", alternatives=others)
+    path = tmp_path / "ambiguous.rrd"
+    write_run([replace(record, localization=localization)], path, run.info, run.semantic_map)
+    page.set_viewport_size({"width": 1280, "height": 720})
+    with Gateway(Inspector([path])).running() as url:
+        open_flat(page, url)
+        rows = page.locator("#why-body dl div")
+        poses = [row for row in rows.all() if "Pose " in row.inner_text()]
+        assert poses
+        height = rows.first.evaluate("e => e.getBoundingClientRect().height")
+        for row in poses:
+            assert row.evaluate("e => e.getBoundingClientRect().height") == height, row.inner_text()
+        page.goto("about:blank")

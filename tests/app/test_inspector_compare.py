@@ -7,20 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from inspecting import in_url, near, open_page, pixels, wait_for
+from fonts import FONTS
+from inspector_page import changed, in_url, near, open_page, pixels, settle, wait_for
+from serving import at
 
-from semviz.comparing.comparison import compare_runs
-from semviz.inspector.comparing.comparison_view import Side, SideBySide
+from semviz.inspector.comparison import Side, SideBySide
 from semviz.inspector.server import Inspector
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.recording.writer import RunWriter
-from semviz.web.door import Door
-from semviz_core.localize import Localizer
-from semviz_core.semantic_map import MapFrame, SemanticMap
-from semviz_core.sources.priors import PriorOptions, simulate_prior
-from semviz_core.sources.street.map_errors import moved
-from semviz_core.sources.street.street import Street
+from semviz.runs.comparison import compare_runs
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.runs.writer import RunWriter
+from semviz.web.gateway import Gateway
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localization.localizer import Localizer
+from semviz_core.simulation.map_errors import move_element
+from semviz_core.simulation.street import Street
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -31,6 +33,7 @@ SPOILED = 29
 MOVED_M = 2.1
 SEEN = 4
 """So few others are seen that a moved pole matters."""
+IMAGES = ("#base-image-canvas", "#image-canvas")
 BROKEN, ACCENT = "#8E1B08", "#4DABF7"
 
 
@@ -57,7 +60,7 @@ def record(street: Street, semantic_map: SemanticMap, path: Path, frames: tuple[
 def paths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """A run in the true map, one in a faulty map without the last frame, one of another drive."""
     folder, street = tmp_path_factory.mktemp("runs"), Street(7)
-    faulty = moved(street.truth_map, SPOILED, (1.5, 1.5, 0.0))
+    faulty = move_element(street.truth_map, SPOILED, (1.5, 1.5, 0.0))
     elsewhere = replace(street.truth_map, frame=MapFrame("other-street"))
     return (
         record(street, street.truth_map, folder / "good.rrd", FRAMES),
@@ -73,7 +76,7 @@ def runs(paths: tuple[Path, ...]) -> tuple[Run, Run]:
 
 @pytest.fixture
 def url(paths: tuple[Path, ...]) -> Iterator[str]:
-    with Door(Inspector(paths)).running() as url:
+    with Gateway(Inspector(paths)).running() as url:
         yield url
 
 
@@ -81,7 +84,7 @@ def url(paths: tuple[Path, ...]) -> Iterator[str]:
 def compared(page: "Page", url: str) -> "Page":
     """The spoiled run against the good one, without the 3D pane, which takes seconds to draw."""
     page.route("**/view/**", lambda route: route.abort())
-    page.goto(f"{url}?run=spoiled&frame=12&base=good&beside=yes")
+    page.goto(at(url, "?run=spoiled&frame=12&base=good&beside=yes"))
     page.wait_for_selector("#change-list li")
     wait_for(page, lambda: page.locator("#count-broken").text_content() != "", "the comparison")
     page.wait_for_timeout(300)
@@ -89,7 +92,7 @@ def compared(page: "Page", url: str) -> "Page":
 
 
 def broken(runs: tuple[Run, Run]) -> list[int]:
-    return [one.index for one in compare_runs(*runs).of("broken")]
+    return [frame.index for frame in compare_runs(*runs).of("broken")]
 
 
 def listed(page: "Page") -> list[int]:
@@ -97,7 +100,7 @@ def listed(page: "Page") -> list[int]:
 
 
 def test_the_planted_fault_breaks_frames_and_only_those_that_see_it(runs: tuple[Run, Run]) -> None:
-    sees = {one.frame.index for one in runs[0].frames if SPOILED in one.element_id}
+    sees = {frame.frame.index for frame in runs[0].frames if SPOILED in frame.element_id}
     assert len(broken(runs)) >= 2
     assert set(broken(runs)) <= sees
     assert sees < set(FRAMES)
@@ -146,10 +149,10 @@ def test_marks_of_the_scatter_open_their_frames(compared: "Page", runs: tuple[Ru
         wait_for(page, lambda: in_url(page, "frame") not in [*opened, "12"], "another frame")
         opened.append(in_url(page, "frame"))
     assert len(opened) >= 2
-    in_b = {one.index: one.errors[1] for one in compare_runs(*runs).of("broken")}
-    assert {int(one) for one in opened if one} <= in_b.keys()
-    errors = [in_b[int(one)] for one in opened if one]
-    heights = [np.inf if one is None else one.distance_m for one in errors]
+    in_b = {frame.index: frame.errors[1] for frame in compare_runs(*runs).of("broken")}
+    assert {int(frame) for frame in opened if frame} <= in_b.keys()
+    errors = [in_b[int(frame)] for frame in opened if frame]
+    heights = [np.inf if error is None else error.distance_m for error in errors]
     assert heights == sorted(heights, reverse=True)  # the worst in B stands at the top
     current = page.locator("#change-list [aria-current=true] .index")
     assert current.text_content() == opened[-1]
@@ -166,20 +169,24 @@ def outside(page: "Page") -> Any:
     )
 
 
-def test_both_images_have_one_crop_and_nothing_sticks_out(compared: "Page") -> None:
-    page = compared
+@pytest.mark.parametrize("fonts", FONTS)
+def test_nothing_of_two_runs_sticks_out(compared: "Page") -> None:
     for width, height in ((1280, 720), (1600, 950)):
-        page.set_viewport_size({"width": width, "height": height})
-        page.wait_for_timeout(300)
-        assert outside(page) == []
-    same = [pixels(page, one) for one in ("#base-image-canvas", "#image-canvas")]
+        compared.set_viewport_size({"width": width, "height": height})
+        settle(compared)
+        assert outside(compared) == []
+
+
+def test_both_images_have_one_crop(compared: "Page") -> None:
+    page = compared
+    same = [pixels(page, selector) for selector in IMAGES]
     assert near(same[0], "#EFE154") > 20
     page.hover("#base-image-canvas")
     page.mouse.wheel(0, -400)
-    page.wait_for_timeout(600)
-    zoomed = [pixels(page, one) for one in ("#base-image-canvas", "#image-canvas")]
-    for before, after in zip(same, zoomed, strict=True):
-        assert np.abs(before - after).mean() > 8
+    for name, before in zip(IMAGES, same, strict=True):
+        wait_for(page, lambda n=name, b=before: changed(page, n, b) > 8, f"{name} zoomed")
+    settle(page)
+    zoomed = [pixels(page, selector) for selector in IMAGES]
     sky = np.s_[: zoomed[0].shape[0] // 3]  # where little is drawn
     apart = np.abs(zoomed[0][sky] - zoomed[1][sky]).max(axis=2)
     assert (apart < 10).mean() > 0.9
@@ -191,9 +198,9 @@ def test_gates_are_judged_as_the_command_judges_them(
     page, count = compared, len(broken(runs))
     said = page.locator("#gate-said")
     page.fill("#gate-input", "brokn > 1")
-    wait_for(page, lambda: "there is no 'brokn'" in (said.text_content() or ""), "what is wrong")
+    wait_for(page, lambda: "no 'brokn'" in (said.text_content() or ""), "what is wrong")
     page.fill("#gate-input", f"broken > {count - 1}")
-    wait_for(page, lambda: said.text_content() == f"broken {count}: fails; Enter keeps it", "it")
+    wait_for(page, lambda: said.text_content() == f"broken {count}: fails; Enter adds it", "it")
     page.press("#gate-input", "Enter")
     gates = page.locator("#gate-list li")
     wait_for(page, lambda: gates.count() == 3, "the third condition")
@@ -211,8 +218,8 @@ def test_closing_leaves_a_line_of_broken_frames_on_the_timeline(
     assert in_url(page, "base") == "good"
     assert page.locator("#against").text_content() == "Against good"
     assert page.locator("#against-counts").text_content() == f"+0 fixed, −{len(broken(runs))}"
-    page.wait_for_timeout(300)
-    assert near(pixels(page, "#timeline-canvas"), BROKEN) > 20
+    line = lambda: near(pixels(page, "#timeline-canvas"), BROKEN)  # noqa: E731
+    wait_for(page, lambda: line() > 20, "the broken frames on the timeline")
     page.keyboard.press("c")
     wait_for(page, lambda: in_url(page, "beside") == "yes", "both runs again")
     page.select_option("#base", "")
@@ -246,24 +253,24 @@ def test_another_drive_is_refused_in_one_line(page: "Page", url: str) -> None:
 
 
 def test_alone_it_says_how_to_serve_two(page: "Page", paths: tuple[Path, ...]) -> None:
-    with Door(Inspector(paths[:1])).running() as url:
+    with Gateway(Inspector(paths[:1])).running() as url:
         page.route("**/view/**", lambda route: route.abort())
         open_page(page, url)
         page.click("#compare")
         said = page.locator("dialog.choose-run p").text_content()
-        assert (
-            said == "Only this run is served. Serve two to compare them: semviz serve a.rrd b.rrd"
-        )
+        assert said == "Only this run is open. To compare two runs: semviz serve a.rrd b.rrd"
         page.goto("about:blank")
 
 
 def test_frames_are_told_even_where_a_run_was_cut(runs: tuple[Run, Run], paths: Any) -> None:
     cut = replace(runs[1], frames=runs[1].frames[:2], complete=False)
     made = SideBySide(Side("good", runs[0], paths[0]), Side("cut", cut, paths[1]))
-    assert [one["index"] for one in made.view()["frames"]] == list(FRAMES[:2])
-    assert made.view()["onlyBase"] == list(FRAMES[2:])
+    assert [frame.index for frame in made.view().frames] == list(FRAMES[:2])
+    assert made.view().only_base == FRAMES[2:]
     judged = made.gate("broken > 99")
-    assert judged["fails"] is None
-    assert "cut: --fail-if needs a whole run" in judged["said"]
-    assert made.base_frame(FRAMES[3])["frame"]["index"] == FRAMES[3]
-    assert made.base_frame(11)["frame"] is None
+    assert judged.fails is None
+    assert "cut: --fail-if needs a complete run" in judged.values
+    there = made.base_frame(FRAMES[3]).base
+    assert there is not None
+    assert there.frame.index == FRAMES[3]
+    assert made.base_frame(11).base is None

@@ -1,6 +1,5 @@
 """The decisions of a run's map in the inspector: seen, answered in the workspace, undone."""
 
-import json
 import runpy
 import shutil
 from collections.abc import Iterator
@@ -10,19 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from planted import element_id, left_out, merge, planted_map, street
+from duplicated_pole import element_id, left_out, merge, planted_map, street
 
-from semviz.inspector.over_run.decisions import Decisions
+from semviz.inspector.decisions import Decisions
 from semviz.inspector.server import Inspector
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord
-from semviz.recording.writer import RunWriter
-from semviz.web.door import Door
-from semviz.workspace import Workspace
-from semviz_annotation.mapping.review import is_open
-from semviz_annotation.rows import apart
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import SemanticMap
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord
+from semviz.runs.writer import RunWriter
+from semviz.web.gateway import Gateway
+from semviz.workspace.map_review import entry_key
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.rows import different_elements
+from semviz_annotation.mapping.decisions import is_open
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -49,10 +49,10 @@ def records(semantic_map: SemanticMap) -> list[FrameRecord]:
     """Of three frames, the map's only element is seen in the last."""
     found = []
     for record in made_up["make_records"](made_up["make_map"](length_m=60.0), 3, JPEG):
-        one = replace(record.localization, submap=semantic_map.elements[[]], match=None)
-        one = replace(one, refinement=None, alternatives=())
-        unknown = np.full(len(one.observed), -1)
-        found.append(replace(record, localization=one, element_id=unknown))
+        result = replace(record.localization, submap=semantic_map.elements[[]], match=None)
+        result = replace(result, refinement=None, alternatives=())
+        unknown = np.full(len(result.observed), -1)
+        found.append(replace(record, localization=result, element_id=unknown))
     seen = replace(found[2].localization, submap=semantic_map.elements)
     ids = found[2].element_id.copy()
     ids[0] = 1
@@ -70,26 +70,26 @@ def decisions_of(path: Path) -> Decisions:
 
 
 def entries(decisions: Decisions) -> list[dict[str, Any]]:
-    shown = decisions.view(with_findings=True)
-    json.dumps(shown, allow_nan=False)
-    return list(shown["entries"])
+    return list(decisions.view(with_findings=True).model_dump(mode="json")["entries"])
 
 
 def test_answers_are_saved_in_the_runs_workspace_and_undone(workspace: Workspace) -> None:
     decisions = decisions_of(workspace.run_path("search"))
     first, second, *findings = entries(decisions)
-    assert [one["name"] for one in first["answers"]] == ["same", "two"]
-    assert [one["map_id"] for one in first["elements"]] == [1, 1]
-    assert [one["map_id"] for one in second["elements"]] == [None]
+    assert [answer["name"] for answer in first["answers"]] == ["same", "two"]
+    assert [element["map_id"] for element in first["elements"]] == [1, 1]
+    assert [element["map_id"] for element in second["elements"]] == [None]
     decisions.answer(first["key"], "two")
-    assert set(workspace.read_labels().judgements.values()) == {apart(element_id(1), element_id(2))}
+    assert set(workspace.read_labels().review_decisions.values()) == {
+        different_elements(element_id(1), element_id(2))
+    }
     answered, *_ = entries(decisions)
     assert (answered["answers"], answered["undo"]) == ([], True)
     with pytest.raises(SemvizError, match="may be answered already"):
         decisions.answer(first["key"], "same")
     decisions.undo(first["key"])
     assert entries(decisions) == [first, second, *findings]
-    assert not workspace.read_labels().judgements
+    assert not workspace.read_labels().review_decisions
     with pytest.raises(SemvizError, match="not answered here"):
         decisions.undo(first["key"])
 
@@ -99,7 +99,10 @@ def test_a_decision_leads_to_the_frame_that_sees_its_element(workspace: Workspac
     first, second, *findings = entries(decisions)
     assert decisions.place(first["key"]) == (2, 1)
     assert decisions.place(second["key"]) == (None, None)
-    assert all(decisions.place(one["key"]) == (one["frame"] or 2, 1) for one in findings)
+    frames = {entry_key(finding): finding.frame_index for finding in decisions._findings}
+    assert all(
+        decisions.place(finding["key"]) == (frames[finding["key"]] or 2, 1) for finding in findings
+    )
     with pytest.raises(SemvizError, match="no such decision"):
         decisions.place("something else")
 
@@ -108,8 +111,8 @@ def test_what_looks_odd_in_the_map_is_listed_and_has_no_answers(workspace: Works
     decisions = decisions_of(workspace.run_path("search"))
     finding = entries(decisions)[2]
     assert (finding["kind"], finding["severity"]) == ("leaning pole", "error")
-    assert len(decisions.view(with_findings=False)["entries"]) == 2
-    assert [one["map_id"] for one in finding["elements"]] == [1]
+    assert len(decisions.view(with_findings=False).entries) == 2
+    assert [element["map_id"] for element in finding["elements"]] == [1]
     with pytest.raises(SemvizError, match="a finding has no answers"):
         decisions.answer(finding["key"], "same")
 
@@ -123,8 +126,8 @@ def test_without_its_labels_a_run_only_shows_and_says_where_to_answer(
     decisions = decisions_of(alone)
     first, *_ = entries(decisions)
     assert (first["answers"], first["reason"]) == ([], "They fit one place")
-    assert "answer in 'semviz annotate WORKSPACE'" in decisions.view(False)["note"]
-    with pytest.raises(SemvizError, match="labels are not at hand"):
+    assert "Answer in 'semviz annotate WORKSPACE'" in decisions.view(False).note
+    with pytest.raises(SemvizError, match="labels were not found"):
         decisions.answer(first["key"], "two")
     run = load_run(alone)
     named = replace(run, info=replace(run.info, workspace=str(workspace.path)))
@@ -142,7 +145,7 @@ def test_a_workspace_with_other_labels_is_not_the_runs(
 
 @pytest.fixture
 def url(workspace: Workspace) -> Iterator[str]:
-    with Door(Inspector([workspace.run_path("search")])).running() as url:
+    with Gateway(Inspector([workspace.run_path("search")])).running() as url:
         yield url
 
 
@@ -158,7 +161,7 @@ def test_the_page_lists_selects_answers_and_undoes(
     page.wait_for_selector(".decision[aria-current=true] >> text=They fit one place")
     page.wait_for_selector("#frame-number:has-text('2')")
     assert "P-01" in page.inner_text(".decision[aria-current=true]")
-    page.click("text=Two things")
+    page.click("text=Different landmarks")
     page.wait_for_selector("text=Undo the answer")
     (decision, _) = load_run(workspace.run_path("search")).semantic_map.decisions
     assert not is_open(decision, workspace.read_labels())

@@ -1,6 +1,5 @@
 """The tab "Elements": what is wrong over the run, each element in numbers; frames by element."""
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,39 +8,39 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from inspecting import in_url, open_flat, wait_for
+from inspector_page import in_url, open_flat, wait_for
 from small_runs import FRAMES, run_with_a_moved_pole, saved, small_run, without_truth
 
-from semviz.inspector.over_run.elements import (
+from semviz.inspector.elements import (
     Findings,
-    OverTheRun,
-    best_sight,
+    RunAnalysis,
+    best_frame,
     evidence_text,
     findings_view,
     frames_of,
 )
 from semviz.inspector.server import Inspector
-from semviz.recording.run import Run
-from semviz.run_verdict import run_elements, run_verdict
-from semviz.web.door import Door
-from semviz_core.explaining.per_element import ElementRecord
-from semviz_core.explaining.run_verdict import RunFault, RunVerdict
-from semviz_core.explaining.told import Evidence, Fault
+from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.run import Run
+from semviz.web.gateway import Gateway
+from semviz_core.diagnosis.element_statistics import ElementRecord
+from semviz_core.diagnosis.fault import EvidenceItem, Fault
+from semviz_core.diagnosis.run import RunDiagnosis, RunFault
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
-def view_of(run: Run, verdict: RunVerdict | None = None) -> Any:
+def view_of(run: Run, diagnosis: RunDiagnosis | None = None) -> Any:
     """As the page gets it."""
-    found = Findings(verdict or run_verdict(run), run_elements(run))
-    return json.loads(json.dumps(findings_view(run, found), allow_nan=False))
+    found = Findings(diagnosis or run_diagnosis(run), run_elements(run))
+    return findings_view(run, found).model_dump(mode="json")
 
 
 def test_an_element_that_moved_in_the_map_comes_out_on_top() -> None:
     run, pole = run_with_a_moved_pole()
     view = view_of(run)
-    (fault,) = view["verdict"]
+    (fault,) = view["faults"]
     assert (fault["kind"], fault["element"]) == ("moved in the map", pole)
     assert run.frames[fault["position"]].frame.index in fault["frames"]
     assert np.any(run.frames[fault["position"]].element_id == pole)
@@ -55,7 +54,7 @@ def test_an_element_that_moved_in_the_map_comes_out_on_top() -> None:
 def test_where_nothing_is_wrong_nothing_is_named() -> None:
     for run in (small_run(), without_truth(small_run())):
         view = view_of(run)
-        assert view["verdict"] == []
+        assert view["faults"] == []
         assert view["compared"] == len(FRAMES)
         assert view["rows"]
         assert not any(row["outlier"] for row in view["rows"])
@@ -63,58 +62,60 @@ def test_where_nothing_is_wrong_nothing_is_named() -> None:
 
 def test_what_has_no_element_in_the_map_is_seen_by_its_detection() -> None:
     missing = RunFault(
-        "missing in the map", "3 frames see it.", (Evidence("frames", 3),), (987654,),
+        "missing in the map", "3 frames see it.", (EvidenceItem("frames", 3),), (987654,),
         rows=(4, 2, 1), frames=(0, 1, 2),
     )  # fmt: skip
     run = small_run()
-    (line,) = view_of(run, RunVerdict(None, (missing,), 6))["verdict"]
+    (line,) = view_of(run, RunDiagnosis(None, (missing,), 6))["faults"]
     assert (line["element"], line["observed"], line["position"]) == (None, 2, 1)
     assert line["frames"] == list(FRAMES[:3])
 
 
 def test_a_fault_of_the_camera_comes_first_and_leads_to_many_pairs() -> None:
     run = small_run()
-    camera = Fault("wrong calibration", "Off.", (Evidence("focal length", -2.96, "%"),))
-    (line,) = view_of(run, RunVerdict(camera, (), 6))["verdict"]
+    camera = Fault("wrong calibration", "Off.", (EvidenceItem("focal length", -2.96, "%"),))
+    (line,) = view_of(run, RunDiagnosis(camera, (), 6))["faults"]
     assert line["evidence"] == [["focal length", "-3.0 %"]]
-    fits = [one.refinement for one in run.localizations]
+    fits = [localization.refinement for localization in run.localizations]
     pairs = [0 if fit is None else len(fit.pairs) for fit in fits]
     assert pairs[line["position"]] == max(pairs)
 
 
 def test_evidence_has_as_many_decimals_as_it_is_worth() -> None:
-    assert evidence_text(Evidence("off", 101.31, "px")) == "101 px"
-    assert evidence_text(Evidence("off", 1.141, "m")) == "1.14 m"
-    assert evidence_text(Evidence("frames", 9)) == "9"
+    assert evidence_text(EvidenceItem("off", 101.31, "px")) == "101 px"
+    assert evidence_text(EvidenceItem("off", 1.141, "m")) == "1.14 m"
+    assert evidence_text(EvidenceItem("frames", 9)) == "9"
 
 
 def test_an_element_is_shown_where_it_is_furthest_off_or_else_in_the_middle() -> None:
-    one = ElementRecord(1, in_view=[1, 2, 3, 4, 5], seen=[2, 3, 4], residual_px=[3.0, 9.0, 5.0])
-    assert best_sight(replace(one, outlier=[2, 4])) == 4
-    assert best_sight(one) == 3
-    assert best_sight(ElementRecord(1, in_view=[7])) == 7
-    assert best_sight(ElementRecord(1)) is None
+    element_record = ElementRecord(
+        1, in_view=[1, 2, 3, 4, 5], seen=[2, 3, 4], residual_px=[3.0, 9.0, 5.0]
+    )
+    assert best_frame(replace(element_record, outlier=[2, 4])) == 4
+    assert best_frame(element_record) == 3
+    assert best_frame(ElementRecord(1, in_view=[7])) == 7
+    assert best_frame(ElementRecord(1)) is None
 
 
 def test_frames_of_an_element_see_it_or_rest_on_it() -> None:
     run, pole = run_with_a_moved_pole()
-    seen = [k for k, one in enumerate(run.frames) if np.any(one.element_id == pole)]
+    seen = [k for k, frame in enumerate(run.frames) if np.any(frame.element_id == pole)]
     assert frames_of(run, pole) == seen
     assert frames_of(run, 987654) == []
 
 
 def test_it_is_worked_out_once_and_tells_how_far_it_is() -> None:
-    over = OverTheRun(small_run(), Path("unused"))
+    over = RunAnalysis(small_run(), Path("unused"))
     told: list[str] = []
-    over.ask(lambda: told.append(str(over.view().get("doing", "ready"))))
+    over.start(lambda: told.append("ready" if over.view().found else over.view().progress))
     for _ in range(1200):
         if over.is_over and told[-1] == "ready":
             break
         time.sleep(0.05)
     assert told[-1] == "ready"
-    assert {one.split(":")[0] for one in told} > {"looking at elements"}
+    assert {text.split(":")[0] for text in told} > {"checking elements"}
     first = over.value
-    over.ask(lambda: told.append("again"))
+    over.start(lambda: told.append("again"))
     assert told[-1] == "again"
     assert over.value is first
 
@@ -129,7 +130,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
-    with Door(Inspector([recorded])).running() as url:
+    with Gateway(Inspector([recorded])).running() as url:
         yield url
 
 
@@ -142,21 +143,23 @@ def test_the_moved_pole_is_named_first_and_a_click_shows_it(url: str, page: "Pag
     rows = page.locator("#element-list li")
     wait_for(page, lambda: rows.count() > 3, "the elements")
     assert rows.first.locator("b").text_content() == name
-    fault = page.locator("#run-verdict .fault")
+    fault = page.locator("#run-diagnosis .fault")
     assert name in (fault.text_content() or "")
     fault.click()
     wait_for(page, lambda: in_url(page, "element") == str(pole), "the pole is selected")
     wait_for(page, lambda: rows.first.get_attribute("aria-current") == "true", "its row")
     page.locator("#element-head button", has_text="element").click()
-    names = [str(one.text_content()) for one in rows.locator("b").all()]
-    assert names == sorted(names, key=lambda one: (one[0], int(one[2:])))
+    names = [str(node.text_content()) for node in rows.locator("b").all()]
+    assert names == sorted(names, key=lambda name: (name[0], int(name[2:])))
     poles = page.locator("#element-classes button[title=pole]")
     poles.click()
     assert rows.count() == int(poles.locator("span").text_content() or "")
 
 
 @pytest.mark.browser
-def test_frames_are_filtered_by_element_status_and_verdict_together(url: str, page: "Page") -> None:
+def test_frames_are_filtered_by_element_status_and_diagnosis_together(
+    url: str, page: "Page"
+) -> None:
     run, pole = run_with_a_moved_pole()
     with_pole = frames_of(run, pole)
     open_flat(page, url, f"element={pole}")

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
-from inspecting import open_blank, open_flat, open_page, record_street, rgb_of, wait_for
+from inspector_page import open_blank, open_flat, open_page, record_street, rgb_of, wait_for
 
-from semviz.inspector.images.rendering import RenderTopic, png_on
+from semviz.inspector.image import RenderPanel, png_on
+from semviz.inspector.messages import RenderSceneRequest
 from semviz.inspector.server import Inspector
-from semviz.recording.reader import load_run
-from semviz.recording.run import Run
-from semviz.web.door import Door
-from semviz_core.errors import SemvizError
+from semviz.runs.reader import load_run
+from semviz.runs.run import Run
+from semviz.web.gateway import Gateway
+from semviz.web.protocol import ErrorEvent, Event
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -37,7 +39,7 @@ def run(recorded: Path) -> Run:
 
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
-    with Door(Inspector([recorded])).running() as url:
+    with Gateway(Inspector([recorded])).running() as url:
         yield url
 
 
@@ -63,7 +65,7 @@ def save(
 
 
 def texts(path: Path) -> list[str]:
-    return [one.text or "" for one in ElementTree.parse(path).iter(f"{SVG}text")]
+    return [state.text or "" for state in ElementTree.parse(path).iter(f"{SVG}text")]
 
 
 @pytest.mark.browser
@@ -73,21 +75,21 @@ def test_svg_of_the_image_holds_what_the_state_shows(
     open_flat(page, url)
     path = save(page, tmp_path, "Image", "svg")
     assert path.name == "a-run-frame-10-image.svg"
-    one, classes = run.frames[0].localization, run.semantic_map.classes
-    assert one.refinement is not None
-    submap = one.submap[one.refinement.pairs[:, 1]]
+    result, classes = run.frames[0].localization, run.semantic_map.classes
+    assert result.refinement is not None
+    submap = result.submap[result.refinement.pairs[:, 1]]
     matched = {
         classes.element_name(int(class_id), int(id))
         for class_id, id in zip(submap.class_id, submap.id, strict=True)
     }
     written = set(texts(path))
     assert len(matched & written) > len(matched) / 2  # labels that would overlap are left out
-    assert {"residual, drawn 8×", "seen", "map"} <= written
+    assert {"residual, drawn 8×", "detected", "map"} <= written
     root = ElementTree.parse(path).getroot()
     (photo,) = root.iter(f"{SVG}image")
     assert photo.attrib["href"].startswith("data:image/jpeg;base64,")
     lines = [node for node in root.iter(f"{SVG}path") if node.attrib.get("stroke") == "#efe154"]
-    assert len(lines) >= int(one.observed.is_line.sum())
+    assert len(lines) >= int(result.observed.is_line.sum())
 
 
 @pytest.mark.browser
@@ -210,27 +212,28 @@ def test_the_3d_pane_is_saved_as_png_only(url: str, page: "Page", tmp_path: Path
 
 
 def test_why_the_3d_pane_cannot_be_drawn_reaches_the_dialog() -> None:
-    told: list[dict[str, str]] = []
+    told: list[Event] = []
 
     class Blind:
-        """A desk whose 3D pane nobody looks at."""
+        """A context whose 3D pane does not answer."""
 
-        def say(self, _: str, value: dict[str, str]) -> None:
-            told.append(value)
+        def send(self, event: Event) -> None:
+            told.append(event)
 
         @property
         def scene(self) -> Any:
             raise SemvizError("the 3D pane does not answer")
 
-    topic = RenderTopic(cast(Any, Blind()))
+    panel = RenderPanel(cast(Any, Blind()))
     for count, width in enumerate((9000, 0, 100)):
-        topic.verbs()["render"]({"verb": "render", "width": width, "height": 100})
+        panel._render(RenderSceneRequest(id=str(count), width=width, height=100))
         while len(told) <= count:
             time.sleep(0.01)
-    assert all(one["png"] == "" for one in told)
-    assert "9000 × 100 px" in told[0]["why"]
-    assert "0 × 100 px" in told[1]["why"]
-    assert "does not answer" in told[2]["why"]
+    refusals = [event for event in told if isinstance(event, ErrorEvent)]
+    assert [event.reply_to for event in refusals] == ["0", "1", "2"]
+    assert "9000 × 100 px" in refusals[0].text
+    assert "0 × 100 px" in refusals[1].text
+    assert "does not answer" in refusals[2].text
 
 
 def test_transparent_places_show_the_ground() -> None:

@@ -5,31 +5,34 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
-from inspecting import (
+from inspector_page import (
     BOTH,
+    changed,
     in_url,
     near,
     open_blank,
     open_flat,
     pixels,
     record_street,
+    settle,
     wait_for,
 )
 from small_runs import saved
 
-from semviz.inspector.images.image_view import neighbours_view, right_view
-from semviz.inspector.images.pictures import Pictures
-from semviz.inspector.server import Inspector
-from semviz.inspector.session import State
+from semviz.inspector.image import neighbours_view, right_view
+from semviz.inspector.run_library import RunImages
+from semviz.inspector.server import HANDLERS, Inspector
+from semviz.inspector.state import State
 from semviz.inspector.views import frame_view
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run
-from semviz.web.door import Door
-from semviz_core.camera import Rig
-from semviz_core.errors import SemvizError
-from semviz_core.explaining.told import FALSE
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.gateway import Gateway
+from semviz.web.protocol import MalformedRequestError
+from semviz_core.base.camera import Rig
+from semviz_core.diagnosis.fault import FALSE_POSITIVE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -41,7 +44,7 @@ SEEN, ESTIMATE, CANNOT = "#EFE154", "#FF7A1A", "#F0532D"
 
 
 def mistake(record: FrameRecord) -> FrameRecord:
-    """Two of a kind are exchanged: their pairs fit, and join different things."""
+    """Two of a kind are exchanged: their pairs fit, and join different elements."""
     if record.frame.index != MISTAKEN:
         return record
     ids = record.element_id.copy()
@@ -62,7 +65,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def by_detector(run: Run) -> Run:
     """As if a detector had seen it, and its first detection in each frame were nothing real."""
-    frames = tuple(replace(one, element_id=np.r_[FALSE, one.element_id[1:]]) for one in run.frames)
+    frames = tuple(
+        replace(frame, element_id=np.r_[FALSE_POSITIVE, frame.element_id[1:]])
+        for frame in run.frames
+    )
     return replace(run, info=replace(run.info, observations="detected by X"), frames=frames)
 
 
@@ -79,18 +85,18 @@ def run(recorded: Path) -> Run:
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
     others = [recorded.with_name(f"{name}.rrd") for name in ("bare", "one-eyed", "detected")]
-    with Door(Inspector([recorded, *others])).running() as url:
+    with Gateway(Inspector([recorded, *others])).running() as url:
         yield url
 
 
-def sight(page: "Page", frame: Any, mode: str) -> Any:
+def model(page: "Page", frame: Any, mode: str) -> Any:
     """What the page's own model says of a frame."""
     return page.evaluate(
         """async ([frame, mode]) => {
-          const { Sight } = await import("/page/image_model.js");
-          const one = new Sight(frame, mode, { width: 1241, height: 376 });
-          const { about, isPossible, mapped, missed, vectors, observed } = one;
-          const failed = { missed, false: one.false };
+          const { ImageModel } = await import("/page/image_model.js");
+          const one = new ImageModel(frame, mode, { width: 1241, height: 376 });
+          const { about, isPossible, mapped, vectors, observed } = one;
+          const failed = { missed: one.missedDetections, false: one.falsePositives };
           return { about, isPossible, mapped, ...failed, vectors, seen: observed.length };
         }""",
         [frame, mode],
@@ -98,16 +104,16 @@ def sight(page: "Page", frame: Any, mode: str) -> Any:
 
 
 def test_right_image_differs_by_the_disparity_of_each_element(run: Run) -> None:
-    rig, one = run.info.rig, run.frames[0].localization
+    rig, result = run.info.rig, run.frames[0].localization
     assert rig.T_right_left is not None
-    assert one.T_camera_map is not None
-    left = frame_view(run, 0)["mapped"]
-    right = right_view(run, 0)["mapped"]
-    depth = one.T_camera_map.apply(one.submap.anchor_m)[:, 2]
+    assert result.T_camera_map is not None
+    left = frame_view(run, 0).mapped
+    right = right_view(run, 0)
+    depth = result.T_camera_map.apply(result.submap.anchor_m)[:, 2]
     compared = 0
     for row, (a, b) in enumerate(zip(left, right, strict=True)):
-        if a["estimate"] and b["estimate"] and depth[row] > 1.0:
-            shift = np.subtract(a["estimate"][0], b["estimate"][0])
+        if a.estimate and b.estimate and depth[row] > 1.0:
+            shift = np.subtract(a.estimate[0], b.estimate[0])
             expected = rig.left.K[0, 0] * rig.baseline_m / depth[row]
             assert shift == pytest.approx([expected, 0.0], abs=0.05)
             compared += 1
@@ -116,53 +122,52 @@ def test_right_image_differs_by_the_disparity_of_each_element(run: Run) -> None:
 
 def test_neighbours_show_the_selected_element_in_each_frame(run: Run) -> None:
     element = int(run.frames[1].localization.submap.id[0])
-    seen_in = [element in one.element_id for one in run.frames]
-    state = State().opened("first", run, FRAMES[1]).selecting(None, element, run)
+    seen_in = [element in frame.element_id for frame in run.frames]
+    state = State().opened("first", run, FRAMES[1]).with_selection(None, element, run)
     shown = neighbours_view(run, state)
-    assert [one["position"] for one in shown] == [0, 1, 2]
-    for one, is_seen in zip(shown, seen_in, strict=True):
-        if is_seen and one["seen"] and one["mapped"]:
-            assert one["seen"]["place"][0] == pytest.approx(one["mapped"]["place"][0], abs=60)
+    assert [neighbour.position for neighbour in shown] == [0, 1, 2]
+    for neighbour, is_seen in zip(shown, seen_in, strict=True):
+        if is_seen and neighbour.seen and neighbour.mapped:
+            assert neighbour.seen.place[0] == pytest.approx(neighbour.mapped.place[0], abs=60)
     nothing = neighbours_view(run, State().opened("first", run, FRAMES[0]))
-    assert [(one["position"], one["seen"], one["mapped"]) for one in nothing] == [
+    assert [(neighbour.position, neighbour.seen, neighbour.mapped) for neighbour in nothing] == [
         (0, None, None), (1, None, None), (2, None, None),
     ]  # fmt: skip
 
 
 def test_what_is_behind_the_camera_is_said_to_be_there(run: Run) -> None:
-    one = run.frames[0].localization
-    assert one.T_camera_map is not None
-    ends = (one.submap.anchor_m, one.submap.end_m)
-    depth = np.fmax(*(one.T_camera_map.apply(end)[:, 2] for end in ends))
-    behind = [row["behind"] for row in frame_view(run, 0)["mapped"]]
+    result = run.frames[0].localization
+    assert result.T_camera_map is not None
+    ends = (result.submap.anchor_m, result.submap.end_m)
+    depth = np.fmax(*(result.T_camera_map.apply(end)[:, 2] for end in ends))
+    behind = [row.behind for row in frame_view(run, 0).mapped]
     assert any(behind)
     assert behind == (depth < 0.5).tolist()
 
 
 def test_wishes_for_images_that_are_not_there_are_refused(run: Run) -> None:
+    for wrong in ('"mode": "x-rays"', '"side": "upper"', '"neighbours": 1'):
+        with pytest.raises(MalformedRequestError, match="set_image"):
+            HANDLERS.decode(f'{{"type": "set_image", "id": "1", {wrong}}}')
     state = State().opened("first", run, None)
-    with pytest.raises(SemvizError, match="images do not show 'x-rays'"):
-        state.picturing("x-rays", "left", False)
-    with pytest.raises(SemvizError, match="no upper image"):
-        state.picturing("truth", "upper", False)
-    right = state.picturing("truth", "right", True)
+    right = state.with_image("truth", "right", True)
     assert right.opened("second", run, None).side == "right"
     assert right.opened("second", one_eyed(run), None).side == "left"
 
 
 def test_images_come_as_they_were_recorded_or_with_a_reason(run: Run, recorded: Path) -> None:
-    here = Pictures(run, recorded)
+    here = RunImages(run, recorded)
     assert here.response(1, "left").body == run.frames[1].image
     assert here.response(1, "right").body == run.frames[1].image_right
     assert here.response(1, "left").content_type == "image/jpeg"
-    bare = Pictures(load_run(recorded.with_name("bare.rrd")), recorded)
+    bare = RunImages(load_run(recorded.with_name("bare.rrd")), recorded)
     missing = bare.response(0, "left")
     assert (missing.status, missing.content_type) == (200, "text/plain")
     assert missing.text == "This run was recorded without images."
-    png = b"\x89PNG\r\n\x1a\n..."
+    png = bytes(cv2.imencode(".png", np.zeros((4, 6), np.uint8))[1])
     (recorded.parent / "10.png").write_bytes(png)
     named = replace(run.frames[0], image=None, image_file="10.png")
-    there = Pictures(replace(run, frames=(named,)), recorded).response(0, "left")
+    there = RunImages(replace(run, frames=(named,)), recorded).response(0, "left")
     assert (there.content_type, there.body) == ("image/png", png)
 
 
@@ -170,52 +175,56 @@ def test_images_come_as_they_were_recorded_or_with_a_reason(run: Run, recorded: 
 def test_the_three_pictures_of_the_paper(url: str, page: "Page", run: Run) -> None:
     """Map under the truth; pairs with outliers; from the truth to the estimate."""
     open_blank(page, url)
-    frame = frame_view(run, FRAMES.index(MISTAKEN))
-    truth = sight(page, frame, "truth")
-    assert truth["mapped"] == [row for row, one in enumerate(frame["mapped"]) if one["truth"]]
-    pairs = sight(page, frame, "pairs")
+    frame = frame_view(run, FRAMES.index(MISTAKEN)).model_dump(mode="json")
+    truth = model(page, frame, "truth")
+    assert truth["mapped"] == [row for row, mapped in enumerate(frame["mapped"]) if mapped["truth"]]
+    pairs = model(page, frame, "pairs")
     assert pairs["about"] == f"{len(frame['pairs'])} pairs, 2 outliers"
-    assert sum(not one["fits"] for one in pairs["vectors"]) == 2
-    error = sight(page, frame, "error")
+    assert sum(not pair["fits"] for pair in pairs["vectors"]) == 2
+    error = model(page, frame, "error")
     assert error["seen"] == 0
-    ends = {tuple(point) for one in frame["mapped"] for point in one["estimate"] or () if point}
-    assert all(tuple(one["end"]) in ends for one in error["vectors"])
+    ends = {
+        tuple(point) for mapped in frame["mapped"] for point in mapped["estimate"] or () if point
+    }
+    assert all(tuple(vector["end"]) in ends for vector in error["vectors"])
     assert len(error["vectors"]) > 10
-    assert max(one["px"] for one in error["vectors"]) < 20
+    assert max(vector["px"] for vector in error["vectors"]) < 20
 
 
 def test_a_frame_says_what_was_missed_and_made_up(run: Run) -> None:
     record = run.frames[0]
     lost = int(record.element_id[0])
     frame = frame_view(by_detector(run), 0)
-    assert frame["false"] == [0]
-    assert lost in {frame["mapped"][row]["id"] for row in frame["missed"]}
-    assert not {frame["mapped"][row]["id"] for row in frame["missed"]} & set(record.element_id[1:])
-    rows = dict(frame["why"]["rows"])
-    assert rows["Nothing real"] == "#0"
-    assert "Missed or hidden" in rows
+    missed = {frame.mapped[row].id for row in frame.missed_detections}
+    assert frame.false_positives == (0,)
+    assert lost in missed
+    assert not missed & set(record.element_id[1:])
+    rows = dict(frame.card.rows)
+    assert rows["False positives"] == "#0"
+    assert "Missed or occluded" in rows
     labelled = frame_view(replace(run, info=replace(run.info, observations="labels")), 0)
-    assert (labelled["missed"], labelled["false"]) == ([], [])
+    assert (labelled.missed_detections, labelled.false_positives) == ((), ())
 
 
 @pytest.mark.browser
 def test_where_detection_failed_is_marked_in_the_image(url: str, page: "Page", run: Run) -> None:
     open_blank(page, url)
-    frame = frame_view(by_detector(run), 0)
-    seen = sight(page, frame, "truth")
-    assert seen["missed"] == frame["missed"]
-    assert seen["about"].endswith(f"{len(frame['missed'])} missed, 1 false")
-    error = sight(page, frame, "error")
+    frame = frame_view(by_detector(run), 0).model_dump(mode="json")
+    seen = model(page, frame, "truth")
+    missed = frame["missed_detections"]
+    assert seen["missed"] == missed
+    assert seen["about"].endswith(f"{len(missed)} missed, 1 false positive")
+    error = model(page, frame, "error")
     assert (error["missed"], error["false"]) == ([], [])
     open_flat(page, url)
     before = pixels(page, "#image-canvas")
     open_flat(page, url, "run=detected")
     wait_for(page, lambda: in_url(page, "run") == "detected", "the run")
     about = page.locator("#image-about")
-    wait_for(page, lambda: "1 false" in (about.text_content() or ""), "the marks")
-    picture = pixels(page, "#image-canvas")
-    assert near(picture[:-90], CANNOT) > near(before[:-90], CANNOT) + 50
-    legend = picture[-28:, :270], before[-28:, :270]  # its last line
+    wait_for(page, lambda: "1 false positive" in (about.text_content() or ""), "the marks")
+    bitmap = pixels(page, "#image-canvas")
+    assert near(bitmap[:-90], CANNOT) > near(before[:-90], CANNOT) + 50
+    legend = bitmap[-28:, :270], before[-28:, :270]  # its last line
     assert near(legend[0], CANNOT) > near(legend[1], CANNOT) + 10
 
 
@@ -228,24 +237,24 @@ def test_keys_change_what_is_drawn(url: str, page: "Page") -> None:
         page.keyboard.press(key)
         button = page.locator(f"[data-mode={mode}]")
         wait_for(page, lambda: button.get_attribute("aria-pressed") == "true", mode)  # noqa: B023
-        page.wait_for_timeout(200)
-        picture = pixels(page, "#image-canvas")[:-80]  # without the legend
-        counts[mode] = (near(picture, SEEN), near(picture, ESTIMATE))
+        settle(page)
+        bitmap = pixels(page, "#image-canvas")[:-80]  # without the legend
+        counts[mode] = (near(bitmap, SEEN), near(bitmap, ESTIMATE))
     assert all(counts[mode][0] > 100 for mode in ("estimate", "truth", "pairs"))
     assert counts["error"][0] < counts["estimate"][0] / 5
     assert counts["estimate"][1] > counts["truth"][1] + 20
     assert counts["error"][1] > counts["truth"][1] + 20
-    assert "from truth to estimate" in (about.text_content() or "")
+    assert "from true pose to estimate" in (about.text_content() or "")
 
 
 @pytest.mark.browser
 def test_modes_without_what_they_need_say_so(url: str, page: "Page", run: Run) -> None:
     open_blank(page, url)
     blind = replace(run.frames[0], frame=replace(run.frames[0].frame, T_map_camera=None))
-    frame = frame_view(replace(run, frames=(blind,)), 0)
-    assert sight(page, frame, "truth")["about"].startswith("no truth")
-    assert sight(page, frame, "error")["about"].startswith("no truth")
-    pairs = sight(page, frame, "pairs")
+    frame = frame_view(replace(run, frames=(blind,)), 0).model_dump(mode="json")
+    assert model(page, frame, "truth")["about"].startswith("no ground truth")
+    assert model(page, frame, "error")["about"].startswith("no ground truth")
+    pairs = model(page, frame, "pairs")
     assert pairs["about"] == f"{len(frame['pairs'])} pairs, 0 outliers"
 
 
@@ -265,21 +274,22 @@ def test_ends_are_hidden_or_cut_off_by_the_border(url: str, page: "Page") -> Non
 
 @pytest.mark.browser
 def test_right_image_has_the_map_and_no_detections(url: str, page: "Page") -> None:
+    def shown() -> np.ndarray:
+        return pixels(page, "#image-canvas")[:-80]  # without the legend
+
     open_flat(page, url)
-    before = pixels(page, "#image-canvas")[:-80]
+    before = shown()
     page.keyboard.press("k")
     title = page.locator("#image-title")
     wait_for(page, lambda: title.text_content() == "Right image", "the right image")
-    page.wait_for_timeout(400)
-    right = pixels(page, "#image-canvas")[:-80]
+    wait_for(page, lambda: near(shown(), SEEN) < near(before, SEEN) / 5, "no detections")
+    wait_for(page, lambda: shown().std() > 20, "its picture")
+    right = shown()
     assert "detections are of the left" in (page.locator("#image-about").text_content() or "")
-    assert right.std() > 20
-    assert near(right, SEEN) < near(before, SEEN) / 5
     assert near(right, ESTIMATE) > 50
     page.keyboard.press(".")
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
-    page.wait_for_timeout(400)
-    assert np.abs(pixels(page, "#image-canvas")[:-80] - right).mean() > 5
+    wait_for(page, lambda: np.abs(shown() - right).mean() > 5, "its picture")
     page.select_option("#run", "one-eyed")
     wait_for(page, lambda: title.text_content() == "Left image", "the only image")
     assert not page.locator("#image-side").is_visible()
@@ -291,12 +301,10 @@ def test_images_around_lead_to_their_frames(url: str, page: "Page") -> None:
     assert not page.locator("#neighbours").is_visible()
     page.keyboard.press("Shift+K")
     wait_for(page, lambda: page.locator("#neighbours").is_visible(), "the strip")
-    page.wait_for_timeout(500)
+    wait_for(page, lambda: pixels(page, "#neighbours-canvas").std() > 20, "the images")
     strip = pixels(page, "#neighbours-canvas")
-    assert strip.std() > 20
-    page.keyboard.press("Tab")  # selects: the pictures are cut out around it
-    page.wait_for_timeout(500)
-    assert np.abs(pixels(page, "#neighbours-canvas") - strip).mean() > 5
+    page.keyboard.press("Tab")  # selects: the images are cut out around it
+    wait_for(page, lambda: changed(page, "#neighbours-canvas", strip) > 5, "the cut images")
     box = page.locator("#neighbours-canvas").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + box["width"] - 30, box["y"] + 20)
@@ -306,7 +314,7 @@ def test_images_around_lead_to_their_frames(url: str, page: "Page") -> None:
 @pytest.mark.browser
 def test_a_run_without_images_is_drawn_and_asks_for_nothing_in_vain(url: str, page: "Page") -> None:
     failed: list[str] = []
-    page.on("response", lambda one: failed.append(one.url) if one.status >= 400 else None)
+    page.on("response", lambda result: failed.append(result.url) if result.status >= 400 else None)
     open_flat(page, url, "run=bare")
     wait_for(page, lambda: in_url(page, "run") == "bare", "the run")
     assert "without images" in (page.locator("#image-about").text_content() or "")

@@ -10,16 +10,17 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from inspecting import near, open_blank, open_flat, pixels, wait_for
+from inspector_page import near, open_blank, open_flat, pixels, settle, wait_for
+from serving import at
 from small_runs import saved, small_run, spoiled, unanswered
 
-from semviz.inspector.selection.matrix import NOT_MAPPED, NOT_SEEN, element_names, matrix_csv
+from semviz.inspector.selection import NOT_MAPPED, NOT_SEEN, element_names, matrix_csv
 from semviz.inspector.server import Inspector
 from semviz.inspector.views import frame_view
-from semviz.recording.run import FrameRecord, Run
-from semviz.web.door import Door
-from semviz_core.arrays import FloatArray
-from semviz_core.localization import Match
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.gateway import Gateway
+from semviz_core.base.localization import Match
+from semviz_core.common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -35,12 +36,12 @@ def probability(record: FrameRecord) -> FloatArray:
 
 def large(record: FrameRecord) -> FrameRecord:
     """Everything seen several times, and anything may be anything."""
-    one = record.localization
+    result = record.localization
     rng = np.random.default_rng(0)
-    times = np.arange(ROWS) % len(one.observed)
-    values = rng.dirichlet(np.full(len(one.submap) + 1, 0.05), ROWS + 1)
-    match = Match(np.zeros((ROWS, len(one.submap))), values, np.zeros((0, 2), dtype=np.int64))
-    many = replace(one, observed=one.observed[times], match=match)
+    times = np.arange(ROWS) % len(result.observed)
+    values = rng.dirichlet(np.full(len(result.submap) + 1, 0.05), ROWS + 1)
+    match = Match(np.zeros((ROWS, len(result.submap))), values, np.zeros((0, 2), dtype=np.int64))
+    many = replace(result, observed=result.observed[times], match=match)
     return FrameRecord(record.frame, many, record.element_id[times])
 
 
@@ -48,7 +49,7 @@ def large(record: FrameRecord) -> FrameRecord:
 def run() -> Run:
     """Frames: as it was; a large one; one without an answer."""
     made = small_run()
-    second, third = (one.frame.index for one in made.frames[1:3])
+    second, third = (frame.frame.index for frame in made.frames[1:3])
 
     def bare(record: FrameRecord) -> FrameRecord:
         failed = unanswered(record)
@@ -78,8 +79,8 @@ def test_the_table_has_every_digit_and_names_on_both_sides(run: Run) -> None:
 
 
 def test_the_table_comes_by_http_under_a_name_of_its_own(run: Run, path: Path) -> None:
-    with Door(Inspector([path])).running() as url:
-        with urlopen(f"{url}matrix.csv?run=first&position=0") as answer:
+    with Gateway(Inspector([path])).running() as url:
+        with urlopen(at(url, "matrix.csv?run=first&position=0")) as answer:
             assert answer.read().decode() == matrix_csv(run, run.frames[0])
             index = run.frames[0].frame.index
             assert f"first-{index}-matrix.csv" in answer.headers["Content-Disposition"]
@@ -88,10 +89,11 @@ def test_the_table_comes_by_http_under_a_name_of_its_own(run: Run, path: Path) -
             "run=first&position=99",
             "run=first&position=-1",
             "run=none&position=0",
+            f"run=first&position={'9' * 5000}",
             "",
         ):
             with pytest.raises(HTTPError, match="404"):
-                urlopen(f"{url}matrix.csv?{query}")
+                urlopen(at(url, f"matrix.csv?{query}"))
 
 
 # -- what is said and where it lies: the page's own modules, on what the page gets
@@ -99,8 +101,8 @@ def test_the_table_comes_by_http_under_a_name_of_its_own(run: Run, path: Path) -
 
 MODEL = """async ([frame, sizes]) => {
   const { MatrixModel } = await import("./page/matrix_model.js");
-  const { MatrixLayout, LEAST_CELL } = await import("./page/matrix_layout.js");
-  const model = new MatrixModel(frame);
+  const { MatrixLayout, MIN_CELL } = await import("./page/matrix_layout.js");
+  const model = new MatrixModel(frame, frame.matrix);
   const lost = [];
   const check = (layout, i, j) => {
     const [x, y] = [layout.x(j) + layout.columns.size / 2, layout.y(i) + layout.rows.size / 2];
@@ -111,7 +113,7 @@ MODEL = """async ([frame, sizes]) => {
   for (const [width, height] of sizes) {
     const layout = new MatrixLayout(model, width, height);
     const { rows, columns, needs } = layout;
-    if (Math.min(rows.size, columns.size) < LEAST_CELL) lost.push(["small", width, height]);
+    if (Math.min(rows.size, columns.size) < MIN_CELL) lost.push(["small", width, height]);
     if (width >= needs.width && layout.entropy.x + 22 > width) lost.push(["outside", width]);
     for (const share of [0, 0.5, 1]) {
       layout.scrollTo(share * (columns.length - columns.shown), share * (rows.length - rows.shown));
@@ -126,9 +128,9 @@ MODEL = """async ([frame, sizes]) => {
     lost, row, column,
     rank: each(m, (i) => each(n + 1, (j) => model.rank(i, j === n ? null : j))),
     marks: model.rows.map((i) => [i, model.marks.get(i)]),
-    said: each(m, (i) => each(n, (j) => model.say({ of: "cell", observed: i, mapped: j }))),
-    entropy: model.say({ of: "row", observed: 0, measure: "entropy" }),
-    names: model.say({ of: "column", mapped: null }),
+    said: each(m, (i) => each(n, (j) => model.describe({ of: "cell", observed: i, mapped: j }))),
+    entropy: model.describe({ of: "row", observed: 0, measure: "entropy" }),
+    names: model.describe({ of: "column", mapped: null }),
   };
 }"""
 SIZES = [[336, 200], [400, 430], [640, 1500], [120, 90]]
@@ -138,16 +140,19 @@ SIZES = [[336, 200], [400, 430], [640, 1500], [120, 90]]
 def computed(run: Run, path: Path, chromium: Any) -> list[dict[str, Any]]:
     """What the page's modules make of the first two frames."""
     page = chromium.new_page()
-    with Door(Inspector([path])).running() as url:
+    with Gateway(Inspector([path])).running() as url:
         open_blank(page, url)
-        made = [page.evaluate(MODEL, [frame_view(run, at), SIZES]) for at in range(2)]
+        made = [
+            page.evaluate(MODEL, [frame_view(run, at).model_dump(mode="json"), SIZES])
+            for at in range(2)
+        ]
         page.close()
     return cast("list[dict[str, Any]]", made)
 
 
 @pytest.mark.browser
 def test_every_cell_is_found_where_it_is_drawn(computed: list[dict[str, Any]]) -> None:
-    assert [one["lost"] for one in computed] == [[], []]
+    assert [matrix["lost"] for matrix in computed] == [[], []]
 
 
 @pytest.mark.browser
@@ -158,11 +163,11 @@ def test_sums_entropies_and_ranks_are_those_of_the_matrix(
         values = np.round(probability(record), 4)  # as the page gets them
         for axis, name in ((1, "row"), (0, "column")):
             sums = values.sum(axis=axis)
-            assert [one["sum"] for one in made[name]] == pytest.approx(sums.tolist())
+            assert [bin["sum"] for bin in made[name]] == pytest.approx(sums.tolist())
             shares = values / sums.reshape((-1, 1) if axis else (1, -1))
             logs = np.log2(shares, where=shares > 0, out=np.zeros_like(shares))
             bits = -(shares * logs).sum(axis=axis)
-            assert [one["entropy"] for one in made[name]] == pytest.approx(bits.tolist(), abs=1e-9)
+            assert [bin["entropy"] for bin in made[name]] == pytest.approx(bits.tolist(), abs=1e-9)
         larger = (values[:-1, None, :] > values[:-1, :, None]).sum(axis=2)
         assert made["rank"] == (1 + larger).tolist()
 
@@ -199,12 +204,12 @@ def test_the_line_names_cell_probability_rank_truth_and_fit(
     record = run.frames[0]
     fine = record.localization.refinement
     assert fine is not None
-    i, j = (int(one) for one in fine.pairs[0])
+    i, j = (int(pair) for pair in fine.pairs[0])
     name = element_names(record.localization, run.semantic_map.classes)[j]
     said = computed[0]["said"][i][j]
-    assert said == f"#{i} × {name}: p {probability(record)[i, j]:.3f}, 1st of its row, true, fits"
-    assert all("true" not in one for k, one in enumerate(computed[0]["said"][i]) if k != j)
-    assert "as between " in computed[0]["entropy"]
+    assert said == f"#{i} × {name}: p {probability(record)[i, j]:.3f}, 1st of its row, true, inlier"
+    assert all("true" not in text for k, text in enumerate(computed[0]["said"][i]) if k != j)
+    assert " equally likely candidates" in computed[0]["entropy"]
     assert computed[0]["names"].startswith("not in the map: ")
 
 
@@ -213,7 +218,7 @@ def test_the_line_names_cell_probability_rank_truth_and_fit(
 
 @pytest.mark.browser
 def test_a_large_matrix_scrolls_to_what_is_selected(run: Run, path: Path, page: "Page") -> None:
-    with Door(Inspector([path])).running() as url:
+    with Gateway(Inspector([path])).running() as url:
         page.set_viewport_size({"width": 1280, "height": 720})
         open_flat(page, url, f"frame={run.frames[1].frame.index}")
         scroller = page.locator("#matrix-scroller")
@@ -233,7 +238,7 @@ def test_a_large_matrix_scrolls_to_what_is_selected(run: Run, path: Path, page: 
 def test_sums_that_are_not_one_are_marked_and_nothing_is_drawn_without_a_matrix(
     run: Run, path: Path, page: "Page"
 ) -> None:
-    with Door(Inspector([path])).running() as url:
+    with Gateway(Inspector([path])).running() as url:
         page.emulate_media(color_scheme="dark")
         open_flat(page, url)
         assert near(pixels(page, "#matrix"), "#F0532D") == 0
@@ -242,7 +247,7 @@ def test_sums_that_are_not_one_are_marked_and_nothing_is_drawn_without_a_matrix(
         linear = pixels(page, "#matrix-canvas")
         page.keyboard.press("m")
         wait_for(page, lambda: page.inner_text("#matrix-least") == "0.001", "logarithmic colour")
-        page.wait_for_timeout(200)
+        settle(page)
         assert (np.abs(pixels(page, "#matrix-canvas") - linear).max(axis=2) > 10).mean() > 0.02
         page.keyboard.press(".")
         wait_for(page, lambda: page.locator("#matrix-none").is_visible(), "no probabilities")

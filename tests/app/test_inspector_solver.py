@@ -1,6 +1,5 @@
 """The tab "Solver": what a frame's answer came from, for every method, and what one has not."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -8,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from inspecting import in_url, open_flat, wait_for
+from inspector_page import in_url, open_flat, wait_for
 from small_runs import FRAMES, saved, small_run, spoiled, unanswered
 
-from semviz.follow import Follower
 from semviz.inspector.server import Inspector
-from semviz.inspector.solver import letter, notes, solver_view
-from semviz.recording.run import FrameRecord, Run
-from semviz.web.door import Door
-from semviz_core.localization import Localization
-from semviz_core.localize import Localizer
-from semviz_core.sources.street.street import Street
+from semviz.inspector.solver import letter, missing_stages, solver_view
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.gateway import Gateway
+from semviz.workspace.localize import SequenceTracker
+from semviz_core.base.localization import Localization
+from semviz_core.localization.localizer import Localizer
+from semviz_core.simulation.street import Street
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -26,50 +25,52 @@ if TYPE_CHECKING:
 FAILED = FRAMES[2]
 
 
-def view_of(one: Localization, at: int = 0) -> Any:
+def view_of(localization: Localization, at: int = 0) -> Any:
     """As the page gets it; of the frame at that position."""
     run = small_run()
-    ids = run.frames[at].element_id[: len(one.observed)]
-    record = replace(run.frames[at], localization=one, element_id=ids)
-    return json.loads(json.dumps(solver_view(replace(run, frames=(record,)), 0), allow_nan=False))
+    ids = run.frames[at].element_id[: len(localization.observed)]
+    record = replace(run.frames[at], localization=localization, element_id=ids)
+    return solver_view(replace(run, frames=(record,)), 0).model_dump(mode="json")
 
 
 def test_a_searched_frame_tells_all_of_its_stages() -> None:
-    one = small_run().frames[0].localization
-    view = view_of(one)
+    result = small_run().frames[0].localization
+    view = view_of(result)
     assert (
-        [stage for stage, _ in view["stages"]] == list(one.time_ms) == ["search", "match", "refine"]
+        [stage for stage, _ in view["stages"]]
+        == list(result.time_ms)
+        == ["search", "match", "refine"]
     )
-    assert one.search is not None
-    assert one.search.passed is not None
-    assert 0 < one.search.passed <= one.search.hypotheses
+    assert result.search is not None
+    assert result.search.passed is not None
+    assert 0 < result.search.passed <= result.search.hypotheses
     assert (view["search"]["tried"], view["search"]["passed"]) == (
-        one.search.hypotheses,
-        one.search.passed,
+        result.search.hypotheses,
+        result.search.passed,
     )
     poses = view["search"]["poses"]
     assert [pose["letter"] for pose in poses] == [letter(row) for row in range(len(poses))]
     assert [pose["behind"] for pose in poses] == sorted(pose["behind"] for pose in poses)
     assert sum(pose["share"] for pose in poses) == pytest.approx(1.0)
-    assert poses[0]["fromAnswer"]["m"] < 0.05
+    assert poses[0]["from_answer"]["m"] < 0.05
     assert view["notes"] == []
 
 
 def test_pairs_are_those_of_the_answer_with_what_each_says() -> None:
-    one = small_run().frames[0].localization
-    fine = one.refinement
+    result = small_run().frames[0].localization
+    fine = result.refinement
     assert fine is not None
-    pairs = view_of(one)["pairs"]
+    pairs = view_of(result)["pairs"]
     told = {(pair["observed"], pair["element"]) for pair in pairs}
-    assert told == {(int(i), int(one.submap.id[j])) for i, j in fine.pairs}
+    assert told == {(int(i), int(result.submap.id[j])) for i, j in fine.pairs}
     assert [pair["inlier"] for pair in pairs] == sorted(fine.inlier.tolist(), reverse=True)
-    assert all(pair["true"] for pair in pairs)
-    assert all(pair["supportNats"] is not None for pair in pairs)
+    assert all(pair["is_true"] for pair in pairs)
+    assert all(pair["support_nats"] is not None for pair in pairs)
 
 
 def test_the_way_to_the_optimum_has_a_cost_and_a_length_for_each_step() -> None:
-    one = small_run().frames[0].localization
-    fine, trace = one.refinement, view_of(one)["trace"]
+    result = small_run().frames[0].localization
+    fine, trace = result.refinement, view_of(result)["trace"]
     assert fine is not None
     assert fine.steps is not None
     np.testing.assert_allclose(trace["cost"], fine.cost_trace, atol=0.006)
@@ -78,35 +79,37 @@ def test_the_way_to_the_optimum_has_a_cost_and_a_length_for_each_step() -> None:
 
 
 def test_the_search_says_what_it_paired_under_each_pose() -> None:
-    one = small_run().frames[0].localization
-    assert one.search is not None
-    assert one.search.mapped is not None
-    assert one.refinement is not None
-    best = one.search.mapped[0]
+    result = small_run().frames[0].localization
+    assert result.search is not None
+    assert result.search.mapped is not None
+    assert result.refinement is not None
+    best = result.search.mapped[0]
     seen = np.flatnonzero(best >= 0)
-    assert np.column_stack([seen, best[seen]]).tolist() == one.refinement.pairs.tolist()
-    pairs = [pose["pairs"] for pose in view_of(one)["search"]["poses"]]
-    assert pairs == (one.search.mapped >= 0).sum(axis=1).tolist()
+    assert np.column_stack([seen, best[seen]]).tolist() == result.refinement.pairs.tolist()
+    pairs = [pose["pairs"] for pose in view_of(result)["search"]["poses"]]
+    assert pairs == (result.search.mapped >= 0).sum(axis=1).tolist()
 
 
 def test_direct_says_where_its_pairs_are_from() -> None:
-    one = small_run().frames[0].localization
-    found = Localizer("direct").localize(one.observed[[0]], one.submap, one.camera, one.prior)
-    assert notes(replace(one, method="direct"))[0].startswith("Direct: classes alone")
+    result = small_run().frames[0].localization
+    found = Localizer("direct").localize(
+        result.observed[[0]], result.submap, result.camera, result.prior
+    )
+    assert missing_stages(replace(result, method="direct"))[0].startswith("Direct: classes alone")
     assert view_of(found)["search"] is None
-    assert notes(found) == ["Nothing was searched: see the reason under Why."]
+    assert missing_stages(found) == ["No search: see the reason under Why."]
 
 
 def test_a_followed_frame_says_what_carries_its_pose() -> None:
     street, run = Street(7), small_run()
-    follower = Follower(street.rig.left, street.truth_map, Localizer(), 50.0, 0)
-    found = [follower.localize(one.frame, *asked(one)) for one in run.frames]
+    follower = SequenceTracker(street.rig.left, street.truth_map, Localizer(), 50.0, 0)
+    found = [follower.localize(frame.frame, *asked(frame)) for frame in run.frames]
     last = found[-1]
     assert last.status == "ok"
     assert last.search is None
-    assert notes(last) == [
-        "Nothing was searched: the pose was known from the frame before.",
-        "Nothing was iterated: odometry and earlier frames carry the pose.",
+    assert missing_stages(last) == [
+        "No search: the pose was predicted from the previous frame.",
+        "No iterations: the pose follows from odometry and earlier frames.",
     ]
     view = view_of(last, -1)
     assert view["trace"] is None
@@ -118,18 +121,18 @@ def asked(record: FrameRecord) -> tuple[Any, Any]:
 
 
 def test_given_matches_and_old_runs_say_what_they_have_not() -> None:
-    one = small_run().frames[0].localization
-    assert one.refinement is not None
-    assert one.search is not None
-    given = replace(one, method="own matches", search=None, match=None)
-    assert notes(given) == ["This method records no search: its matches were given."]
+    result = small_run().frames[0].localization
+    assert result.refinement is not None
+    assert result.search is not None
+    given = replace(result, method="own matches", search=None, match=None)
+    assert missing_stages(given) == ["No search: this method starts from given matches."]
     old = replace(
-        one,
-        search=replace(one.search, passed=None, mapped=None),
-        refinement=replace(one.refinement, steps=None),
+        result,
+        search=replace(result.search, passed=None, mapped=None),
+        refinement=replace(result.refinement, steps=None),
     )
-    assert notes(old) == [
-        "Recorded by an older semviz, which kept fewer steps; localize again for all."
+    assert missing_stages(old) == [
+        "Recorded by an older semviz with fewer steps; localize again to see all."
     ]
     view = view_of(old)
     assert view["search"]["passed"] is None
@@ -148,7 +151,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def url(recorded: Path) -> Iterator[str]:
-    with Door(Inspector([recorded])).running() as url:
+    with Gateway(Inspector([recorded])).running() as url:
         yield url
 
 

@@ -10,20 +10,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz.inspector.scene.poses import together
-from semviz.inspector.session import State
-from semviz.inspector.shelf import Shelf
+from semviz.inspector.run_library import RunLibrary
+from semviz.inspector.scene_cameras import merge_labels
+from semviz.inspector.server import HANDLERS
+from semviz.inspector.state import State
 from semviz.inspector.views import frame_view, run_view
-from semviz.projection import offsets, project_elements
-from semviz.recording.run import FrameRecord, Run, RunInfo
-from semviz.why import why_card
-from semviz_core.camera import Camera, Rig
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.frame import Frame, Prior
-from semviz_core.localization import Alternative, Localization, Match, Refinement, Search
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz.runs.diagnosis import DiagnosisCard, detection_errors, diagnosis_card
+from semviz.runs.images import offsets, project_elements
+from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.web.protocol import MalformedRequestError, RefusedError
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Frame, Prior
+from semviz_core.base.localization import Alternative, Localization, Match, Refinement, Search
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.errors import SemvizError
 
 K = np.array([[700.0, 0.0, 620.0], [0.0, 700.0, 188.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(1241, 376, K)
@@ -75,19 +77,20 @@ def run_of(*localizations: Localization, truth: Pose | None = LEVEL) -> Run:
     info = RunInfo("first", "", "search", 0, "0", "2026-01-01T00:00:00", Rig(CAMERA), "street")
     frames = tuple(
         FrameRecord(
-            Frame(10 + k, 0.1 * k, truth), one, np.array([4, 7, 99, -1])[: len(one.observed)]
+            Frame(10 + k, 0.1 * k, truth),
+            localization,
+            np.array([4, 7, 99, -1])[: len(localization.observed)],
         )
-        for k, one in enumerate(localizations)
+        for k, localization in enumerate(localizations)
     )
     return Run(info, MAP, frames)
 
 
 def test_frame_is_plain_json_with_null_for_nan() -> None:
-    view = frame_view(run_of(localized()), 0)
-    again = json.loads(json.dumps(view, allow_nan=False))
+    again = json.loads(frame_view(run_of(localized()), 0).model_dump_json())
     assert again["observed"][1]["end"] is None
-    assert again["pairs"][0]["residualPx"] == 0.5
-    assert [one["truth"] for one in again["observed"]] == [0, 1, None, None]
+    assert again["pairs"][0]["residual_px"] == 0.5
+    assert [detection["truth"] for detection in again["observed"]] == [0, 1, None, None]
 
 
 def test_frame_without_any_stage_is_drawable() -> None:
@@ -95,44 +98,49 @@ def test_frame_without_any_stage_is_drawable() -> None:
         localized(None, "cannot", "3 elements seen, 4 needed."),
         match=None, search=None, refinement=None, alternatives=(), time_ms={},
     )  # fmt: skip
-    view = json.loads(json.dumps(frame_view(run_of(bare, truth=None), 0), allow_nan=False))
-    assert (view["matrix"], view["pairs"], view["errorM"]) == (None, [], None)
-    assert all(one["estimate"] is None and one["truth"] is None for one in view["mapped"])
-    assert view["why"]["title"] == "Not in the submap"
+    view = json.loads(frame_view(run_of(bare, truth=None), 0).model_dump_json())
+    assert (view["matrix"], view["pairs"], view["error_m"]) == (None, [], None)
+    assert all(mapped["estimate"] is None and mapped["truth"] is None for mapped in view["mapped"])
+    assert view["card"]["title"] == "Not in the submap"
 
 
 def test_matrix_orders_rows_and_columns_into_class_blocks() -> None:
-    matrix = frame_view(run_of(localized()), 0)["matrix"]
-    for order in (matrix["rows"], matrix["columns"]):
+    matrix = frame_view(run_of(localized()), 0).matrix
+    assert matrix is not None
+    for order in (list(matrix.rows), list(matrix.columns)):
         assert sorted(order) == [0, 1, 2, 3]
         assert (np.diff(ELEMENTS.class_id[order]) >= 0).all()
+
+
+def card_of(run: Run, record: FrameRecord) -> DiagnosisCard:
+    return diagnosis_card(run, record, detection_errors(run, record))
 
 
 def test_sure_and_wrong_is_marked_and_named() -> None:
     far = Pose(LEVEL.rotation, LEVEL.translation + np.array([0.0, 3.2, 0.0]))
     run = run_of(localized(), localized(far), localized(far, "ambiguous", "Two poses fit."))
-    rows = run_view("first", run)["frames"]
-    assert [row["sureAndWrong"] for row in rows] == [False, True, False]
-    assert [row["verdict"] for row in rows] == [
+    rows = run_view("first", run).frames
+    assert [row.overconfident for row in rows] == [False, True, False]
+    assert [row.diagnosis for row in rows] == [
         "healthy", "refinement diverged", "refinement diverged",
     ]  # fmt: skip
-    assert rows[1]["errorM"] == pytest.approx(3.2)
-    card = why_card(run, run.frames[1])
-    assert card["title"] == "Refinement diverged"
-    assert "3.2 m" in card["sentence"]
+    assert rows[1].error_m == pytest.approx(3.2)
+    card = card_of(run, run.frames[1])
+    assert card.title == "Refinement diverged"
+    assert "3.2 m" in card.sentence
 
 
 def test_a_moved_element_is_named_at_the_true_pose() -> None:
     asides = np.where(ELEMENTS.id == 4, 2.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
     faulty = replace(ELEMENTS, anchor_m=ELEMENTS.anchor_m + asides, end_m=ELEMENTS.end_m + asides)
     run = run_of(localized(), replace(localized(), submap=faulty))
-    healthy, moved = (dict(why_card(run, one)["rows"]) for one in run.frames)
-    assert "Off at the true pose" not in healthy
-    name, size, unit = moved["Off at the true pose"].split()
+    healthy, moved = (dict(card_of(run, frame).rows) for frame in run.frames)
+    assert "Outliers, true pose" not in healthy
+    name, size, unit = moved["Outliers, true pose"].split()
     assert (name, unit) == ("P-04", "px")
     assert float(size) == pytest.approx(700 * 2.0 / 20, rel=0.05)
-    blind = dict(why_card(run, replace(run.frames[1], frame=Frame(0, 0.0, None)))["rows"])
-    assert blind["Do not fit"] == "T-12 9 px"
+    blind = dict(card_of(run, replace(run.frames[1], frame=Frame(0, 0.0, None))).rows)
+    assert blind["Outliers"] == "T-12 9 px"
 
 
 def failed(seen: int = 4, **changes: Any) -> Localization:
@@ -150,9 +158,11 @@ def test_failures_are_named_by_the_first_broken_link() -> None:
         failed(search=Search(100, (), np.zeros(0))),
         failed(),
     )
-    known = tuple(replace(one, element_id=ELEMENTS.id[: len(one.element_id)]) for one in run.frames)
-    rows = run_view("first", replace(run, frames=known))["frames"]
-    assert [row["verdict"] for row in rows] == [
+    known = tuple(
+        replace(frame, element_id=ELEMENTS.id[: len(frame.element_id)]) for frame in run.frames
+    )
+    rows = run_view("first", replace(run, frames=known)).frames
+    assert [row.diagnosis for row in rows] == [
         "missed detection", "not in the submap", "not in the submap", "search miss",
         "ambiguous geometry",
     ]  # fmt: skip
@@ -165,16 +175,16 @@ def test_poses_that_nearly_coincide_share_a_label() -> None:
         "/B": [5.2, 0.3, 0],
         "/C": [9.0, 0, 0],
     }
-    labels = together({name: np.array(place) for name, place in places.items()})
+    labels = merge_labels({name: np.array(place) for name, place in places.items()})
     assert labels == {"/estimate": "estimate", "/truth": "truth + B", "/C": "C"}
 
 
 def test_median_is_over_frames_with_an_answer_and_a_truth() -> None:
     near = Pose(LEVEL.rotation, LEVEL.translation + np.array([0.0, 0.5, 0.0]))
     view = run_view("first", run_of(localized(), localized(near), localized(None, "cannot", "No.")))
-    assert view["medianM"] == pytest.approx(0.25)
-    assert view["okShare"] == pytest.approx(2 / 3)
-    assert run_view("first", run_of(localized(), truth=None))["medianM"] is None
+    assert view.median_m == pytest.approx(0.25)
+    assert view.ok_share == pytest.approx(2 / 3)
+    assert run_view("first", run_of(localized(), truth=None)).median_m is None
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-0.1, 0.1))
@@ -216,32 +226,35 @@ def test_state_moves_within_the_run() -> None:
 def test_selecting_one_of_a_pair_selects_the_pair() -> None:
     run = run_of(localized())
     state = State().opened("first", run, None)
-    assert state.selecting(1, None, run).selection == state.selecting(None, 7, run).selection
-    assert state.selecting(1, 12, run).selection.element == 12
-    cleared = state.selecting(1, None, run).selecting(None, None, run).selection
+    assert (
+        state.with_selection(1, None, run).selection == state.with_selection(None, 7, run).selection
+    )
+    assert state.with_selection(1, 12, run).selection.element == 12
+    cleared = state.with_selection(1, None, run).with_selection(None, None, run).selection
     assert (cleared.observed, cleared.element) == (None, None)
-    with pytest.raises(SemvizError, match="observation 4 does not exist"):
-        state.selecting(4, None, run)
+    with pytest.raises(RefusedError, match="detection 4 does not exist") as refused:
+        state.with_selection(4, None, run)
+    assert refused.value.code == "not_found"
 
 
 def test_selected_element_stays_selected_in_the_next_frame() -> None:
     run = run_of(localized(), localized())
-    state = State().opened("first", run, None).selecting(1, None, run).at(1, run)
+    state = State().opened("first", run, None).with_selection(1, None, run).at(1, run)
     assert (state.selection.observed, state.selection.element) == (1, 7)
 
 
 def test_wrong_wishes_are_refused_in_words() -> None:
-    with pytest.raises(SemvizError, match="no viewpoint 'sideways'"):
-        State().looking("sideways")
-    with pytest.raises(SemvizError, match="no frame in it"):
+    with pytest.raises(MalformedRequestError, match=r"set_view\.view"):
+        HANDLERS.decode('{"type": "set_view", "id": "1", "view": "sideways"}')
+    with pytest.raises(SemvizError, match="has no frames"):
         State().opened("first", run_of(), None)
 
 
 def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
     paths = [tmp_path / "a" / "runs" / "x.rrd", tmp_path / "b" / "runs" / "x.rrd"]
-    assert Shelf(paths).names == ("a/runs/x", "b/runs/x")
-    assert Shelf(paths[:1]).names == ("x",)
-    with pytest.raises(SemvizError, match="no run 'y' here"):
-        Shelf(paths).run("y")
+    assert RunLibrary(paths).names == ("a/runs/x", "b/runs/x")
+    assert RunLibrary(paths[:1]).names == ("x",)
+    with pytest.raises(SemvizError, match="no run 'y'"):
+        RunLibrary(paths).run("y")
     with pytest.raises(SemvizError, match="no run to show"):
-        Shelf([])
+        RunLibrary([])

@@ -5,26 +5,24 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import pytest
-from inspecting import near, open_flat, pixels, record_street, wait_for
+from inspector_page import near, open_flat, pixels, record_street, wait_for
 
-from semviz.inspector.scene.tried import draw_tried
+from semviz.inspector.scene_view import draw_what_if_camera
 from semviz.inspector.server import Inspector
-from semviz.inspector.session import Selection, State
-from semviz.inspector.what_if.offers import offers
-from semviz.inspector.what_if.sweep import Sweep
-from semviz.recording.reader import load_run
-from semviz.recording.run import FrameRecord, Run
-from semviz.trying.again import again
-from semviz.trying.changes import KINDS, from_json
-from semviz.trying.map_changes import DropElement
-from semviz.trying.prior_changes import PriorAtTruth
-from semviz.trying.solver_changes import UseMethod
-from semviz.web.door import Door
-from semviz.web.scene import Scene
-from semviz_core.localize import Localizer, methods_at_hand
+from semviz.inspector.state import Selection, State
+from semviz.inspector.what_if import Sweep
+from semviz.inspector.what_if_options import ChangeValues, WhatIfOption, what_if_options
+from semviz.runs.reader import load_run
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.gateway import Gateway
+from semviz.web.scene import SceneDrawer
+from semviz.what_if.scene_changes import DropElement
+from semviz.what_if.solve import KINDS, from_json, solve_with_changes
+from semviz.what_if.solver_changes import PriorAtTruth, UseMethod
+from semviz_core.localization.localizer import Localizer, available_methods
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -43,7 +41,7 @@ class FakeScene:
         self.names.add(name)
 
     def clear_under(self, prefix: str) -> None:
-        self.names = {one for one in self.names if not one.startswith(prefix)}
+        self.names = {name for name in self.names if not name.startswith(prefix)}
 
 
 FRAMES = (10, 12, 14)
@@ -58,10 +56,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def spoil(record: FrameRecord) -> FrameRecord:
         if record.frame.index != LOST:
             return record
-        one = record.localization
-        x, y, z = one.prior.position_m.tolist()
-        prior = replace(one.prior, position_m=[x, y + 80.0, z])
-        found = Localizer().localize(one.observed, one.submap, one.camera, prior)
+        result = record.localization
+        x, y, z = result.prior.position_m.tolist()
+        prior = replace(result.prior, position_m=[x, y + 80.0, z])
+        found = Localizer().localize(result.observed, result.submap, result.camera, prior)
         return replace(record, localization=found)
 
     path = tmp_path_factory.mktemp("runs") / "first.rrd"
@@ -77,19 +75,20 @@ def run(recorded: Path) -> Run:
 def url(recorded: Path) -> Iterator[str]:
     for made in recorded.parent.glob("*-tried-*"):
         made.unlink()
-    with Door(Inspector([recorded])).running() as url:
+    with Gateway(Inspector([recorded])).running() as url:
         yield url
 
 
-def all_offers(run: Run, state: State) -> list[dict[str, Any]]:
-    return [one for group in offers(run, state) for one in group["offers"]]
+def all_offers(run: Run, state: State) -> list[WhatIfOption]:
+    return [option for group in what_if_options(run, state) for option in group.options]
 
 
-def all_changes(offer: dict[str, Any]) -> list[dict[str, Any]]:
-    """What an offer can send, with its own numbers."""
-    if (choice := offer.get("choice")) is None:
-        return [offer["change"]]
-    return [offer["change"] | {choice["name"]: one["value"]} for one in choice["options"]]
+def all_changes(option: WhatIfOption) -> list[ChangeValues]:
+    """What an option can send, with its own numbers."""
+    choice = option.choice
+    if choice is None:
+        return [option.change]
+    return [option.change | {choice.name: setting.value} for setting in choice.options]
 
 
 def test_what_is_offered_can_be_tried(run: Run) -> None:
@@ -104,32 +103,32 @@ def test_what_is_offered_can_be_tried(run: Run) -> None:
             Selection(0, element),
         ):
             state = replace(State(), run="first", position=position, selection=selection)
-            for one in all_offers(run, state):
-                for told in all_changes(one):
+            for offer in all_offers(run, state):
+                for told in all_changes(offer):
                     change = from_json(told)
                     seen.add(type(change))
-                    answer = again(run, record, (change,)).localization
+                    answer = solve_with_changes(run, record, (change,)).localization
                     if isinstance(change, UseMethod):
                         methods.add((change.method, answer.method))
     assert {KINDS["drop element"], KINDS["force pair"], KINDS["move prior"]} <= seen
-    assert {(one, one) for one in methods_at_hand()} <= methods
+    assert {(method, method) for method in available_methods()} <= methods
 
 
 def test_what_is_selected_is_offered_first(run: Run) -> None:
     nothing = replace(State(), run="first")
-    titles = [one["title"] for one in offers(run, nothing)]
-    assert titles == ["Known beforehand", "Seen", "Solver"]
-    pair = nothing.selecting(0, None, run)
+    titles = [group.title for group in what_if_options(run, nothing)]
+    assert titles == ["Prior and submap", "Detections", "Solver"]
+    pair = nothing.with_selection(0, None, run)
     element = pair.selection.element
     assert element is not None
-    first, second, *rest = offers(run, pair)
-    assert second["title"] == "Detection #0"
-    assert [one["title"] for one in rest] == titles
-    assert first["offers"][0]["change"] == {"change": "drop element", "element": element}
-    beyond = next(one for one in run.semantic_map.elements.id.tolist()
-                  if one not in run.frames[0].localization.submap.id)  # fmt: skip
-    outside = all_offers(run, nothing.selecting(None, beyond, run))
-    assert not any(from_json(one["change"]) == DropElement(beyond) for one in outside)
+    first, second, *rest = what_if_options(run, pair)
+    assert second.title == "Detection #0"
+    assert [group.title for group in rest] == titles
+    assert first.options[0].change == {"change": "drop element", "element": element}
+    beyond = next(element_id for element_id in run.semantic_map.elements.id.tolist()
+                  if element_id not in run.frames[0].localization.submap.id)  # fmt: skip
+    outside = all_offers(run, nothing.with_selection(None, beyond, run))
+    assert not any(from_json(result.change) == DropElement(beyond) for result in outside)
 
 
 def said(page: "Page", selector: str) -> Callable[[], str]:
@@ -140,23 +139,22 @@ def said(page: "Page", selector: str) -> Callable[[], str]:
 def test_the_most_telling_change_is_one_key(url: str, page: "Page", recorded: Path) -> None:
     before = recorded.read_bytes()
     open_flat(page, url, f"frame={LOST}")
-    wait_for(page, lambda: page.locator("#why-body .advice").count() == 1, "advice on the card")
-    assert "With the prior at the true place" in said(page, "#why-body .advice")()
+    wait_for(page, lambda: page.locator("#why-body .suggestion").count() == 1, "the suggestion")
+    assert "With the prior at the true position" in said(page, "#why-body .suggestion")()
     orange = near(pixels(page, "#image-canvas"), "#FF7A1A")  # the legend's
     page.keyboard.press("x")
-    bar, card = said(page, "#trying-text"), said(page, "#what-if-body .answer")
+    bar, card = said(page, "#what-if-text"), said(page, "#what-if-body .answer")
     wait_for(page, lambda: "no pose → 0." in bar(), "before and after in the bar")
-    assert bar().startswith("Trying with the prior at the true place: ")
-    assert bar().endswith(" m. Nothing is changed.")
-    assert "elements fit" in card()
-    page.wait_for_timeout(300)
-    assert near(pixels(page, "#image-canvas"), "#FF7A1A") > orange + 50  # the run has no pose
-    page.click("#trying-drop")
-    wait_for(page, lambda: not page.locator("#trying").is_visible(), "the bar gone")
-    page.wait_for_timeout(300)
-    assert near(pixels(page, "#image-canvas"), "#FF7A1A") < orange + 10
+    assert bar().startswith("What if: solved with the prior at the true position: ")
+    assert bar().endswith(" m. Nothing is saved.")
+    assert "Inliers" in card()
+    drawn = lambda: near(pixels(page, "#image-canvas"), "#FF7A1A")  # noqa: E731
+    wait_for(page, lambda: drawn() > orange + 50, "the what-if pose: the run has none")
+    page.click("#what-if-drop")
+    wait_for(page, lambda: not page.locator("#what-if-bar").is_visible(), "the bar gone")
+    wait_for(page, lambda: drawn() < orange + 10, "the picture as it was")
     assert recorded.read_bytes() == before
-    assert [one.name for one in recorded.parent.iterdir()] == ["first.rrd"]
+    assert [path.name for path in recorded.parent.iterdir()] == ["first.rrd"]
 
 
 @pytest.mark.browser
@@ -165,11 +163,11 @@ def test_what_is_kept_is_tried_on_all_frames_and_saved(
 ) -> None:
     open_flat(page, url, f"frame={LOST}")
     page.keyboard.press("x")
-    wait_for(page, lambda: page.locator("#trying").is_visible(), "the bar")
-    page.click("#trying-keep")
+    wait_for(page, lambda: page.locator("#what-if-bar").is_visible(), "the bar")
+    page.click("#what-if-keep")
     kept = said(page, "#what-if-body .kept")
-    wait_for(page, lambda: "Kept on this page" in kept(), "what is kept")
-    page.click("text=Try on all frames")
+    wait_for(page, lambda: "Kept changes" in kept(), "what is kept")
+    page.click("text=Solve all frames")
     wait_for(page, lambda: "of 3 frames change: " in kept(), "all frames")
     assert "1 fixed, 0 broken" in kept()
     with page.expect_download() as file:
@@ -180,14 +178,16 @@ def test_what_is_kept_is_tried_on_all_frames_and_saved(
     page.click("text=Save as run")
     wait_for(page, lambda: "first-tried-1.rrd" in kept(), "where it is saved")
     made = load_run(recorded.with_name("first-tried-1.rrd"))
-    assert [one.localization.status for one in made.frames] == ["ok"] * 3
+    assert [frame.localization.status for frame in made.frames] == ["ok"] * 3
     page.keyboard.press(".")
     wait_for(
         page, lambda: page.locator("#frame-number").inner_text() == "Frame 14 of 14", "frame 14"
     )
     answer = said(page, "#what-if-body .answer")
     wait_for(
-        page, lambda: "With what is kept (1)" in answer() and "→" in answer(), "it holds here too"
+        page,
+        lambda: "With the kept changes (1)" in answer() and "→" in answer(),
+        "it holds here too",
     )
     page.click("#what-if-body .kept .chip button")
     wait_for(page, lambda: page.locator("#what-if-body .kept").inner_text() == "", "nothing kept")
@@ -199,33 +199,35 @@ def test_a_stopped_sweep_tells_what_it_tried_and_is_not_saved(run: Run) -> None:
     over = threading.Event()
 
     def tell() -> None:
-        if sweep.doing.startswith("tried: 0 of 3"):
+        if sweep.progress.startswith("solved: 0 of 3"):
             sweep.stop()  # after the frame in hand
         if sweep.is_over:
             over.set()
 
-    sweep.ask(tell)
+    sweep.start(tell)
     assert over.wait(60.0)
     assert sweep.value is not None
-    assert [one.change.index for one in sweep.value] == [FRAMES[0]]
-    assert sweep.view()["text"] == "Stopped. No answer changes in 1 frame."
-    assert not sweep.view()["canSave"]
+    assert [result.change.index for result in sweep.value] == [FRAMES[0]]
+    assert sweep.view().text == "Stopped. No result changes in 1 frame."
+    assert not sweep.view().can_save
 
 
 @pytest.mark.browser
 def test_numbers_are_typed_and_nonsense_is_refused_in_one_line(url: str, page: "Page") -> None:
     open_flat(page, url)
     page.click("[data-tab=what-if]")
-    form = page.locator("#what-if-body form", has_text="Submap within")
+    form = page.locator("#what-if-body form", has_text="Submap radius")
     form.locator("input").fill("30")
     form.locator("button").click()
-    bar = said(page, "#trying-text")
-    wait_for(page, lambda: bar().startswith("Trying with a submap of 30 m: 0."), "the radius")
+    bar = said(page, "#what-if-text")
+    wait_for(
+        page, lambda: bar().startswith("What if: solved with a submap of 30 m: 0."), "the radius"
+    )
     form.locator("input").fill("-3")
     form.locator("button").click()
     notice = said(page, "#notice")
-    wait_for(page, lambda: "crop radius -3 m: give a positive number" in notice(), "why not")
-    assert bar().startswith("Trying with a submap of 30 m")
+    wait_for(page, lambda: "submap radius -3 m: give a positive number" in notice(), "why not")
+    assert bar().startswith("What if: solved with a submap of 30 m")
 
 
 @pytest.mark.browser
@@ -236,8 +238,8 @@ def test_another_method_is_chosen_from_all_at_hand(url: str, page: "Page") -> No
     wait_for(page, lambda: box.count() == 1, "the methods")
     assert box.input_value() == "search"
     box.select_option("wide")
-    bar = said(page, "#trying-text")
-    wait_for(page, lambda: bar().startswith("Trying with method wide: "), "the method")
+    bar = said(page, "#what-if-text")
+    wait_for(page, lambda: bar().startswith("What if: solved with method wide: "), "the method")
 
 
 @pytest.mark.browser
@@ -245,21 +247,23 @@ def test_a_selected_pair_is_forbidden_and_forced(url: str, page: "Page", run: Ru
     open_flat(page, url)
     page.keyboard.press("Tab")
     page.click("[data-tab=what-if]")
-    page.locator("#what-if-body .offers button", has_text="Not ").last.click()
-    bar = said(page, "#trying-text")
+    page.locator("#what-if-body .options button", has_text="Is not ").last.click()
+    bar = said(page, "#what-if-text")
     wait_for(
-        page, lambda: "Trying with detection #0 not as " in bar() and "→" in bar(), "forbidden"
+        page, lambda: "solved with detection #0 not as " in bar() and "→" in bar(), "forbidden"
     )
     fitting = said(page, "#what-if-body .answer dl")
     wait_for(page, lambda: "of" in fitting(), "how many fit")
-    page.locator("#what-if-body .offers button", has_text="Surely ").first.click()
-    wait_for(page, lambda: "Trying with detection #0 as " in bar() and "→" in bar(), "forced")
+    page.locator("#what-if-body .options button", has_text="Is ").first.click()
+    wait_for(page, lambda: "solved with detection #0 as " in bar() and "→" in bar(), "forced")
 
 
 def test_the_tried_camera_is_drawn_in_3d_and_taken_away(run: Run) -> None:
     drawn = FakeScene()
     answer = run.frames[0].localization
-    draw_tried(cast(Scene, drawn), answer)
+    draw_what_if_camera(cast(SceneDrawer, drawn), answer)
     assert drawn.names == {"/tried", "/tried-label"}
-    draw_tried(cast(Scene, drawn), replace(answer, T_camera_map=None, status="cannot"))
+    draw_what_if_camera(
+        cast(SceneDrawer, drawn), replace(answer, T_camera_map=None, status="cannot")
+    )
     assert drawn.names == set()

@@ -5,10 +5,10 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from calling import call
+from command_line import call
 from random_edits import pole
 
-from semviz.workspace import Workspace
+from semviz.workspace.workspace import Workspace
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_what_a_backup_holds_comes_back(workspace, tmp_path, capsys):
         kept = workspace.path / "labels-before-restore-3.db"
         assert (status, out.strip()) == (
             0,
-            f"{workspace.labels_path}: 2 operations; what was there is kept in {kept}",
+            f"{workspace.labels_path}: 2 operations; the replaced file is kept as {kept}",
         )
         assert store.labels == before
     assert kept.is_file()

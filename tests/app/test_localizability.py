@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from calling import Call, call
+from command_line import Call, call
 
 from semviz.cli import main
-from semviz.inspector.over_run.forecast import Forecast
+from semviz.inspector.forecast import Forecast
 from semviz.inspector.server import Inspector
-from semviz.localizability import positions, with_measured_recall
-from semviz.recording.reader import load_run
-from semviz.web.door import Door
-from semviz.workspace import TRUTH, Workspace
-from semviz_core.localizability.conditions import Conditions
-from semviz_core.map_file import load_map, save_map
-from semviz_core.semantic_map import SemanticMap
+from semviz.runs.reader import load_run
+from semviz.web.gateway import Gateway
+from semviz.workspace.localizability import positions, with_measured_recall
+from semviz.workspace.workspace import TRUTH, Workspace
+from semviz_core.base.map_file import load_map, save_map
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.localizability.route import Conditions
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -44,7 +44,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["localize", folder, "--map", TRUTH],
     ):
         with pytest.raises(SystemExit) as ended:
-            main([str(one) for one in command])
+            main([str(argument) for argument in command])
         assert ended.value.code == 0
     return folder
 
@@ -54,7 +54,7 @@ def test_the_table_names_stretches_and_what_would_help(run: Call, street: Path) 
     assert (status, errors) == (0, "")
     first, assumed, heads, *rows = output.splitlines()
     assert first.startswith(f"{FRAMES} positions on 11 m: expected error 0.")
-    assert assumed.startswith("for a detector that finds 75% of what is mapped")
+    assert assumed.startswith("for a detector that finds 75% of the mapped elements")
     assert heads.split()[:4] == ["worst", "stretches", "expected", "sigma"]
     assert rows[0].startswith("0 to 11 m")
     assert any(row.startswith("keep P-") for row in rows)
@@ -66,7 +66,7 @@ def test_json_and_plot_say_the_same(run: Call, street: Path, tmp_path: Path) -> 
     assert status == 0
     told = json.loads(output)
     assert len(told["positions"]) == 6
-    expected = [one["expected_m"] for one in told["positions"]]
+    expected = [position["expected_m"] for position in told["positions"]]
     assert told["stretches"][0]["expected_m"] == pytest.approx(np.mean(expected))
     assert {"sigma_m", "sigma_deg", "too_little", "ambiguous"} <= told["positions"][0].keys()
     assert plot.read_bytes().startswith(b"\x89PNG")
@@ -80,9 +80,9 @@ def test_without_poses_the_map_s_own_way_is_taken(run: Call, street: Path) -> No
     by_frames = positions(workspace.source.frames, truth)
     by_map = positions([], truth)
     assert len(by_frames) == len(by_map)
-    for one, other in zip(by_frames, by_map, strict=True):
-        np.testing.assert_allclose(one.translation, other.translation)
-        assert one.rotation[:, 2] @ other.rotation[:, 2] > np.cos(np.deg2rad(12.0))
+    for frame, other in zip(by_frames, by_map, strict=True):
+        np.testing.assert_allclose(frame.translation, other.translation)
+        assert frame.rotation[:, 2] @ other.rotation[:, 2] > np.cos(np.deg2rad(12.0))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
@@ -111,7 +111,7 @@ def test_what_cannot_be_predicted_costs_one_line(run: Call, street: Path, tmp_pa
     for arguments, words in (
         ((street, "--map", "empty"), "the map is empty"),
         ((street, "--map", "nothing"), "no such map"),
-        ((street, "--map", TRUTH, "--frames", "90:95"), "no frames are left"),
+        ((street, "--map", TRUTH, "--frames", "90:95"), "none of these frames"),
         ((street, "--map", TRUTH, "--plot", tmp_path / "route.pdf"), "ends in .png"),
     ):
         status, output, errors = run(*arguments)
@@ -123,18 +123,21 @@ def test_what_cannot_be_predicted_costs_one_line(run: Call, street: Path, tmp_pa
 def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> None:
     forecast = Forecast(load_run(street / "runs" / "search.rrd"), street)
     seen: list[str] = []
-    forecast.ask(lambda: seen.append(str(forecast.view().get("doing", "ready"))))
+    forecast.start(
+        lambda: seen.append("ready" if forecast.view().found else forecast.view().progress)
+    )
     for _ in range(1200):
         if forecast.value is not None and seen[-1] == "ready":
             break
         time.sleep(0.05)
-    assert any("looking along the route" in one for one in seen)
+    assert any("predicting errors" in state for state in seen)
     assert seen[-1] == "ready"
-    view = forecast.view()
-    assert len(view["expectedM"]) == len(view["ambiguous"]) == FRAMES
-    assert all(0.0 < one <= 1.0 for one in view["expectedM"])
+    found = forecast.view().found
+    assert found is not None
+    assert len(found.expected_m) == FRAMES
+    assert all(error_m is not None and 0.0 < error_m <= 1.0 for error_m in found.expected_m)
     first = forecast.value
-    forecast.ask(lambda: seen.append("again"))
+    forecast.start(lambda: seen.append("again"))
     assert seen[-1] == "again"
     assert forecast.value is first
 
@@ -144,7 +147,7 @@ def test_a_forecast_is_worked_out_once_and_tells_how_far_it_is(street: Path) -> 
 
 @pytest.fixture
 def url(street: Path) -> Iterator[str]:
-    with Door(Inspector([street / "runs" / "search.rrd"])).running() as url:
+    with Gateway(Inspector([street / "runs" / "search.rrd"])).running() as url:
         yield url
 
 
@@ -153,6 +156,11 @@ def pixels(page: "Page", selector: str) -> np.ndarray:
 
     shot = page.locator(selector).screenshot()
     return np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def other(page: "Page", selector: str, before: np.ndarray) -> int:
+    """How many pixels look different."""
+    return int((np.abs(pixels(page, selector) - before).max(axis=2) > 30).sum())
 
 
 def wait_for(page: "Page", said: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
@@ -177,12 +185,9 @@ def test_the_forecast_is_a_band_a_legend_and_a_line(url: str, page: "Page") -> N
     wait_for(page, lambda: legend.locator(".scale").count() == 1, "the forecast")
     assert button.get_attribute("aria-pressed") == "true"
     assert legend.locator(".scale small").all_text_contents() == ["0.1", "0.2", "0.4", "0.7", "m"]
-    page.wait_for_timeout(2000)
-    with_band, with_line = pixels(page, "#scene"), pixels(page, "#timeline-canvas")
-    assert (np.abs(with_band - space).max(axis=2) > 30).sum() > 500
-    assert (np.abs(with_line - line).max(axis=2) > 30).sum() > 100
+    wait_for(page, lambda: other(page, "#scene", space) > 500, "the band")
+    wait_for(page, lambda: other(page, "#timeline-canvas", line) > 100, "the line")
     button.click()
     wait_for(page, lambda: not legend.is_visible(), "the legend gone")
-    page.wait_for_timeout(2000)
-    assert (np.abs(pixels(page, "#timeline-canvas") - line).max(axis=2) > 30).sum() < 20
-    assert (np.abs(pixels(page, "#scene") - space).max(axis=2) > 30).sum() < 200
+    wait_for(page, lambda: other(page, "#timeline-canvas", line) < 20, "no line")
+    wait_for(page, lambda: other(page, "#scene", space) < 200, "no band")

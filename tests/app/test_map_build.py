@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
-from calling import call
+from command_line import call
+from support.street_labels import label_street
 
-from semviz.workspace import Workspace
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.street_labels import label_street
-from semviz_core.map_file import load_map
-from semviz_core.sources.street.detector import SimulatedDetector
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.street import Street
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_core.base.map_file import load_map
+from semviz_core.simulation.detector import SimulatedDetector
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 FRAMES = range(20)
 
@@ -56,6 +56,7 @@ def test_json_has_every_decision_of_the_map(town, capsys):
     assert said["decisions"][0]["evidence"]["frames"] >= 2
 
 
+@pytest.mark.usefixtures("open3d")
 def test_poses_are_refined_and_the_paper_is_at_hand(town, capsys):
     assert build(capsys, town, "--name", "refined", "--sigma-px", 1.3, "--refine-poses")[0] == 0
     assert build(capsys, town, "--name", "paper", "--method", "paper", "--eps-m", 0.5)[0] == 0
@@ -99,7 +100,7 @@ def test_an_interrupted_build_overwrites_nothing(town, capsys, monkeypatch):
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("semviz.progress.Steps.show", interrupt)
+    monkeypatch.setattr("semviz.presentation.progress.Steps.show", interrupt)
     code, out, _ = build(capsys, town, "--name", "kept")
     assert (code, out) == (130, "")
     assert path.read_bytes() == written

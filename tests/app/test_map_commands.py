@@ -9,21 +9,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from calling import call
+from command_line import call
+from support.street_labels import careful, label_street
 
-from semviz.workspace import Workspace
-from semviz_annotation.edits import DeleteObservation, MoveObservation
-from semviz_annotation.formats.plan import ImportLabels
-from semviz_annotation.labels import Labels
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.labels.edits import DeleteObservation, MoveObservation
+from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.quality.check import FINDINGS_LISTED
-from semviz_annotation.storing.exchange import import_operations
-from semviz_annotation.street_labels import careful, label_street
-from semviz_core.elements import Elements3D
-from semviz_core.map_file import save_map
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.map_errors import moved, without
-from semviz_core.sources.street.street import Street
+from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.map_file import save_map
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.map_errors import move_element, remove_element
+from semviz_core.simulation.street import Street
 
 FRAMES = range(12)
 OUR_LABELS = Path(__file__).parents[2] / "docs" / "kitti02" / "labels.jsonl"
@@ -39,7 +39,7 @@ def labels() -> Labels:
         if source.rig.left.contains(np.array([row.anchor_px, row.end_px or row.anchor_px])).all()
     ]
     seen = {row.element_id for row in inside}
-    return Labels.from_rows([*(drawn.element(one) for one in seen), *inside])
+    return Labels.from_rows([*(drawn.element(row) for row in seen), *inside])
 
 
 @pytest.fixture
@@ -79,10 +79,10 @@ def test_check_says_how_good_a_map_is(town, capsys):
     assert said["elements"] == len(town.read_map("main"))
     assert set(said["classes"]["pole"]) >= {"rmse_px", "angular_sde_deg", "observations"}
     assert said["operations"] == {"map": 1, "labels": 1}
-    assert {one["severity"] for one in said["lint"]} <= {"warning", "hint"}
+    assert {finding["severity"] for finding in said["lint"]} <= {"warning", "hint"}
     worst = said["leave_out"]
     assert len(worst) <= 100
-    assert worst[0]["normalized"] == max(one["normalized"] for one in worst)
+    assert worst[0]["normalized"] == max(label["normalized"] for label in worst)
     assert set(worst[0]) == {
         "observation_id", "element_id", "frame_index", "side", "residual_px", "normalized",
     }  # fmt: skip
@@ -94,8 +94,10 @@ def test_the_gate_is_the_exit_status(town, capsys):
     assert status == 1
     assert "RMSE (px)" in out
     lines = err.splitlines()
-    assert lines[0].startswith("not good enough: pole: lateral RMSE 0.")
-    assert len(lines) == sum(one["observations"] > 0 for one in classes(capsys, town.path).values())
+    assert lines[0].startswith("limit exceeded: pole: lateral RMSE 0.")
+    assert len(lines) == sum(
+        class_["observations"] > 0 for class_ in classes(capsys, town.path).values()
+    )
     status, _, err = run(capsys, "check", town.path, "--gate", "--max-angle-deg", "0.01")
     assert (status, err.count("\n")) == (1, 1)
     assert run(capsys, "check", town.path, "--max-rmse-px", "0.01")[0] == 0
@@ -109,12 +111,14 @@ def classes(capsys: pytest.CaptureFixture[str], path: Path) -> dict[str, dict[st
 
 
 def test_a_wrong_click_and_a_fault_are_named(town, labels, capsys):
-    row = next(one for one in labels.observations.values() if one.end_px is None)
+    row = next(
+        observation for observation in labels.observations.values() if observation.end_px is None
+    )
     with town.open_labels() as store:
         u, v = row.anchor_px
         store.apply(MoveObservation(row.id, (u + 3.0, v - 4.0)), "ann")
     semantic_map = town.read_map("main")
-    put(town, "sunk", moved(semantic_map, some_pole(semantic_map), (0.0, 0.0, -9.0)))
+    put(town, "sunk", move_element(semantic_map, some_pole(semantic_map), (0.0, 0.0, -9.0)))
     _, out, err = run(capsys, "check", town.path, "--map", "sunk")
     name = semantic_map.classes.element_name(
         labels.element(row.element_id).class_id, labels.element(row.element_id).number
@@ -124,7 +128,7 @@ def test_a_wrong_click_and_a_fault_are_named(town, labels, capsys):
     assert abs(float(worst[4]) - 5.0) < 1.5
     assert f"  below ground: P-{some_pole(semantic_map):02d} reaches" in out
     assert "[frame " in out
-    assert err == "labels are at operation 2, the map knows 1: rebuild it\n"
+    assert err == "the map is older than its labels (operation 1, labels 2): rebuild it\n"
 
 
 def test_many_findings_are_cut_short(town, capsys):
@@ -152,7 +156,7 @@ def test_a_map_of_signs_alone_is_a_map(town, capsys):
     semantic_map = town.read_map("main")
     signs = ~semantic_map.elements.is_line
     provenance = tuple(
-        one for one, keep in zip(semantic_map.provenance, signs, strict=True) if keep
+        entry for entry, keep in zip(semantic_map.provenance, signs, strict=True) if keep
     )
     put(town, "signs", replace(
         semantic_map, elements=semantic_map.elements[signs], provenance=provenance))  # fmt: skip
@@ -164,7 +168,7 @@ def test_a_map_of_signs_alone_is_a_map(town, capsys):
 
 def test_diff_of_names_and_files(town, labels, capsys, tmp_path):
     before = town.read_map("main")
-    gone = without(before, some_pole(before))
+    gone = remove_element(before, some_pole(before))
     put(town, "less", gone)
     status, out, err = run(capsys, "diff", town.path, "main", "less")
     assert (status, err) == (0, "")
@@ -174,15 +178,19 @@ def test_diff_of_names_and_files(town, labels, capsys, tmp_path):
     ]
     assert f"gone: P-{some_pole(before):02d}" in out
     file = tmp_path / "elsewhere.parquet"
-    save_map(moved(before, some_pole(before), (0.0, 0.3, 0.4)), file)
+    save_map(move_element(before, some_pole(before), (0.0, 0.3, 0.4)), file)
     said = json.loads(run(capsys, "diff", town.path, "main", file, "--json")[1])
-    assert [one["name"] for one in said["moved"]] == [f"P-{some_pole(before):02d}"]
+    assert [move["name"] for move in said["moved"]] == [f"P-{some_pole(before):02d}"]
     assert said["moved"][0]["distance_m"] == pytest.approx(0.5)
     assert said["operations"] == [1, 1]
 
 
 def test_diff_after_more_was_labelled(town, labels, capsys):
-    last = [one for one in labels.observations.values() if one.frame_index == FRAMES[-1]]
+    last = [
+        observation
+        for observation in labels.observations.values()
+        if observation.frame_index == FRAMES[-1]
+    ]
     with town.open_labels() as store:
         for row in last[:3]:
             store.apply(DeleteObservation(row.id), "ann")
@@ -201,11 +209,11 @@ def bad_maps() -> dict[str, Callable[[SemanticMap], SemanticMap]]:
         return replace(semantic_map, elements=Elements3D(**arrays))
 
     return {
-        "is empty": lambda one: replace(one, elements=one.elements[[]], provenance=()),
-        "from the road: is the map in metres": lambda one: scaled(one, 1000.0),
-        "m long: is the map in metres": lambda one: scaled(one, 0.001),
-        "the map is of 'moon', the images of 'street-3'": lambda one: replace(
-            one, frame=replace(one.frame, name="moon")
+        "is empty": lambda built: replace(built, elements=built.elements[[]], provenance=()),
+        "from the road: is the map in metres": lambda built: scaled(built, 1000.0),
+        "m long: is the map in metres": lambda built: scaled(built, 0.001),
+        "the map is of 'moon', the images of 'street-3'": lambda built: replace(
+            built, frame=replace(built.frame, name="moon")
         ),
     }
 
@@ -252,8 +260,8 @@ def test_files_that_are_no_maps(town, capsys, tmp_path):
     town.map_path("cut").write_bytes(whole[: len(whole) // 2])
     for arguments, words in (
         (["check", town.path, "--map", "cut"], "not a readable Parquet file"),
-        (["check", town.path, "--map", "gone"], "no such map; there are"),
-        (["diff", town.path, "main", "gone"], "no such map; there are"),
+        (["check", town.path, "--map", "gone"], "no such map; choose from"),
+        (["diff", town.path, "main", "gone"], "no such map; choose from"),
         (["diff", town.path, "main", tmp_path / "gone.parquet"], "no such map"),
         (["diff", town.path, "cut", "main"], "not a readable Parquet file"),
     ):
@@ -272,7 +280,11 @@ def test_real_labels_pass_the_gate_and_the_rules(kitti_root, tmp_path, capsys):
     status, out, _ = run(capsys, "check", town.path, "--frames", "1:20:2", "--gate", "--json")
     assert status == 0
     said = json.loads(out)
-    found = [(one["severity"], one["rule"]) for one in said["lint"] if one["severity"] != "hint"]
+    found = [
+        (finding["severity"], finding["rule"])
+        for finding in said["lint"]
+        if finding["severity"] != "hint"
+    ]
     assert found == [("warning", "ray angle too small")]
     assert len(said["lint"]) <= 5
     assert said["leave_out"][0]["residual_px"] < 5.0

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calling import Call, call
+from command_line import Call, call
 
 from semviz.cli import main
-from semviz.recording.reader import load_run
-from semviz.recording.writer import RunWriter
-from semviz.workspace import TRUTH, Workspace
+from semviz.runs.reader import load_run
+from semviz.runs.writer import RunWriter
+from semviz.workspace.workspace import TRUTH, Workspace
 
 ANCHOR = "--anchor=-33.8,151.2,12"
 
@@ -32,7 +32,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["localize", folder, "--map", TRUTH],
     ):
         with pytest.raises(SystemExit) as ended:
-            main([str(one) for one in command])
+            main([str(argument) for argument in command])
         assert ended.value.code == 0
     return folder
 
@@ -65,7 +65,7 @@ def test_a_map_goes_out_and_comes_back(run: Call, made: Path, tmp_path: Path) ->
     assert run("localize", made, "--map", "back", "--out", tmp_path / "back.rrd")[0] == 0
 
     before = workspace.map_path("back").read_bytes()
-    refused(run("map", "import", made, file), "is there already", "--replace")
+    refused(run("map", "import", made, file), "exists already", "--replace")
     assert workspace.map_path("back").read_bytes() == before
     assert run("map", "import", made, file, "--replace", "--json")[0] == 0
 
@@ -86,7 +86,7 @@ def test_colmap_takes_frames_and_labels(run: Call, made: Path, tmp_path: Path) -
     assert run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap")[0] == 0
     assert len((folder / "images.txt").read_text().splitlines()) == 2 * 2 * 3
     again = run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap")
-    refused(again, "is there already")
+    refused(again, "already exists")
     placed = run("map", "export", made, folder, "--map", TRUTH, "--format", "colmap", ANCHOR)
     refused(placed, "--anchor")
 
@@ -114,7 +114,7 @@ def test_bad_files(run: Call, made: Path, tmp_path: Path, text: str, words: list
         (["out.osm", "--anchor", "north"], ["--anchor north: write LATITUDE,LONGITUDE[,HEIGHT]"]),
         (["out.osm", "--anchor", "151.2,33.8"], ["latitude 151.2 is not within -90 and 90"]),
         (["out.osm", "--anchor", "nan,33.8"], ["latitude nan"]),
-        (["out.osm", "--anchor-heading", "20"], ["--anchor-heading: say --anchor"]),
+        (["out.osm", "--anchor-heading", "20"], ["--anchor-heading needs --anchor"]),
         (["out.csv", ANCHOR], ["--anchor: csv is in the map's own metres"]),
         (["out.dxf"], ["no format has this ending"]),
     ],
@@ -147,7 +147,7 @@ def test_estimates_and_true_poses_for_evo(run: Call, made: Path, tmp_path: Path)
     refused(run("trajectory", made, tmp_path / "x.tum", "--truth"), "--truth is for runs")
     refused(run("trajectory", tmp_path / "none.rrd", tmp_path / "x.tum"), "no such run")
     poses = run("new", tmp_path / "other", "--simulate", 1, "--poses", tmp_path / "given.tum")
-    refused(poses, "--poses", "say --kitti ROOT")
+    refused(poses, "--poses", "needs --kitti ROOT")
 
 
 def test_frames_that_were_not_localized(run: Call, made: Path, tmp_path: Path) -> None:
@@ -157,12 +157,12 @@ def test_frames_that_were_not_localized(run: Call, made: Path, tmp_path: Path) -
     )
     path, file = tmp_path / "holed.rrd", tmp_path / "poses.txt"
     with RunWriter(path, whole.info, whole.semantic_map) as writer:
-        for one in whole.frames:
-            writer.write(replace(one, localization=lost) if one.frame.index == 1 else one)
+        for frame in whole.frames:
+            writer.write(replace(frame, localization=lost) if frame.frame.index == 1 else frame)
     refused(
         run("trajectory", path, file, "--format", "kitti"),
         "frame 1 has no pose",
-        "say --format tum",
+        "use --format tum",
     )
     status, output, _ = run("trajectory", path, file)
     assert status == 0
@@ -183,11 +183,11 @@ def test_poses_of_another_make_a_workspace(
     assert run("new", tmp_path / "slam", *sequence, "--poses", poses)[0] == 0
     town, slam = (Workspace.open(tmp_path / name).source for name in ("town", "slam"))
     assert slam.map_frame.name == "kitti-02-slam"
-    for one, other in zip(town.frames, slam.frames, strict=True):
-        assert one.T_map_camera is not None
+    for frame, other in zip(town.frames, slam.frames, strict=True):
+        assert frame.T_map_camera is not None
         assert other.T_map_camera is not None
         np.testing.assert_allclose(
-            one.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
+            frame.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
         )
     poses.unlink()
     refused(run("trajectory", tmp_path / "slam", tmp_path / "x.tum"), "no such file of poses")

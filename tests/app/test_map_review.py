@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from annotating import Killable
+from annotator_page import Killable
+from duplicated_pole import element_id, street
 from journeys.driver import LabelDriver
-from planted import element_id, street
 
-from semviz.workspace import MAIN, Workspace
-from semviz_annotation.rows import apart
+from semviz.workspace.workspace import MAIN, Workspace
+from semviz_annotation.labels.rows import different_elements
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -44,7 +44,7 @@ def open_question(page: "Page") -> None:
     page.wait_for_selector("#review:not([hidden])")
     for _ in range(50):
         shown = page.inner_text("#review")
-        if "One thing?" in shown and "P-01" in shown and "P-02" in shown:
+        if "Same landmark?" in shown and "P-01" in shown and "P-02" in shown:
             return
         page.keyboard.press("Shift+.")
         page.wait_for_timeout(100)
@@ -71,21 +71,25 @@ def test_a_person_says_two_and_the_next_map_has_two_until_that_is_undone(
     before = driver.operation
     page.keyboard.press("Shift+Y")
     driver.wait_saved(before)
-    judged = {apart(element_id(1), element_id(2))}
-    assert set(workspace.read_labels().judgements.values()) == judged
+    judged = {different_elements(element_id(1), element_id(2))}
+    assert set(workspace.read_labels().review_decisions.values()) == judged
     page.wait_for_selector("#build.due")
     build(page, 2)
     assert mapped(workspace) == {1, 2}
-    (decision,) = (one for one in workspace.read_map(MAIN).decisions if set(one.numbers) == {1, 2})
+    (decision,) = (
+        decision
+        for decision in workspace.read_map(MAIN).decisions
+        if set(decision.numbers) == {1, 2}
+    )
     assert (decision.kind, decision.by) == ("apart", "human")
 
     killable.kill()
     page.goto(killable.start())
     page.wait_for_selector("#saved.saved")
     page_errors.clear()  # the connection that was cut
-    assert set(workspace.read_labels().judgements.values()) == judged
+    assert set(workspace.read_labels().review_decisions.values()) == judged
     driver.press_and_save("Control+z")
-    assert not workspace.read_labels().judgements
+    assert not workspace.read_labels().review_decisions
     build(page, 3)
     assert mapped(workspace) == {1}
     open_question(page)
@@ -93,7 +97,7 @@ def test_a_person_says_two_and_the_next_map_has_two_until_that_is_undone(
     before = driver.operation
     page.keyboard.press("y")  # the other answer
     driver.wait_saved(before)
-    assert {1, 2} & {one.number for one in workspace.read_labels().elements.values()} == {1}
+    assert {1, 2} & {element.number for element in workspace.read_labels().elements.values()} == {1}
     page.wait_for_selector("#review", state="hidden")
     assert "No decision is open." in page.inner_text("#message")
     driver.press_and_save("Control+z")

@@ -6,14 +6,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import call
 
-from semviz.cli import main
-from semviz.workspace import Workspace
-from semviz_annotation.edits import AddObservation
-from semviz_annotation.labels import new_id
-from semviz_core.sources.street.layout import StreetOptions
-from semviz_core.sources.street.street import Street
-from semviz_core.sources.trajectory import T_MAP_WORLD
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.edits import AddObservation
+from semviz_annotation.labels.labels import new_id
+from semviz_core.datasets.trajectory import T_MAP_WORLD
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 FRAMES = 12
 SIGMA_PX = 0.5
@@ -35,7 +35,7 @@ def root(tmp_path: Path, street: Street) -> Path:
         assert cv2.imwrite(str(folder / "image_2" / f"{index:06d}.png"), image)
     projection = np.column_stack([camera.K, np.zeros(3)])
     (folder / "calib.txt").write_text("P2: " + " ".join(map(repr, projection.ravel().tolist())))
-    (folder / "times.txt").write_text("".join(f"{one.time_s}\n" for one in street.frames))
+    (folder / "times.txt").write_text("".join(f"{frame.time_s}\n" for frame in street.frames))
     lines = []
     for frame in street.frames:
         assert frame.T_map_camera is not None
@@ -74,24 +74,24 @@ def label(workspace: Workspace, street: Street) -> None:
                 store.apply(added, "ann")
 
 
-def test_labels_of_one_camera_become_a_map_in_which_it_is_localized(
-    root: Path, tmp_path: Path, street: Street, capsys: pytest.CaptureFixture[str]
-) -> None:
-    town = tmp_path / "town"
-
-    def semviz(*arguments: object) -> str:
-        with pytest.raises(SystemExit) as left:
-            main([str(one) for one in arguments])
-        assert left.value.code == 0
-        return capsys.readouterr().out
-
-    semviz("new", town, "--kitti", root, "--sequence", "07", "--cameras", "2")
-    workspace = Workspace.open(town)
-    assert workspace.source.rig.right is None
+@pytest.fixture
+def town(root: Path, tmp_path: Path, street: Street) -> Workspace:
+    workspace = Workspace.create_kitti(tmp_path / "town", root, "07", (2,))
     label(workspace, street)
+    return workspace
 
-    semviz("map", "build", town)
-    built = workspace.read_map("main").elements
+
+def test_labels_of_one_camera_become_a_map_in_which_it_is_localized(
+    town: Workspace, tmp_path: Path, street: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def semviz(*arguments: object) -> str:
+        code, out, _ = call(capsys, *arguments)
+        assert code == 0
+        return out
+
+    assert town.source.rig.right is None
+    semviz("map", "build", town.path)
+    built = town.read_map("main").elements
     truth = street.truth_map.elements
     nearest = np.linalg.norm(built.anchor_m[:, None] - truth.anchor_m[None], axis=2).min(axis=1)
     sigma = np.sqrt(np.trace(built.covariance_m2[:, :3, :3], axis1=1, axis2=2))
@@ -99,12 +99,24 @@ def test_labels_of_one_camera_become_a_map_in_which_it_is_localized(
     assert (nearest < 4.0 * sigma + 0.05)[built.anchor_known].all()
     assert np.median(nearest) < 0.3
 
-    accuracy = json.loads(semviz("map", "check", town, "--json"))
+    accuracy = json.loads(semviz("map", "check", town.path, "--json"))
     assert accuracy["classes"]["pole"]["lateral_rmse_px"] < 2.0 * SIGMA_PX
 
     run = tmp_path / "run.rrd"
-    semviz("localize", town, "--out", run, "--images", "none")
+    semviz("localize", town.path, "--out", run, "--images", "none")
     numbers = json.loads(semviz("evaluate", run, "--json"))
     assert numbers["status"]["ok"] >= FRAMES - 2
     assert numbers["rte_m"]["q3"] < 0.3
     assert numbers["rre_deg"]["q3"] < 0.3
+
+
+def test_the_paper_method_needs_stereo_pairs(
+    town: Workspace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(capsys, "map", "build", town.path, "--method", "paper")
+    assert (code, out) == (2, "")
+    assert err == (
+        "semviz: method paper triangulates stereo pairs, and no element is labelled in both "
+        "images of a frame; use method joint\n"
+    )
+    assert not town.map_path("main").exists()

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 SUMS = """
-from semviz_core.compiled import compiled
+from semviz_core.common.jit import compiled
 
 @compiled
 def twice(number):
@@ -17,9 +17,9 @@ def four_times(number):
     return twice(twice(number))
 """
 FIRST_CALL = """
-from semviz.progress import tell_of_compiling
-tell_of_compiling()
-tell_of_compiling()
+from semviz.presentation.progress import announce_compiling
+announce_compiling()
+announce_compiling()
 from sums import four_times
 print(four_times(2), four_times(2.5))
 """

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from calling import Call, call
+from command_line import Call, call
+from fonts import FONTS
 from hypothesis import given
 from hypothesis import strategies as st
 from small_runs import (
@@ -27,18 +28,17 @@ from small_runs import (
     without_truth,
 )
 
-from semviz.benchmark.histograms import histograms
 from semviz.cli import main
-from semviz.commands.serve import Serve
-from semviz.measure import summarize_run
-from semviz.recording.run import Run
-from semviz.reporting.facts import Reported, load_reported
-from semviz.reporting.html import element
-from semviz.reporting.page import INSPECTOR
-from semviz.reporting.pictures import picture
-from semviz.reporting.summary import tables
-from semviz.tables import Table, figure, in_latex, in_markdown
-from semviz.verdicts import verdict
+from semviz.commands.tools import ServeCommand
+from semviz.presentation.plots import histograms
+from semviz.presentation.tables import Table, figure, in_latex, in_markdown
+from semviz.reports.frame_images import frame_svg
+from semviz.reports.html import element
+from semviz.reports.run_data import RunReport, load_reports
+from semviz.reports.run_report import INSPECTOR, comparison_tables
+from semviz.runs.diagnosis import diagnosis_name
+from semviz.runs.metrics import summarize_run
+from semviz.runs.run import Run
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -60,11 +60,11 @@ def pictured(run: Run) -> Run:
     camera = run.info.rig.left
     image = np.full((camera.height, camera.width, 3), 90, np.uint8)
     jpeg = cv2.imencode(".jpg", image)[1].tobytes()
-    return replace(run, frames=tuple(replace(one, image=jpeg) for one in run.frames))
+    return replace(run, frames=tuple(replace(frame, image=jpeg) for frame in run.frames))
 
 
 def spoiled_run() -> Run:
-    """One frame without an answer, one that is sure and wrong."""
+    """One frame without a pose, one overconfident frame."""
     return pictured(spoiled(small_run(), {FAILED: unanswered, WRONG: off_by(2.0)}))
 
 
@@ -75,7 +75,8 @@ def hostile_run() -> Run:
         run.info, map_name=TAKEN, workspace=TAKEN, observations=TAKEN, options={TAKEN: TAKEN}
     )
     frames = tuple(
-        replace(one, localization=replace(one.localization, reason=TAKEN)) for one in run.frames
+        replace(frame, localization=replace(frame.localization, reason=TAKEN))
+        for frame in run.frames
     )
     return replace(run, info=info, frames=frames)
 
@@ -111,17 +112,17 @@ def test_a_second_call_gives_the_same_bytes(
 
 
 def test_tables_hold_the_numbers_of_evaluate(runs: tuple[Path, Path]) -> None:
-    reported = load_reported(runs)
-    errors, trust, verdicts, changes, made_with = tables(reported)
-    for one, row in zip(reported, errors.cells, strict=True):
-        summary = summarize_run(one.run).accuracy
+    reported = load_reports(runs)
+    errors, trust, diagnoses, changes, made_with = comparison_tables(reported)
+    for run_report, row in zip(reported, errors.cells, strict=True):
+        summary = summarize_run(run_report.run).accuracy
         shown = [getattr(summary.rte_m, name) for name in ("mean", "q1", "q2", "q3")]
-        assert row[:6] == (one.name, str(len(FRAMES)), *map(figure, shown))
+        assert row[:6] == (run_report.name, str(len(FRAMES)), *map(figure, shown))
         assert row[6] == f"{summary.share_below_1m:.1%}"
     assert trust.cells[1][2:6] == ("83.3%", "0.0%", "16.7%", "16.7%")
-    counted = {name: (int(a), int(b)) for name, a, b in verdicts.cells}
-    for column, one in enumerate(reported):
-        want = Counter(verdict(one.run, record) for record in one.run.frames)
+    counted = {name: (int(a), int(b)) for name, a, b in diagnoses.cells}
+    for column, run_report in enumerate(reported):
+        want = Counter(diagnosis_name(run_report.run, record) for record in run_report.run.frames)
         assert {name: count[column] for name, count in counted.items() if count[column]} == want
     assert changes.cells == (("spoiled", "6", "0", "2", "4", "same"),)
     assert ("method", "search", "search") in made_with.cells
@@ -138,20 +139,22 @@ def test_an_element_that_moved_in_the_map_is_named(tmp_path: Path, command: Call
     assert worst.startswith(f"| {name} |")
 
 
-def test_the_worst_frames_come_first_and_each_verdict_once(runs: tuple[Path, Path]) -> None:
-    (one,) = load_reported(runs[1:])
-    numbers = [one.run.frames[row].frame.index for row in one.worst(2)]
+def test_the_worst_frames_come_first_and_each_diagnosis_once(runs: tuple[Path, Path]) -> None:
+    (spoiled_report,) = load_reports(runs[1:])
+    numbers = [spoiled_report.run.frames[row].frame.index for row in spoiled_report.worst(2)]
     assert numbers == [WRONG, FAILED]
-    rows = one.worst_of_each_verdict(6)
-    assert sorted(one.verdicts[row] for row in rows) == sorted(set(one.verdicts))
-    assert len(one.worst_of_each_verdict(1)) == 1
+    rows = spoiled_report.worst_of_each_diagnosis(6)
+    assert sorted(spoiled_report.diagnoses[row] for row in rows) == sorted(
+        set(spoiled_report.diagnoses)
+    )
+    assert len(spoiled_report.worst_of_each_diagnosis(1)) == 1
 
 
 def test_histograms_hold_every_frame(runs: tuple[Path, Path]) -> None:
-    groups = {one.name: one.outcomes for one in load_reported(runs)}
+    groups = {run_report.name: run_report.outcomes for run_report in load_reports(runs)}
     for axis in histograms(groups).axes:
-        outlines = [one for one in axis.patches if not one.get_fill()]
-        total = sum(float(np.sum(one.get_data().values)) for one in outlines)
+        outlines = [patch for patch in axis.patches if not patch.get_fill()]
+        total = sum(float(np.sum(outline.get_data().values)) for outline in outlines)
         assert total == pytest.approx(100.0 * len(groups))
 
 
@@ -159,7 +162,7 @@ def test_the_map_is_drawn_where_the_pose_has_it() -> None:
     """Exact labels in a true map: under the truth every detection lies on its element."""
     run = small_run()
     record = run.frames[0]
-    drawn = picture(record, record.image, run.semantic_map.classes, "")
+    drawn = frame_svg(record, record.image, run.semantic_map.classes, "")
     lines = re.findall(r'<path d="([^"]*)" stroke="(#\w+)"', drawn)
     points = {color: re.findall(r"M(-?[\d.]+) (-?[\d.]+)", trace) for trace, color in lines}
     white = np.array(points["#FFFFFF"], dtype=float)
@@ -191,12 +194,13 @@ def test_the_page_asks_for_nothing_and_runs_nothing(
     assert page.locator("script, img, iframe, link, object").count() == 0
     assert page.locator("h1").text_content() == "<script>document.title='taken'<!--"
     assert TAKEN in (page.locator("body").text_content() or "")
-    links = [one.get_attribute("href") or "" for one in page.locator("a").all()]
+    links = [node.get_attribute("href") or "" for node in page.locator("a").all()]
     assert links
     assert all(link.startswith(f"{INSPECTOR}?run=") for link in links)
 
 
 @pytest.mark.browser
+@pytest.mark.parametrize("fonts", FONTS)
 @pytest.mark.parametrize("size", [(1280, 720), (900, 720), (3840, 2160)])
 def test_nothing_overlaps_or_sticks_out(report: Path, page: "Page", size: tuple[int, int]) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -248,7 +252,7 @@ def test_runs_without_truth_images_or_end_are_reported(
     assert command(path, "--out", out)[0] == 0
     text = out.read_text()
     assert "Note: cut: This run was interrupted after frame 20; 6 frames are readable." in text
-    assert "Note: cut: no true poses, so errors are not known." in text
+    assert "Note: cut: no true poses, so errors are unknown." in text
     assert "nan" not in re.sub(r"base64,[^\"]*", "", text).lower()
 
 
@@ -258,8 +262,8 @@ def test_markdown_and_latex_hold_the_same_tables(
     markdown, latex = tmp_path / "r.md", tmp_path / "r.txt"
     assert command(*runs, "--out", markdown)[0] == 0
     assert command(*runs, "--out", latex, "--format", "latex")[0] == 0
-    of_each = 3  # worst frames, what is wrong over the run, elements that fit worst
-    count = len(tables(load_reported(runs))) + of_each * len(runs)
+    of_each = 3  # worst frames, recurring faults, elements most often outliers
+    count = len(comparison_tables(load_reports(runs))) + of_each * len(runs)
     assert markdown.read_text().count("\n## ") == count
     assert latex.read_text().count(r"\begin{tabular}") == count
     assert r"share\_below" not in latex.read_text()
@@ -283,9 +287,9 @@ def test_what_cannot_be_reported_is_refused_in_one_line(
     empty = saved(replace(small_run(), frames=()), tmp_path / "empty.rrd")
     for arguments, said in (
         ((), "name at least one run"),
-        ((runs[0], "--out", tmp_path / "report.pdf"), "tells the format"),
+        ((runs[0], "--out", tmp_path / "report.pdf"), "unknown ending"),
         ((runs[0], runs[0]), "a run is named twice"),
-        ((empty,), "no frame is in this run"),
+        ((empty,), "this run has no frames"),
         ((tmp_path / "none.rrd",), "no such run"),
         ((runs[0], "--out", tmp_path, "--format", "html"), "a folder or a device"),
         ((runs[0], "--pictures", -1), "--pictures -1: give 0 or more"),
@@ -298,10 +302,10 @@ def test_what_cannot_be_reported_is_refused_in_one_line(
 
 
 def test_links_lead_to_where_serve_listens() -> None:
-    serve = Serve()
+    serve = ServeCommand()
     assert f"http://{serve.host}:{serve.port}/" == INSPECTOR
 
 
 def test_names_are_those_of_serve(runs: tuple[Path, Path]) -> None:
-    assert [one.name for one in load_reported(runs)] == ["whole", "spoiled"]
-    assert isinstance(load_reported(runs)[0], Reported)
+    assert [run_report.name for run_report in load_reports(runs)] == ["whole", "spoiled"]
+    assert isinstance(load_reports(runs)[0], RunReport)

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from calling import Call, call
+from command_line import Call, call
 from safetensors.torch import load_file
 
-from semviz_core.learning.training import CHECKPOINT, HISTORY
+from semviz_core.research.training.trainer import CHECKPOINT, HISTORY
 
 TINY = ("--batch", 4, "--held-out", 4, "--workers", 0)
 
@@ -38,9 +38,9 @@ def test_the_same_command_goes_on_as_if_it_had_not_stopped(train: Call, tmp_path
         if "finished" in output:
             break
         assert "next: the same command goes on" in output
-    one, other = load_file(whole / CHECKPOINT), load_file(parts / CHECKPOINT)
-    assert one.keys() == other.keys()
-    assert all(torch.equal(one[name], other[name]) for name in one)
+    file, other = load_file(whole / CHECKPOINT), load_file(parts / CHECKPOINT)
+    assert file.keys() == other.keys()
+    assert all(torch.equal(file[name], other[name]) for name in file)
     assert (whole / HISTORY).read_text() == (parts / HISTORY).read_text()
     assert (parts / "losses.png").read_bytes().startswith(b"\x89PNG")
 

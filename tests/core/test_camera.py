@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_core.arrays import FloatArray
-from semviz_core.camera import MIN_DEPTH_M, Camera, Rig
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
+from semviz_core.base.camera import MIN_DEPTH_M, Camera, Rig
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 K = np.array([[718.856, 0.0, 607.1928], [0.0, 718.856, 185.2157], [0.0, 0.0, 1.0]])
 PINHOLE = Camera(1241, 376, K)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from semviz_core.classes import DEFAULT_CLASSES, POLE, ROUNDED, ClassSet
-from semviz_core.errors import SemvizError
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ROUNDED, ClassSet
+from semviz_core.common.errors import SemvizError
 
 
 def test_the_four_classes_of_the_paper_keep_their_ids() -> None:
-    assert [(one.id, one.name, one.kind) for one in DEFAULT_CLASSES] == [
+    assert [(class_.id, class_.name, class_.kind) for class_ in DEFAULT_CLASSES] == [
         (0, "pole", "line"),
         (1, "triangular sign", "point"),
         (2, "rectangular sign", "point"),
@@ -19,7 +19,7 @@ def test_the_four_classes_of_the_paper_keep_their_ids() -> None:
 
 @pytest.mark.parametrize("field", ["shape", "color", "color_light"])
 def test_classes_can_be_told_apart(field: str) -> None:
-    assert len({getattr(one, field) for one in DEFAULT_CLASSES}) == len(DEFAULT_CLASSES)
+    assert len({getattr(class_, field) for class_ in DEFAULT_CLASSES}) == len(DEFAULT_CLASSES)
 
 
 def test_names_for_people() -> None:

@@ -7,22 +7,24 @@ import numpy as np
 import pytest
 import torch
 
-from semviz_core.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, ROUNDED
-from semviz_core.detection.joined import JoinedImages
-from semviz_core.detection.labelled import LabelledImage
-from semviz_core.detection.maps import MASKS, STRIDE, Channels, regions_in
-from semviz_core.detection.own import OwnFinder, load_own
-from semviz_core.detection.region import Region
-from semviz_core.elements import Elements2D
-from semviz_core.errors import SemvizError
-from semviz_core.learning.detector_crops import HEIGHT, WIDTH, Crop, middle_crop, random_crop
-from semviz_core.learning.detector_targets import Targets
-from semviz_core.learning.detector_task import DetectorTask, focal
-from semviz_core.learning.detector_thresholds import chosen_thresholds
-from semviz_core.learning.networks.detector import DetectorNet
-from semviz_core.learning.street_images import IGNORED
-from semviz_core.learning.training import Training, TrainingOptions
-from semviz_core.learning.weights import Weights
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, ROUNDED
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.weights import NetworkWeights
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.heatmaps import MASKS, STRIDE, Channels, regions_in
+from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shipped_model
+from semviz_core.detection.regions import Region
+from semviz_core.research.training.detector import DetectorTask, chosen_thresholds, focal
+from semviz_core.research.training.detector_crops import (
+    HEIGHT,
+    WIDTH,
+    Crop,
+    Targets,
+    middle_crop,
+    random_crop,
+)
+from semviz_core.research.training.detector_images import IGNORED, ConcatImages, LabelledImage
+from semviz_core.research.training.trainer import Trainer, TrainingOptions
 
 CHANNELS = Channels(len(DEFAULT_CLASSES))
 
@@ -85,11 +87,11 @@ def told(crop: Crop) -> list[Region]:
 
 def test_what_maps_are_asked_to_tell_comes_back_as_regions() -> None:
     crop = middle_crop(an_image(), 0.5)
-    pole, sign = sorted(told(crop), key=lambda one: one.class_id or 0)
+    pole, sign = sorted(told(crop), key=lambda element: element.class_id or 0)
     assert (pole.class_id, sign.class_id) == (POLE, RECTANGULAR)
     assert pole.ends_px is not None
     np.testing.assert_allclose(pole.ends_px, [[101.0, 60.0], [101.0, 300.0]], atol=0.01)
-    np.testing.assert_allclose(sign.middle_px, [220.0, 120.0], atol=0.01)
+    np.testing.assert_allclose(sign.center_px, [220.0, 120.0], atol=0.01)
     np.testing.assert_allclose(sign.box_px[2:] - sign.box_px[:2], [41.0, 41.0], atol=0.6)
     assert pole.ends_known == (True, True)
     assert sign.mask is not None
@@ -103,18 +105,18 @@ def test_elements_of_random_crops_come_back(seed: int) -> None:
     found = told(crop)
     assert len(found) == len(crop.elements)
     for row, element_class in enumerate(crop.elements.class_id.tolist()):
-        (one,) = [region for region in found if region.class_id == element_class]
+        (image,) = [region for region in found if region.class_id == element_class]
         if element_class == POLE:
-            assert one.ends_px is not None
-            np.testing.assert_allclose(one.ends_px[0], crop.elements.anchor_px[row], atol=0.05)
-            np.testing.assert_allclose(one.ends_px[1], crop.elements.end_px[row], atol=0.05)
+            assert image.ends_px is not None
+            np.testing.assert_allclose(image.ends_px[0], crop.elements.anchor_px[row], atol=0.05)
+            np.testing.assert_allclose(image.ends_px[1], crop.elements.end_px[row], atol=0.05)
             known = (crop.elements.anchor_known[row], crop.elements.end_known[row])
-            assert one.ends_known == known
+            assert image.ends_known == known
         else:
             shown = crop.rows == row + 1
             assert shown.any()
             if crop.elements.anchor_px[row].min() > 40.0:
-                np.testing.assert_allclose(one.middle_px, crop.elements.anchor_px[row], atol=0.7)
+                np.testing.assert_allclose(image.center_px, crop.elements.anchor_px[row], atol=0.7)
 
 
 def test_nothing_is_learned_where_nobody_knows() -> None:
@@ -154,26 +156,26 @@ def test_it_learns_an_image_by_heart(tmp_path: Path) -> None:
     """Finds both elements after training, nothing before; and tells from which heat on."""
     torch.manual_seed(0)
     task = DetectorTask(Images(an_image()))
-    before = OwnFinder.of(DetectorNet(4), DEFAULT_CLASSES)
+    before = HeatmapModel.of(DetectorNet(4), DEFAULT_CLASSES)
     assert not before.find(an_image().image)
     task.make = lambda number: task.held_out(0)  # type: ignore[method-assign]
-    Training(task, tmp_path, TrainingOptions(samples=160, batch=2, workers=0, held_out=1)).run()
+    Trainer(task, tmp_path, TrainingOptions(samples=240, batch=2, workers=0, held_out=1)).run()
     network = DetectorNet(4)
     network.load_state_dict(task.network.state_dict())
-    found = OwnFinder.of(network, DEFAULT_CLASSES).find(an_image().image)
-    assert sorted(one.class_id or 0 for one in found) == [POLE, RECTANGULAR]
-    (pole,) = [one for one in found if one.class_id == POLE]
+    found = HeatmapModel.of(network, DEFAULT_CLASSES).find(an_image().image)
+    assert sorted(element.class_id or 0 for element in found) == [POLE, RECTANGULAR]
+    (pole,) = [element for element in found if element.class_id == POLE]
     assert pole.ends_px is not None
     assert np.abs(pole.ends_px[:, 0] - 101.0).max() < 4.0
     assert task.detector.threshold[ROUNDED] == 1.0  # there was none to choose it by
 
 
 def test_an_image_of_any_size_is_looked_at() -> None:
-    finder = OwnFinder.of(DetectorNet(4), DEFAULT_CLASSES)
+    model = HeatmapModel.of(DetectorNet(4), DEFAULT_CLASSES)
     for shape in ((1, 1, 3), (33, 47, 3), (376, 1241, 3)):
-        assert finder.find(np.zeros(shape, np.uint8)) == []
+        assert model.find(np.zeros(shape, np.uint8)) == []
     with pytest.raises(SemvizError, match=r"shape \(5, 5\)"):
-        finder.find(np.zeros((5, 5), np.uint8))
+        model.find(np.zeros((5, 5), np.uint8))
 
 
 def test_folded_networks_answer_alike() -> None:
@@ -189,20 +191,20 @@ def test_folded_networks_answer_alike() -> None:
 
 
 def test_thresholds_keep_what_is_false_within_the_limit() -> None:
-    """A finder whose false ones are all below 0.5: what is told is above them."""
+    """A model with all false positives below 0.5; regions score above."""
 
-    class Planted(OwnFinder):
+    class Planted(HeatmapModel):
         def find(self, image: np.ndarray) -> list[Region]:
             right = Region(RECTANGULAR, 0.8, np.array([200.0, 100, 240, 140]))
             false = [
                 Region(RECTANGULAR, 0.4 + 0.01 * k, np.array([20.0 * k, 340, 20.0 * k + 15, 355]))
                 for k in range(1, 5)
             ]
-            least = float(self.least[RECTANGULAR])
-            return [one for one in (right, *false) if one.score >= least]
+            threshold = float(self.threshold[RECTANGULAR])
+            return [region for region in (right, *false) if region.score >= threshold]
 
-    finder = Planted(DetectorNet(4), DEFAULT_CLASSES, np.full(4, 0.3))
-    threshold = chosen_thresholds(finder, [an_image()] * 4,
+    model = Planted(DetectorNet(4), DEFAULT_CLASSES, np.full(4, 0.3))
+    threshold = chosen_thresholds(model, [an_image()] * 4,
                                   DEFAULT_CLASSES)  # fmt: skip
     assert 0.45 < threshold[RECTANGULAR] <= 0.8
     assert threshold[POLE] == 1.0
@@ -210,7 +212,7 @@ def test_thresholds_keep_what_is_false_within_the_limit() -> None:
 
 def test_images_of_each_kind_come_in_turn() -> None:
     other = replace(an_image(), regions=None)
-    joined = JoinedImages((Images(an_image(), 5), Images(other, 2, 3)))
+    joined = ConcatImages((Images(an_image(), 5), Images(other, 2, 3)))
     assert joined.count == 10
     assert joined.held_out_count == 6
     has_masks = [joined.image(row).regions is not None for row in range(joined.count)]
@@ -220,18 +222,22 @@ def test_images_of_each_kind_come_in_turn() -> None:
 @pytest.mark.parametrize(
     ("weights", "told"),
     [
-        (Weights("verifier", {"classes": []}, {}), "weights of verifier"),
-        (Weights("detector", {"classes": ["pole"]}, {}), "trained for the classes pole"),
+        (NetworkWeights("verifier", {"classes": []}, {}), "weights of verifier"),
+        (NetworkWeights("detector", {"classes": ["pole"]}, {}), "trained for the classes pole"),
         (
-            Weights("detector", {"classes": [one.name for one in DEFAULT_CLASSES]}, {}),
+            NetworkWeights(
+                "detector", {"classes": [class_.name for class_ in DEFAULT_CLASSES]}, {}
+            ),
             "of another version",
         ),
     ],
 )
-def test_other_weights_are_refused_in_one_line(weights: Weights, told: str, tmp_path: Path) -> None:
+def test_other_weights_are_refused_in_one_line(
+    weights: NetworkWeights, told: str, tmp_path: Path
+) -> None:
     path = tmp_path / "detector.safetensors"
     weights.save(path)
     with pytest.raises(SemvizError, match=told) as error:
-        load_own(path)
+        load_shipped_model(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)

@@ -2,6 +2,7 @@
 is told. The models are made here, with answers that are known.
 """
 
+import json
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -11,21 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semviz_core.arrays import ByteImage, FloatArray
-from semviz_core.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, TRIANGULAR
-from semviz_core.detection.boxes import MOST_BOXES
-from semviz_core.detection.model_classes import model_classes
-from semviz_core.detection.models import load_finder
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, TRIANGULAR
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.detector import load_region_model
+from semviz_core.detection.model_config import ProcessorInput, model_classes, read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
-from semviz_core.detection.region import Region
-from semviz_core.detection.settings_file import read_settings
+from semviz_core.detection.postprocessing import MOST_BOXES
+from semviz_core.detection.regions import Region
 from semviz_core.detection.transformers_model import TransformersSettings
-from semviz_core.errors import SemvizError
 
 onnx = pytest.importorskip("onnx", reason="makes ONNX models; pip install 'semviz[test]'")
 pytest.importorskip("onnxruntime", reason="runs ONNX models; pip install 'semviz[onnx]'")
 
-from planted_models import COLORS, answering, choosy, describe, painted  # noqa: E402
+from onnx_models import COLORS, answering, choosy, describe, painted  # noqa: E402
 
 REPOSITORY = Path(__file__).parents[2]
 SIZE = (256, 128)
@@ -96,7 +96,7 @@ def found(
     outputs = LAYOUTS[layout](boxes, table)
     model = answering(folder / "planted.onnx", outputs, SIZE)
     told = {"kind": layout.split()[0], "outputs": list(outputs), **told}
-    return load_finder(str(describe(model, SIZE, **told))).find(gray())
+    return load_region_model(str(describe(model, SIZE, **told))).find(gray())
 
 
 @pytest.mark.parametrize("resize", ["stretch", "letterbox"])
@@ -104,9 +104,9 @@ def found(
 def test_planted_boxes_come_through_every_layout(tmp_path: Path, layout: str, resize: str) -> None:
     table = scores_of(BOX_LABELS, SCORES)
     regions = found(tmp_path, layout, in_input(BOXES_PX, resize), table, input={"resize": resize})
-    assert [one.class_id for one in regions] == [POLE, None, POLE]
-    assert [one.score for one in regions] == pytest.approx(SCORES, abs=1e-4)
-    assert np.allclose([one.box_px for one in regions], BOXES_PX, atol=1e-3)
+    assert [region.class_id for region in regions] == [POLE, None, POLE]
+    assert [region.score for region in regions] == pytest.approx(SCORES, abs=1e-4)
+    assert np.allclose([region.box_px for region in regions], BOXES_PX, atol=1e-3)
 
 
 def test_of_boxes_that_overlap_the_better_stays_unless_one_is_a_pole(tmp_path: Path) -> None:
@@ -115,12 +115,12 @@ def test_of_boxes_that_overlap_the_better_stays_unless_one_is_a_pole(tmp_path: P
     table = scores_of((2, 1, 0, 2, 3), np.array([0.5, 0.9, 0.4, 0.2, 0.99]), 4)
     classes = {"0": "pole", "1": "triangular sign", "2": "rectangular sign"}
     regions = found(tmp_path, "yolo-v8", boxes, table, labels=4, classes=classes)
-    assert [one.class_id for one in regions] == [TRIANGULAR, POLE]
+    assert [region.class_id for region in regions] == [TRIANGULAR, POLE]
     apart = found(
         tmp_path, "yolo-v8", boxes, table, labels=4, classes=classes, most_overlap=0.9,
         least_score=0.1,
     )  # fmt: skip
-    assert [one.class_id for one in apart] == [TRIANGULAR, RECTANGULAR, POLE, RECTANGULAR]
+    assert [element.class_id for element in apart] == [TRIANGULAR, RECTANGULAR, POLE, RECTANGULAR]
 
 
 def test_a_flood_of_boxes_is_cut_at_the_best(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_flood_of_boxes_is_cut_at_the_best(tmp_path: Path) -> None:
     table = scores_of([1] * 5000, scores)
     regions = found(tmp_path, "yolo-v8", boxes, table, most_overlap=1.0)
     assert len(regions) == MOST_BOXES
-    assert min(one.score for one in regions) >= np.sort(scores)[-MOST_BOXES] - 1e-6
+    assert min(region.score for region in regions) >= np.sort(scores)[-MOST_BOXES] - 1e-6
 
 
 def scene() -> tuple[ByteImage, FloatArray]:
@@ -147,14 +147,16 @@ def test_masks_of_a_model_at_the_images_size_are_exact(tmp_path: Path, label_map
     size = (image.shape[1], image.shape[0])
     model = painted(tmp_path / "painted.onnx", size, stride=1, label_map=label_map)
     told = describe(model, size, outputs=["labels" if label_map else "logits"])
-    pole, sign = sorted(load_finder(str(told)).find(image), key=lambda one: one.class_id != POLE)
+    pole, sign = sorted(
+        load_region_model(str(told)).find(image), key=lambda element: element.class_id != POLE
+    )
     assert (pole.class_id, sign.class_id) == (POLE, None)
     assert np.array_equal([pole.box_px, sign.box_px], boxes_px)
-    for one in (pole, sign):
-        assert one.mask is not None
-        assert one.mask.all()
-        assert one.corner_px == tuple(one.box_px[:2])
-        assert one.score > 0.99
+    for proposal in (pole, sign):
+        assert proposal.mask is not None
+        assert proposal.mask.all()
+        assert proposal.corner_px == tuple(proposal.box_px[:2])
+        assert proposal.score > 0.99
 
 
 @pytest.mark.parametrize("resize", ["stretch", "letterbox"])
@@ -166,8 +168,10 @@ def test_maps_of_low_resolution_land_where_the_image_has_them(
     image, boxes_px = scene()
     model = painted(tmp_path / "painted.onnx", (512, 256), stride)
     told = describe(model, (512, 256), input={"resize": resize})
-    regions = sorted(load_finder(str(told)).find(image), key=lambda one: one.class_id != POLE)
-    middles = [one.middle_px for one in regions]
+    regions = sorted(
+        load_region_model(str(told)).find(image), key=lambda element: element.class_id != POLE
+    )
+    middles = [region.center_px for region in regions]
     assert np.allclose(middles, (boxes_px[:, :2] + boxes_px[:, 2:]) / 2.0, atol=0.6)
 
 
@@ -177,17 +181,17 @@ def test_blue_first_scale_mean_and_std_are_as_told(tmp_path: Path) -> None:
     size = (image.shape[1], image.shape[0])
     model = painted(tmp_path / "painted.onnx", size, stride=1)
     told = describe(model, size, input={"scale": 1.0, "std": [255.0] * 3})
-    assert len(load_finder(str(told)).find(image)) == 2
+    assert len(load_region_model(str(told)).find(image)) == 2
     bgr = describe(model, size, input={"colors": "bgr"})
-    regions = load_finder(str(bgr)).find(np.ascontiguousarray(image[..., ::-1]))
-    assert {tuple(one.box_px) for one in regions} == {tuple(one) for one in boxes_px}
+    regions = load_region_model(str(bgr)).find(np.ascontiguousarray(image[..., ::-1]))
+    assert {tuple(region.box_px) for region in regions} == {tuple(box_px) for box_px in boxes_px}
 
 
 def seen(tmp_path: Path, image: ByteImage) -> list[Region]:
     size = (image.shape[1], image.shape[0])
     model = painted(tmp_path / "painted.onnx", size, stride=1)
-    regions = load_finder(str(describe(model, size))).find(image)
-    return sorted(regions, key=lambda one: float(one.box_px[0]))
+    regions = load_region_model(str(describe(model, size))).find(image)
+    return sorted(regions, key=lambda region: float(region.box_px[0]))
 
 
 def test_a_pole_behind_something_is_one_and_its_neighbours_are_others(tmp_path: Path) -> None:
@@ -197,7 +201,7 @@ def test_a_pole_behind_something_is_one_and_its_neighbours_are_others(tmp_path: 
     image[20:140, 90:94] = COLORS["pole"]
     image[20:140, 104:108] = COLORS["pole"]
     regions = seen(tmp_path, image)
-    assert [one.box_px.tolist() for one in regions] == [
+    assert [region.box_px.tolist() for region in regions] == [
         [40, 10, 44, 149],
         [90, 20, 93, 139],
         [104, 20, 107, 139],
@@ -258,7 +262,7 @@ def test_the_tomls_of_the_docs_are_whole(tmp_path: Path) -> None:
 Mutation = tuple[dict[str, Any], str]
 MUTATIONS: dict[str, Mutation] = {
     "no file": ({"model": "other.onnx"}, r"other\.onnx: no such model"),
-    "not ONNX": ({"model": "broken.onnx"}, r"broken\.onnx: no ONNX model"),
+    "not ONNX": ({"model": "broken.onnx"}, r"broken\.onnx: not an ONNX model"),
     "kind": ({"kind": "yolo"}, r"planted\.toml: kind: "),
     "key": ({"treshold": 0.5}, r"planted\.toml: treshold: "),
     "size": ({"input": {"width": 320}}, r"takes \[1, 3, 128, 256\].*says \[1, 3, 128, 320\]"),
@@ -283,7 +287,7 @@ def test_what_does_not_fit_is_one_line_that_names_the_file(tmp_path: Path, name:
         tmp_path / "planted.onnx", {"logits": np.zeros((1, 3, 32, 64), np.float32)}, SIZE
     )
     with pytest.raises(SemvizError, match=message) as raised:
-        load_finder(str(describe(model, SIZE, **told)))
+        load_region_model(str(describe(model, SIZE, **told)))
     assert str(tmp_path) in str(raised.value)
     assert "\n" not in str(raised.value)
 
@@ -291,8 +295,12 @@ def test_what_does_not_fit_is_one_line_that_names_the_file(tmp_path: Path, name:
 @pytest.mark.parametrize(
     ("outputs", "told", "message"),
     [
-        ({"out": np.full((1, 7, 5), np.nan, np.float32)}, {}, "'out' is not of finite numbers"),
-        ({"out": np.full((1, 7, 5), 9.0, np.float32)}, {}, "scores that are not between 0 and 1"),
+        (
+            {"out": np.full((1, 7, 5), np.nan, np.float32)},
+            {},
+            "'out' holds other than finite numbers",
+        ),
+        ({"out": np.full((1, 7, 5), 9.0, np.float32)}, {}, "scores are not between 0 and 1"),
         ({"out": np.zeros((1, 5, 7), np.float32)}, {}, r"it is \(1, 7, boxes\)"),
         ({"out": np.zeros((1, 7, 5), np.float32)}, {"kind": "yolo-v5"}, r"it is \(1, boxes, 8\)"),
         (
@@ -317,7 +325,9 @@ def test_other_outputs_than_told_are_refused(
 ) -> None:
     model = answering(tmp_path / "planted.onnx", outputs, SIZE)
     with pytest.raises(SemvizError, match=message) as raised:
-        load_finder(str(describe(model, SIZE, **{"kind": "yolo-v8", "outputs": ["out"], **told})))
+        load_region_model(
+            str(describe(model, SIZE, **{"kind": "yolo-v8", "outputs": ["out"], **told}))
+        )
     assert "planted.onnx" in str(raised.value)
 
 
@@ -326,26 +336,26 @@ def test_a_model_that_fails_on_its_input_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         SemvizError, match=r"choosy\.onnx: cannot run on \(1, 3, 128, 256\)"
     ) as raised:
-        load_finder(str(told))
+        load_region_model(str(told))
     assert "\n" not in str(raised.value)
-    assert not load_finder(str(describe(told.with_suffix(".onnx"), (64, 64)))).find(gray())
+    assert not load_region_model(str(describe(told.with_suffix(".onnx"), (64, 64)))).find(gray())
 
 
 def test_images_that_are_none_and_names_that_are_no_model(tmp_path: Path) -> None:
     model = painted(tmp_path / "painted.onnx", SIZE, 1)
-    finder = load_finder(str(describe(model, SIZE)))
-    assert finder.name == "painted"
-    assert not finder.find(gray((1, 1)))
+    loaded = load_region_model(str(describe(model, SIZE)))
+    assert loaded.name == "painted"
+    assert not loaded.find(gray((1, 1)))
     with pytest.raises(SemvizError, match=r"shape \(94, 310\).*give \(height, width, 3\)"):
-        finder.find(gray()[..., 0])
+        loaded.find(gray()[..., 0])
     for name, message in {
         str(model): "name the TOML",
         str(tmp_path / "none.toml"): "no such file",
         str(tmp_path): "a folder of a transformers model, or hf:NAME",
-        "yolov5s.pt": "no model that semviz knows",
+        "yolov5s.pt": "not a model that semviz can read",
     }.items():
         with pytest.raises(SemvizError, match=message):
-            load_finder(name)
+            load_region_model(name)
 
 
 @pytest.mark.parametrize("package", ["onnxruntime", "transformers"])
@@ -357,4 +367,36 @@ def test_a_missing_extra_is_named(
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "onnx"}.get(package, package)
     with pytest.raises(SemvizError, match=rf"pip install 'semviz\[{extra}\]'"):
-        load_finder(str(told if extra == "onnx" else tmp_path))
+        load_region_model(str(told if extra == "onnx" else tmp_path))
+
+
+CROPPED = {
+    "image_processor_type": "MobileViTImageProcessor",
+    "size": {"shortest_edge": 160},
+    "do_center_crop": True,
+    "crop_size": {"height": 128, "width": 256},
+    "do_flip_channel_order": True,
+}
+"""Blue comes first: where an image is red is what the third label is told."""
+
+
+def test_without_an_input_the_processor_beside_the_model_is_asked(tmp_path: Path) -> None:
+    pytest.importorskip("transformers", reason="pip install 'semviz[transformers]'")
+    told = describe(choosy(tmp_path / "model.onnx", SIZE), SIZE)
+    told.write_text(re.sub(r"\[input\]\n(.+=.+\n)+", "", told.read_text()))
+    with pytest.raises(SemvizError, match=r"preprocessor_config\.json: cannot be read"):
+        load_region_model(str(told))
+    (tmp_path / "preprocessor_config.json").write_text(json.dumps(CROPPED))
+    image = np.zeros((IMAGE_SIZE[1], IMAGE_SIZE[0], 3), np.uint8)
+    image[..., 2] = 255
+    image[30:60, 140:170] = [255, 0, 0]
+    (region,) = load_region_model(str(told)).find(image)
+    assert region.class_id is None
+    np.testing.assert_allclose(region.box_px, [140.0, 30.0, 169.0, 59.0], atol=1.0)
+
+
+def test_the_processor_is_of_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "preprocessor_config.json").write_text(json.dumps(CROPPED))
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(SemvizError, match=r"json needs transformers: pip install 'semviz\[tr"):
+        ProcessorInput.load(tmp_path)

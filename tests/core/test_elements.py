@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import POLE, ROUNDED
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose
+from semviz_core.base.classes import POLE, ROUNDED
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 NAN2, NAN3 = [np.nan] * 2, [np.nan] * 3
 
@@ -50,8 +50,8 @@ def test_rows_are_chosen_in_every_field(rows: list[int]) -> None:
     elements = mapped()
     chosen = elements[rows]
     assert len(chosen) == len(rows)
-    for one in fields(Elements3D):
-        whole, part = getattr(elements, one.name), getattr(chosen, one.name)
+    for field in fields(Elements3D):
+        whole, part = getattr(elements, field.name), getattr(chosen, field.name)
         np.testing.assert_array_equal(part, whole[np.array(rows, dtype=int)])
 
 
@@ -74,9 +74,9 @@ def test_moving_there_and_back_changes_nothing(seed: int) -> None:
     T = Pose.exp(rng.normal(size=6))
     elements = mapped(seed)
     back = elements.transformed(T).transformed(T.inverse())
-    for one in fields(Elements3D):
+    for field in fields(Elements3D):
         np.testing.assert_allclose(
-            getattr(back, one.name), getattr(elements, one.name), atol=1e-9, equal_nan=True
+            getattr(back, field.name), getattr(elements, field.name), atol=1e-9, equal_nan=True
         )
 
 
@@ -100,7 +100,7 @@ def test_covariance_moves_with_the_points() -> None:
 
 
 def seen_with(**changes: object) -> Elements2D:
-    values = {one.name: getattr(seen(), one.name) for one in fields(Elements2D)}
+    values = {field.name: getattr(seen(), field.name) for field in fields(Elements2D)}
     return Elements2D(**(values | changes))
 
 
@@ -180,8 +180,8 @@ def test_what_is_no_map_is_refused_in_our_words(ends: tuple[Any, ...], message: 
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([6], "rows reach from 6 to 6 of 6 elements"),
-        ([-7, 0], "rows reach from -7 to 0"),
+        ([6], "rows 6 to 6 of 6 elements"),
+        ([-7, 0], "rows -7 to 0"),
         ([True, False], r"rows has shape \(2,\), expected \(6\)"),
         ([0.0], "rows must hold whole numbers"),
         (3, r"rows has shape \(\)"),
@@ -205,8 +205,8 @@ def test_arrays_of_any_kind_mean_the_same(order: Any, dtype: str) -> None:
     anchor = np.array([[10, 20, 7], [50, 60, 7]]).astype(dtype, order=order)[:, :2]
     elements = Elements2D.from_ends(anchor, anchor + 5, np.array([POLE, POLE], dtype=np.uint8))
     np.testing.assert_array_equal(elements.end_px, [[15, 25], [55, 65]])
-    for one in fields(Elements2D):
-        array = getattr(elements, one.name)
+    for field in fields(Elements2D):
+        array = getattr(elements, field.name)
         assert array.flags.c_contiguous
         assert array.dtype.isnative
 

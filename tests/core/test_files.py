@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from semviz_core.errors import SemvizError
-from semviz_core.files import new_folder, replacing
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import new_folder, replacing
 
 
 def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
@@ -94,8 +94,8 @@ def test_a_folder_appears_when_all_is_in_it(tmp_path: Path) -> None:
         (temporary / "one").write_text("1")
         assert not path.exists()
     assert [file.name for file in path.iterdir()] == ["one"]
-    with pytest.raises(SemvizError, match="is there already"), new_folder(path):
+    with pytest.raises(SemvizError, match="already exists"), new_folder(path):
         raise AssertionError("nothing is to be written")
     with pytest.raises(RuntimeError), new_folder(tmp_path / "other"):
         raise RuntimeError("stopped")
-    assert [one.name for one in tmp_path.iterdir()] == ["deep"]
+    assert [path.name for path in tmp_path.iterdir()] == ["deep"]

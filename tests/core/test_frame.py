@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semviz_core.errors import SemvizError
-from semviz_core.frame import Prior
+from semviz_core.base.frame import Prior
+from semviz_core.common.errors import SemvizError
 
 GOOD: dict[str, Any] = {"position_m": [1.0, 2.0, 3.0]}
 

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.errors import SemvizError
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.sources.kitti import KittiSequence
+from semviz_core.base.frame import Frame
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.kitti import KittiSequence
 
 WIDTH, HEIGHT, FRAMES = 60, 40, 4
 K = np.array([[50.0, 0.0, 29.5], [0.0, 50.0, 19.5], [0.0, 0.0, 1.0]])

@@ -7,26 +7,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import POLE, RECTANGULAR
-from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements3D, joined
-from semviz_core.errors import SemvizError
-from semviz_core.evaluation.bound import bound_covariance
-from semviz_core.evaluation.problems import CAMERA, Problem
-from semviz_core.localizability.conditions import Conditions
-from semviz_core.localizability.effects import suggest
-from semviz_core.localizability.outlook import LOST_M, Outlook, look_out
-from semviz_core.localizability.predict import Localizability, predict
-from semviz_core.localizability.route import UP, candidates_beside, poses_along, thinned
-from semviz_core.localizability.sight import detect, look
-from semviz_core.localizability.trial import try_out
-from semviz_core.localization import Localization
-from semviz_core.localize import Localizer
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import MapFrame, SemanticMap
-from semviz_core.sources.priors import PriorOptions, simulate_prior
-from semviz_core.sources.street.detector import NOISE
+from semviz_core.base.classes import POLE, RECTANGULAR
+from semviz_core.base.detector_model import NOISE, DetectorModel
+from semviz_core.base.elements import Elements3D, joined
+from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localizability.element_effects import suggest
+from semviz_core.localizability.expected_error import LOST_M, PositionInformation, expected_error
+from semviz_core.localizability.predict import Localizability, predict, simulate_localization
+from semviz_core.localizability.route import (
+    UP,
+    Conditions,
+    candidates_beside,
+    detect,
+    poses_along,
+    thinned,
+    visible_elements,
+)
+from semviz_core.localization.localizer import Localizer
+from semviz_core.research.evaluation.methods import bound_covariance
+from semviz_core.research.evaluation.problems import CAMERA, LocalizationProblem
 
 DETECTOR = DetectorModel(0.5, 0.8, 0.4, 20.0, 40.0, 41.0)
 CONDITIONS = Conditions(DETECTOR, NOISE["low"], crop_radius_m=50.0, trials=1)
@@ -70,31 +74,41 @@ def predicted(street: SemanticMap) -> Localizability:
     return predict(street, CAMERA, poses_along(TRACK_M), CONDITIONS)
 
 
-def outlooks(semantic_map: SemanticMap, conditions: Conditions = CONDITIONS) -> list[Outlook]:
+def position_informations(
+    semantic_map: SemanticMap, conditions: Conditions = CONDITIONS
+) -> list[PositionInformation]:
     poses = poses_along(TRACK_M)[::4]
-    return [look_out(semantic_map, CAMERA, pose, conditions, k) for k, pose in enumerate(poses)]
+    return [
+        expected_error(semantic_map, CAMERA, pose, conditions, k) for k, pose in enumerate(poses)
+    ]
 
 
 def test_where_all_is_found_the_bound_is_that_of_the_benchmark(street: SemanticMap) -> None:
     """The same Cramer-Rao bound as ``evaluation.bound``, worked out another way."""
     for pose in poses_along(TRACK_M)[:7:2]:
-        one = look_out(street, CAMERA, pose, SURE, 0)
-        assert one.count.min() >= 4
-        sight = look(street.elements, CAMERA, pose.inverse(), SURE)
+        error = expected_error(street, CAMERA, pose, SURE, 0)
+        assert error.count.min() >= 4
+        visible = visible_elements(street.elements, CAMERA, pose.inverse(), SURE)
         exact = PriorOptions((1e-9, 1e-9), vertical_sigma_m=0.3)
         prior = replace(
             simulate_prior(pose, exact, 0), position_m=pose.translation,
             up_camera=pose.rotation[2], road_m=street.road_near(pose.translation, 60.0),
             horizontal_sigma_m=SURE.prior.horizontal_sigma_m,
         )  # fmt: skip
-        pairs = np.column_stack([np.arange(len(sight.row)), sight.row])
-        problem = Problem(
-            sight.seen, street.elements, CAMERA, prior, pose.inverse(), pairs, sight.seen.end_known
+        pairs = np.column_stack([np.arange(len(visible.row)), visible.row])
+        problem = LocalizationProblem(
+            visible.seen,
+            street.elements,
+            CAMERA,
+            prior,
+            pose.inverse(),
+            pairs,
+            visible.seen.end_known,
         )
         bound = bound_covariance(problem)
         assert bound is not None
         sigma_m = np.sqrt(np.trace(bound[:3, :3]))
-        np.testing.assert_allclose(one.sigmas()[:, 0], sigma_m, rtol=1e-6)
+        np.testing.assert_allclose(error.sigmas()[:, 0], sigma_m, rtol=1e-6)
 
 
 def test_more_elements_are_never_worse(street: SemanticMap) -> None:
@@ -102,7 +116,9 @@ def test_more_elements_are_never_worse(street: SemanticMap) -> None:
     more = elements_at(np.column_stack([rng.uniform(0.0, 150.0, 10), rng.uniform(-8.0, 8.0, 10)]))
     both = joined(street.elements, replace(more, id=1000 + more.id))
     better = 0
-    for before, after in zip(outlooks(street), outlooks(mapped(both)), strict=True):
+    for before, after in zip(
+        position_informations(street), position_informations(mapped(both)), strict=True
+    ):
         assert (after.sigmas() <= before.sigmas() * (1.0 + 1e-9)).all()
         better += after.expected_m < before.expected_m
     assert better > 3
@@ -110,7 +126,14 @@ def test_more_elements_are_never_worse(street: SemanticMap) -> None:
 
 def test_a_better_detector_and_a_better_map_are_better(street: SemanticMap) -> None:
     def mean(semantic_map: SemanticMap, conditions: Conditions) -> float:
-        return float(np.mean([one.expected_m for one in outlooks(semantic_map, conditions)]))
+        return float(
+            np.mean(
+                [
+                    information.expected_m
+                    for information in position_informations(semantic_map, conditions)
+                ]
+            )
+        )
 
     ordinary = mean(street, CONDITIONS)
     assert mean(street, SURE) < 0.95 * ordinary
@@ -129,7 +152,9 @@ def test_the_bare_stretch_is_the_worst(predicted: Localizability) -> None:
 
 
 def test_stretches_are_the_whole_route_once(predicted: Localizability) -> None:
-    rows = [row for one in predicted.stretches() for row in range(one.first, one.last + 1)]
+    rows = [
+        row for stretch in predicted.stretches() for row in range(stretch.first, stretch.last + 1)
+    ]
     assert sorted(rows) == list(range(len(TRACK_M)))
 
 
@@ -140,9 +165,9 @@ def test_a_suggested_element_helps_where_it_is_said(
     first = predicted.suggested[0]
     assert BARE_M[0] - 5.0 < first.element.anchor_m[0, 0] < BARE_M[1] + 30.0
     new = predicted.suggested
-    grown = reduce(joined, (one.element for one in new), street.elements)
+    grown = reduce(joined, (effect.element for effect in new), street.elements)
     again = predict(mapped(grown), CAMERA, predicted.T_map_camera, replace(CONDITIONS, seed=9))
-    said = sum(one.total_m2 for one in new)
+    said = sum(effect.total_m2 for effect in new)
     got = float(((again.expected_m - predicted.expected_m) * np.gradient(predicted.along_m)).sum())
     assert said < -5.0
     assert got == pytest.approx(said, rel=0.25)
@@ -150,7 +175,7 @@ def test_a_suggested_element_helps_where_it_is_said(
 
 def test_no_place_is_suggested_twice(street: SemanticMap, predicted: Localizability) -> None:
     best = replace(predicted.suggested[0].element, id=[10_000])
-    found = outlooks(street)
+    found = position_informations(street)
     along_m = np.arange(len(found)) * 12.0
     assert len(suggest(found, along_m, best, CAMERA, CONDITIONS, 3)) == 1
 
@@ -165,29 +190,37 @@ def test_the_critical_element_is_the_one_that_hurts_most(
     def mean_without(element_id: int) -> float:
         kept = street.elements[street.elements.id != element_id]
         seeds = (replace(CONDITIONS, seed=seed, outcomes=256) for seed in range(2))
-        return float(np.mean([one.expected_m for c in seeds for one in outlooks(mapped(kept), c)]))
+        return float(
+            np.mean(
+                [
+                    information.expected_m
+                    for c in seeds
+                    for information in position_informations(mapped(kept), c)
+                ]
+            )
+        )
 
     others = street.elements.id[::9].tolist()
-    costs = [mean_without(one) for one in others if one != named.element.id[0]]
+    costs = [mean_without(other) for other in others if other != named.element.id[0]]
     assert mean_without(int(named.element.id[0])) > np.median(costs)
 
 
 def test_the_same_seed_gives_the_same_and_another_nearly(street: SemanticMap) -> None:
     poses = poses_along(TRACK_M)[:6]
-    one, same = (predict(street, CAMERA, poses, CONDITIONS) for _ in range(2))
+    first, same = (predict(street, CAMERA, poses, CONDITIONS) for _ in range(2))
     other = predict(street, CAMERA, poses, replace(CONDITIONS, seed=5))
     for name in ("sigma_m", "sigma_deg", "expected_m", "lost", "ambiguous"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
-    assert (one.expected_m != other.expected_m).any()
-    np.testing.assert_allclose(one.expected_m, other.expected_m, atol=0.2)
+        np.testing.assert_array_equal(getattr(first, name), getattr(same, name))
+    assert (first.expected_m != other.expected_m).any()
+    np.testing.assert_allclose(first.expected_m, other.expected_m, atol=0.2)
 
 
 def test_turning_and_moving_the_map_changes_nothing(street: SemanticMap) -> None:
     T = Pose.from_rotvec([0.0, 0.0, 2.1], [300.0, -80.0, 12.0])
     there = SemanticMap(street.elements.transformed(T), street.frame, trajectory_m=T.apply(TRACK_M))
     for k, pose in enumerate(poses_along(TRACK_M)[::6]):
-        here = look_out(street, CAMERA, pose, CONDITIONS, k)
-        moved = look_out(there, CAMERA, T @ pose, CONDITIONS, k)
+        here = expected_error(street, CAMERA, pose, CONDITIONS, k)
+        moved = expected_error(there, CAMERA, T @ pose, CONDITIONS, k)
         np.testing.assert_allclose(here.sigmas(), moved.sigmas(), rtol=1e-6)
 
 
@@ -203,8 +236,8 @@ def test_a_row_of_equal_poles_is_ambiguous() -> None:
     anchor = foot + np.column_stack([np.zeros((len(x), 2)), rng.uniform(2.0, 7.0, len(x))])
     mixed = Elements3D.from_ends(poles.id, anchor, foot, np.full(len(x), POLE))
     conditions, pose = replace(CONDITIONS, trials=12), poses_along(TRACK_M)[10]
-    alike = try_out(mapped(row), CAMERA, pose, conditions, 0)
-    told_apart = try_out(mapped(mixed), CAMERA, pose, conditions, 0)
+    alike = simulate_localization(mapped(row), CAMERA, pose, conditions, 0)
+    told_apart = simulate_localization(mapped(mixed), CAMERA, pose, conditions, 0)
     assert sum(alike) == pytest.approx(1.0)
     assert alike.ambiguous > 0.7
     assert told_apart.ambiguous < 0.4
@@ -223,9 +256,9 @@ def test_a_sure_answer_far_off_counts_as_ambiguous(
         off = Pose(np.eye(3), np.array([0.0, 0.0, 1.5 * LOST_M]))
         return replace(found, T_camera_map=off @ found.T_camera_map)
 
-    true = try_out(street, CAMERA, pose, conditions, 0)
+    true = simulate_localization(street, CAMERA, pose, conditions, 0)
     monkeypatch.setattr(Localizer, "localize", elsewhere)
-    wrong = try_out(street, CAMERA, pose, conditions, 0)
+    wrong = simulate_localization(street, CAMERA, pose, conditions, 0)
     assert true.ok > 0.2
     assert wrong == (0.0, pytest.approx(true.ambiguous + true.ok), true.cannot)
 
@@ -233,7 +266,7 @@ def test_a_sure_answer_far_off_counts_as_ambiguous(
 def test_made_up_frames_have_the_noise_that_they_state(street: SemanticMap) -> None:
     pose, rng = poses_along(TRACK_M)[0], np.random.default_rng(0)
     silent = replace(SURE, detector=SURE.detector._replace(false_detections=1e-9))
-    true = look(street.elements, CAMERA, pose.inverse(), silent).seen
+    true = visible_elements(street.elements, CAMERA, pose.inverse(), silent).seen
     off = []
     for _ in range(400):
         seen = detect(street.elements, CAMERA, pose.inverse(), silent, rng)

@@ -1,6 +1,7 @@
 """Maps on disk: every bit comes back, and no broken file is taken for a map."""
 
 import json
+import random
 import tempfile
 from dataclasses import fields
 from pathlib import Path
@@ -9,16 +10,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from equality import assert_same
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from semviz_core.arrays import LARGEST
-from semviz_core.classes import DEFAULT_CLASSES, POLE, ClassSet, ElementClass
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.map_file import FORMAT, VERSION, load_map, save_map
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ClassSet, ElementClass
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.map_file import FORMAT, VERSION, load_map, save_map
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.arrays import LARGEST
+from semviz_core.common.errors import SemvizError
+from semviz_core.simulation.street import Street
 
 FINITE = st.floats(-LARGEST, LARGEST)
 WORDS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
@@ -72,8 +75,11 @@ def test_a_map_comes_back_bit_for_bit(semantic_map: SemanticMap) -> None:
         path = Path(folder) / "town.parquet"
         save_map(semantic_map, path)
         back = load_map(path)
-    for one in fields(Elements3D):
-        before, after = getattr(semantic_map.elements, one.name), getattr(back.elements, one.name)
+    for field in fields(Elements3D):
+        before, after = (
+            getattr(semantic_map.elements, field.name),
+            getattr(back.elements, field.name),
+        )
         assert before.dtype == after.dtype
         assert before.tobytes() == after.tobytes()
     assert semantic_map.trajectory_m.tobytes() == back.trajectory_m.tobytes()
@@ -211,4 +217,39 @@ def test_a_damaged_footer_is_one_line(tmp_path: Path) -> None:
         except SemvizError as refused:
             reasons.append(str(refused))
     assert reasons
-    assert not [one for one in reasons if "\n" in one]
+    assert not [reason for reason in reasons if "\n" in reason]
+
+
+def test_a_flipped_bit_never_gives_another_map(tmp_path: Path) -> None:
+    """What differs is refused in one line; Parquet itself notices only some of it."""
+    path, rng = tmp_path / "map.parquet", random.Random(1)
+    semantic_map = Street(7).truth_map
+    save_map(semantic_map, path)
+    content = path.read_bytes()
+    refused = 0
+    for _ in range(600):
+        place, bit = rng.randrange(len(content)), rng.randrange(8)
+        path.write_bytes(
+            content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
+        )
+        try:
+            assert_same(load_map(path), semantic_map)
+        except SemvizError as error:
+            refused += str(error).startswith(f"{path}: ")
+    assert refused > 300
+
+
+def test_a_map_without_a_checksum_opens(tmp_path: Path) -> None:
+    path = tmp_path / "map.parquet"
+    semantic_map = Street(7).truth_map
+    save_map(semantic_map, path)
+    table = pq.read_table(path)
+    metadata = json.loads(table.schema.metadata[b"semviz-map"])
+    del metadata["crc32"]
+    pq.write_table(table.replace_schema_metadata({"semviz-map": json.dumps(metadata)}), path)
+    assert_same(load_map(path), semantic_map)
+    metadata["operation"] += 1
+    metadata["crc32"] = 1
+    pq.write_table(table.replace_schema_metadata({"semviz-map": json.dumps(metadata)}), path)
+    with pytest.raises(SemvizError, match="its checksum differs"):
+        load_map(path)

@@ -6,26 +6,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semviz_core.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.classes import POLE, ROUNDED
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.evaluation.matched_problems import make_matched_problem
-from semviz_core.evaluation.metrics import pose_error
-from semviz_core.evaluation.problems import CAMERA, DETECTOR, Problem
-from semviz_core.pose import Pose
-from semviz_core.solving.least_squares import fit_pairs
-from semviz_core.solving.matched import METHODS, Estimate, Failure, localize_matches
-from semviz_core.solving.matched.consensus import (
+from semviz_core.base.classes import POLE, ROUNDED
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.localization.least_squares import fit_pairs
+from semviz_core.localization.matched import METHODS, Estimate, Failure, localize_matches
+from semviz_core.localization.matched.matches import Matches
+from semviz_core.localization.matched.minimal_solvers import Constraints, sample_poses
+from semviz_core.localization.matched.ransac import (
+    AnnealedProblems,
     Consensus,
-    Scenes,
+    find_consensus,
+    improve_consensus,
     needed_inliers,
-    polish,
-    settle,
 )
-from semviz_core.solving.matched.matches import Matches
-from semviz_core.solving.matched.samples import Constraints, sample_poses
-from semviz_core.solving.scene import Known
+from semviz_core.localization.problem import PriorRecord
+from semviz_core.metrics.pose_errors import pose_error
+from semviz_core.research.evaluation.matched_problems import make_matched_problem
+from semviz_core.research.evaluation.problems import CAMERA, DETECTOR, LocalizationProblem
 
 UP_MAP = np.array([0.0, 0.0, 1.0])
 
@@ -41,12 +41,12 @@ def street(seed: int, classes: list[int]) -> tuple[Elements2D, Elements3D, Pose]
     ahead, height = rng.uniform(8.0, 40.0, n), rng.uniform(0.5, 5.0, n)
     peak = np.column_stack([ahead, rng.uniform(-0.7, 0.7, n) * ahead, height])
     foot = peak - np.column_stack([rng.normal(0.0, 0.05, (n, 2)), height + 1.65])
-    ends = [heading.inverse().apply(one) for one in (peak, foot)]
+    ends = [heading.inverse().apply(point) for point in (peak, foot)]
     pole = np.array(classes)[:, None] == POLE
     submap = Elements3D.from_ends(
         np.arange(n), ends[0], np.where(pole, ends[1], np.nan), classes, 0.03
     )
-    seen = [CAMERA.project(T_camera_map.apply(one)) for one in ends]
+    seen = [CAMERA.project(T_camera_map.apply(end)) for end in ends]
     observed = Elements2D.from_ends(seen[0], np.where(pole, seen[1], np.nan), classes)
     return observed, submap, T_camera_map
 
@@ -59,14 +59,14 @@ def cut(observed: Elements2D, rows: list[int]) -> Elements2D:
     return Elements2D(**{**values, "end_known": observed.end_known & known})
 
 
-def with_outliers(seed: int) -> tuple[Problem, IntArray, FloatArray, BoolArray]:
+def with_outliers(seed: int) -> tuple[LocalizationProblem, IntArray, FloatArray, BoolArray]:
     """A problem with four wrong matches of the right class for each true one."""
     matched = make_matched_problem(seed)
     return matched.problem, matched.pairs, matched.score, matched.true
 
 
 def solved(
-    problem: Problem, pairs: IntArray, score: FloatArray, **given: Any
+    problem: LocalizationProblem, pairs: IntArray, score: FloatArray, **given: Any
 ) -> Estimate | Failure:
     """What ``localize_matches`` makes of a problem, told how its detector works."""
     return localize_matches(
@@ -165,35 +165,37 @@ def matches_and_truth(seed: int) -> tuple[Matches, BoolArray, Pose]:
 
 
 def test_a_rough_pose_settles_where_the_truth_does_by_seeing_less_sharply_first() -> None:
-    rng, free = np.random.default_rng(2), Known.of(None)
+    rng, free = np.random.default_rng(2), PriorRecord.of(None)
     settled, settled_sharply = 0, 0
     for seed in range(20):
         matches, _, truth = matches_and_truth(seed)
-        scenes = Scenes.of(matches)
+        scenes = AnnealedProblems.of(matches)
         start = Pose.exp(rng.normal(0.0, [0.15] * 3 + [0.008] * 3)) @ truth
-        goal = settle(scenes, free, truth.rotation, truth.translation).gain - 0.1
-        sharp = Scenes(scenes.sharp, scenes.sharp, scenes.sharp)
-        settled += settle(scenes, free, start.rotation, start.translation).gain > goal
-        settled_sharply += settle(sharp, free, start.rotation, start.translation).gain > goal
+        goal = find_consensus(scenes, free, truth.rotation, truth.translation).gain - 0.1
+        sharp = AnnealedProblems(scenes.sharp, scenes.sharp, scenes.sharp)
+        settled += find_consensus(scenes, free, start.rotation, start.translation).gain > goal
+        settled_sharply += (
+            find_consensus(sharp, free, start.rotation, start.translation).gain > goal
+        )
     assert settled >= 18
     assert settled_sharply < 10
 
 
 def test_polishing_frees_a_pose_from_a_wrong_match() -> None:
-    free, freed, settled = Known.of(None), 0, 0
+    free, freed, settled = PriorRecord.of(None), 0, 0
     for seed in range(20):
         matches, true, truth = matches_and_truth(seed)
-        scenes, pairs = Scenes.of(matches), matches.pairs
+        scenes, pairs = AnnealedProblems.of(matches), matches.pairs
         right = np.flatnonzero(true)[:3]
         apart = ~np.isin(pairs, pairs[right]).any(axis=1) & ~true
         held = pairs[[*right, np.flatnonzero(apart)[0]]]
         pose = fit_pairs(scenes.near, None, truth, held).T_camera_map
         mapped = np.full(len(matches.observed), -1)
         mapped[held[:, 0]] = held[:, 1]
-        goal = settle(scenes, free, truth.rotation, truth.translation).gain - 0.1
-        settled += settle(scenes, free, pose.rotation, pose.translation).gain > goal
+        goal = find_consensus(scenes, free, truth.rotation, truth.translation).gain - 0.1
+        settled += find_consensus(scenes, free, pose.rotation, pose.translation).gain > goal
         found = Consensus(pose.rotation, pose.translation, mapped, 0.0)
-        freed += polish(scenes, free, found).gain > goal
+        freed += improve_consensus(scenes, free, found).gain > goal
     assert freed >= 16
     assert freed > settled + 2
 
@@ -204,7 +206,7 @@ def test_a_prior_that_the_matches_contradict_is_left_out() -> None:
         problem, pairs, score, _ = with_outliers(seed)
         high = problem.prior.position_m + np.array([0.0, 0.0, 1.0])
         prior = replace(problem.prior, position_m=high, road_m=None)
-        alone, found = (solved(problem, pairs, score, prior=one) for one in (None, prior))
+        alone, found = (solved(problem, pairs, score, prior=pose) for pose in (None, prior))
         assert isinstance(alone, Estimate)
         assert isinstance(found, Estimate)
         off = found.T_camera_map @ alone.T_camera_map.inverse()
@@ -255,16 +257,16 @@ def test_moving_the_map_moves_the_pose(method: str) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_one_seed_gives_one_answer(method: str) -> None:
     observed, submap, _ = street(8, [POLE, POLE, POLE, ROUNDED, ROUNDED, POLE])
-    one, two = (
+    first, second = (
         localize_matches(observed, submap, CAMERA, own_pairs(6), np.ones(6), method=method, seed=5)
         for _ in range(2)
     )
-    assert isinstance(one, Estimate)
-    assert isinstance(two, Estimate)
+    assert isinstance(first, Estimate)
+    assert isinstance(second, Estimate)
     # PoseLib's line solvers draw random numbers that no seed reaches; only rounding may differ
-    off = one.T_camera_map.as_matrix() - two.T_camera_map.as_matrix()
+    off = first.T_camera_map.as_matrix() - second.T_camera_map.as_matrix()
     assert np.abs(off).max() < 1e-9
-    assert np.array_equal(one.inlier, two.inlier)
+    assert np.array_equal(first.inlier, second.inlier)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.pose import Pose, nearest_rotation, skew, so3_exp, so3_left_jacobian, so3_log
+from semviz_core.base.pose import Pose, nearest_rotation, skew, so3_exp, so3_left_jacobian, so3_log
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 NUMBERS = st.floats(-100.0, 100.0)
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from semviz_core.errors import SemvizError
-from semviz_core.frame import Prior
-from semviz_core.pose import Pose
-from semviz_core.sources.priors import PriorOptions, simulate_prior
+from semviz_core.base.frame import Prior
+from semviz_core.base.pose import Pose
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.priors import PriorOptions, simulate_prior
 
 POSE = Pose.from_rotvec([-1.2, 1.1, -0.9], [40.0, -7.0, 2.0])
 DRAWS = 800
@@ -17,7 +17,7 @@ def draws(options: PriorOptions) -> list[Prior]:
 
 
 def test_the_fix_is_off_by_a_uniform_distance_in_any_direction() -> None:
-    offset = np.array([one.position_m for one in draws(PriorOptions())]) - POSE.translation
+    offset = np.array([draw.position_m for draw in draws(PriorOptions())]) - POSE.translation
     distance = np.linalg.norm(offset[:, :2], axis=1)
     assert distance.min() >= 5.0
     assert distance.max() <= 10.0
@@ -29,7 +29,7 @@ def test_the_fix_is_off_by_a_uniform_distance_in_any_direction() -> None:
 
 
 def test_gravity_is_off_by_its_sigma_about_each_axis() -> None:
-    up = np.array([one.up_camera for one in draws(PriorOptions(imu_sigma_rad=0.01))])
+    up = np.array([draw.up_camera for draw in draws(PriorOptions(imu_sigma_rad=0.01))])
     tilt = (up @ POSE.rotation.T)[:, :2]
     assert np.allclose(tilt.std(axis=0), 0.01, rtol=0.1)
     assert np.abs(tilt.mean(axis=0)).max() < 0.002
@@ -39,7 +39,7 @@ def test_heading_is_told_only_when_asked() -> None:
     assert simulate_prior(POSE, PriorOptions(), 0).heading_rad is None
     told = draws(PriorOptions(heading_sigma_rad=0.2))
     true = np.arctan2(POSE.rotation[1, 2], POSE.rotation[0, 2])
-    error = np.array([float(one.heading_rad or 0.0) - true for one in told])
+    error = np.array([float(prior.heading_rad or 0.0) - true for prior in told])
     error = (error + np.pi) % (2.0 * np.pi) - np.pi
     assert error.std() == pytest.approx(0.2, rel=0.1)
     assert told[0].heading_sigma_rad == 0.2

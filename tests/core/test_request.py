@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semviz_core.camera import Camera
-from semviz_core.classes import DEFAULT_CLASSES, POLE, TRIANGULAR
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.evaluation.problems import Problem, make_problem
-from semviz_core.pose import Pose
-from semviz_core.request import check_request
-from semviz_core.semantic_map import MapFrame, SemanticMap
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, TRIANGULAR
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.localization.request import check_request
+from semviz_core.research.evaluation.problems import LocalizationProblem, make_problem
 
 PROBLEM = next(
-    one
-    for one in map(make_problem, count(1))
-    if len(one.observed) >= 12 and not one.observed.is_line.all()
+    problem
+    for problem in map(make_problem, count(1))
+    if len(problem.observed) >= 12 and not problem.observed.is_line.all()
 )
 
 
-def check(problem: Problem) -> None:
+def check(problem: LocalizationProblem) -> None:
     check_request(problem.observed, problem.submap, problem.camera, problem.prior, DEFAULT_CLASSES)
 
 
@@ -63,7 +63,7 @@ def with_class(elements: Any, class_id: int) -> Any:
 
 
 QUARTER = Pose.from_rotvec([np.pi / 2, 0.0, 0.0], np.zeros(3))
-MISTAKES: dict[str, tuple[Callable[[Problem], dict[str, Any]], str]] = {
+MISTAKES: dict[str, tuple[Callable[[LocalizationProblem], dict[str, Any]], str]] = {
     "array for elements": (
         lambda p: {"observed": p.observed.anchor_px},
         "observed is of type ndarray; give Elements2D",

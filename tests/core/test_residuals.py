@@ -4,32 +4,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frames import EXACT, flagged
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problem_frames import EXACT, flagged
 
-from semviz_core.camera import Camera
-from semviz_core.detector_model import DetectorModel
-from semviz_core.elements import Elements2D, Elements3D
-from semviz_core.evaluation.problems import CAMERA, Problem, make_problem
-from semviz_core.frame import Belief, Prior
-from semviz_core.pose import Pose
-from semviz_core.solving.known import MOST_ROWS, known_rows, road_height
-from semviz_core.solving.linear import rotate_left
-from semviz_core.solving.residuals import (
-    SURE,
+from semviz_core.base.camera import Camera
+from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Belief, Prior
+from semviz_core.base.pose import Pose
+from semviz_core.common.linalg import rotate_left
+from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows, road_height
+from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.residuals import (
+    EXACT_POSE,
     fill_rows,
     new_rows,
     pair_residuals,
-    scene_residuals,
+    problem_residuals,
     whiten,
 )
-from semviz_core.solving.scene import Known, Scene
+from semviz_core.research.evaluation.problems import CAMERA, LocalizationProblem, make_problem
 
 SEEDS = st.integers(0, 10_000)
 
 
-def near_pose(problem: Problem, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def near_pose(problem: LocalizationProblem, seed: int) -> tuple[np.ndarray, np.ndarray]:
     step = np.random.default_rng(seed).normal(0.0, [0.2] * 3 + [0.02] * 3)
     pose = problem.T_camera_map
     return rotate_left(pose.rotation, pose.translation, step)
@@ -51,7 +51,7 @@ def central(function, start: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 @given(seed=SEEDS)
 def test_pair_jacobians_are_those_of_finite_differences(seed: int) -> None:
     problem = make_problem(seed)
-    scene = Scene.of(problem.camera, problem.observed, problem.submap)
+    scene = PoseProblem.of(problem.camera, problem.observed, problem.submap)
     start = near_pose(problem, seed)
 
     for i, j in problem.pairs:
@@ -70,7 +70,7 @@ def test_pair_jacobians_are_those_of_finite_differences(seed: int) -> None:
 @given(seed=SEEDS)
 def test_whitening_is_by_the_covariance_of_the_rows(seed: int) -> None:
     problem = make_problem(seed)
-    scene = Scene.of(problem.camera, problem.observed, problem.submap)
+    scene = PoseProblem.of(problem.camera, problem.observed, problem.submap)
     start = near_pose(problem, seed)
     for i, j in problem.pairs:
         rows = new_rows()
@@ -79,19 +79,19 @@ def test_whitening_is_by_the_covariance_of_the_rows(seed: int) -> None:
         across, along = problem.observed.sigma_px[i] ** 2
         noise = np.array([across, across if scene.seen["is_line"][i] else along, along, along])
         covariance = by_map @ scene.mapped["covariance_m2"][j] @ by_map.T + np.diag(noise[:count])
-        whiten(scene, i, j, count, SURE, rows)
+        whiten(scene, i, j, count, EXACT_POSE, rows)
         chi2 = (rows["residual"][:count] ** 2).sum()
         assert chi2 == pytest.approx(raw @ np.linalg.solve(covariance, raw), rel=1e-9)
 
 
-def known_residual(known: Known, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+def known_residual(known: PriorRecord, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     residual, jacobian = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    return residual[: known_rows(known, R, t, residual, jacobian)]
+    return residual[: prior_rows(known, R, t, residual, jacobian)]
 
 
-def known_jacobian(known: Known, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+def known_jacobian(known: PriorRecord, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     residual, jacobian = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    return jacobian[: known_rows(known, R, t, residual, jacobian)]
+    return jacobian[: prior_rows(known, R, t, residual, jacobian)]
 
 
 @settings(max_examples=25, deadline=None)
@@ -102,7 +102,7 @@ def test_prior_jacobians_are_those_of_finite_differences(
     problem = make_problem(seed)
     along = np.linspace(-30.0, 30.0, 40)
     road = problem.prior.position_m + np.stack([along, 0.1 * along, rise * along], axis=1)
-    known = Known.of(replace(problem.prior, heading_rad=heading, road_m=road))
+    known = PriorRecord.of(replace(problem.prior, heading_rad=heading, road_m=road))
     start = near_pose(problem, seed)
     residual = known_residual(known, *start)
     wraps = np.abs(residual[-1]) * problem.prior.heading_sigma_rad > np.pi - 1e-3
@@ -123,7 +123,7 @@ def test_a_belief_counts_the_distance_from_its_pose(seed: int) -> None:
     belief = Belief(Pose.exp(rng.normal(0.0, 1.0, 6)), root @ root.T + 0.01 * np.eye(6))
     off = rng.normal(0.0, 0.02, 6)
     pose = Pose.exp(off) @ belief.T_camera_map
-    residual = known_residual(Known.of(None, belief), pose.rotation, pose.translation)
+    residual = known_residual(PriorRecord.of(None, belief), pose.rotation, pose.translation)
     chi2 = off @ np.linalg.solve(belief.covariance, off)
     assert residual @ residual == pytest.approx(chi2, rel=0.1, abs=1e-6)
 
@@ -242,16 +242,16 @@ def test_no_pairs_give_empty_arrays() -> None:
 
 
 def test_prior_without_gravity_and_heading_has_three_rows() -> None:
-    known = Known.of(Prior(np.array([5.5, 0.0, 0.3])))
+    known = PriorRecord.of(Prior(np.array([5.5, 0.0, 0.3])))
     np.testing.assert_allclose(known_residual(known, np.eye(3), np.zeros(3)), [-1.0, 0.0, -1.0])
 
 
 def test_a_bottom_that_may_be_hidden_counts_only_where_it_fits() -> None:
     doubtful = DetectorModel(hidden_bottoms=0.5)
     above, mapped = pole(end_px=200.0)
-    below, _ = pole(end_px=CAMERA.K[1, 2] + 118.6 + 60.0)  # hidden things end above, not below
+    below, _ = pole(end_px=CAMERA.K[1, 2] + 118.6 + 60.0)  # hidden elements end above, not below
     for seen, rows, fits in ((above, 3, True), (below, 4, False)):
-        scene = Scene.of(CAMERA, seen, mapped, doubtful)
-        found = scene_residuals(scene, Pose.identity(), PAIR)
+        scene = PoseProblem.of(CAMERA, seen, mapped, doubtful)
+        found = problem_residuals(scene, Pose.identity(), PAIR)
         assert found.rows[0] == rows
         assert found.inlier[0] == fits

@@ -4,27 +4,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frames import EXACT, frames
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from problem_frames import EXACT, frames
 
-from semviz_core.evaluation.problems import DETECTOR, Difficulty, Problem
-from semviz_core.solving.association import associate, log_likelihood, one_to_one
-from semviz_core.solving.effort import USUAL, WIDE
-from semviz_core.solving.hypotheses import BINS, GATE_SIGMAS, GATE_WIDER_M, upright_hypotheses
-from semviz_core.solving.residuals import SURE
-from semviz_core.solving.scene import Known, Scene
-from semviz_core.solving.search import (
+from semviz_core.localization.association import associate, log_likelihood, one_to_one
+from semviz_core.localization.heading_votes import (
+    BINS,
+    DEFAULT_EFFORT,
+    GATE_SIGMAS,
+    GATE_WIDER_M,
+    WIDE,
+    vote_headings,
+)
+from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.residuals import EXACT_POSE
+from semviz_core.localization.search import (
     APART_M,
     APART_RAD,
     BASIN_M,
     BASIN_RAD,
-    apart,
     camera_pose,
+    pose_distances,
     search,
 )
-from semviz_core.solving.upright import (
+from semviz_core.localization.upright import (
     UprightView,
     assumed_upright,
     gravity,
@@ -32,19 +37,20 @@ from semviz_core.solving.upright import (
     likely_ups,
     upright_view,
 )
+from semviz_core.research.evaluation.problems import DETECTOR, Difficulty, LocalizationProblem
 
 GAINS = arrays(np.float64, (5, 7), elements=st.one_of(st.just(-np.inf), st.floats(-5.0, 20.0)))
 
 
-def scene_of(problem: Problem) -> Scene:
-    return Scene.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+def scene_of(problem: LocalizationProblem) -> PoseProblem:
+    return PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
 
 
-def known_of(problem: Problem) -> Known:
-    return Known.of(assumed_upright(problem.prior))
+def known_of(problem: LocalizationProblem) -> PriorRecord:
+    return PriorRecord.of(assumed_upright(problem.prior))
 
 
-def best_view(scene: Scene, known: Known) -> UprightView:
+def best_view(scene: PoseProblem, known: PriorRecord) -> UprightView:
     ups, sigma_rad = likely_ups(scene, known)
     return upright_view(scene, ups[0], sigma_rad)
 
@@ -88,7 +94,7 @@ def test_level_rotation_takes_up_to_z_and_the_optical_axis_ahead() -> None:
 def test_where_gravity_is_doubtful_several_attitudes_are_tried() -> None:
     problem = frames(1, Difficulty(with_gravity=False))[0]
     signs = problem.observed[~problem.observed.is_line]
-    scene = Scene.of(problem.camera, signs, problem.submap)
+    scene = PoseProblem.of(problem.camera, signs, problem.submap)
     assert len(likely_ups(scene, known_of(problem))[0]) == 9
     sure = frames(1)[0]
     assert len(likely_ups(scene_of(sure), known_of(sure))[0]) == 1
@@ -100,13 +106,13 @@ def test_without_noise_some_hypothesis_is_the_true_pose(number: int) -> None:
     problem = frames(6, EXACT)[number]
     prior = replace(problem.prior, up_camera=problem.T_camera_map.rotation[:, 2])
     scene = scene_of(problem)
-    view = best_view(scene, Known.of(prior))
-    hypotheses = upright_hypotheses(scene, view, Known.of(prior), USUAL)
-    assert hypotheses.tried >= len(hypotheses.pose) > 0
-    poses = [camera_pose(view, one) for one in hypotheses.pose]
-    rotation, translation = (np.array(one) for one in zip(*poses, strict=True))
+    view = best_view(scene, PriorRecord.of(prior))
+    hypotheses = vote_headings(scene, view, PriorRecord.of(prior), DEFAULT_EFFORT)
+    assert hypotheses.evaluated >= len(hypotheses.pose) > 0
+    poses = [camera_pose(view, pose) for pose in hypotheses.pose]
+    rotation, translation = (np.array(parts) for parts in zip(*poses, strict=True))
     true = problem.T_camera_map
-    away, angle = apart(true.rotation, true.translation, rotation, translation)
+    away, angle = pose_distances(true.rotation, true.translation, rotation, translation)
     assert ((away < BASIN_M) & (angle < BASIN_RAD)).any()
 
 
@@ -115,7 +121,9 @@ def test_without_noise_the_best_mode_is_the_true_pose(number: int) -> None:
     problem = frames(6, EXACT)[number]
     modes = search(scene_of(problem), problem.prior)
     true = problem.T_camera_map
-    away, angle = apart(true.rotation, true.translation, modes.rotation[:1], modes.translation[:1])
+    away, angle = pose_distances(
+        true.rotation, true.translation, modes.rotation[:1], modes.translation[:1]
+    )
     assert away[0] < 1e-3
     assert angle[0] < 1e-5
 
@@ -126,8 +134,8 @@ def test_hypotheses_stay_within_the_gates() -> None:
     heading = float(np.arctan2(ahead[1], ahead[0]))
     prior = replace(problem.prior, heading_rad=heading)
     scene = scene_of(problem)
-    known = Known.of(prior)
-    found = upright_hypotheses(scene, best_view(scene, known), known, USUAL)
+    known = PriorRecord.of(prior)
+    found = vote_headings(scene, best_view(scene, known), known, DEFAULT_EFFORT)
     assert len(found.pose) > 0
     away = np.linalg.norm(found.pose[:, :2] - prior.position_m[:2], axis=1)
     assert away.max() <= GATE_SIGMAS * prior.horizontal_sigma_m + GATE_WIDER_M
@@ -139,11 +147,11 @@ def test_hypotheses_stay_within_the_gates() -> None:
 @pytest.mark.parametrize("number", range(4))
 def test_the_true_pose_scores_above_its_neighbours(number: int) -> None:
     problem = frames(4)[number]
-    scene, known, true = scene_of(problem), Known.of(problem.prior), problem.T_camera_map
+    scene, known, true = scene_of(problem), PriorRecord.of(problem.prior), problem.T_camera_map
     score = []
     for shift in ([0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, -3.0], [0.0, 0.0, 8.0]):
         pose = true.rotation, true.translation + np.array(shift)
-        match, gain = associate(scene, *pose, SURE)
+        match, gain = associate(scene, *pose, EXACT_POSE)
         score.append(log_likelihood(scene, known, *pose, match, gain))
     assert score[0] > max(score[1:]) + 10.0
 
@@ -153,10 +161,10 @@ def test_modes_are_distinct_and_best_first() -> None:
     for problem in frames(6):
         modes = search(scene_of(problem), problem.prior)
         several += len(modes.score) > 1
-        assert modes.tried >= modes.passed > 0
+        assert modes.evaluated >= modes.passed > 0
         assert (np.diff(modes.score) <= 0.0).all()
         for row in range(len(modes.score) - 1):
-            away, angle = apart(
+            away, angle = pose_distances(
                 modes.rotation[row],
                 modes.translation[row],
                 modes.rotation[row + 1 :],
@@ -167,29 +175,31 @@ def test_modes_are_distinct_and_best_first() -> None:
 
 
 def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> None:
-    assert tuple(USUAL) == (3.6, 500, 150, 16, 6, 3, 30.0)
+    assert tuple(DEFAULT_EFFORT) == (3.6, 500, 150, 16, 6, 3, 30.0)
     for problem in frames(3):
-        one, other = (
+        effort, other = (
             search(scene_of(problem), problem.prior),
-            search(scene_of(problem), problem.prior, USUAL),
+            search(scene_of(problem), problem.prior, DEFAULT_EFFORT),
         )
-        np.testing.assert_array_equal(one.score, other.score)
-        np.testing.assert_array_equal(one.translation, other.translation)
+        np.testing.assert_array_equal(effort.score, other.score)
+        np.testing.assert_array_equal(effort.translation, other.translation)
 
 
 @pytest.mark.parametrize("with_gravity", [False, True])
 def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
     level = Difficulty(sigma_px=3.0, clutter_share=1.0, with_gravity=with_gravity)
-    little = USUAL._replace(hypotheses=40, started=5, finished=2)
+    little = DEFAULT_EFFORT._replace(hypotheses=40, started=5, finished=2)
     best, count = [], []
     for problem in frames(8, level):
         scene, prior = scene_of(problem), assumed_upright(problem.prior)
-        few, usual, wide = (search(scene, prior, one) for one in (little, USUAL, WIDE))
-        views = len(likely_ups(scene, Known.of(prior))[0])
+        few, usual, wide = (
+            search(scene, prior, effort) for effort in (little, DEFAULT_EFFORT, WIDE)
+        )
+        views = len(likely_ups(scene, PriorRecord.of(prior))[0])
         assert few.passed <= 40 * views
-        best.append([one.score[0] for one in (few, usual, wide)])
-        count.append([len(one.score) for one in (few, usual, wide)])
-    assert (np.max(count, axis=0) <= [2, USUAL.finished, WIDE.finished]).all()
+        best.append([proposal.score[0] for proposal in (few, usual, wide)])
+        count.append([len(proposal.score) for proposal in (few, usual, wide)])
+    assert (np.max(count, axis=0) <= [2, DEFAULT_EFFORT.finished, WIDE.finished]).all()
     assert (np.diff(np.mean(count, axis=0)) > 0.0).all()
     few_best, usual_best, wide_best = np.mean(best, axis=0)
     assert few_best < min(usual_best, wide_best)
@@ -199,12 +209,14 @@ def test_the_order_of_elements_does_not_matter() -> None:
     """What is given in another order gives the same modes, with their pairs renumbered."""
     for problem in frames(4):
         rng = np.random.default_rng(0)
-        seen, mapped = (rng.permutation(len(one)) for one in (problem.observed, problem.submap))
+        seen, mapped = (
+            rng.permutation(len(elements)) for elements in (problem.observed, problem.submap)
+        )
         shuffled = replace(problem, observed=problem.observed[seen], submap=problem.submap[mapped])
-        one, other = (search(scene_of(each), problem.prior) for each in (problem, shuffled))
-        np.testing.assert_allclose(other.translation[0], one.translation[0], atol=1e-5)
-        assert other.score[0] == pytest.approx(one.score[0], abs=1e-4)
+        proposal, other = (search(scene_of(each), problem.prior) for each in (problem, shuffled))
+        np.testing.assert_allclose(other.translation[0], proposal.translation[0], atol=1e-5)
+        assert other.score[0] == pytest.approx(proposal.score[0], abs=1e-4)
         paired = np.flatnonzero(other.match[0] >= 0)
         again = np.full(len(seen), -1)
         again[seen[paired]] = mapped[other.match[0][paired]]
-        np.testing.assert_array_equal(again, one.match[0])
+        np.testing.assert_array_equal(again, proposal.match[0])

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_core.classes import POLE, TRIANGULAR
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.base.classes import POLE, TRIANGULAR
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.errors import SemvizError
 
 FRAME = MapFrame("test")
 
@@ -65,11 +65,11 @@ def test_the_road_near_is_all_of_it_once(n: int, seed: int, radius_m: float) -> 
     driven = np.random.default_rng(seed).uniform(-8.0, 8.0, (n, 3)) * [1.0, 1.0, 0.5]
     road = replace(make_map(), trajectory_m=driven).road_near([1.0, 2.0, 100.0], radius_m)
     assert (np.linalg.norm(road[:, :2] - [1.0, 2.0], axis=1) <= radius_m).all()
-    assert {tuple(one) for one in road} <= {tuple(one) for one in driven}
+    assert {tuple(pose) for pose in road} <= {tuple(point) for point in driven}
     assert len(np.unique(np.floor(road), axis=0)) == len(road)
     everything = replace(make_map(), trajectory_m=driven).road_near([1.0, 2.0], 100.0)
-    cubes = {tuple(one) for one in np.floor(everything)}
-    assert cubes == {tuple(one) for one in np.floor(driven)}
+    cubes = {tuple(cube) for cube in np.floor(everything)}
+    assert cubes == {tuple(cube) for cube in np.floor(driven)}
 
 
 def test_a_bridge_and_the_road_below_are_both_near() -> None:
@@ -85,7 +85,7 @@ def test_digest_is_of_the_content() -> None:
     assert make_map().digest == make_map().digest
 
 
-@pytest.mark.parametrize("name", [one.name for one in fields(Elements3D)])
+@pytest.mark.parametrize("name", [field.name for field in fields(Elements3D)])
 def test_digest_notices_a_change_in_any_field(name: str) -> None:
     original = make_map()
     array = getattr(original.elements, name).copy()
@@ -123,7 +123,7 @@ def test_trajectory_is_checked() -> None:
 @pytest.mark.parametrize(
     ("end_m", "class_id", "words"),
     [
-        ([np.nan] * 3, POLE, "P-07 has no end; a pole has two ends"),
+        ([np.nan] * 3, POLE, "P-07 has no end; give a pole two ends"),
         ([0.0, 0.0, 0.0], TRIANGULAR, "T-07 has an end, but is a point"),
     ],
 )

@@ -8,11 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.frame import Frame
-from semviz_core.pose import Pose
-from semviz_core.sources.trajectory import (
+from semviz_core.base.frame import Frame
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.trajectory import (
     T_MAP_WORLD,
     TrajectoryFormat,
     load_trajectory,
@@ -109,9 +109,9 @@ def test_comments_and_rounded_numbers_are_read(tmp_path: Path) -> None:
         ("0 1 2 3 -0.5 0.5 -0.5 0.5\n1 2 3\n", "line 2: 3 numbers, expected 8"),
         ("0 1 2 x -0.5 0.5 -0.5 0.5\n", "line 1: could not convert"),
         ("0 1 2 nan -0.5 0.5 -0.5 0.5\n", "line 1: holds NaN"),
-        ("0 1 2 3 0 0 0 0\n", "line 1: the last four numbers are no quaternion"),
-        ("0 1 2 3 0 0 0 1\n", "the cameras do not stand upright"),
-        ("1 0 0 0 0 0 1 0 0 -1 0 0\n", "the cameras do not stand upright"),
+        ("0 1 2 3 0 0 0 0\n", "line 1: the last four numbers are not a quaternion"),
+        ("0 1 2 3 0 0 0 1\n", "the cameras are not upright"),
+        ("1 0 0 0 0 0 1 0 0 -1 0 0\n", "the cameras are not upright"),
         ("2 0 0 0 0 2 0 0 0 0 2 0\n", "line 1: matrix is not a rotation"),
     ],
 )

@@ -18,6 +18,7 @@ ZOOM_PER_WHEEL = 0.002
 RIM = 4.0
 """CSS pixels along the canvas's edge where the browser's rounding may miss it."""
 WAIT_MS = 30_000
+EMPTY_PAGE = "<!doctype html><title></title>"
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,11 @@ class LabelDriver:
     def open(self, url: str, with_map: bool = False, with_snap: bool = False) -> None:
         """Goes to the address that the terminal printed, and waits for the first image.
 
-        The 3D map is switched off unless asked for: without a graphics card it slows all down. So
-        is snapping: what is clicked is what is meant.
+        The 3D map is an empty page, and switched off, unless asked for: without a graphics card it
+        slows all down. So is snapping: what is clicked is what is meant.
         """
+        if not with_map:
+            self.page.route("**/view/**", lambda route: route.fulfill(body=EMPTY_PAGE))
         self.page.goto(url)
         self.page.wait_for_selector("#saved.saved", timeout=WAIT_MS)
         if not with_map:
@@ -204,7 +207,9 @@ class LabelDriver:
         self.page.mouse.down(button="right")
         for share in (0.5, 1.0):
             by = ((goal - now) * share for goal, now in zip(middle, at, strict=True))
-            self.page.mouse.move(*(one + step for one, step in zip(start, by, strict=True)))
+            self.page.mouse.move(
+                *(position + step for position, step in zip(start, by, strict=True))
+            )
         self.page.mouse.up(button="right")
         self.settle()
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from PIL import Image
-from serving import serving
+from serving import at, serving
 
-from semviz.demo_street import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
-from semviz.recording.reader import load_run
-from semviz.recording.run import Run
-from semviz.workspace import TRUTH, Workspace
-from semviz_core.evaluation.metrics import pose_error
-from semviz_core.map_file import load_map
+from semviz.runs.reader import load_run
+from semviz.runs.run import Run
+from semviz.workspace.demo import FAR_OFF_FRAMES, MAP, MOVED_IN_FRAMES, RUN
+from semviz.workspace.workspace import TRUTH, Workspace
+from semviz_core.base.map_file import load_map
+from semviz_core.metrics.pose_errors import pose_error
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -44,8 +44,8 @@ def run(workspace: Workspace) -> Run:
 
 
 def reasons(run: Run, frames: range, status: str) -> list[str]:
-    chosen = [one.localization for one in run.frames if one.frame.index in frames]
-    return [one.reason for one in chosen if one.status == status]
+    chosen = [frame.localization for frame in run.frames if frame.frame.index in frames]
+    return [result.reason for result in chosen if result.status == status]
 
 
 def further_off_than_said(workspace: Workspace) -> list[int]:
@@ -60,11 +60,11 @@ def further_off_than_said(workspace: Workspace) -> list[int]:
 def errors_m(run: Run) -> dict[int, float]:
     """Of the frames answered ``ok``."""
     return {
-        one.frame.index: pose_error(found.T_camera_map, truth.inverse())[0]
-        for one, found in zip(run.frames, run.localizations, strict=True)
+        frame.frame.index: pose_error(found.T_camera_map, truth.inverse())[0]
+        for frame, found in zip(run.frames, run.localizations, strict=True)
         if found.status == "ok"
         and found.T_camera_map is not None
-        and (truth := one.frame.T_map_camera) is not None
+        and (truth := frame.frame.T_map_camera) is not None
     }
 
 
@@ -81,11 +81,11 @@ def test_frames_fail_for_the_reasons_that_were_planted(workspace: Workspace, run
     (moved,) = further_off_than_said(workspace)
     errors = errors_m(run)
     hurt = [
-        one.frame.index
-        for one in run.frames
-        if moved in one.element_id
-        and len(one.element_id) >= 4
-        and errors.get(one.frame.index, np.inf) > 1.0
+        frame.frame.index
+        for frame in run.frames
+        if moved in frame.element_id
+        and len(frame.element_id) >= 4
+        and errors.get(frame.frame.index, np.inf) > 1.0
     ]
     assert set(hurt) & set(MOVED_IN_FRAMES)
 
@@ -100,10 +100,10 @@ def test_most_frames_are_right_and_none_is_sure_and_wrong(run: Run) -> None:
 @pytest.mark.browser
 @pytest.mark.timeout(400)
 def test_the_page_shows_what_the_run_holds(address: str, run: Run, page: "Page") -> None:
-    page.goto(f"{address}?frame={ROW_FRAMES[0]}")
+    page.goto(at(address, f"?frame={ROW_FRAMES[0]}"))
     page.wait_for_selector("#frame-list li", timeout=60_000)
     page.wait_for_selector("#why-body:has-text('poses fit')", timeout=60_000)
-    (record,) = [one for one in run.frames if one.frame.index == ROW_FRAMES[0]]
+    (record,) = [frame for frame in run.frames if frame.frame.index == ROW_FRAMES[0]]
     assert page.inner_text("#status") == "Ambiguous"
     assert record.localization.reason in page.inner_text("#why-body")
     assert f"All {len(run.frames)}" in page.inner_text("#filters").replace("\n", " ")
@@ -111,8 +111,8 @@ def test_the_page_shows_what_the_run_holds(address: str, run: Run, page: "Page")
     assert record.frame.T_map_camera is not None
     rte_m, _ = pose_error(record.localization.T_camera_map, record.frame.T_map_camera.inverse())
     assert f"{rte_m:.2f} m" in page.inner_text("#numbers")
-    hopeless = next(one for one in run.frames if one.localization.status == "cannot")
-    page.goto(f"{address}?frame={hopeless.frame.index}")
+    hopeless = next(frame for frame in run.frames if frame.localization.status == "cannot")
+    page.goto(at(address, f"?frame={hopeless.frame.index}"))
     page.wait_for_selector("#status:has-text('Cannot')", timeout=60_000)
     assert hopeless.localization.reason in page.inner_text("#why-body")
     assert page.locator("#scene").is_visible()

@@ -11,10 +11,10 @@ import pytest
 from journeys.driver import LabelDriver
 from serving import serving
 
-from semviz.workspace import Workspace
-from semviz_annotation.labels import Labels, StereoPair
-from semviz_annotation.storing.exchange import import_operations
-from semviz_annotation.storing.store import LabelStore
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import Labels, StereoPair
+from semviz_annotation.storage.backup import import_operations
+from semviz_annotation.storage.store import LabelStore
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -54,12 +54,12 @@ def nearest(labels: Labels) -> list[StereoPair]:
 
 def draw(driver: LabelDriver, pair: StereoPair, element: str | None) -> str:
     name = element
-    for one in (pair.left, pair.right):
-        if one.end_px is None:
-            name = driver.draw_sign(one.side, one.anchor_px, pair.element.class_id, name)
+    for row in (pair.left, pair.right):
+        if row.end_px is None:
+            name = driver.draw_sign(row.side, row.anchor_px, pair.element.class_id, name)
         else:
-            known = (one.anchor_known, one.end_known)
-            name = driver.draw_pole(one.side, one.anchor_px, one.end_px, name, *known)
+            known = (row.anchor_known, row.end_known)
+            name = driver.draw_pole(row.side, row.anchor_px, row.end_px, name, *known)
     assert name is not None
     return name
 
@@ -95,8 +95,8 @@ def test_from_a_label_to_a_pose_on_screen(
     semviz("localize", town, "--frames", frames, "--out", run, environment=environment)
     numbers = json.loads(semviz("evaluate", run, "--json", environment=environment))
     assert numbers["status"] == {"ok": 1, "ambiguous": 0, "cannot": 0}
-    # One stereo pair puts things 2 % too far away on these images; see docs/kitti02.md, where a
-    # map from ten frames gives 0.03 m.
+    # One stereo pair places landmarks 2 % too far away on these images; see
+    # docs/results/kitti02.md, where a map from ten frames gives 0.03 m.
     assert numbers["rte_m"]["q2"] < 0.8
     assert numbers["rre_deg"]["q2"] < 1.0
 

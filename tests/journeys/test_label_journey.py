@@ -10,11 +10,11 @@ import pytest
 from journeys.driver import POLE, LabelDriver, Pixel, Side
 
 from semviz.annotator.server import Annotator
-from semviz.web.door import Door
-from semviz.workspace import Workspace
-from semviz_annotation.triangulate import Triangulated, triangulate
-from semviz_annotation.view import rig_view
-from semviz_core.sources.street.street import Street
+from semviz.web.gateway import Gateway
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.views import rig_view
+from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate
+from semviz_core.simulation.street import Street
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -50,7 +50,7 @@ def annotator(workspace: Workspace) -> Iterator[Annotator]:
 
 @pytest.fixture
 def url(annotator: Annotator) -> Iterator[str]:
-    with Door(annotator).running() as url:
+    with Gateway(annotator).running() as url:
         yield url
 
 
@@ -74,9 +74,9 @@ def test_three_poles_and_a_sign_in_two_frames(workspace: Workspace, url: str, pa
     assert [labels.review(frame) for frame in FRAMES] == ["reviewed"] * 2
     for truth in truths:
         (element,) = (
-            one
-            for one in labels.elements.values()
-            if workspace.classes.element_name(one.class_id, one.number) == names[truth.id]
+            element
+            for element in labels.elements.values()
+            if workspace.classes.element_name(element.class_id, element.number) == names[truth.id]
         )
         seen = labels.of_element(element.id)
         assert len(seen) == 4

@@ -1,25 +1,39 @@
-"""What the images say about a mark: snap it, find its partner, follow it into other frames."""
+"""Image evidence for labels: snap a mark, match it in stereo, propagate it to other frames.
 
-from semviz_annotation.assist.follow import Sight, follow
-from semviz_annotation.assist.pairs import stereo_pairs
-from semviz_annotation.assist.partner import Partners, find_partner
-from semviz_annotation.assist.settle import Found, Settled, settle
-from semviz_annotation.assist.shot import SURE, Mark, Proposed, Shot
+`marked_image` pairs an image with its camera and marks. `appearance` compares image patches.
+`snap` improves one mark, `stereo_matching` finds its correspondence in the other image, and
+`propagation` finds a mapped element in other frames, from its `expected_position`.
+`detection_refinement` does the same for detections, with `pole_ends` at their ends. `score`
+turns the evidence into a probability.
+"""
+
+from semviz_annotation.assist.detection_refinement import (
+    RawDetection,
+    RefinedDetection,
+    refine_detection,
+)
+from semviz_annotation.assist.marked_image import SURE, Mark, MarkedImage, ProposedMark
+from semviz_annotation.assist.propagation import ReferenceView, propagate
 from semviz_annotation.assist.snap import Snapped, snap
+from semviz_annotation.assist.stereo_matching import (
+    ImageCorrespondences,
+    find_correspondence,
+    stereo_pairs,
+)
 
 __all__ = [
     "SURE",
-    "Found",
+    "ImageCorrespondences",
     "Mark",
-    "Partners",
-    "Proposed",
-    "Settled",
-    "Shot",
-    "Sight",
+    "MarkedImage",
+    "ProposedMark",
+    "RawDetection",
+    "ReferenceView",
+    "RefinedDetection",
     "Snapped",
-    "find_partner",
-    "follow",
-    "settle",
+    "find_correspondence",
+    "propagate",
+    "refine_detection",
     "snap",
     "stereo_pairs",
 ]

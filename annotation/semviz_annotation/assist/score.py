@@ -1,18 +1,18 @@
-"""How likely a proposal is right: estimated probability that it is within 2 px.
+"""Probability that a proposal is within 2 px, or a snap within 1 px.
 
-Logistic functions of a few measures each (for snapping: of being within 1 px), fitted on
-simulated streets with seeds below 1000 by ``python bench/assist.py --fit``. On others,
-``python bench/assist.py`` measures how reliable they are. Those of a detector's finds are fitted by
-``python bench/found.py --fit --streets 24``, with the detector that ships: of all marks being
-right, the ends of a pole included that are said to be seen, and of one such end by itself.
+Logistic functions of a few measures, fitted on simulated streets with seeds below 1000 by
+``python bench/assist.py --fit``. On other streets, ``python bench/assist.py`` measures their
+calibration. Detector proposals use ``python bench/detector_proposals.py --fit --streets 24`` with
+the shipped detector: the probability that all marks are right, including every pole end marked as
+seen, and of each such end by itself.
 """
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
+from semviz_core.common.arrays import FloatArray
 
 WEIGHTS: dict[str, tuple[float, ...]] = {
-    "follow pole": (
+    "propagated pole": (
         1.41,
         4.19,
         2.66,
@@ -31,7 +31,7 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
         1.25,
         -0.77,
     ),
-    "follow sign": (4.09, 5.59, 2.26, -3.89, -0.33, 10.58, -0.50, 0.46, 1.11, -0.33, -0.36),
+    "propagated sign": (4.09, 5.59, 2.26, -3.89, -0.33, 10.58, -0.50, 0.46, 1.11, -0.33, -0.36),
     "found alone pole": (0.63, 0.97, 0.01),
     "found alone sign": (-0.93, 0.49, 0.1),
     "found end": (7.11, -2.4, -1.34),
@@ -39,7 +39,7 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
     "found one sign": (-2.19, 1.25, 0.28, 0.49),
     "found pair pole": (4.44, -0.17, -0.78, 0.0, 0.16, 0.54, -3.51),
     "found pair sign": (1.12, 0.63, 0.29, 0.09, 0.2, 0.05, -1.46),
-    "partner pole": (
+    "stereo pole": (
         2.30,
         -0.22,
         -0.11,
@@ -53,13 +53,13 @@ WEIGHTS: dict[str, tuple[float, ...]] = {
         -0.88,
         -0.23,
     ),
-    "partner sign": (0.45, 0.66, 0.84, -0.76, 0.99, 9.54, -0.93, 0.22),
+    "stereo sign": (0.45, 0.66, 0.84, -0.76, 0.99, 9.54, -0.93, 0.22),
     "snap pole": (-8.70, -1.16, 0.82, 0.84, -0.65, 7.27, 0.36, -2.67, -0.82, -1.35, 1.98),
     "snap sign": (3.16, 2.93, 1.26, 1.26, 0.36, -3.31, 0.55, 0.43, -5.87),
 }
 
 
-def probability(what: str, evidence: FloatArray) -> float:
-    """Of evidence (k,), led by nothing: the constant is the first weight."""
-    weights = WEIGHTS[what]
+def probability(kind: str, evidence: FloatArray) -> float:
+    """Return the probability for evidence (k,); the first of the k + 1 weights is the constant."""
+    weights = WEIGHTS[kind]
     return float(1.0 / (1.0 + np.exp(-(weights[0] + evidence @ np.array(weights[1:])))))

@@ -1,8 +1,8 @@
-"""COLMAP's text model, out: cameras, posed images with the labels in them, elements as points.
+"""COLMAP's text model, out: cameras, posed images with labels, elements as points.
 
-Two conventions differ from ours (COLMAP's documentation, "Output Format"): the top-left pixel's
-CENTRE is (0.5, 0.5), and quaternions are w, x, y, z. Poses are world to camera in both: our
-``T_camera_map``. The world is the map frame, z up.
+Two conventions differ (COLMAP's documentation, "Output Format"): the top-left pixel's CENTRE is
+(0.5, 0.5), and quaternions are w, x, y, z. Poses are world to camera in both: ``T_camera_map``.
+The world is the map frame, z up.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,32 +11,31 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.formats.numbers import quoted
-from semviz_annotation.labels import Labels
-from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import drop_history, unseen_ends
-from semviz_annotation.rows import Observation, Pixel
-from semviz_annotation.view import View, rig_view
-from semviz_core.arrays import FloatArray
-from semviz_core.camera import Camera
-from semviz_core.errors import SemvizError
-from semviz_core.files import new_folder
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.source import Side, Source
+from semviz_annotation.label_formats.numbers import quoted
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.rows import Observation, Pixel
+from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_annotation.map_formats.writing import ConversionTally, drop_history, unseen_ends
+from semviz_core.base.camera import Camera
+from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import new_folder
 
 PIXEL_CENTRE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """One image with what is labelled in it."""
+    """One image with the labels in it."""
 
     id: int
     camera_id: int
     name: str
-    view: View
+    view: PosedView
     marks: list[tuple[Pixel, int]] = field(default_factory=list)
-    """Where, in our pixels, and of which point."""
+    """Position in semviz pixels, and id of the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class _Point:
     place_m: FloatArray
     color: tuple[int, int, int]
     track: list[tuple[_Image, int]] = field(default_factory=list)
-    """Image, and number of the mark in it."""
+    """Images, and the index of the mark in each."""
 
     @property
     def error_px(self) -> float:
@@ -59,26 +58,28 @@ class _Point:
         return float(np.nan_to_num(np.mean(errors))) if errors else 0.0
 
 
-def write_colmap(semantic_map: SemanticMap, labels: Labels, source: Source, path: Path) -> Tally:
-    """The new folder ``path`` with cameras.txt, images.txt and points3D.txt.
+def write_colmap(
+    semantic_map: SemanticMap, labels: Labels, source: Dataset, path: Path
+) -> ConversionTally:
+    """Write the new folder ``path`` with cameras.txt, images.txt and points3D.txt.
 
-    A point is a sign's middle, a pole's peak (id 2 * element + 1) or its bottom (2 * element + 2)
-    where somebody saw it. Images are called ``left/000012.png``.
+    Points are signs' centres, and known peaks (id 2 * element + 1) and bottoms (2 * element + 2) of
+    poles. Images are named like ``left/000012.png``.
     """
     if semantic_map.frame.name != source.map_frame.name:
         raise SemvizError(
             f"the map is in the frame {quoted(semantic_map.frame.name)}, the poses are in "
             f"{quoted(source.map_frame.name)}; build the map of this workspace"
         )
-    tally = Tally()
-    points = {one.id: one for one in _points(semantic_map, tally)}
+    tally = ConversionTally()
+    points = {point.id: point for point in _points(semantic_map, tally)}
     images = _images(source, tally)
     _mark(images, points, semantic_map, labels, tally)
-    cameras = [one for one in (source.rig.left, source.rig.right) if one is not None]
+    cameras = [camera for camera in (source.rig.left, source.rig.right) if camera is not None]
     with new_folder(path) as folder:
-        _write(folder / "cameras.txt", [_camera_line(*one) for one in enumerate(cameras, 1)])
-        _write(folder / "images.txt", [line for one in images.values() for line in _lines(one)])
-        _write(folder / "points3D.txt", [_point_line(one) for one in points.values()])
+        _write(folder / "cameras.txt", [_camera_line(*camera) for camera in enumerate(cameras, 1)])
+        _write(folder / "images.txt", [line for image in images.values() for line in _lines(image)])
+        _write(folder / "points3D.txt", [_point_line(point) for point in points.values()])
     tally.drop("lines of poles: their ends are points", int(semantic_map.elements.is_line.sum()))
     tally.drop("classes: colours only", len(semantic_map))
     tally.drop("standard deviations and correlations", len(semantic_map))
@@ -86,14 +87,14 @@ def write_colmap(semantic_map: SemanticMap, labels: Labels, source: Source, path
     return tally
 
 
-def _points(semantic_map: SemanticMap, tally: Tally) -> Iterator[_Point]:
+def _points(semantic_map: SemanticMap, tally: ConversionTally) -> Iterator[_Point]:
     elements = semantic_map.elements
     if (elements.id < 0).any():
         raise SemvizError("COLMAP's points have no negative numbers; some elements have")
     tally.drop("ends that nobody saw", unseen_ends(semantic_map))
     for row, id_ in enumerate(elements.id.tolist()):
-        one = semantic_map.classes[int(elements.class_id[row])]
-        color = tuple(bytes.fromhex(one.color.removeprefix("#")))
+        element_class = semantic_map.classes[int(elements.class_id[row])]
+        color = tuple(bytes.fromhex(element_class.color.removeprefix("#")))
         assert len(color) == 3
         if elements.anchor_known[row]:
             yield _Point(2 * id_ + 1, elements.anchor_m[row], color)
@@ -101,8 +102,8 @@ def _points(semantic_map: SemanticMap, tally: Tally) -> Iterator[_Point]:
             yield _Point(2 * id_ + 2, elements.end_m[row], color)
 
 
-def _images(source: Source, tally: Tally) -> dict[tuple[int, Side], _Image]:
-    """Every image of every frame that has a pose, by frame and side."""
+def _images(source: Dataset, tally: ConversionTally) -> dict[tuple[int, Side], _Image]:
+    """Return all images of frames with a pose, by frame and side."""
     sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
     images: dict[tuple[int, Side], _Image] = {}
     for frame in source.frames:
@@ -120,9 +121,9 @@ def _images(source: Source, tally: Tally) -> dict[tuple[int, Side], _Image]:
 
 def _mark(
     images: dict[tuple[int, Side], _Image], points: dict[int, _Point],
-    semantic_map: SemanticMap, labels: Labels, tally: Tally,
+    semantic_map: SemanticMap, labels: Labels, tally: ConversionTally,
 ) -> None:  # fmt: skip
-    """Puts the observations that elements come from into images and tracks."""
+    """Add the observations of the map's elements to images and tracks."""
     ids = semantic_map.elements.id.tolist()
     for id_, origin in zip(ids, semantic_map.provenance, strict=False):
         for observation_id in origin.observation_ids:
@@ -146,12 +147,12 @@ def _seen_ends(row: Observation, element_id: int) -> Iterator[tuple[Pixel, int]]
 
 def _camera_line(camera_id: int, camera: Camera) -> str:
     model, parameters = _model(camera)
-    numbers = " ".join(repr(float(one)) for one in parameters)
+    numbers = " ".join(repr(float(parameter)) for parameter in parameters)
     return f"{camera_id} {model} {camera.width} {camera.height} {numbers}"
 
 
 def _model(camera: Camera) -> tuple[str, list[float]]:
-    """COLMAP's name of a camera's model, and its parameters in COLMAP's order."""
+    """Return COLMAP's camera model and its parameters in COLMAP's order."""
     K, distortion = camera.K, camera.distortion.tolist()
     if K[0, 1]:
         raise SemvizError(f"the camera's axes are skewed ({K[0, 1]:g}); COLMAP has no such model")
@@ -164,10 +165,10 @@ def _model(camera: Camera) -> tuple[str, list[float]]:
 
 
 def _lines(image: _Image) -> tuple[str, str]:
-    """The two lines of an image: its pose, and its points."""
+    """Return the two lines of an image: its pose and its points."""
     T_camera_map = image.view.T_camera_map
     x, y, z, w = T_camera_map.as_quaternion().tolist()
-    pose = " ".join(repr(one) for one in (w, x, y, z, *T_camera_map.translation.tolist()))
+    pose = " ".join(repr(value) for value in (w, x, y, z, *T_camera_map.translation.tolist()))
     marks = " ".join(
         f"{u + PIXEL_CENTRE!r} {v + PIXEL_CENTRE!r} {point_id}" for (u, v), point_id in image.marks
     )
@@ -175,8 +176,8 @@ def _lines(image: _Image) -> tuple[str, str]:
 
 
 def _point_line(point: _Point) -> str:
-    place = " ".join(repr(one) for one in point.place_m.tolist())
-    color = " ".join(str(one) for one in point.color)
+    place = " ".join(repr(coordinate) for coordinate in point.place_m.tolist())
+    color = " ".join(str(channel) for channel in point.color)
     track = " ".join(f"{image.id} {row}" for image, row in point.track)
     return f"{point.id} {place} {color} {point.error_px!r} {track}".rstrip()
 

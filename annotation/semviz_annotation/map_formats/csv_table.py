@@ -1,4 +1,4 @@
-"""CSV, in and out: one row an element, metres in the map frame, every digit."""
+"""CSV in and out: one row per element, metres in the map frame, all digits."""
 
 import csv
 import io
@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.formats.numbers import number, quoted
-from semviz_annotation.formats.reading import MOST_JSON_BYTES, at, read_bytes
-from semviz_annotation.map_formats.reading import Found, Reading, Thing, whole
-from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import drop_history
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.files import replacing
-from semviz_core.semantic_map import SemanticMap
+from semviz_annotation.label_formats.numbers import number, quoted
+from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, read_bytes
+from semviz_annotation.map_formats import reading
+from semviz_annotation.map_formats.writing import ConversionTally, drop_history
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
 
 ANCHOR = ("anchor_x_m", "anchor_y_m", "anchor_z_m")
 END = ("end_x_m", "end_y_m", "end_z_m")
@@ -26,8 +25,8 @@ _NEEDED = ("class", *ANCHOR)
 _FLAGS = {"true": True, "false": False, "1": True, "0": False, "": True}
 
 
-def write_csv(semantic_map: SemanticMap, path: Path) -> Tally:
-    """One row an element; the end of a sign is empty."""
+def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
+    """Write one row per element; the end of a sign is empty."""
     elements = semantic_map.elements
     sigmas = np.sqrt(np.diagonal(elements.covariance_m2, axis1=1, axis2=2))
     text = io.StringIO()
@@ -44,7 +43,7 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> Tally:
         )  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
-    tally = Tally()
+    tally = ConversionTally()
     correlated = elements.covariance_m2 * ~np.eye(6, dtype=bool)
     tally.drop("correlations of coordinates", int(correlated.any(axis=(1, 2)).sum()))
     drop_history(semantic_map, tally)
@@ -53,8 +52,8 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> Tally:
     return tally
 
 
-def read_csv(path: Path, reading: Reading) -> Found:
-    """Poles and signs of a table with at least the columns ``class`` and ``anchor_*_m``."""
+def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+    """Return the elements of a table with at least the columns ``class`` and ``anchor_*_m``."""
     try:
         text = read_bytes(path, MOST_JSON_BYTES).decode("utf-8-sig")
         rows = csv.DictReader(io.StringIO(text), restkey="more", strict=True)
@@ -62,41 +61,45 @@ def read_csv(path: Path, reading: Reading) -> Found:
         missing = [name for name in _NEEDED if name not in header]
         if missing:
             raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
-        found = Found(georeference=reading.anchor)
+        parsed = reading.ParsedMap(georeference=context.anchor)
         for row in rows:
             with at(f"{path}, line {rows.line_num}"):
-                _read_row(row, found, reading)
+                _read_row(row, parsed, context)
     except (UnicodeDecodeError, csv.Error) as error:
         raise SemvizError(f"not a CSV table ({error})") from None
     for name in header:
         if name not in COLUMNS:
-            found.tally.drop(f"columns {quoted(name)}")
-    return found
+            parsed.tally.drop(f"columns {quoted(name)}")
+    return parsed
 
 
-def _read_row(row: Mapping[str, str | None], found: Found, reading: Reading) -> None:
+def _read_row(
+    row: Mapping[str, str | None], parsed: reading.ParsedMap, context: reading.MapImportContext
+) -> None:
     if "more" in row or None in row.values():
         raise SemvizError("more or fewer values than the header has names")
     values = {name: text.strip() for name, text in row.items() if text is not None}
-    reading.check_frame(values.get("frame") or None)
-    class_id = reading.class_id(values["class"])
+    context.check_frame(values.get("frame") or None)
+    class_id = context.class_id(values["class"])
     if class_id is None:
-        return found.tally.drop("rows of a class that is ignored, as asked")
+        return parsed.tally.drop("rows of a class that is ignored, as asked")
     anchor, end = _numbers(values, ANCHOR), _numbers(values, END)
     if anchor is None:
         raise SemvizError(f"no numbers in {', '.join(ANCHOR)}")
-    is_line = reading.classes[class_id].kind == "line"
+    is_line = context.classes[class_id].kind == "line"
     if is_line != (end is not None):
         name = quoted(values["class"])
         raise SemvizError(f"{name} {'without' if is_line else 'with'} an end; {', '.join(END)}")
     anchor_known, end_known = (_flag(values.get(name, ""), name) for name in KNOWN)
-    id_, covariance = whole(values.get("id")), _covariance(values, is_line)
-    found.add(Thing(class_id, anchor, end, id_, covariance, anchor_known, end_known))
+    id_, covariance = reading.parse_integer(values.get("id")), _covariance(values, is_line)
+    parsed.add(
+        reading.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
+    )
     return None
 
 
 def _numbers(values: Mapping[str, str], names: tuple[str, ...]) -> FloatArray | None:
-    """The numbers in some columns; None where all are empty or there are no such columns."""
+    """Return the numbers in some columns; None if all are empty or missing."""
     texts = [values.get(name, "") for name in names]
     return np.array([number(text) for text in texts]) if any(texts) else None
 

@@ -1,7 +1,7 @@
-"""GeoJSON (RFC 7946), in and out: longitude and latitude of WGS84, height above the ellipsoid.
+"""GeoJSON (RFC 7946) in and out: longitude and latitude of WGS84, ellipsoidal height.
 
-A pole is a LineString from its peak to its bottom, a sign a Point. What we write says in the
-member ``semviz`` which map frame it is, and where its origin is.
+A pole is a LineString from its peak to its bottom, a sign a Point. The member ``semviz`` of a
+written file names the map frame and its origin.
 """
 
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from semviz_annotation.formats.numbers import json_number, quoted
-from semviz_annotation.formats.reading import (
+from semviz_annotation.label_formats.numbers import json_number, quoted
+from semviz_annotation.label_formats.reading import (
     MOST_JSON_BYTES,
     as_flag,
     as_object,
@@ -21,26 +21,20 @@ from semviz_annotation.formats.reading import (
     read_bytes,
     read_json,
 )
-from semviz_annotation.map_formats.georeference import Georeference, needed
-from semviz_annotation.map_formats.reading import (
-    Found,
-    Reading,
-    Thing,
-    checked_covariance,
-    upper_first,
-    whole,
-)
-from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import as_json, drop_making
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.files import replacing
-from semviz_core.semantic_map import Provenance, SemanticMap
+from semviz_annotation.map_formats import reading
+from semviz_annotation.map_formats.georeference import Georeference, require_georeference
+from semviz_annotation.map_formats.writing import ConversionTally, as_json, drop_making
+from semviz_core.base.semantic_map import Provenance, SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
 
+NEEDS_PLACE = "GeoJSON is in longitude and latitude"
+"""Why an export needs the place of the map's origin."""
 DIGITS_DEG, DIGITS_M = 10, 5
 """Decimals: 0.01 mm."""
 ROAD = "road"
-"""Our name of the feature that is ``SemanticMap.trajectory_m``."""
+"""Name of the feature that holds ``SemanticMap.trajectory_m``."""
 _WGS84 = ("CRS84", "4326", "4979")
 _OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m2", "label_ids",
                    "observation_ids", "height"})  # fmt: skip
@@ -48,9 +42,9 @@ _OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m
 
 def write_geojson(
     semantic_map: SemanticMap, path: Path, georeference: Georeference | None
-) -> Tally:
-    """Write the map with all that it knows of its elements; it needs its place on Earth."""
-    place = needed(georeference, "GeoJSON is in longitude and latitude")
+) -> ConversionTally:
+    """Write the map with all data of its elements. Raise SemvizError without a georeference."""
+    place = require_georeference(georeference, NEEDS_PLACE)
     features = _features(semantic_map, place)
     if len(semantic_map.trajectory_m) > 1:
         road = _rounded(place.to_wgs84(semantic_map.trajectory_m))
@@ -63,12 +57,12 @@ def write_geojson(
             "x_heading_deg": place.x_heading_deg,
         },
     }
-    lines = ",\n".join(as_json(one) for one in features)
+    lines = ",\n".join(as_json(feature) for feature in features)
     with replacing(path) as temporary:
         temporary.write_text(
             f'{as_json(collection)[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8"
         )
-    tally = Tally()
+    tally = ConversionTally()
     drop_making(semantic_map, tally)
     return tally
 
@@ -114,25 +108,27 @@ def _rounded(places: FloatArray) -> list[list[float]]:
     return rounded
 
 
-def read_geojson(path: Path, reading: Reading) -> Found:
-    """Poles and signs of a file, ours or another's; SemvizError naming what is broken."""
+def read_geojson(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+    """Return the content of a file of semviz or another tool. Raise SemvizError if invalid."""
     document = as_object(read_json(read_bytes(path, MOST_JSON_BYTES)))
     if document.get("type") != "FeatureCollection":
         raise SemvizError("JSON, but no FeatureCollection of GeoJSON")
     _check_crs(document.get("crs"))
     ours = document.get("semviz")
     about = as_object(ours) if ours is not None else {}
-    reading.check_frame(about.get("frame"))
-    place = needed(reading.georeference(_anchor(about)), "the file is in longitude and latitude")
-    found = Found(georeference=place)
+    context.check_frame(about.get("frame"))
+    place = require_georeference(
+        context.georeference(_anchor(about)), "the file is in longitude and latitude"
+    )
+    parsed = reading.ParsedMap(georeference=place)
     for number, feature in enumerate(listed(document, "features"), 1):
         with at(f"{path}, feature {number}"):
-            _read_feature(as_object(feature), bool(about), found, reading)
-    return found
+            _read_feature(as_object(feature), bool(about), parsed, context)
+    return parsed
 
 
 def _check_crs(crs: object) -> None:
-    """GeoJSON before RFC 7946 could name another reference system."""
+    """Raise SemvizError for other reference systems, which GeoJSON allowed before RFC 7946."""
     if crs is not None and not any(name in str(crs) for name in _WGS84):
         raise SemvizError(
             f"coordinates of {quoted(crs)}, not WGS84; convert the file to EPSG:4326 first"
@@ -146,32 +142,37 @@ def _anchor(about: Mapping[str, Any]) -> Georeference | None:
     numbers = [*anchor, about.get("x_heading_deg", 90)] if isinstance(anchor, list) else []
     if len(numbers) != 4:
         raise SemvizError("the anchor is not latitude, longitude and height")
-    return Georeference(*(float(json_number(one)) for one in numbers))
+    return Georeference(*(float(json_number(number)) for number in numbers))
 
 
-def _read_feature(feature: dict[str, Any], ours: bool, found: Found, reading: Reading) -> None:
+def _read_feature(
+    feature: dict[str, Any],
+    ours: bool,
+    parsed: reading.ParsedMap,
+    context: reading.MapImportContext,
+) -> None:
     properties = as_object(feature.get("properties") or {})
     geometry = as_object(feature.get("geometry") or {})
     kind = geometry.get("type")
     if kind not in ("Point", "LineString"):
-        return found.tally.drop(f"features that are {quoted(kind)}, neither Point nor LineString")
-    place = found.georeference
+        return parsed.tally.drop(f"features that are {quoted(kind)}, neither Point nor LineString")
+    place = parsed.georeference
     assert place is not None
     coordinates = geometry.get("coordinates")
-    points = place.to_map(_places([coordinates] if kind == "Point" else coordinates, found, place))
-    if properties.get("semviz") == ROAD:  # also where an editor left out what the file says of us
-        found.trajectory_m = points
+    points = place.to_map(_places([coordinates] if kind == "Point" else coordinates, parsed, place))
+    if properties.get("semviz") == ROAD:  # also if an editor dropped the member "semviz"
+        parsed.trajectory_m = points
         return None
-    class_id = reading.class_id(_class_name(properties))
+    class_id = context.class_id(_class_name(properties))
     if class_id is None:
-        return found.tally.drop("features of a class that is ignored, as asked")
+        return parsed.tally.drop("features of a class that is ignored, as asked")
     for name in sorted(properties.keys() - _OURS):
-        found.tally.drop(f"properties {quoted(name)}")
-    is_line = reading.classes[class_id].kind == "line"
-    ends = _ends(points, is_line, ours, properties, found)
+        parsed.tally.drop(f"properties {quoted(name)}")
+    is_line = context.classes[class_id].kind == "line"
+    ends = _ends(points, is_line, ours, properties, parsed)
     if ends is not None:
-        found.add(
-            Thing(
+        parsed.add(
+            reading.ParsedElement(
                 class_id,
                 *ends,
                 _id(feature, properties),
@@ -185,35 +186,39 @@ def _read_feature(feature: dict[str, Any], ours: bool, found: Found, reading: Re
 
 
 def _ends(
-    points: FloatArray, is_line: bool, ours: bool, properties: Mapping[str, Any], found: Found
+    points: FloatArray,
+    is_line: bool,
+    ours: bool,
+    properties: Mapping[str, Any],
+    parsed: reading.ParsedMap,
 ) -> tuple[FloatArray, FloatArray | None] | None:
-    """Anchor and end of a feature; None where its geometry is none of its class."""
+    """Return anchor and end of a feature; None if its geometry does not suit its class."""
     if not is_line:
         if len(points) > 1:
-            found.tally.drop("signs that are lines: a sign is a Point")
+            parsed.tally.drop("signs that are lines: a sign is a Point")
             return None
         return points[0], None
     if len(points) == 1:
         if properties.get("height") is None:
-            found.tally.drop("poles that are points without a height: a pole has two ends")
+            parsed.tally.drop("poles that are points without a height: a pole has two ends")
             return None
         height = float(json_number(properties["height"]))
-        return upper_first(points[0], points[0] + [0.0, 0.0, height])
-    found.tally.drop("inner points of poles: a pole is its peak and its bottom", len(points) - 2)
-    return (points[0], points[-1]) if ours else upper_first(points[0], points[-1])
+        return reading.upper_first(points[0], points[0] + [0.0, 0.0, height])
+    parsed.tally.drop("inner points of poles: a pole is its peak and its bottom", len(points) - 2)
+    return (points[0], points[-1]) if ours else reading.upper_first(points[0], points[-1])
 
 
-def _places(coordinates: object, found: Found, place: Georeference) -> FloatArray:
-    """(k, 3) longitude, latitude, height."""
+def _places(coordinates: object, parsed: reading.ParsedMap, place: Georeference) -> FloatArray:
+    """Return longitude, latitude, height (k, 3)."""
     if not isinstance(coordinates, list) or not coordinates:
         raise SemvizError("no coordinates")
     rows = []
     for position in coordinates:
         if not isinstance(position, list) or len(position) not in (2, 3):
             raise SemvizError(f"{quoted(position)} is not longitude, latitude and height")
-        row = [float(json_number(one)) for one in position]
+        row = [float(json_number(coordinate)) for coordinate in position]
         if len(row) == 2:
-            found.tally.assume("heights: that of the map's origin where a point has none")
+            parsed.tally.assume("heights: that of the map's origin where a point has none")
             row.append(place.height_m)
         rows.append(row)
     return np.array(rows)
@@ -228,22 +233,22 @@ def _class_name(properties: Mapping[str, Any]) -> str:
 
 def _id(feature: Mapping[str, Any], properties: Mapping[str, Any]) -> int | None:
     id_ = feature.get("id", properties.get("id"))
-    return whole(str(id_)) if isinstance(id_, int | str) else None
+    return reading.parse_integer(str(id_)) if isinstance(id_, int | str) else None
 
 
 def _covariance(
     properties: Mapping[str, Any], place: Georeference, is_line: bool
 ) -> FloatArray | None:
-    """(6, 6) in the axes of the map; None where the file has none."""
+    """Return the covariance (6, 6) in the axes of the map; None if the file has none."""
     if properties.get("covariance_enu_m2") is None:
         return None
-    matrix = checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
+    matrix = reading.checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
     if not is_line and matrix[3:].any():
         raise SemvizError("covariance_enu_m2 of a sign has 6 rows; it has 3 coordinates only")
     J = np.kron(np.eye(2), place.rotation.T)
     turned = np.asarray(J @ matrix @ J.T)
     variances = np.diagonal(turned)
-    rounded = np.abs(variances) < 1e-12 * np.abs(matrix).max()  # below zero, perhaps
+    rounded = np.abs(variances) < 1e-12 * np.abs(matrix).max()  # may be negative
     np.fill_diagonal(turned, np.where(rounded, 0.0, variances))
     return turned
 
@@ -251,4 +256,4 @@ def _covariance(
 def _texts(properties: Mapping[str, Any], name: str) -> tuple[str, ...]:
     if properties.get(name) is None:
         return ()
-    return tuple(as_text(one, name) for one in listed(properties, name))
+    return tuple(as_text(text, name) for text in listed(properties, name))

@@ -1,4 +1,4 @@
-"""Between a map's own metres and WGS84: latitude, longitude, height above the ellipsoid."""
+"""Conversion between map metres and WGS84: latitude, longitude, height above the ellipsoid."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from pyproj import Transformer
 
 FURTHEST_M = 100_000.0
-"""A map reaches no further from its origin: what does is somewhere else, or swapped."""
+"""Largest extent of a map: farther points are misplaced, or have swapped coordinates."""
 
 
 @dataclass(frozen=True)
 class Georeference:
-    """Where a map's origin is on the ellipsoid, and which way its x axis points there.
+    """Position of a map's origin on the ellipsoid, and the heading of its x axis.
 
-    The map's axes are those of the tangent plane at the origin: z is up there, y is to the left
-    of x. x points east and y north unless ``x_heading_deg``, a compass direction, says otherwise.
+    The map's axes are those of the tangent plane at the origin: z is up, y is to the left of x.
+    ``x_heading_deg`` is the compass direction of x; by default x points east.
     """
 
     latitude_deg: float
@@ -45,12 +45,12 @@ class Georeference:
 
     @classmethod
     def of(cls, frame: MapFrame) -> "Georeference | None":
-        """What a map frame knows; None where it does not know its origin."""
+        """Return the georeference of a map frame; None if its origin is not known."""
         return None if frame.origin is None else cls(*frame.origin, frame.x_heading_deg)
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """As ``MapFrame.origin``."""
+        """Latitude, longitude (deg) and height (m), as in ``MapFrame.origin``."""
         return (self.latitude_deg, self.longitude_deg, self.height_m)
 
     @cached_property
@@ -63,15 +63,15 @@ class Georeference:
         return np.array([[s, -c, 0.0], [c, s, 0.0], [0.0, 0.0, 1.0]])
 
     def to_wgs84(self, points_m: FloatArray) -> FloatArray:
-        """(n, 3) longitude, latitude (deg) and height (m), in GeoJSON's order, of map points."""
+        """Return longitude, latitude (deg) and height (m), (n, 3), of map points (n, 3)."""
         enu = points_m @ self.rotation.T
         x, y, z = enu.T
         return np.column_stack(self._topocentric.transform(x, y, z, direction="INVERSE"))
 
     def to_map(self, places: FloatArray) -> FloatArray:
-        """(n, 3) map points of longitude, latitude, height (n, 3).
+        """Return map points (n, 3) of longitudes, latitudes and heights (n, 3).
 
-        Raises SemvizError where they are no WGS84, or far from the origin.
+        Raise SemvizError if they are not WGS84, or too far from the origin.
         """
         outside = ~(np.abs(places[:, :2]) <= [180.0, 90.0]).all(axis=1)
         if outside.any():
@@ -103,8 +103,8 @@ class Georeference:
         )
 
 
-def needed(georeference: Georeference | None, why: str) -> Georeference:
-    """SemvizError where the place of the map on Earth is not known."""
+def require_georeference(georeference: Georeference | None, why: str) -> Georeference:
+    """Return ``georeference``. Raise SemvizError if it is None."""
     if georeference is None:
         raise SemvizError(
             f"{why}, and where the map's origin is on Earth is not known; "

@@ -1,8 +1,9 @@
-"""Lanelet2's OSM files, in and out: signs as lower edges with a height, poles as lines.
+"""Lanelet2's OSM files in and out: signs as lower edges with a height, poles as lines.
 
-Tags as in Lanelet2's documentation (lanelet2_core, LinestringTagging): ``type=traffic_sign`` with
-``subtype`` of region and number (``de205``). ``type=pole`` is ours: Lanelet2 lets new types be
-added. What only we know is in tags ``semviz:...`` and attributes ``semviz_...`` of the root.
+Tags follow Lanelet2's documentation (lanelet2_core, LinestringTagging): ``type=traffic_sign``
+with ``subtype`` of region and number (``de205``). ``type=pole`` is a semviz type; Lanelet2
+allows new ones. Data that only semviz reads is in tags ``semviz:...`` and root attributes
+``semviz_...``.
 """
 
 from collections.abc import Mapping
@@ -11,28 +12,19 @@ from xml.etree import ElementTree  # for writing only; read with defusedxml
 
 import numpy as np
 
-from semviz_annotation.formats.numbers import number, quoted
-from semviz_annotation.formats.reading import IGNORE, at
-from semviz_annotation.map_formats.georeference import Georeference, needed
-from semviz_annotation.map_formats.reading import (
-    Found,
-    Reading,
-    Thing,
-    attribute,
-    how_to_map,
-    read_xml,
-    upper_first,
-    whole,
-)
+from semviz_annotation.label_formats.numbers import number, quoted
+from semviz_annotation.label_formats.reading import IGNORE, at
+from semviz_annotation.map_formats import reading, writing
+from semviz_annotation.map_formats.georeference import Georeference, require_georeference
 from semviz_annotation.map_formats.sign_codes import SIGN_CODES
-from semviz_annotation.map_formats.tally import Tally
-from semviz_annotation.map_formats.writing import PLATE_M, across_road, drop_all_but_places
-from semviz_core.arrays import FloatArray
-from semviz_core.classes import POLE
-from semviz_core.errors import SemvizError
-from semviz_core.files import replacing
-from semviz_core.semantic_map import SemanticMap
+from semviz_core.base.classes import POLE
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
 
+NEEDS_PLACE = "Lanelet2's files are in latitude and longitude"
+"""Why an export needs the place of the map's origin."""
 CLASS, ELEMENT = "semviz:class", "semviz:id"
 ANCHOR_KNOWN, END_KNOWN, NO = "semviz:anchor_known", "semviz:end_known", "no"
 POLE_TYPE, SIGN_TYPE = "pole", "traffic_sign"
@@ -41,12 +33,12 @@ _PLACE = ("anchor_latitude", "anchor_longitude", "anchor_height", "x_heading_deg
 
 def write_lanelet2(
     semantic_map: SemanticMap, path: Path, georeference: Georeference | None
-) -> Tally:
-    """Write ways; a sign's is its lower edge, from the left to the right of who drives past."""
-    place = needed(georeference, "Lanelet2's files are in latitude and longitude")
+) -> writing.ConversionTally:
+    """Write ways; a sign's way is its lower edge, from left to right in driving direction."""
+    place = require_georeference(georeference, NEEDS_PLACE)
     elements = semantic_map.elements
-    half = 0.5 * PLATE_M * across_road(semantic_map)
-    below = elements.anchor_m - [0.0, 0.0, 0.5 * PLATE_M]
+    half = 0.5 * writing.PLATE_M * writing.across_road(semantic_map)
+    below = elements.anchor_m - [0.0, 0.0, 0.5 * writing.PLATE_M]
     lines = elements.is_line[:, None]
     first = place.to_wgs84(np.where(lines, elements.anchor_m, below - half))
     second = place.to_wgs84(np.where(lines, elements.end_m, below + half))
@@ -59,16 +51,16 @@ def write_lanelet2(
     ElementTree.indent(root)
     with replacing(path) as temporary:
         ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-    tally = Tally()
-    drop_all_but_places(semantic_map, tally)
+    tally = writing.ConversionTally()
+    writing.drop_all_but_places(semantic_map, tally)
     signs = int((~elements.is_line).sum())
-    tally.assume(f"plates of signs: {PLATE_M:g} m wide and high, facing the road", signs)
+    tally.assume(f"plates of signs: {writing.PLATE_M:g} m wide and high, facing the road", signs)
     tally.assume("numbers of signs (subtype): none, a map knows the shape only", signs)
     return tally
 
 
 def _root(frame: str, place: Georeference) -> ElementTree.Element:
-    """The outermost element, which says of which map it is."""
+    """Return the root element, which names the map frame and its origin."""
     about = zip(_PLACE, (*place.origin, place.x_heading_deg), strict=True)
     own = {f"semviz_{name}": repr(float(value)) for name, value in about}
     head = {"version": "0.6", "generator": "semviz", "semviz_frame": frame}
@@ -102,7 +94,7 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
         ELEMENT: str(int(elements.id[row])),
     }
     if not is_line:
-        tags["height"] = f"{PLATE_M:g}"
+        tags["height"] = f"{writing.PLATE_M:g}"
     if not elements.anchor_known[row]:
         tags[ANCHOR_KNOWN] = NO
     if is_line and not elements.end_known[row]:
@@ -110,61 +102,67 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
     return tags
 
 
-def read_lanelet2(path: Path, reading: Reading) -> Found:
-    """Signs and poles of a file, ours or another's; SemvizError naming the way that is broken."""
-    root = read_xml(path, "osm")
+def read_lanelet2(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+    """Return the content of a file of semviz or another tool. Raise SemvizError if invalid."""
+    root = reading.read_xml(path, "osm")
     ours = root.get("semviz_frame")
-    reading.check_frame(ours)
-    place = needed(reading.georeference(_anchor(root)), "the file is in latitude and longitude")
-    found = Found(georeference=place)
-    nodes = {one.get("id", ""): one for one in root.iterfind("node")}
+    context.check_frame(ours)
+    place = require_georeference(
+        context.georeference(_anchor(root)), "the file is in latitude and longitude"
+    )
+    parsed = reading.ParsedMap(georeference=place)
+    nodes = {node.get("id", ""): node for node in root.iterfind("node")}
     for way in root.iterfind("way"):
         with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):
             tags = {tag.get("k", ""): tag.get("v", "") for tag in way.iterfind("tag")}
-            class_id = _class_id(tags, found.tally, reading)
+            class_id = _class_id(tags, parsed.tally, context)
             if class_id is not None:
-                points = place.to_map(_places(way, nodes, found.tally))
-                _add(points, class_id, tags, way, found, reading)
-    found.tally.drop("relations (lanelets, areas, rules)", len(root.findall("relation")))
-    return found
+                points = place.to_map(_places(way, nodes, parsed.tally))
+                _add(points, class_id, tags, way, parsed, context)
+    parsed.tally.drop("relations (lanelets, areas, rules)", len(root.findall("relation")))
+    return parsed
 
 
 def _anchor(root: ElementTree.Element) -> Georeference | None:
     if root.get("semviz_frame") is None:
         return None
-    return Georeference(*(attribute(root, f"semviz_{name}") for name in _PLACE))
+    return Georeference(*(reading.attribute(root, f"semviz_{name}") for name in _PLACE))
 
 
-def _class_id(tags: Mapping[str, str], tally: Tally, reading: Reading) -> int | None:
-    """The class of a way; None where it is neither pole nor sign, or nobody knows which."""
+def _class_id(
+    tags: Mapping[str, str], tally: writing.ConversionTally, context: reading.MapImportContext
+) -> int | None:
+    """Return the class of a way; None if it is no pole or sign, or of an unknown class."""
     if CLASS in tags:
-        return reading.class_id(tags[CLASS])
+        return context.class_id(tags[CLASS])
     kind, subtype = tags.get("type", ""), tags.get("subtype", "")
     if kind == SIGN_TYPE:
-        meant = reading.class_of_code(_codes(subtype), SIGN_CODES)
+        class_id = context.class_of_code(_codes(subtype), SIGN_CODES)
     else:
-        meant = reading.class_of_code([kind], {POLE_TYPE: POLE})
-    if isinstance(meant, int):
-        return meant
-    if meant == IGNORE:
+        class_id = context.class_of_code([kind], {POLE_TYPE: POLE})
+    if isinstance(class_id, int):
+        return class_id
+    if class_id == IGNORE:
         tally.drop("ways of a class that is ignored, as asked")
     elif kind == SIGN_TYPE:
-        tally.drop(f"signs {quoted(subtype)}: {how_to_map(subtype)}")
+        tally.drop(f"signs {quoted(subtype)}: {reading.how_to_map(subtype)}")
     else:
         tally.drop(f"ways of type {quoted(kind)}: neither sign nor pole")
     return None
 
 
 def _codes(subtype: str) -> list[str]:
-    """As in the file, and as in the table, where ``de274_1`` is ``de274.1``."""
+    """Return the code as in the file, and as in the table: ``de274_1`` is ``de274.1`` there."""
     plain = subtype.lower().replace("_", ".")
     return [subtype, plain, plain.partition("-")[0]]
 
 
 def _places(
-    way: ElementTree.Element, nodes: Mapping[str, ElementTree.Element], tally: Tally
+    way: ElementTree.Element,
+    nodes: Mapping[str, ElementTree.Element],
+    tally: writing.ConversionTally,
 ) -> FloatArray:
-    """(k, 3) longitude, latitude and height of a way's nodes."""
+    """Return longitude, latitude and height (k, 3) of a way's nodes."""
     rows = []
     for reference in way.iterfind("nd"):
         node = nodes.get(reference.get("ref", ""))
@@ -174,7 +172,7 @@ def _places(
         if not heights:
             tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
         height = number(heights[0]) if heights else 0.0
-        rows.append([attribute(node, "lon"), attribute(node, "lat"), height])
+        rows.append([reading.attribute(node, "lon"), reading.attribute(node, "lat"), height])
     if len(rows) < 2:
         raise SemvizError("a line with less than 2 nodes")
     return np.array(rows)
@@ -182,19 +180,21 @@ def _places(
 
 def _add(
     points: FloatArray, class_id: int, tags: Mapping[str, str], way: ElementTree.Element,
-    found: Found, reading: Reading,
+    parsed: reading.ParsedMap, context: reading.MapImportContext,
 ) -> None:  # fmt: skip
-    id_ = whole(tags.get(ELEMENT, way.get("id")))
+    id_ = reading.parse_integer(tags.get(ELEMENT, way.get("id")))
     anchor_known, end_known = (tags.get(name) != NO for name in (ANCHOR_KNOWN, END_KNOWN))
-    if reading.classes[class_id].kind == "line":
+    if context.classes[class_id].kind == "line":
         peak, bottom = points[0], points[-1]
-        if CLASS not in tags:  # of others: in any order
-            peak, bottom = upper_first(peak, bottom)
-        found.add(Thing(class_id, peak, bottom, id_, None, anchor_known, end_known))
+        if CLASS not in tags:  # other tools: in any order
+            peak, bottom = reading.upper_first(peak, bottom)
+        parsed.add(
+            reading.ParsedElement(class_id, peak, bottom, id_, None, anchor_known, end_known)
+        )
         return
     middle = 0.5 * (points[0] + points[-1])
     if "height" in tags:
         middle = middle + np.array([0.0, 0.0, 0.5 * number(tags["height"])])
     else:
-        found.tally.assume("middles of signs: their lower edge where they have no height")
-    found.add(Thing(class_id, middle, None, id_, None, anchor_known))
+        parsed.tally.assume("middles of signs: their lower edge where they have no height")
+    parsed.add(reading.ParsedElement(class_id, middle, None, id_, None, anchor_known))

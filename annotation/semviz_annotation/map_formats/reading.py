@@ -1,4 +1,4 @@
-"""What the readers of maps share: what they are told, what they find, and a map made of that."""
+"""Helpers of the map readers: their context, the parsed content, and the map made from it."""
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from semviz_annotation.formats.numbers import number, quoted
-from semviz_annotation.formats.reading import (
+from semviz_annotation.label_formats.numbers import number, quoted
+from semviz_annotation.label_formats.reading import (
     IGNORE,
     MOST_ITEMS,
     MOST_XML_BYTES,
@@ -17,12 +17,12 @@ from semviz_annotation.formats.reading import (
     read_bytes,
 )
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.tally import Tally
-from semviz_core.arrays import FloatArray, float_array
-from semviz_core.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.elements import Elements3D
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_annotation.map_formats.writing import ConversionTally
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.common.arrays import FloatArray, float_array
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -30,87 +30,87 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 ASSUMED_SIGMA_M = 0.1
-"""Of every coordinate of what comes from a file that does not say how exact it is."""
+"""Standard deviation of coordinates from a file that states none."""
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
-    """One pole or sign in the map frame, as a file has it."""
+class ParsedElement:
+    """One pole or sign in the map frame, as in a file."""
 
     class_id: int
     anchor_m: FloatArray
-    """(3,) peak of a pole, middle of a sign."""
+    """(3,) peak of a pole, centre of a sign."""
     end_m: FloatArray | None = None
     """(3,) bottom of a pole."""
     id: int | None = None
-    """None where the file gives it no number."""
+    """None if the file has no number."""
     covariance_m2: FloatArray | None = None
-    """(6, 6) as ``Elements3D``; None where the file does not know."""
+    """(6, 6) as in ``Elements3D``; None if the file has none."""
     anchor_known: bool = True
     end_known: bool = True
     provenance: Provenance = field(default_factory=Provenance)
 
 
 @dataclass
-class Found:
-    """What a reader found in a file."""
+class ParsedMap:
+    """The content of a file."""
 
-    things: list[Thing] = field(default_factory=list)
+    elements: list[ParsedElement] = field(default_factory=list)
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     georeference: Georeference | None = None
-    """Where the map is on Earth, if that was needed to read the file."""
-    tally: Tally = field(default_factory=Tally)
+    """Position of the map on Earth, if reading the file needed it."""
+    tally: ConversionTally = field(default_factory=ConversionTally)
 
-    def add(self, thing: Thing) -> None:
-        if len(self.things) >= MOST_ITEMS:
+    def add(self, element: ParsedElement) -> None:
+        if len(self.elements) >= MOST_ITEMS:
             raise SemvizError(f"more than {MOST_ITEMS} poles and signs; split the file")
-        self.things.append(thing)
+        self.elements.append(element)
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What a file is read against."""
+class MapImportContext:
+    """The workspace and options that a file is read with."""
 
     frame: MapFrame
-    """The map frame of the workspace, which the map will be in."""
+    """The map frame of the workspace and of the imported map."""
     classes: ClassSet = DEFAULT_CLASSES
     class_map: Mapping[str, str] = field(default_factory=dict)
-    """Name in the file -> name of a class of ours, or ``ignore``."""
+    """Class name in the file -> semviz class name, or ``ignore``."""
     anchor: Georeference | None = None
-    """Where the map frame's origin is, as the user says."""
+    """Position of the map frame's origin on Earth, as the user states it."""
 
     def georeference(self, of_file: Georeference | None = None) -> Georeference | None:
-        """Where the map is on Earth: as the user says, or the file, or the workspace."""
+        """Return the position on Earth stated by the user, else the file, else the workspace."""
         return self.anchor or of_file or Georeference.of(self.frame)
 
     def class_id(self, name: object) -> int | None:
-        """The class of ours that the file calls ``name``; None where it is to be ignored."""
+        """Return the class that the file calls ``name``; None if it is ignored."""
         if not isinstance(name, str):
             raise SemvizError(f"a class name is expected, not {quoted(name)}")
-        meant = self._mapped([name])
-        if meant == IGNORE:
+        mapped = self._mapped([name])
+        if mapped == IGNORE:
             return None
-        found = class_named(name, self.classes) if meant is None else meant
-        if not isinstance(found, int):
+        class_id = class_named(name, self.classes) if mapped is None else mapped
+        if not isinstance(class_id, int):
             raise SemvizError(
                 f"class {quoted(name)} is not known; {how_to_map(name)}, CLASS being one of "
                 f"{self._class_names()}"
             )
-        return found
+        return class_id
 
     def class_of_code(self, codes: Sequence[str], table: Mapping[str, int]) -> int | str | None:
-        """The class of the first of ``codes`` that the user mapped, or that is in ``table``.
+        """Return the class of the first of ``codes`` that the user mapped or ``table`` has.
 
-        ``ignore`` where the user said so, None where none is known.
+        Return ``ignore`` if the user mapped it so, None if no code is known.
         """
-        meant = self._mapped(codes)
-        if meant is not None:
-            return meant
+        mapped = self._mapped(codes)
+        if mapped is not None:
+            return mapped
         known = (table[code] for code in codes if table.get(code) in self.classes)
         return next(known, None)
 
     def check_frame(self, name: object) -> None:
-        """SemvizError where a map of another frame would be mixed up with this one."""
+        """Raise SemvizError if a file names another map frame."""
         if name is not None and name != self.frame.name:
             raise SemvizError(
                 f"a map of the frame {quoted(name)}, but this workspace's is "
@@ -118,56 +118,58 @@ class Reading:
             )
 
     def _mapped(self, names: Sequence[str]) -> int | str | None:
-        name = next((one for one in names if one in self.class_map), None)
+        name = next((candidate for candidate in names if candidate in self.class_map), None)
         if name is None:
             return None
-        meant = self.class_map[name]
-        class_id = IGNORE if meant == IGNORE else class_named(meant, self.classes)
+        class_name = self.class_map[name]
+        class_id = IGNORE if class_name == IGNORE else class_named(class_name, self.classes)
         if class_id is None:
             raise SemvizError(
-                f"class {quoted(name)} is mapped to {quoted(meant)}, which is not known; "
+                f"class {quoted(name)} is mapped to {quoted(class_name)}, which is not known; "
                 f"say one of {self._class_names()}"
             )
         return class_id
 
     def _class_names(self) -> str:
-        return ", ".join([*(one.name for one in self.classes), IGNORE])
+        return ", ".join([*(class_.name for class_ in self.classes), IGNORE])
 
 
 def how_to_map(name: str) -> str:
-    """What to say so that ``name`` of a file is understood."""
+    """Return the option that maps the class ``name`` of a file."""
     shown = name if name.isprintable() and 0 < len(name) <= 50 else "NAME"
     return f"say --class-map {shlex.quote(f'{shown}=CLASS')}"
 
 
-def map_of(found: Found, reading: Reading, made_by: str) -> SemanticMap:
-    """The map of what was found; SemvizError where that is nothing."""
-    things, tally = found.things, found.tally
-    if not things:
-        others = ", ".join(f"{count} x {what}" for what, count in tally.dropped.items())
-        raise SemvizError("holds no pole and no sign that can be read" + (others and f": {others}"))
+def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> SemanticMap:
+    """Return the map of the parsed elements. Raise SemvizError if there are none."""
+    rows, tally = parsed.elements, parsed.tally
+    if not rows:
+        dropped = ", ".join(f"{count} x {what}" for what, count in tally.dropped.items())
+        raise SemvizError(
+            "holds no pole and no sign that can be read" + (dropped and f": {dropped}")
+        )
     tally.assume(
         f"standard deviations: {ASSUMED_SIGMA_M:g} m where the file has none",
-        sum(one.covariance_m2 is None for one in things),
+        sum(row.covariance_m2 is None for row in rows),
     )
-    is_line = np.array([one.end_m is not None for one in things])
-    ends = [np.full(3, np.nan) if one.end_m is None else one.end_m for one in things]
+    is_line = np.array([row.end_m is not None for row in rows])
+    ends = [np.full(3, np.nan) if row.end_m is None else row.end_m for row in rows]
     elements = Elements3D(
-        id=np.array(_ids(things, tally)),
-        anchor_m=np.array([one.anchor_m for one in things]),
+        id=np.array(_ids(rows, tally)),
+        anchor_m=np.array([row.anchor_m for row in rows]),
         end_m=np.array(ends),
-        class_id=np.array([one.class_id for one in things]),
-        covariance_m2=np.array([_covariance(one) for one in things]),
-        anchor_known=np.array([one.anchor_known for one in things]),
-        end_known=is_line & np.array([one.end_known for one in things]),
+        class_id=np.array([row.class_id for row in rows]),
+        covariance_m2=np.array([_covariance(row) for row in rows]),
+        anchor_known=np.array([row.anchor_known for row in rows]),
+        end_known=is_line & np.array([row.end_known for row in rows]),
     )
-    provenance = tuple(one.provenance for one in things)
+    provenance = tuple(row.provenance for row in rows)
     return SemanticMap(
         elements=elements,
-        frame=_frame(reading.frame, found.georeference),
-        classes=reading.classes,
-        trajectory_m=found.trajectory_m,
-        provenance=provenance if any(one.label_ids for one in provenance) else (),
+        frame=_frame(context.frame, parsed.georeference),
+        classes=context.classes,
+        trajectory_m=parsed.trajectory_m,
+        provenance=provenance if any(origin.label_ids for origin in provenance) else (),
         made_by=made_by,
     )
 
@@ -178,31 +180,31 @@ def _frame(frame: MapFrame, georeference: Georeference | None) -> MapFrame:
     return MapFrame(frame.name, georeference.origin, georeference.x_heading_deg)
 
 
-def _ids(things: Iterable[Thing], tally: Tally) -> list[int]:
-    """The file's own where it has them; what has none, or one for the second time, is new."""
-    things = list(things)
-    following = max((one.id for one in things if one.id is not None), default=0)
+def _ids(rows: Iterable[ParsedElement], tally: ConversionTally) -> list[int]:
+    """Return the ids of the file; elements without an id, or with a repeated one, get a new one."""
+    rows = list(rows)
+    following = max((row.id for row in rows if row.id is not None), default=0)
     ids: list[int] = []
     taken: set[int] = set()
-    for one in things:
-        if one.id is None or one.id in taken:
+    for row in rows:
+        if row.id is None or row.id in taken:
             following += 1
             tally.assume("numbers: new ones where the file has none, or the same twice")
-        ids.append(following if one.id is None or one.id in taken else one.id)
+        ids.append(following if row.id is None or row.id in taken else row.id)
         taken.add(ids[-1])
     return ids
 
 
-def _covariance(thing: Thing) -> FloatArray:
-    if thing.covariance_m2 is not None:
-        return thing.covariance_m2
+def _covariance(row: ParsedElement) -> FloatArray:
+    if row.covariance_m2 is not None:
+        return row.covariance_m2
     variances = np.full(6, ASSUMED_SIGMA_M**2)
-    variances[3:] *= thing.end_m is not None
+    variances[3:] *= row.end_m is not None
     return np.diag(variances)
 
 
 def read_xml(path: Path, root: str) -> "Element":
-    """The outermost element, namespaces taken off; SemvizError where it is not ``root``."""
+    """Return the root element without namespaces. Raise SemvizError if it is not ``root``."""
     from xml.etree.ElementTree import ParseError
 
     from defusedxml.common import DefusedXmlException
@@ -222,28 +224,28 @@ def read_xml(path: Path, root: str) -> "Element":
 
 
 def attribute(element: "Element", name: str, default: str | None = None) -> float:
-    """A number among the attributes of an element of XML."""
+    """Return a numeric attribute of an XML element. Raise SemvizError if it is missing."""
     text = element.get(name, default)
     if text is None:
         raise SemvizError(f"a {element.tag} without {name!r}")
     return number(text)
 
 
-def whole(text: str | None) -> int | None:
-    """The number from 0 to 2^53 that ``text`` is; None where it is none."""
+def parse_integer(text: str | None) -> int | None:
+    """Return the integer from 0 to 2^53 in ``text``; None if it is not one."""
     if text is None or not (text.isascii() and text.isdigit() and len(text) <= 16):
         return None
     value = int(text)
     return value if value <= 2**53 else None
 
 
-def upper_first(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two ends of a pole, the upper one first."""
-    return (one, other) if one[2] >= other[2] else (other, one)
+def upper_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two ends of a pole, the upper one first."""
+    return (first, second) if first[2] >= second[2] else (second, first)
 
 
 def checked_covariance(value: object, name: str) -> FloatArray:
-    """(6, 6) of a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
+    """Return a covariance (6, 6) from a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
     array = float_array(cast("ArrayLike", value), (None, None), name)
     if array.shape not in ((3, 3), (6, 6)):
         raise SemvizError(f"{name} is not a matrix of 3 by 3 or 6 by 6 numbers")

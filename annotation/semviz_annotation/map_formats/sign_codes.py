@@ -1,13 +1,13 @@
-"""Which shape a traffic sign has, by country and number. The paper's classes are shapes.
+"""The shape of a traffic sign by country and number; the paper's classes are shapes.
 
-Numbers as in each country's catalogue: Germany's StVO and VzKat (``de205``, ``de274.1``),
+Numbers follow each country's catalogue: Germany's StVO and VzKat (``de205``, ``de274.1``),
 Sweden's Vägmärkesförordning by groups (``sea``, ``seb-4``). An octagon counts as rounded, a
-diamond as rectangular. Crosses and what stands for several shapes are left out.
+diamond as rectangular. Crosses and numbers with several shapes are left out.
 """
 
 from collections.abc import Iterator, Mapping
 
-from semviz_core.classes import RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.classes import RECTANGULAR, ROUNDED, TRIANGULAR
 
 _GERMAN: tuple[tuple[range, int], ...] = (
     (range(101, 152), TRIANGULAR),  # danger

@@ -1,1 +1,5 @@
-"""Labels to a map, and how good a map is."""
+"""From labels to a map: build, decisions and their review; the paper's map for comparison.
+
+`build` runs `association` and `placement`. `decisions` describes what was decided and what a
+person can answer. `quality` checks and compares maps.
+"""

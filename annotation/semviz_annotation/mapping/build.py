@@ -1,43 +1,240 @@
-"""Labels to a map.
+"""Map building from labels: triangulate label elements, link them, place the landmarks.
 
-Each label element is placed by all its labels. Those that are one thing are linked, and the things
-placed again; if wanted, together with the poses of the frames. What was decided is kept.
+Each label element is triangulated from all its labels. Elements of one landmark are linked, and
+the landmark is triangulated again, optionally by bundle adjustment with the frame poses. The map
+records its options, frames, provenance and decisions, so it can be rebuilt from changed labels.
+The report counts how the labels were used.
 """
 
-from collections.abc import Collection
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from typing import Any, TypeAlias
 
-from semviz_annotation.labels import Labels
-from semviz_annotation.mapping.assemble import elements_of
-from semviz_annotation.mapping.decided import decisions_of
-from semviz_annotation.mapping.linking.rounds import LinkOptions
-from semviz_annotation.mapping.linking.tracks import OnProgress, find_tracks
-from semviz_annotation.mapping.options import AS_USUAL, Options, options_of, settings_of
-from semviz_annotation.mapping.paper import PaperOptions, paper_tracks
-from semviz_annotation.mapping.placing.sightings import gather
-from semviz_annotation.mapping.report import BuildReport
-from semviz_core.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.errors import SemvizError
-from semviz_core.semantic_map import SemanticMap
-from semviz_core.sources.source import Source
+import numpy as np
+
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.tracks import OnProgress, Tracks, find_tracks
+from semviz_annotation.mapping.decisions import decisions_of
+from semviz_annotation.mapping.paper_baseline import PaperOptions, paper_tracks
+from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
+from semviz_annotation.mapping.placement.observations import LabelObservations, collect_observations
+from semviz_annotation.mapping.placement.reprojection import PlaceOptions
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.frame import Dataset
+from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
+from semviz_core.common.arrays import IntArray
+from semviz_core.common.errors import SemvizError
+
+PART_ID = 1_000_000
+"""A landmark split off a label element has the id ``PART_ID`` * part + number."""
+
+
+def map_elements(tracks: Tracks) -> tuple[Elements3D, tuple[Provenance, ...]]:
+    """Return the landmarks with a position, sorted by id, and the provenance of each.
+
+    The id is the smallest number of the label elements of a landmark, so it stays when labels are
+    added. A landmark made only of parts of label elements has an id from ``PART_ID`` on.
+    """
+    ids, placed = _ids(tracks), tracks.placed
+    rows = np.flatnonzero(placed.ok)
+    rows = rows[np.argsort(ids[rows])]
+    kind = np.zeros(len(ids), dtype=np.int64)
+    kind[tracks.landmark] = [
+        tracks.gathered.elements[row].class_id for row in tracks.nodes.element.tolist()
+    ]
+    elements = Elements3D(
+        id=ids[rows],
+        anchor_m=placed.anchor_m[rows],
+        end_m=placed.end_m[rows],
+        class_id=kind[rows],
+        covariance_m2=placed.covariance_m2[rows],
+        anchor_known=placed.anchor_known[rows],
+        end_known=placed.end_known[rows],
+    )
+    provenance = list(_provenance(tracks))
+    return elements, tuple(provenance[row] for row in rows.tolist())
+
+
+def _ids(tracks: Tracks) -> IntArray:
+    """Return the ids (n,) of all landmarks."""
+    nodes = tracks.nodes
+    number = np.array([element.number for element in tracks.gathered.elements], dtype=np.int64)
+    ids = np.full(tracks.observations.count, np.iinfo(np.int64).max)
+    np.minimum.at(ids, tracks.landmark, number[nodes.element] + PART_ID * nodes.part)
+    return ids
+
+
+def _provenance(tracks: Tracks) -> Iterator[Provenance]:
+    """Yield for each landmark its label elements (by main part, else all) and observations."""
+    gathered, nodes, observations = tracks.gathered, tracks.nodes, tracks.observations
+    order = np.lexsort((nodes.element, tracks.landmark))
+    members = np.split(
+        order, np.searchsorted(tracks.landmark[order], np.arange(1, observations.count))
+    )
+    rows = np.split(observations.label_row, np.cumsum(observations.seen)[:-1])
+    for some, label_rows in zip(members, rows, strict=True):
+        main = some[nodes.part[some] == 0]
+        named = main if len(main) else some
+        yield Provenance(
+            tuple(gathered.elements[row].id for row in nodes.element[named].tolist()),
+            tuple(gathered.label_rows[row].id for row in label_rows.tolist()),
+        )
+
+
+_MOST_LINES = 12
+_MOST_NAMES = 6
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """How the labels were used."""
+
+    decisions: tuple[Decision, ...]
+    """The decisions in the map."""
+    names: dict[int, str]
+    """Names of all label elements considered, by number."""
+    observations: int
+    """Number of observations considered."""
+    used: int
+    """Number of observations used in the map."""
+    elements: int
+    """Number of elements in the map."""
+
+    @classmethod
+    def of(cls, semantic_map: SemanticMap, gathered: LabelObservations) -> "BuildReport":
+        """Return the report of a map built from ``gathered``."""
+        name = semantic_map.classes.element_name
+        return cls(
+            decisions=semantic_map.decisions,
+            names={
+                element.number: name(element.class_id, element.number)
+                for element in gathered.elements
+            },
+            observations=len(gathered.label_rows),
+            used=sum(len(provenance.observation_ids) for provenance in semantic_map.provenance),
+            elements=len(semantic_map),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "label_elements": len(self.names),
+            "observations": self.observations,
+            "used": self.used,
+            "elements": self.elements,
+            "decisions": [asdict(decision) for decision in self.decisions],
+        }
+
+    def __str__(self) -> str:
+        return "\n".join([self._summary(), *self._lines()])
+
+    def _summary(self) -> str:
+        counts = Counter(decision.kind for decision in self.decisions)
+        return (
+            f"{len(self.names)} label elements, {self.used} of {self.observations} observations "
+            f"used: {counts['merge']} merged, {counts['apart']} kept apart, {counts['split']} "
+            f"split, {counts['leave out']} left out"
+        )
+
+    def _lines(self) -> Iterator[str]:
+        """Yield one line per decision, with a limit per kind."""
+        counts: Counter[str] = Counter()
+        for decision in self.decisions:
+            counts[decision.kind] += 1
+            if counts[decision.kind] <= _MOST_LINES:
+                yield f"{_WORDS[decision.kind]} {self._names(decision)}: {decision.reason}"
+        for kind, count in counts.items():
+            if count > _MOST_LINES:
+                yield f"{_WORDS[kind]} {count - _MOST_LINES} more"
+
+    def _names(self, decision: Decision) -> str:
+        names = [self.names[number] for number in decision.numbers]
+        more = len(names) - _MOST_NAMES
+        return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+_WORDS = {"merge": "merged", "apart": "kept apart", "split": "split", "leave out": "left out"}
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """Options of the method that uses all views jointly."""
+
+    sigma_px: float = 1.0
+    """Standard deviation of labels in each direction: 1 for people, 2 to 4 for detectors."""
+    min_angle_deg: float = 0.5
+    """Landmarks with smaller ray angles are left out: by stereo alone, with KITTI's baseline, from
+    62 m on, where 1 px is 10 m."""
+    pose_sigma_m: float = 0.05
+    """Pose error in each direction between two passes, used for linking and for outliers. KITTI 02
+    has about as much within one pass: 1 px at 30 m."""
+    min_frames: int = 1
+    """Landmarks seen in fewer frames are left out. 1 for people, who draw few false positives; 2 or
+    3 for detectors."""
+    refine: RefineOptions | None = None
+    """Priors of the frame poses for bundle adjustment; None keeps the poses."""
+
+    @property
+    def place(self) -> PlaceOptions:
+        return PlaceOptions(self.sigma_px, float(np.deg2rad(self.min_angle_deg)))
+
+
+Options: TypeAlias = BuildOptions | PaperOptions
+DEFAULT_OPTIONS = BuildOptions()
+
+
+def settings_of(options: Options, frames: Collection[int] | None) -> dict[str, Any]:
+    """Return options and frames as JSON values; ``options_of`` is the inverse."""
+    method = "paper" if isinstance(options, PaperOptions) else "joint"
+    chosen = None if frames is None else sorted(frames)
+    return {"method": method, "frames": chosen, **asdict(options)}
+
+
+def options_of(settings: Mapping[str, Any]) -> tuple[Options, Collection[int] | None]:
+    """Return the build options and frames in a map's ``settings``.
+
+    Raise SemvizError if the map was not built from labels, or by another version of semviz.
+    """
+    given = dict(settings)
+    method, frames = given.pop("method", None), given.pop("frames", None)
+    try:
+        if method == "paper":
+            return PaperOptions(**given), frames
+        if method == "joint":
+            given["refine"] = _refine_options(given["refine"])
+            return BuildOptions(**given), frames
+    except (KeyError, TypeError, ValueError):
+        raise SemvizError(
+            "this map was built by another version of semviz; run 'semviz map build'"
+        ) from None
+    raise SemvizError("this map does not say how it was built; run 'semviz map build'")
+
+
+def _refine_options(given: Mapping[str, Any] | None) -> RefineOptions | None:
+    if given is None:
+        return None
+    return RefineOptions(**(dict(given) | {"place": PlaceOptions(**given["place"])}))
 
 
 def build_map(
     labels: Labels,
-    source: Source,
-    options: Options = AS_USUAL,
+    source: Dataset,
+    options: Options = DEFAULT_OPTIONS,
     frames: Collection[int] | None = None,
     classes: ClassSet = DEFAULT_CLASSES,
     on_progress: OnProgress = lambda what, done, of: None,
 ) -> tuple[SemanticMap, BuildReport]:
-    """A map of what is labelled in two or more images of ``frames`` (None: all), and what became
-    of the labels. ``PaperOptions`` make the paper's map.
+    """Return the map of elements labelled in two or more images of ``frames`` (None: all).
 
-    Raises SemvizError where a labelled frame is not in the source or has no pose, or nothing can
-    be placed.
+    ``PaperOptions`` build the paper's map. ``on_progress`` gets the stage, the count that is done,
+    and the total. Raise SemvizError if a labelled frame is not in the source or has no pose, or if
+    nothing can be triangulated.
     """
-    gathered = gather(labels, source, frames)
+    gathered = collect_observations(labels, source, frames)
     if isinstance(options, PaperOptions):
         tracks = paper_tracks(gathered, options)
     else:
@@ -45,7 +242,7 @@ def build_map(
         poses = options.refine and replace(options.refine, place=options.place)
         tracks = find_tracks(labels, gathered, linking, poses, on_progress)
     decisions = decisions_of(tracks)
-    elements, provenance = elements_of(tracks)
+    elements, provenance = map_elements(tracks)
     if not len(elements):
         raise SemvizError(f"nothing can be placed; the first of all: {decisions[0].reason}")
     views = tracks.gathered.views
@@ -66,12 +263,12 @@ def build_map(
 def rebuild_map(
     old: SemanticMap,
     labels: Labels,
-    source: Source,
+    source: Dataset,
     on_progress: OnProgress = lambda what, done, of: None,
 ) -> tuple[SemanticMap, BuildReport]:
-    """As ``old`` was built, from labels as they are now.
+    """Return the map of the present labels, built like ``old``.
 
-    Raises SemvizError as ``build_map`` does, and where ``old`` was not built from labels.
+    Raise SemvizError like ``build_map``, and if ``old`` was not built from labels.
     """
     options, frames = options_of(old.settings)
     return build_map(labels, source, options, frames, old.classes, on_progress)

@@ -1,38 +1,149 @@
-"""The detector on one screen: a model finds regions, what is in them is measured."""
+"""Detect poles and signs in images: a model finds regions, and each region is measured.
 
-from collections.abc import Sequence
+An axis, an end or a centre has several candidates, from the model's region and from edges in the
+image. The candidate with the least predicted sigma is used. The measurement function is a
+parameter of Detector.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Protocol, TypeAlias
 
-from semviz_core.arrays import ByteImage
-from semviz_core.detection.measure import Measuring, measure
-from semviz_core.detection.region import Region
-from semviz_core.elements import Elements2D
-from semviz_core.measuring.picture import Picture
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ClassSet
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.arrays import ByteImage
+from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.detection.onnx_model import OnnxModel
+from semviz_core.detection.pole_axes import best_line
+from semviz_core.detection.pole_ends import pole_extent
+from semviz_core.detection.regions import (
+    MeasuredElement,
+    Region,
+    chosen_sigma_px,
+    elements,
+    suppress_duplicates,
+)
+from semviz_core.detection.sign_centers import best_center
+from semviz_core.detection.transformers_model import HUB, TransformersModel
+from semviz_core.subpixel.sampling import SampledImage
+
+MeasureRegion: TypeAlias = Callable[
+    [SampledImage, Region, Sequence[Region]], MeasuredElement | None
+]
+"""Measures a region; None if it shows no element. The last argument are the regions of all signs in
+the image, whose poles they may be."""
 
 
-class Finder(Protocol):
-    """A model that looks at images: our network, or other people's."""
+def by_edges(
+    image: SampledImage, region: Region, signs: Sequence[Region]
+) -> MeasuredElement | None:
+    """Measure a region by the edges in the image, to a fraction of a pixel."""
+    return _pole(image, region, signs) if is_pole(region) else _sign(image, region)
+
+
+def measure(
+    image: SampledImage, regions: Sequence[Region], measure_region: MeasureRegion = by_edges
+) -> Elements2D:
+    """Return the elements in an image, at most one for each region, best score first.
+
+    A region outside the image or without extent shows none. Of regions of the same pole or sign,
+    the one with the best score is kept.
+    """
+    ordered = sorted(regions, key=lambda region: -region.score)
+    shown = [region for region in ordered if _in_image(image, region)]
+    signs = [region for region in shown if not is_pole(region)]
+    measured = [measure_region(image, region, signs) for region in shown]
+    return elements(suppress_duplicates(region for region in measured if region is not None))
+
+
+def is_pole(region: Region) -> bool:
+    return region.class_id == POLE
+
+
+def _pole(image: SampledImage, region: Region, signs: Sequence[Region]) -> MeasuredElement | None:
+    line = best_line(image, region)
+    if line is None:
+        return None
+    extent = pole_extent(image, region, line, signs)
+    if extent is None:
+        return None
+    across = chosen_sigma_px("across", line.sigma_px)
+    sigma = (across, chosen_sigma_px("along", extent.sigma_along_px))
+    return MeasuredElement(POLE, region.score, extent.ends_px, sigma, extent.known, line.width_px)
+
+
+def _sign(image: SampledImage, region: Region) -> MeasuredElement | None:
+    class_id, center = best_center(image, region)
+    sigma = (chosen_sigma_px("center", center.sigma_px),) * 2
+    size = float(center.half_px.min())
+    return MeasuredElement(
+        class_id, region.score, center.center_px[None], sigma, (True, False), size
+    )
+
+
+def _in_image(image: SampledImage, region: Region) -> bool:
+    height, width = image.image.shape[:2]
+    low, high = region.box_px[:2], region.box_px[2:]
+    inside = (high > -0.5).all() and (low < [width - 0.5, height - 0.5]).all()
+    return bool(inside and (high - low).max() >= 1.0)
+
+
+class RegionModel(Protocol):
+    """A model that finds regions of poles and signs: the shipped network or an external model."""
 
     @property
     def name(self) -> str:
-        """What people call it: in proposals, runs and reports."""
+        """The model's name in proposals, runs and reports."""
 
     def find(self, image: ByteImage) -> Sequence[Region]:
-        """What it sees in an image (height, width, 3) sRGB, of any size.
+        """Return the regions in an image (height, width, 3) sRGB, of any size.
 
-        Raises SemvizError where the model cannot take the image, or answers otherwise than told.
+        Raise SemvizError if the model cannot take the image, or its output has another format than
+        described.
         """
 
 
 @dataclass(frozen=True)
 class Detector:
-    """Finds poles and signs in images."""
+    """Detects poles and signs in images."""
 
-    finder: Finder
-    measuring: Measuring = "edges"
-    """How regions become elements; ``paper``: Canny and morphology, as the paper has it."""
+    model: RegionModel
+    measure: MeasureRegion = by_edges
+    """Measures one region."""
 
     def detect(self, image: ByteImage) -> Elements2D:
-        """The elements in an image (height, width, 3) sRGB, the most certain first."""
-        return measure(Picture(image), self.finder.find(image), self.measuring)
+        """Return the elements in an image (height, width, 3) sRGB, best score first."""
+        return measure(SampledImage(image), self.model.find(image), self.measure)
+
+
+_KINDS = (
+    "give *.safetensors of 'semviz detect train', a *.toml that describes an ONNX model, a folder "
+    f"of a transformers model, or {HUB}NAME"
+)
+
+
+def load_region_model(model: str | None = None, classes: ClassSet = DEFAULT_CLASSES) -> RegionModel:
+    """Load a model; default: the shipped one. Raise SemvizError if it cannot be loaded."""
+    path = None if model is None else Path(model)
+    if path is None or path.suffix == ".safetensors":
+        require_extra("semviz's detector", "torch", "detect")
+        from semviz_core.detection.network import load_shipped_model
+
+        return load_shipped_model(path, classes)
+    if path.suffix == ".toml":
+        return OnnxModel.load(path, classes)
+    if str(model).startswith(HUB) or (path / "config.json").is_file():
+        return TransformersModel.load(str(model), classes)
+    if path.suffix == ".onnx":
+        raise SemvizError(f"{path}: name the TOML that describes this model (docs/detector.md)")
+    raise SemvizError(f"{path}: not a model that semviz can read; {_KINDS}")
+
+
+def load_detector(
+    model: str | None = None,
+    measure: MeasureRegion = by_edges,
+    classes: ClassSet = DEFAULT_CLASSES,
+) -> Detector:
+    """Return a detector with ``load_region_model`` and a function that measures regions."""
+    return Detector(load_region_model(model, classes), measure)

@@ -1,4 +1,4 @@
-"""Models of Hugging Face transformers: segmentation and object detection."""
+"""Run a Hugging Face transformers model for segmentation or object detection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,83 +8,79 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from semviz_core.arrays import ByteImage
-from semviz_core.classes import ClassSet
-from semviz_core.detection.boxes import box_regions, detr_boxes, sigmoid, softmax
-from semviz_core.detection.image_rules import ImageRules, Size, read_image_rules
-from semviz_core.detection.masks import mask_regions, segmentation_maps
-from semviz_core.detection.model_classes import ModelClasses, model_classes, usual_classes
-from semviz_core.detection.model_input import Placing
-from semviz_core.detection.region import Region
-from semviz_core.detection.settings_file import read_settings
-from semviz_core.errors import SemvizError
+from semviz_core.base.classes import ClassSet
+from semviz_core.common.arrays import ByteImage
+from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.detection import model_config, postprocessing
+from semviz_core.detection.regions import Region
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 HUB = "hf:"
-"""Before the name of a model that Hugging Face keeps."""
+"""Prefix of a model's name on Hugging Face."""
 SETTINGS = "classes.toml"
-"""In a model's folder, where people want something else than what is usual."""
+"""Optional file in a model's folder that changes the default settings."""
 _HEADS = {
     "ForSemanticSegmentation": "AutoModelForSemanticSegmentation",
     "ForUniversalSegmentation": "AutoModelForUniversalSegmentation",
     "ForObjectDetection": "AutoModelForObjectDetection",
 }
-"""Of the names of architectures, and the classes that load them."""
+"""From the suffix of an architecture's name to the class that loads it."""
 
 
 class TransformersSettings(BaseModel):
-    """``classes.toml``."""
+    """The contents of ``classes.toml``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     least_score: float = Field(default=0.3, ge=0.0, le=1.0)
     size: tuple[int, int] | None = None
-    """Width and height of what the model looks at, in place of the model's own."""
+    """Width and height of the model's input; default: the model's own."""
     classes: dict[str, str] | None = None
-    """From its labels to our classes, ``sign`` or ``ignore``."""
+    """From the labels to semviz classes, ``sign`` or ``ignore``."""
 
 
 @dataclass(frozen=True, eq=False)
-class TransformersFinder:
-    """Looks at images with a model of transformers."""
+class TransformersModel:
+    """A region model that runs a model of transformers."""
 
     name: str
-    rules: ImageRules
-    classes: ModelClasses
+    input: model_config.ProcessorInput
+    classes: model_config.ModelClasses
     network: Any
     least_score: float
 
     @classmethod
-    def load(cls, model: str, classes: ClassSet) -> "TransformersFinder":
-        """From a folder, or ``hf:NAME`` where there is a network.
+    def load(cls, model: str, classes: ClassSet) -> "TransformersModel":
+        """Load a model from a folder, or download ``hf:NAME``.
 
-        Only safetensors are read, and no code that comes with a model is run. Raises SemvizError
-        where that cannot be, or no class of the model is a pole or a sign.
+        Only safetensors are read, and no code of the model is run. Raise SemvizError if that fails,
+        or if no class of the model is a pole or a sign.
         """
-        _check_installed(model)
+        for library in ("transformers", "torch"):
+            require_extra(model, library, "transformers")
+        _quiet()
         folder = _downloaded(model) if model.startswith(HUB) else Path(model)
-        settings, told_in = TransformersSettings(), folder / SETTINGS
-        if told_in.exists():
-            settings = read_settings(told_in, TransformersSettings)
-        rules, network = read_image_rules(folder), _load_network(folder)
-        if settings.size is not None:
-            width, height = settings.size
-            rules = rules.model_copy(
-                update={"do_resize": True, "size": Size(width=width, height=height)}
-            )
-        labels = [str(one) for _, one in sorted(network.config.id2label.items())]
-        told = usual_classes(labels) if settings.classes is None else settings.classes
-        ours = model_classes(labels, told, classes, told_in)
-        return cls(model, rules, ours, network, settings.least_score)
+        settings, settings_path = TransformersSettings(), folder / SETTINGS
+        if settings_path.exists():
+            settings = model_config.read_settings(settings_path, TransformersSettings)
+        network, processor = (
+            _load_network(folder),
+            model_config.ProcessorInput.load(folder, settings.size),
+        )
+        labels = [str(label) for _, label in sorted(network.config.id2label.items())]
+        mapping = (
+            model_config.default_classes(labels) if settings.classes is None else settings.classes
+        )
+        ours = model_config.model_classes(labels, mapping, classes, settings_path)
+        return cls(model, processor, ours, network, settings.least_score)
 
     def find(self, image: ByteImage) -> Sequence[Region]:
-        """The regions in an image (height, width, 3) sRGB, of any size."""
+        """Return the regions in an image (height, width, 3) sRGB, of any size."""
         try:
-            taken = self.rules.model_input(image.shape[1], image.shape[0])
-            placing = taken.placing(image)
-            return self._regions(self._run(taken.tensor(image, placing)), placing)
+            placement = self.input.placement(image)
+            return self._regions(self._run(self.input.tensor(image)), placement)
         except SemvizError as error:
             raise SemvizError(f"{self.name}: {error}") from None
 
@@ -94,45 +90,46 @@ class TransformersFinder:
         try:
             with torch.inference_mode():
                 return self.network(pixel_values=torch.from_numpy(tensor))
-        except Exception as error:  # whatever a model trips over
-            told = " ".join(str(error).split())
-            raise SemvizError(f"cannot run on {tensor.shape}: {told}") from None
+        except Exception as error:  # models raise errors of many types
+            message = " ".join(str(error).split())
+            raise SemvizError(f"cannot run on {tensor.shape}: {message}") from None
 
-    def _regions(self, output: Any, placing: Placing) -> list[Region]:
+    def _regions(self, output: Any, placement: model_config.ImagePlacement) -> list[Region]:
         if "pred_boxes" in output:
             logits, boxes = _finite(output.logits), _finite(output.pred_boxes)
-            found = detr_boxes(logits, boxes, len(self.classes), placing.input_size)
-            return box_regions(found, self.classes, placing, self.least_score)
+            detected = postprocessing.detr_boxes(
+                logits, boxes, len(self.classes), placement.input_size
+            )
+            return postprocessing.box_regions(detected, self.classes, placement, self.least_score)
         universal = "masks_queries_logits" in output
         logits = _universal(output) if universal else _finite(output.logits)
-        maps = segmentation_maps(logits, self.classes)
-        return mask_regions(maps, self.classes, placing, self.least_score)
+        maps = postprocessing.segmentation_maps(logits, self.classes)
+        return postprocessing.mask_regions(maps, self.classes, placement, self.least_score)
 
 
 def _universal(output: Any) -> Any:
-    """(1, classes, h, w) logits of Mask2Former and its kin, which tell masks and a class for each.
+    """Return (1, classes, h, w) logits of models like Mask2Former, which output masks with classes.
 
-    A pixel's odds are those of all masks it is in, added up.
+    A pixel's odds are the sum over all masks.
     """
-    label = softmax(_finite(output.class_queries_logits)[0], 1)[:, :-1]  # the last is nothing
-    inside = sigmoid(_finite(output.masks_queries_logits)[0])
+    label = postprocessing.softmax(_finite(output.class_queries_logits)[0], 1)[
+        :, :-1
+    ]  # the last is nothing
+    inside = postprocessing.sigmoid(_finite(output.masks_queries_logits)[0])
     odds = np.einsum("qc,qhw->chw", label, inside)
     return np.log(np.maximum(odds, 1e-12))[None]
 
 
 def _finite(tensor: "Tensor") -> Any:
     if not tensor.isfinite().all():
-        raise SemvizError("its output is not of finite numbers; its weights are damaged")
+        raise SemvizError("its output holds numbers that are not finite; its weights are damaged")
     return tensor.float().numpy()
 
 
-def _check_installed(model: str) -> None:
-    try:
-        import transformers
-    except ImportError:
-        raise SemvizError(
-            f"{model}: needs transformers; pip install 'semviz[transformers]'"
-        ) from None
+def _quiet() -> None:
+    """Silence the library: its message becomes part of SemvizError."""
+    import transformers
+
     transformers.utils.logging.set_verbosity(transformers.utils.logging.CRITICAL)
     transformers.utils.logging.disable_progress_bar()
 
@@ -143,15 +140,15 @@ def _downloaded(model: str) -> Path:
     try:
         name = model.removeprefix(HUB)
         return Path(snapshot_download(name, allow_patterns=["*.json", "*.safetensors"]))
-    except Exception as error:  # no network, no such name, no right to it
-        told = " ".join(str(error).split())
+    except Exception as error:  # no network, unknown name, no permission
+        message = " ".join(str(error).split())
         raise SemvizError(
-            f"{model}: cannot be fetched ({told}); give the folder of a model that is here"
+            f"{model}: cannot be fetched ({message}); give the folder of a local model"
         ) from None
 
 
 def _load_network(folder: Path) -> Any:
-    """Ready to look. Raises SemvizError where it is of another kind, damaged, or not whole."""
+    """Load a network for inference. Raise SemvizError if its kind is unknown, or it is damaged."""
     import torch
     import transformers
 
@@ -163,10 +160,10 @@ def _load_network(folder: Path) -> Any:
         loader = next((kind for head, kind in _HEADS.items() if names[0].endswith(head)), None)
         if loader is None:
             raise SemvizError(
-                f"a model of architecture {names[0]}; semviz takes those for semantic or universal "
+                f"architecture {names[0]}; semviz takes models for semantic or universal "
                 "segmentation and for object detection"
             )
-        network, told = getattr(transformers, loader).from_pretrained(
+        network, loading = getattr(transformers, loader).from_pretrained(
             folder,
             dtype=torch.float32,
             local_files_only=True,
@@ -174,9 +171,9 @@ def _load_network(folder: Path) -> Any:
             use_safetensors=True,
             output_loading_info=True,
         )
-    except Exception as error:  # its errors are of many kinds
+    except Exception as error:  # its errors are of many types
         raise SemvizError(f"{folder}: cannot be loaded: {' '.join(str(error).split())}") from None
-    if told["missing_keys"]:
-        missing = ", ".join(sorted(told["missing_keys"])[:3])
-        raise SemvizError(f"{folder}: its weights are not whole: no {missing}")
+    if loading["missing_keys"]:
+        missing = ", ".join(sorted(loading["missing_keys"])[:3])
+        raise SemvizError(f"{folder}: its weights are incomplete, without {missing}; copy it again")
     return network.eval()

@@ -1,1 +1,1 @@
-"""What a map lets a camera know of its place, before any camera has been there."""
+"""Predict the localization error along a route from the map alone."""

@@ -1,65 +1,130 @@
-"""The whole of it on one screen: a map and a route, to what a camera will know of its place."""
+"""Predict the localization error and status at every position of a route.
+
+No formula predicts how often two positions are confused: that depends on chance, on missed, false
+and hidden detections, and on the localizer's own limits. So simulated frames at each pose are
+localized by the real localizer. Stretches summarize the route by means, and sigmas by medians.
+"""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from semviz_core.arrays import FloatArray, IntArray
-from semviz_core.camera import Camera
-from semviz_core.errors import SemvizError
-from semviz_core.localizability.conditions import Conditions
-from semviz_core.localizability.effects import Effect, critical, suggest
-from semviz_core.localizability.outlook import LOST_M, look_out
-from semviz_core.localizability.route import candidates_beside, distance_along
-from semviz_core.localizability.trial import try_out
-from semviz_core.pose import Pose
-from semviz_core.semantic_map import SemanticMap
+from semviz_core.base.camera import Camera
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.priors import simulate_prior
+from semviz_core.localizability.element_effects import Effect, critical, suggest
+from semviz_core.localizability.expected_error import LOST_M, expected_error
+from semviz_core.localizability.route import Conditions, candidates_beside, detect, distance_along
+from semviz_core.localization.localizer import Localizer
+
+_LEAST_VARIANCE_M2 = 1e-12  # of a map without errors; its covariance has no factor
+
+
+class OutcomeShares(NamedTuple):
+    """Shares of the simulated frames at one pose, by status."""
+
+    ok: float
+    ambiguous: float
+    """Includes frames with status ``ok`` that are LOST_M off or more."""
+    cannot: float
+
+
+def simulate_localization(
+    semantic_map: SemanticMap,
+    camera: Camera,
+    T_map_camera: Pose,
+    conditions: Conditions,
+    number: int,
+) -> OutcomeShares:
+    """Localize ``conditions.trials`` simulated frames at one pose; return the status shares.
+
+    The true elements are drawn from the map's covariances, so the map has the errors it states.
+    """
+    localizer = Localizer(classes=semantic_map.classes, detector=conditions.detector)
+    nearby = semantic_map.crop(T_map_camera.translation, conditions.crop_radius_m)
+    counts = dict.fromkeys(OutcomeShares._fields, 0)
+    for trial in range(conditions.trials):
+        rng = np.random.default_rng([conditions.seed, number, trial])
+        observed = detect(
+            _true_elements(nearby, rng), camera, T_map_camera.inverse(), conditions, rng
+        )
+        prior = simulate_prior(T_map_camera, conditions.prior, int(rng.integers(2**63)))
+        road_m = semantic_map.road_near(prior.position_m, conditions.road_radius_m)
+        submap = semantic_map.crop(prior.position_m, conditions.crop_radius_m)
+        localization = localizer.localize(observed, submap, camera, replace(prior, road_m=road_m))
+        counts[_outcome(localization, T_map_camera)] += 1
+    return OutcomeShares(*(count / conditions.trials for count in counts.values()))
+
+
+def _true_elements(mapped: Elements3D, rng: np.random.Generator) -> Elements3D:
+    """Return true elements drawn from the covariances of the mapped ones."""
+    factor = np.linalg.cholesky(mapped.covariance_m2 + _LEAST_VARIANCE_M2 * np.eye(6))
+    offset = np.einsum("nij,nj->ni", factor, rng.standard_normal((len(mapped), 6)))
+    return replace(
+        mapped, anchor_m=mapped.anchor_m + offset[:, :3], end_m=mapped.end_m + offset[:, 3:]
+    )
+
+
+def _outcome(localization: Localization, T_map_camera: Pose) -> str:
+    if localization.status != "ok" or localization.T_camera_map is None:
+        return localization.status
+    center = localization.T_camera_map.inverse().translation
+    error_m = np.linalg.norm(center - T_map_camera.translation)
+    return "ok" if error_m < LOST_M else "ambiguous"
+
 
 STRETCH_M = 20.0
 NEARBY_M = 5.0
-"""Positions no further along the route than this share what was drawn for them: they see nearly
-the same, and share its chance."""
+"""Draws are averaged over positions within this distance along the route, since these see nearly
+the same elements."""
 EFFECTS = 3
-"""So many new elements are suggested, and so many critical ones named."""
+"""Number of suggested elements, and of critical ones."""
 LIMITS_M = (0.1, 0.2, 0.4, 0.7)
-"""Of the expected error, between the levels in which it is shown; the same for all maps."""
+"""Limits between the levels in which the expected error is shown; the same for all maps."""
 
-Watch = Callable[[Iterable[Pose], str, int], Iterable[Pose]]
-"""Passes poses through, and tells people what is done with them and how many there are."""
+RouteProgress = Callable[[Iterable[Pose], str, int], Iterable[Pose]]
+"""Yields the poses it is given; also gets what is done with them and their number, to show it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Localizability:
-    """What single frames will know of their place at k positions along a route."""
+    """The predicted accuracy of single frames at k positions along a route."""
 
     T_map_camera: tuple[Pose, ...]
     along_m: FloatArray
     """(k,) metres driven up to each position."""
     found: FloatArray
-    """(k,) mapped elements that a detector finds, on average."""
+    """(k,) mean number of mapped elements that a detector finds."""
     sigma_m: FloatArray
-    """(k,) of the camera centre: the median over what may be found; inf where most frames have no
-    answer."""
+    """(k,) sigma of the camera centre: median over detection outcomes, inf if most give no pose."""
     sigma_deg: FloatArray
-    """(k,) of the heading, likewise."""
+    """(k,) sigma of the heading, likewise."""
     expected_m: FloatArray
-    """(k,) mean sigma of the camera centre over what may be found; a frame without an answer, or
-    with a worse one, counts as 1 m."""
+    """(k,) mean sigma of the camera centre over detection outcomes, each at most LOST_M, also
+    without a pose."""
     lost: FloatArray
-    """(k,) share of frames that find too little to answer."""
+    """(k,) share of outcomes with too few elements for a pose."""
     ambiguous: FloatArray
-    """(k,) share of frames whose answer is not sure, or is sure and 1 m off."""
+    """(k,) share of frames with status ``ambiguous``, or ``ok`` and LOST_M off or more."""
     suggested: tuple[Effect, ...]
-    """New elements that would help most, each given those before it."""
+    """New elements that would help most, each given the previous ones."""
     critical: tuple[Effect, ...]
     """Mapped elements whose loss would cost most."""
 
     def stretches(self) -> "tuple[Stretch, ...]":
-        """The route in pieces of STRETCH_M, the worst first."""
+        """Return the route in stretches of STRETCH_M, worst first."""
         piece = (self.along_m // STRETCH_M).astype(np.int64)
-        found = [self._stretch(np.flatnonzero(piece == one)) for one in np.unique(piece)]
-        return tuple(sorted(found, key=lambda one: (-one.badness_m, one.first_m)))
+        stretches = [
+            self._stretch(np.flatnonzero(piece == stretch)) for stretch in np.unique(piece)
+        ]
+        return tuple(sorted(stretches, key=lambda stretch: (-stretch.badness_m, stretch.first_m)))
 
     def _stretch(self, rows: IntArray) -> "Stretch":
         return Stretch(
@@ -78,10 +143,10 @@ class Localizability:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A piece of the route: means over its positions, of sigmas the median."""
+    """A stretch of the route: means over its positions, and medians of sigmas."""
 
     first: int
-    """Position where it begins."""
+    """Its first position."""
     last: int
     """Its last position."""
     first_m: float
@@ -95,7 +160,7 @@ class Stretch:
 
     @property
     def badness_m(self) -> float:
-        """The expected error if a frame that is not sure counts as one without an answer."""
+        """Expected error if ambiguous frames count as frames without a pose."""
         return self.expected_m + self.ambiguous * (LOST_M - self.expected_m)
 
 
@@ -104,46 +169,46 @@ def predict(
     camera: Camera,
     poses: tuple[Pose, ...],
     conditions: Conditions,
-    watch: Watch = lambda items, what, total: items,
+    watch: RouteProgress = lambda items, what, total: items,
 ) -> Localizability:
-    """Localizability at ``poses`` (T_map_camera), in the order in which a camera comes by.
+    """Predict localizability at ``poses`` (T_map_camera), in the order of the drive.
 
-    Images are taken to be undistorted: of a lens, only how far the image reaches would matter.
+    Images are assumed undistorted: a lens would change only the limits of the image.
     """
     if not len(semantic_map):
-        raise SemvizError("the map is empty: nothing in it can be seen")
+        raise SemvizError("the map is empty: choose a map with elements")
     if not poses:
         raise SemvizError(
             "no pose along the route: the map has no trajectory, and no poses are given"
         )
-    outlooks = [
-        look_out(semantic_map, camera, pose, conditions, number)
-        for number, pose in enumerate(watch(poses, "looking along the route", len(poses)))
+    positions = [
+        expected_error(semantic_map, camera, pose, conditions, number)
+        for number, pose in enumerate(watch(poses, "predicting errors", len(poses)))
     ]
-    tried = np.array([
-        try_out(semantic_map, camera, pose, conditions, number)
-        for number, pose in enumerate(watch(poses, "trying made-up frames", len(poses)))
+    shares = np.array([
+        simulate_localization(semantic_map, camera, pose, conditions, number)
+        for number, pose in enumerate(watch(poses, "simulating frames", len(poses)))
     ])  # fmt: skip
-    sigmas = np.array([np.median(one.sigmas(), axis=0) for one in outlooks])
+    sigmas = np.array([np.median(position.sigmas(), axis=0) for position in positions])
     along_m = distance_along(np.array([pose.translation for pose in poses]))
     elements = semantic_map.elements
     candidates = candidates_beside(poses, elements, semantic_map.classes)
     return Localizability(
         T_map_camera=poses,
         along_m=along_m,
-        found=np.array([one.count.mean() for one in outlooks]),
+        found=np.array([position.count.mean() for position in positions]),
         sigma_m=sigmas[:, 0],
         sigma_deg=np.rad2deg(sigmas[:, 1]),
-        expected_m=_mean_nearby(along_m, np.array([one.expected_m for one in outlooks])),
-        lost=_mean_nearby(along_m, np.array([one.lost for one in outlooks])),
-        ambiguous=_mean_nearby(along_m, tried[:, 1]),
-        suggested=suggest(outlooks, along_m, candidates, camera, conditions, EFFECTS),
-        critical=critical(outlooks, along_m, elements, EFFECTS),
+        expected_m=_mean_nearby(along_m, np.array([position.expected_m for position in positions])),
+        lost=_mean_nearby(along_m, np.array([position.lost for position in positions])),
+        ambiguous=_mean_nearby(along_m, shares[:, 1]),
+        suggested=suggest(positions, along_m, candidates, camera, conditions, EFFECTS),
+        critical=critical(positions, along_m, elements, EFFECTS),
     )
 
 
 def _mean_nearby(along_m: FloatArray, values: FloatArray) -> FloatArray:
-    """(k,) mean of the values (k,) at positions up to NEARBY_M before and after each."""
+    """Return (k,) means of the values (k,) at positions up to NEARBY_M before and after each."""
     first = np.searchsorted(along_m, along_m - NEARBY_M)
     last = np.searchsorted(along_m, along_m + NEARBY_M, side="right")
     sums = np.concatenate([[0.0], np.cumsum(values)])

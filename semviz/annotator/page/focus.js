@@ -1,44 +1,60 @@
-// The whole page by keys: from panel to panel, and up and down in a list.
+// @ts-check
+// Keyboard focus: from panel to panel, and up and down in a list.
+
+import { find } from "/static/dom.js";
 
 const PANELS = ".topbar, .panel, .frames";
 const INSIDE = "canvas.marks, .row.chosen, .tile.current, button, input, select";
+/** @type {Record<string, number>} */
 const STEPS = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 };
 
-/** Puts the focus into the next panel in sight that has something to focus. */
+/** Moves the focus to the next visible panel that can have it.
+ *
+ * @param {number} by
+ */
 export function nextPanel(by) {
   const panels = [...document.querySelectorAll(PANELS)].filter((panel) => first(panel));
-  const place = panels.findIndex((panel) => panel.contains(document.activeElement));
-  first(panels[(place + by + panels.length + (place < 0 && by < 0 ? 1 : 0)) % panels.length]).focus();
+  const index = panels.findIndex((panel) => panel.contains(document.activeElement));
+  first(panels[(index + by + panels.length + (index < 0 && by < 0 ? 1 : 0)) % panels.length])?.focus();
 }
 
-/** Puts the focus back to the images. Returns whether it was in a panel. */
+/** Moves the focus back to the images. Returns whether it was in a panel. */
 export function backToImages() {
-  if (!document.activeElement.matches("button, input, select")) return false;
-  document.querySelector("canvas.marks").focus({ preventScroll: true });
+  if (!document.activeElement?.matches("button, input, select")) return false;
+  focusImages();
   return true;
 }
 
-/** Arrows move the focus within a list; Ctrl Enter is the click with Ctrl. */
+/** Moves the focus to the left image. */
+export function focusImages() {
+  find(document, "canvas.marks").focus({ preventScroll: true });
+}
+
+/** Lets arrow keys move the focus within a list, and Ctrl Enter act as Ctrl click. */
 export function watchLists() {
   window.addEventListener("keydown", (event) => {
-    const list = event.target.closest?.(".list, .strip");
-    if (!list || !event.target.matches("button") || event.defaultPrevented) return;
+    const { target } = event;
+    const list = target instanceof HTMLButtonElement && target.closest(".list, .strip");
+    if (!list || event.defaultPrevented) return;
     if (event.key === "Enter" && event.ctrlKey) {
       event.preventDefault();
-      event.target.dispatchEvent(new MouseEvent("click", { bubbles: true, ctrlKey: true }));
+      target.dispatchEvent(new MouseEvent("click", { bubbles: true, ctrlKey: true }));
       return;
     }
     const by = STEPS[event.key];
     if (!by) return;
     event.preventDefault();
     const rows = [...list.querySelectorAll("button")].filter(isShown);
-    rows[rows.indexOf(event.target) + by]?.focus();
+    rows[rows.indexOf(target) + by]?.focus();
   });
 }
 
+/** @param {Element} panel */
 function first(panel) {
-  const inside = [...panel.querySelectorAll(INSIDE)].filter((one) => isShown(one) && !one.disabled);
-  return inside.find((one) => one.matches(".chosen, .current")) ?? inside[0];
+  const all = /** @type {HTMLElement[]} */ ([...panel.querySelectorAll(INSIDE)]);
+  const enabled = all.filter((node) => isShown(node) && !("disabled" in node && node.disabled));
+  return enabled.find((node) => node.matches(".chosen, .current")) ?? enabled[0];
 }
 
-const isShown = (one) => one.getClientRects().length > 0;
+/** @param {Element} node */
+const isShown = (node) => node.getClientRects().length > 0;

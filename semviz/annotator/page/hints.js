@@ -1,40 +1,62 @@
-// What each key does right now: the line under the images.
+// @ts-check
+// The hint line under the images: what the keys do now.
 
-/** [{keys, text}] for the state of the page, most useful first; the first six must suffice. */
+/** @import {annotator} from "/static/protocol" */
+/** @import {State} from "./state.js" */
+/** @import {Proposal, Selected, ShownElement} from "./values.js" */
+
+import { SIDES } from "./values.js";
+
+/** @typedef {{keys: string[], text: string}} Hint */
+
+/** The hints for the present state, most useful first; a narrow window shows only the first six.
+ *
+ * @param {State} state
+ * @returns {Hint[]}
+ */
 export function hints(state) {
-  const { drawing, selectedElement: element, selectedGhost: ghost, selected } = state;
-  if (drawing) return whileDrawing(state.classOf(drawing.class).kind, state.look?.snapped);
+  const { drawing, selectedElement: element, selectedCandidate: candidate, selected } = state;
+  if (drawing) return forDrawing(state.classOf(drawing.class).kind, state.preview?.snapped);
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
-  if (state.review && !selected) return whileAsked(state.review);
+  if (state.review && !selected) return forReview(state.review.entry);
   if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
-  const offer = state.currentOffer;
-  if (offer && (!element || element.id === offer.id)) return withOffer(state, offer);
-  if (element) return withElement(state, element, selected);
-  if (ghost) return [hint(`${ghost.name} here`, "Click"), hint("not this one", "Esc")];
+  const proposal = state.currentProposal;
+  if (proposal && (!element || element.id === proposal.id)) return forProposal(state, proposal);
+  if (element && selected) return forElement(state, element, selected);
+  if (candidate) return [hint(`${candidate.name} here`, "Click"), hint("not this one", "Esc")];
   return [
-    draw, hint("class", ...state.hello.classes.slice(0, 9).map((_, place) => `${place + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
+    draw, hint("class", ...state.workspace.classes.slice(0, 9).map((_, index) => `${index + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
 }
 
-function whileAsked({ answers }) {
-  const said = answers.slice(0, 2).map(({ title }, place) => hint(title.toLowerCase(), ["Y", "Shift Y"][place]));
-  return [...said, hint("zoom to it", "Z"), hint("the next", "Shift ."), hint("the one before", "Shift ,"), hint("close", "Esc")];
+/** @param {annotator.EntryView} entry */
+function forReview({ answers }) {
+  const options = answers.slice(0, 2).map(({ title }, index) => hint(title.toLowerCase(), ["Y", "Shift Y"][index]));
+  return [...options, hint("zoom to it", "Z"), hint("next", "Shift ."), hint("previous", "Shift ,"), hint("close", "Esc")];
 }
 
-function withOffer(state, offer) {
-  const sure = state.sureOffers.length;
-  const other = offer.left?.runner_up || offer.right?.runner_up;
+/**
+ * @param {State} state
+ * @param {Proposal} proposal
+ */
+function forProposal(state, proposal) {
+  const confident = state.confidentProposals.length;
+  const second = proposal.marks.left?.runner_up ?? proposal.marks.right?.runner_up;
   return [
-    hint(`accept ${offer.name}`, "Space"),
-    ...(sure > 1 ? [hint(`accept ${sure} sure ones`, "Shift Space"), hint("and on", "Ctrl Enter")] : []),
-    hint("reject", "X"), hint("next", "Tab"), ...(other ? [hint("runner-up", "K")] : []),
+    hint(`accept ${proposal.name}`, "Space"),
+    ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint("and next frame", "Ctrl Enter")] : []),
+    hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
     hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
   ];
 }
 
-function whileDrawing(kind, snapped) {
+/**
+ * @param {"line" | "point"} kind
+ * @param {annotator.SnappedMark | null | undefined} snapped
+ */
+function forDrawing(kind, snapped) {
   if (kind === "point") return [hint("sets the middle", "Release"), hint("cancel", "Esc")];
   return [
     hint("bottom", "Click"), hint("cancel", "Esc"), hint(snapped?.end_known === false ? "bottom not hidden" : "bottom hidden", "O"), hint("peak cut", "C"),
@@ -42,13 +64,18 @@ function whileDrawing(kind, snapped) {
   ];
 }
 
-function withElement(state, element, { side }) {
+/**
+ * @param {State} state
+ * @param {ShownElement} element
+ * @param {Selected} selected
+ */
+function forElement(state, element, { side }) {
   const here = element.observations[side];
-  const isLine = state.classOf(element.class).kind === "line";
-  const sure = state.sureOffers.length;
-  const missing = state.hasRight && ["left", "right"].find((one) => !element.observations[one]);
+  const isLine = state.classOf(element.class_id).kind === "line";
+  const confident = state.confidentProposals.length;
+  const missing = state.hasRight && SIDES.find((other) => !element.observations[other]);
   return [
-    ...(sure ? [hint(`accept ${sure} sure`, "Shift Space")] : []),
+    ...(confident ? [hint(`accept ${confident} confident`, "Shift Space")] : []),
     ...(missing ? [hint(`${element.name} in the ${missing} image`, "Click")] : []),
     ...(here ? [hint("0.1 px", "Arrows"), hint("delete", "Del")] : []),
     ...(here && isLine ? [hint("bottom hidden", "O"), hint("peak cut", "C"), hint("swap", "R")] : []),
@@ -56,4 +83,9 @@ function withElement(state, element, { side }) {
   ];
 }
 
+/**
+ * @param {string} text
+ * @param {...string} keys
+ * @returns {Hint}
+ */
 const hint = (text, ...keys) => ({ keys, text });

@@ -1,58 +1,85 @@
-// The two image canvases: one zoom and pan for both, and what is drawn on them.
+// @ts-check
+// The two image canvases: shared zoom and pan, hit tests, painting.
+/** @import {State} from "./state.js" */
+/** @import {Point, Side} from "./values.js" */
 import { Surface, View } from "/static/canvas.js";
-import { SIDES } from "./state.js";
+import { find } from "/static/dom.js";
+import { SIDES } from "./values.js";
 import * as paint from "./paint.js";
 
-const MOST = 64; // CSS pixels to the image pixel
-const COMING = 0.3; // opacity of the picture before, until the next one is there
+const MAX_SCALE = 64; // CSS pixels per image pixel
+const LOADING_OPACITY = 0.3; // of the previous frame's image until the next one is loaded
 const LOUPE = { zoom: 8, size: 152, height: 172, gap: 12 };
 
+/** The part of an observation under the pointer.
+ * @typedef {{element: string, observation: string, part: "anchor" | "end" | "line"}} Hit */
+
 export class Images {
-  /** `panels`: {left, right} sections with two canvases, for the picture and for the marks on it,
-   * and a message; `shownKey` as for `Painter`. Marks change with every move of the pointer, the picture only with the view. */
+  /** Marks and image have canvases of their own: marks change with the pointer, the image with the view.
+   *
+   * @param {State} state
+   * @param {Record<Side, HTMLElement>} panels sections with two canvases, for the
+   *   image and its marks, and a message
+   * @param {(name: string) => string} shownKey as for `Painter`
+   */
   constructor(state, panels, shownKey) {
     this.state = state;
     this.panels = panels;
     this.shownKey = shownKey;
     this.view = new View();
+    /** @type {Record<Side, ImageBitmap | null>} */
     this.bitmaps = { left: null, right: null };
-    this.frames = { left: null, right: null }; // what they are of
-    this.pointer = null; // {side, point} while it is over an image
-    this.hovered = null; // what a press would take hold of
-    this.surfaces = {};
-    this.backgrounds = {};
-    for (const side of SIDES) {
-      const background = panels[side].querySelector("canvas.picture");
-      this.backgrounds[side] = new Surface(background, (context) => this.#paintPicture(side, context));
-      this.surfaces[side] = new Surface(this.canvas(side), (context) => this.#paintMarks(side, context));
-    }
+    /** @type {Record<Side, number | null>} */
+    this.frames = { left: null, right: null }; // the frames of these bitmaps
+    /** @type {{side: Side, point: Point} | null} */
+    this.pointer = null; // while it is over an image
+    /** @type {Hit | null} */
+    this.hovered = null; // what a press would drag
+    const background = (/** @type {Side} */ side) => {
+      const canvas = find(panels[side], "canvas.picture", HTMLCanvasElement);
+      return new Surface(canvas, (context) => this.#paintPicture(side, context));
+    };
+    const marks = (/** @type {Side} */ side) =>
+      new Surface(this.canvas(side), (context) => this.#paintMarks(side, context));
+    this.backgrounds = { left: background("left"), right: background("right") };
+    this.surfaces = { left: marks("left"), right: marks("right") };
     this.stage = this.#stage();
     this.surfaces.left.onresize = () => this.#resized();
     state.onChange(() => this.repaint());
   }
 
+  /** @param {Side} side */
   canvas(side) {
-    return this.panels[side].querySelector("canvas.marks");
+    return find(this.panels[side], "canvas.marks", HTMLCanvasElement);
   }
 
-  /** Shows `bitmap` of `frame` or, where there is none, `message` on one side. */
+  /** Shows `bitmap` of `frame` on one side; without a bitmap, `message`.
+   *
+   * @param {Side} side
+   * @param {number} frame
+   * @param {ImageBitmap | null} bitmap
+   * @param {string} message
+   */
   show(side, frame, bitmap, message = "") {
     this.bitmaps[side] = bitmap;
     this.frames[side] = frame;
-    this.canvas(side).dataset.frame = frame;
-    const note = this.panels[side].querySelector(".message");
+    this.canvas(side).dataset.frame = String(frame);
+    const note = find(this.panels[side], ".message");
     note.hidden = bitmap !== null;
     note.textContent = message;
     this.#moved();
   }
 
-  /** The picture on one side if it is there; while another frame's is still shown, faintly, nothing
-   * is marked in it and nothing can be drawn. */
+  /** The image on one side; null while the image of another frame is shown (faintly): it has no marks,
+   * and nothing can be drawn.
+   *
+   * @param {Side} side
+   */
   bitmap(side) {
     return this.frames[side] === this.state.frame ? this.bitmaps[side] : null;
   }
 
-  /** The marks; `#moved` repaints everything. */
+  /** Repaints the marks; `#moved` repaints everything. */
   repaint() {
     SIDES.forEach((side) => this.surfaces[side].redraw());
   }
@@ -64,76 +91,108 @@ export class Images {
 
   // -- zoom and pan
 
-  /** The whole image. */
+  /** Shows the whole image. */
   fit() {
-    this.view.fit(...this.#size(), ...this.stage);
+    this.#fitView();
     this.#moved();
   }
 
+  #fitView() {
+    const [width, height] = this.#size();
+    this.view.fit(width, height, this.stage[0], this.stage[1]);
+  }
+
+  /**
+   * @param {Point} point
+   * @param {number} factor
+   */
   zoomAt(point, factor) {
-    this.view.zoomAt(point, factor, this.#whole(), MOST);
+    this.view.zoomAt(point, factor, this.#whole(), MAX_SCALE);
     this.#keepInside();
   }
 
+  /**
+   * @param {number} dx
+   * @param {number} dy
+   */
   panBy(dx, dy) {
     this.view.pan(dx, dy);
     this.#keepInside();
   }
 
-  /** Zooms at `pixel`, or at the middle of what is in sight. */
+  /** Zooms at `pixel`, or at the middle of the view.
+   *
+   * @param {number} factor
+   * @param {Point | null} [pixel]
+   */
   zoomBy(factor, pixel = null) {
-    this.zoomAt(pixel ? this.view.toScreen(pixel) : this.stage.map((side) => side / 2), factor);
+    this.zoomAt(pixel ? this.view.toScreen(pixel) : this.#middle(), factor);
   }
 
-  /** Pans as little as brings `pixel` into sight, away from the rim. */
+  /** Pans just far enough to show `pixel`, away from the rim.
+   *
+   * @param {Point} pixel
+   */
   reveal(pixel) {
     const by = this.view.toScreen(pixel).map((at, axis) => {
       const rim = Math.min(40, this.stage[axis] / 4);
       return Math.min(Math.max(at, rim), this.stage[axis] - rim) - at;
     });
-    if (by[0] || by[1]) this.panBy(...by);
+    if (by[0] || by[1]) this.panBy(by[0], by[1]);
   }
 
-  /** Puts `pixels` into the middle, as large as they fit up to 12x. */
-  lookAt(pixels) {
+  /** Centers `pixels`, as large as they fit, up to 12x.
+   *
+   * @param {Point[]} pixels
+   */
+  zoomTo(pixels) {
     const [us, vs] = [0, 1].map((axis) => pixels.map((pixel) => pixel[axis]));
     const [width, height] = [us, vs].map((values) => Math.max(...values) - Math.min(...values) + 24);
     const fit = Math.min(this.stage[0] / width, this.stage[1] / height);
     this.view.scale = Math.min(12, Math.max(this.#whole(), fit));
-    this.#center([us, vs].map((values) => (Math.max(...values) + Math.min(...values)) / 2));
+    const [u, v] = [us, vs].map((values) => (Math.max(...values) + Math.min(...values)) / 2);
+    this.#center([u, v]);
   }
 
+  /** @param {Point} pixel */
   #center(pixel) {
     const [x, y] = this.view.toScreen(pixel);
     this.panBy(this.stage[0] / 2 - x, this.stage[1] / 2 - y);
   }
 
-  /** The middle of the stage never leaves the image; the smallest zoom shows it whole. */
+  /** Keeps the middle of the stage inside the image; the smallest zoom shows the whole image. */
   #keepInside() {
-    if (this.view.scale <= this.#whole() * 1.0001) this.view.fit(...this.#size(), ...this.stage);
-    const size = this.#size().map((one) => one * this.view.scale);
-    const clamp = (offset, axis) =>
+    if (this.view.scale <= this.#whole() * 1.0001) this.#fitView();
+    const size = this.#size().map((extent) => extent * this.view.scale);
+    const clamp = (/** @type {number} */ offset, /** @type {0 | 1} */ axis) =>
       Math.min(this.stage[axis] / 2, Math.max(this.stage[axis] / 2 - size[axis], offset));
     this.view.x = clamp(this.view.x, 0);
     this.view.y = clamp(this.view.y, 1);
     this.#moved();
   }
 
-  /** What was in the middle stays there; a whole image stays whole. */
+  /** Keeps the middle of the view; a whole image stays whole. */
   #resized() {
     const wasWhole = this.view.scale <= this.#whole() * 1.0001;
-    const middle = this.view.toImage(this.stage.map((side) => side / 2));
+    const middle = this.view.toImage(this.#middle());
     this.stage = this.#stage();
     if (wasWhole) this.fit();
     else this.#center(middle);
   }
 
+  /** @returns {Point} */
   #stage() {
     return [this.surfaces.left.width, this.surfaces.left.height];
   }
 
+  /** @returns {Point} */
+  #middle() {
+    return [this.stage[0] / 2, this.stage[1] / 2];
+  }
+
+  /** @returns {Point} */
   #size() {
-    const size = this.state.hello?.images.left ?? { width: 1, height: 1 };
+    const size = this.state.known?.images.left ?? { width: 1, height: 1 };
     return [size.width, size.height];
   }
 
@@ -142,9 +201,14 @@ export class Images {
     return Math.min(this.stage[0] / width, this.stage[1] / height);
   }
 
-  // -- what lies where
+  // -- hit tests
 
-  /** What is under `point` (CSS pixels): {element, observation, part: anchor | end | line} or null. */
+  /** The observation under `point` (CSS pixels); null if there is none.
+   *
+   * @param {Side} side
+   * @param {Point} point
+   * @returns {Hit | null}
+   */
   hit(side, point) {
     if (!this.bitmap(side)) return null;
     const { selected } = this.state;
@@ -152,68 +216,92 @@ export class Images {
       const observation = element.observations[side];
       const found = observation && paint.hitTest(this.view, observation, point);
       const second = element.id === selected?.element ? 0 : 1;
-      return found ? [{ element: element.id, observation: observation.id, second, ...found }] : [];
+      return observation && found ? [{ element: element.id, observation: observation.id, second, ...found }] : [];
     });
     hits.sort((a, b) => a.rank - b.rank || a.second - b.second || a.distance - b.distance);
     return hits[0] ?? null;
   }
 
-  /** The proposal that is nearest to `point` (CSS pixels), of those under it; or null. */
-  hitOffer(side, point) {
-    const hits = (this.state.aids.ghosts && this.bitmap(side) ? this.state.offers : []).flatMap((offer) => {
-      const found = offer[side] && paint.hitTest(this.view, offer[side], point);
-      return found ? [{ offer, ...found }] : [];
+  /** The nearest proposal under `point` (CSS pixels); null if there is none.
+   *
+   * @param {Side} side
+   * @param {Point} point
+   */
+  hitProposal(side, point) {
+    const hits = (this.state.aids.proposals && this.bitmap(side) ? this.state.proposals : []).flatMap((proposal) => {
+      const mark = proposal.marks[side];
+      const found = mark && paint.hitTest(this.view, mark, point);
+      return found ? [{ proposal, ...found }] : [];
     });
     hits.sort((a, b) => a.distance - b.distance);
-    return hits[0]?.offer ?? null;
+    return hits[0]?.proposal ?? null;
   }
 
   // -- painting
 
+  /**
+   * @param {Side} side
+   * @param {CanvasRenderingContext2D} context
+   */
   #paintPicture(side, context) {
-    if (this.bitmaps[side]) paint.picture(context, this.bitmaps[side], this.view);
+    const bitmap = this.bitmaps[side];
+    if (bitmap) paint.picture(context, bitmap, this.view);
   }
 
+  /**
+   * @param {Side} side
+   * @param {CanvasRenderingContext2D} context
+   */
   #paintMarks(side, context) {
     const { scale, x, y } = this.view;
     this.canvas(side).dataset.view = `${scale} ${x} ${y}`;
     const bitmap = this.bitmap(side);
     const { style } = this.backgrounds[side].canvas;
     style.filter = this.state.filter;
-    style.opacity = bitmap ? 1 : COMING;
-    if (!bitmap || !this.state.labels) return;
+    style.opacity = String(bitmap ? 1 : LOADING_OPACITY);
+    if (!bitmap || !this.state.isReady) return;
     this.#paintElements(side, context);
     if (this.state.cursor?.side === side) paint.cursor(context, this.view.toScreen(this.state.cursor.pixel));
-    if (this.state.aids.loupe && this.pointer?.side === side) this.#paintLoupe(side, context, bitmap);
+    if (this.state.aids.loupe && this.pointer?.side === side) this.#paintLoupe(side, context, bitmap, this.pointer.point);
   }
 
+  /**
+   * @param {Side} side
+   * @param {CanvasRenderingContext2D} context
+   */
   #paintElements(side, context) {
     const { state } = this;
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
-    const isSelected = (one) => one.id === state.selected?.element || one.id === state.selected?.also;
-    if (state.aids.guides) painter.guides(state.look?.guides[side] ?? []);
-    for (const offer of state.offers.filter(({ id }) => state.aids.ghosts || state.isReviewed(id))) {
-      const marked = { selected: isSelected(offer), current: offer.id === state.currentOffer?.id, reviewed: state.isReviewed(offer.id) };
-      if (offer[side]) painter.offer(offer, offer[side], marked);
+    const isSelected = (/** @type {{id: string}} */ { id }) => id === state.selected?.element || id === state.selected?.also;
+    if (state.aids.guides) painter.guides(state.preview?.guides[side] ?? []);
+    for (const proposal of state.proposals.filter(({ id }) => state.aids.proposals || state.isReviewed(id))) {
+      const mark = proposal.marks[side];
+      const marked = { selected: isSelected(proposal), current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
+      if (mark) painter.proposal(proposal, mark, marked);
     }
     for (const element of state.elements) {
       const observation = element.observations[side];
       if (!observation) continue;
       const selected = isSelected(element);
-      const inHand = element.id === state.selected?.element && side === state.selected.side;
+      const isHeld = element.id === state.selected?.element && side === state.selected?.side;
       const hovered = this.hovered?.observation === observation.id;
-      painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: inHand ? state.vertex : null });
+      painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
     }
     if (state.drawing?.side === side) {
       painter.drawing(state.drawing);
-      if (state.look?.snapped) painter.snapped(state.drawing, state.look.snapped);
+      if (state.preview?.snapped) painter.snapped(state.drawing, state.preview.snapped);
     }
     painter.labels(this.stage[0]);
   }
 
-  /** Bottom right; in the left corner when the pointer comes near. */
-  #paintLoupe(side, context, bitmap) {
-    const { point } = this.pointer;
+  /** Paints the loupe at the bottom right; at the left if the pointer is near it.
+   *
+   * @param {Side} side
+   * @param {CanvasRenderingContext2D} context
+   * @param {ImageBitmap} bitmap
+   * @param {Point} point where the pointer is
+   */
+  #paintLoupe(side, context, bitmap, point) {
     const { size, height, gap, zoom } = LOUPE;
     const right = this.stage[0] - size - gap;
     const top = this.stage[1] - height - gap;

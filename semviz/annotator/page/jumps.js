@@ -1,105 +1,158 @@
-// The lists of what wants a visit, frames and questions of the last map, and the way through them.
-import { byId, el } from "/static/dom.js";
+// @ts-check
+// The jump lists: frames that need work, and the open decisions and findings of the last map.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Command, Keys} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {ListName} from "./review.js" */
+/** @import {State} from "./state.js" */
+import { el } from "/static/dom.js";
 import { REVIEWS } from "./review.js";
-import { Kept, badge, row } from "./widgets.js";
+import { RenderCache, badge, row } from "./widgets.js";
 
-const FEW = 4; // elements that a frame needs for a pose without doubt
+const FEW = 4; // elements that a frame needs for a reliable pose
 
-/** Every list of frames: what belongs in it, which comes first, what its row shows, and the element
- * that it is about. */
+/** @typedef {annotator.FrameSummary} Frame */
+/** @typedef {Pick<Page, "go" | "select" | "stepReview">} Actions */
+
+/** A list of frames: its filter, its order, the summary in its row, and the element to select.
+ *
+ * @typedef {{
+ *   title: string,
+ *   has: (frame: Frame) => boolean,
+ *   rank?: (frame: Frame) => number,
+ *   summary: (frames: Frame[]) => string | number,
+ *   element?: (frame: Frame) => string | null | undefined,
+ * }} JumpList */
+
+/** @type {Record<string, JumpList>} */
 export const JUMPS = {
   unreviewed: {
-    title: "Unreviewed", has: ({ state }) => !state.startsWith("reviewed"), about: (frames) => frames.length,
+    title: "Unreviewed", has: ({ state }) => !state.startsWith("reviewed"), summary: (frames) => frames.length,
   },
   worst: {
-    title: "Worst residual", has: ({ worst }) => worst?.px > 0, rank: (one) => -one.worst.px,
-    about: ([first]) => (first ? `${first.worst.px.toFixed(1)} px` : "none"), meant: ({ worst }) => worst?.element,
+    title: "Worst residual", has: ({ worst }) => (worst?.px ?? 0) > 0, rank: ({ worst }) => -(worst?.px ?? 0),
+    summary: ([first]) => (first?.worst ? `${first.worst.px.toFixed(1)} px` : "none"), element: ({ worst }) => worst?.element,
   },
   few: {
-    title: `Under ${FEW} elements`, has: ({ elements }) => elements < FEW, about: (frames) => frames.length,
+    title: `Under ${FEW} elements`, has: ({ elements }) => elements < FEW, summary: (frames) => frames.length,
   },
   proposals: {
-    title: "With proposals", has: ({ proposed }) => proposed > 0, about: (frames) => frames.length,
+    title: "With proposals", has: ({ proposed }) => (proposed ?? 0) > 0, summary: (frames) => frames.length,
   },
   disagree: {
-    title: "Detector disagrees", has: ({ disagreement }) => disagreement?.weight > 0, rank: (one) => -one.disagreement.weight,
-    about: ([first]) => (first ? `${first.disagreement.new} new, ${first.disagreement.unseen} unseen` : "none"),
-    meant: ({ disagreement }) => disagreement?.worst_id,
+    title: "Detector disagrees", has: ({ disagreement }) => (disagreement?.weight ?? 0) > 0,
+    rank: ({ disagreement }) => -(disagreement?.weight ?? 0),
+    summary: ([first]) => (first?.disagreement ? `${first.disagreement.new} new, ${first.disagreement.missed} missed` : "none"),
+    element: ({ disagreement }) => disagreement?.worst_id,
   },
 };
 
-/** Frames of a list: in order of time, or worst first where it ranks them. */
+/** The frames of a list: in order of time, or worst first if the list has ranks.
+ *
+ * @param {State} state
+ * @param {string} name
+ */
 export function jumpFrames(state, name = state.jump) {
   const { has, rank } = JUMPS[name];
   const frames = state.labels.frames.filter(has);
-  return rank ? frames.sort((one, two) => rank(one) - rank(two)) : frames;
+  return rank ? frames.sort((first, second) => rank(first) - rank(second)) : frames;
 }
 
-/** Commands for `Keys`. */
+/** Commands for `Keys`.
+ *
+ * @param {State} state
+ * @param {Actions} actions
+ * @returns {Command[]}
+ */
 export function jumpCommands(state, actions) {
   const group = "Frames";
   const names = [...Object.keys(JUMPS), ...Object.keys(REVIEWS)];
   return [
-    { key: ",", shift: true, group, title: "Before, in the jump list", run: () => jump(state, actions, -1) },
-    { key: ".", shift: true, group, title: "After, in the jump list", run: () => jump(state, actions, 1) },
+    { key: ",", shift: true, group, title: "Previous in the jump list", run: () => jump(state, actions, -1) },
+    { key: ".", shift: true, group, title: "Next in the jump list", run: () => jump(state, actions, 1) },
     { key: "j", group, title: "Choose the jump list", run: () => {
       state.set({ jump: names[(names.indexOf(state.jump) + 1) % names.length] });
     } },
   ];
 }
 
-/** Goes on in the list: from the frame on screen or, where that is not in it, to the next in time. */
+/** Goes to the next entry of the list; if the frame on screen is not in it, to the next in time.
+ *
+ * @param {State} state
+ * @param {Actions} actions
+ * @param {-1 | 1} by
+ */
 function jump(state, actions, by) {
   if (state.jump in REVIEWS) {
-    actions.stepReview(state.jump, by);
+    actions.stepReview(/** @type {ListName} */ (state.jump), by);
     return;
   }
   const frames = jumpFrames(state).map(({ index }) => index);
   if (!frames.length) return;
-  const here = frames.indexOf(state.frame);
+  const now = state.frame ?? -1;
+  const here = frames.indexOf(now);
   if (here >= 0) actions.go(frames[here + by] ?? null);
   else if (JUMPS[state.jump].rank) actions.go(frames[0]);
-  else actions.go((by > 0 ? frames.find((one) => one > state.frame) : frames.findLast((one) => one < state.frame)) ?? frames[0]);
-  selectMeant(state, actions);
+  else actions.go((by > 0 ? frames.find((index) => index > now) : frames.findLast((index) => index < now)) ?? frames[0]);
+  selectElement(state, actions);
 }
 
-/** What the list is about in this frame is in hand at once. */
-function selectMeant(state, actions) {
+/** Selects the element because of which the frame is in the list.
+ *
+ * @param {State} state
+ * @param {Actions} actions
+ */
+function selectElement(state, actions) {
   const frame = state.labels.frames.find(({ index }) => index === state.frame);
-  const element = frame && JUMPS[state.jump].meant?.(frame);
+  const element = frame && JUMPS[state.jump].element?.(frame);
   if (element) actions.select(element);
 }
 
+/** Name, title and summary.
+ * @typedef {[string, string, string | number]} Row */
+
 /** The panel of jump lists. */
 export class Jumps {
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   * @param {Actions} actions
+   */
   constructor(state, keys, actions) {
     this.state = state;
     this.keys = keys;
     this.actions = actions;
-    this.kept = new Kept(state);
+    this.cache = new RenderCache(state);
+    /** @type {Frame[] | null} */
     this.frames = null;
+    /** @type {Row[]} */
     this.lists = []; // of these frames
   }
 
   show() {
     const { labels, jump } = this.state;
-    const { built, ...counts } = labels.map;
+    const { built, decisions, findings } = labels.map;
+    const counts = { decisions, findings };
     if (this.frames !== labels.frames) {
       this.frames = labels.frames;
-      this.lists = Object.entries(JUMPS).map(([name, { title, about }]) => [name, title, about(jumpFrames(this.state, name))]);
+      this.lists = Object.entries(JUMPS).map(([name, { title, summary }]) => [name, title, summary(jumpFrames(this.state, name))]);
     }
-    const reviews = Object.entries(REVIEWS).map(([name, { title }]) => [name, title, built === null ? "no map yet" : counts[name]]);
+    /** @type {ListName[]} */
+    const names = ["decisions", "findings"];
+    /** @type {Row[]} */
+    const reviews = names.map((name) => [name, REVIEWS[name].title, built === null ? "no map yet" : counts[name]]);
     const lists = [...this.lists, ...reviews];
-    this.kept.show("jumps", [lists, jump], () => lists.map((one) => this.#row(one)));
+    this.cache.show("jumps", [lists, jump], () => lists.map((list) => this.#row(list)));
   }
 
-  #row([name, title, about]) {
+  /** @param {Row} list */
+  #row([name, title, summary]) {
     const chosen = name === this.state.jump;
     const choose = () => {
       this.state.set({ jump: name });
       jump(this.state, this.actions, 1);
     };
     return row({ chosen, onclick: choose },
-      el("span", { class: "fill", text: title }), chosen ? badge(this.keys, "J") : null, el("span", { class: "dim", text: about }));
+      el("span", { class: "fill", text: title }), chosen ? badge(this.keys, "J") : null, el("span", { class: "dim", text: summary }));
   }
 }

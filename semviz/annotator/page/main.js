@@ -1,313 +1,427 @@
-// Puts the page together: server, outbox, images, pen, keys and panels.
+// @ts-check
+// Connects the parts of the page: server, outbox, images, tools, keys and panels.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Edit, Entry, Side} from "./values.js" */
 import { byId } from "/static/dom.js";
+import { showHelp } from "/static/help.js";
+import { Keys } from "/static/keys.js";
+import { showPalette } from "/static/palette.js";
 import { showScene } from "/static/scene.js";
-import { Socket } from "/static/socket.js";
+import { PageSocket, Refusal } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
-import { commands, editing, lookAt } from "./commands.js";
+import { Light } from "./aids.js";
+import { Backdrop } from "./backdrop.js";
+import { commands, editing, zoomToSelection } from "./commands.js";
 import { Cursor } from "./cursor.js";
 import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
 import { History } from "./history.js";
 import { Images } from "./images.js";
-import { Light } from "./light.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
+import { drawnAgain, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
 import { Review } from "./review.js";
-import { Sketch } from "./sketch.js";
-import { SIDES, State, drawnAgain, isIdle, seen, startOf, spaced } from "./state.js";
+import { State } from "./state.js";
+import { Sketch, Tools } from "./tools.js";
 import { Tour } from "./tour.js";
-import { Tools } from "./tools.js";
-import { showHelp } from "/static/help.js";
-import { Keys } from "/static/keys.js";
-import { showPalette } from "/static/palette.js";
+import { SIDES, spaced } from "./values.js";
+
+export class Page {
+  constructor() {
+    this.state = new State();
+    this.keys = new Keys("annotate");
+    this.pictures = new Pictures();
+    this.effort = new Effort();
+    this.images = new Images(
+      this.state,
+      { left: byId("left-image"), right: byId("right-image") },
+      (name) => this.keys.shown(name),
+    );
+    /** @type {Outbox | null} */
+    this.outbox = null; // once the workspace is known
+    /** @type {import("/static/scene.js").RenderGate | null} */
+    this.sceneGate = null;
+    this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04
+    this.isPreviewing = false;
+    this.previewAgain = false;
+    /** @type {PageSocket<annotator.Requests, annotator.Events>} */
+    this.socket = new PageSocket();
+    this.#listen();
+
+    this.tools = new Tools(this.state, this.images, this);
+    this.cursor = new Cursor(this.state, this.images, this.tools);
+    this.past = new Past(this.state, this.keys, this);
+    this.history = new History(this.state, this.keys, this.past, this);
+    this.review = new Review(this.state, this.keys, this);
+    this.light = new Light(this.state);
+    this.backdrop = new Backdrop(this.state, this.keys, this);
+    this.tour = new Tour(this.state, this.keys);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour]);
+    this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
+    this.keys.listen(window);
+    watchLists();
+  }
+
+  // -- called by the parts of the page
+
+  /** Stores and sends an edit; the page shows it at once. An edit that changes nothing is dropped.
+   *
+   * @param {Edit} edit
+   */
+  submit(edit) {
+    const { state, outbox } = this;
+    if (!outbox || !this.mayEdit() || isIdle(state.elements, edit)) return;
+    this.sceneGate?.hold(false);
+    const start = startOf(state.elements, edit);
+    if (start) outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class_id });
+    else outbox.add(edit);
+    if (edit.kind === "draw") {
+      state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
+    }
+    this.#showPending();
+  }
+
+  /** Whether labels can be changed now; if not, a message says why. */
+  mayEdit() {
+    const { past } = this.state;
+    if (past) this.notify(`This is the state after operation ${spaced(past.operation)}: press Esc to return.`, "wrong");
+    return !past;
+  }
+
+  /** Resolves a conflict with the user's version or that of others.
+   *
+   * @param {boolean} isMine
+   */
+  resolve(isMine) {
+    const { conflict } = this.state;
+    if (!conflict) return;
+    const { request, edit, shown } = conflict.entry;
+    if (isMine && conflict.theirs) {
+      this.outbox?.replace(conflict.entry, { ...edit, seen: conflict.theirs });
+    } else {
+      this.#settle(request);
+      const again = isMine && shown && drawnAgain(edit, shown);
+      if (again) this.outbox?.add(again);
+    }
+    this.state.set({ conflict: null });
+    this.#showPending();
+  }
+
+  /** Requests guides and numbers of the draft; one request at a time, the latest state wins. */
+  async preview() {
+    if (this.state.past) return; // guides and numbers belong to the present state
+    this.previewAgain = this.isPreviewing;
+    if (this.isPreviewing) return;
+    this.isPreviewing = true;
+    do {
+      this.previewAgain = false;
+      await this.#previewOnce();
+    } while (this.previewAgain);
+    this.isPreviewing = false;
+  }
+
+  async #previewOnce() {
+    try {
+      const { preview } = await this.socket.request("preview_draft", { draft: this.#draft() });
+      this.state.set({ preview: this.state.past ? null : preview });
+    } catch (refusal) {
+      if (!(refusal instanceof Refusal)) throw refusal;
+      if (refusal.code !== "offline") this.notify(refusal.message, "wrong");
+    }
+  }
+
+  /** The selected or drawn element.
+   *
+   * @returns {annotator.PreviewDraftRequest["draft"]}
+   */
+  #draft() {
+    const { drawing, dragged, selected, pending, aids, frame } = this.state;
+    const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
+    return {
+      frame_index: frame ?? 0,
+      selected_id: isSaved ? selected.element : null,
+      side: selected?.side ?? "left",
+      drawing: drawing && {
+        side: drawing.side,
+        class_id: drawing.class,
+        anchor_px: drawing.anchor,
+        end_px: drawing.end,
+        anchor_known: drawing.anchor_known,
+        end_known: drawing.end_known,
+        snap: aids.snap && !drawing.box,
+        asks_bottom: aids.snap && drawing.asks_bottom,
+      },
+      moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
+    };
+  }
+
+  /** Shows frame `index`; the selection stays, so that the element can be continued there.
+   *
+   * @param {number | null} index
+   */
+  go(index) {
+    const { state } = this;
+    if (!state.isReady || index === null || !state.order.includes(index)) return;
+    this.tools.cancel();
+    state.set({ frame: index, preview: null });
+    window.history.replaceState(null, "", `?frame=${index}`);
+    this.socket.send("go_to_frame", { frame: index });
+    this.sceneGate?.hold(true);
+    this.#showPictures(index);
+    this.preview();
+  }
+
+  /** Selects an element; without `side`, on a side where it is labelled.
+   *
+   * @param {string | null} element
+   * @param {Side | null} side
+   */
+  select(element, side = null) {
+    /** @type {import("./values.js").Observations} */
+    const here = this.state.elements.find(({ id }) => id === element)?.observations ?? {};
+    const shown = side ?? (here.left || !here.right ? "left" : "right");
+    this.state.set({ selected: element ? { element, side: shown } : null, vertex: "anchor" });
+    this.preview();
+  }
+
+  /** Shows a message below the images for a few seconds.
+   *
+   * @param {string} text
+   * @param {string} [kind]
+   */
+  notify(text, kind) {
+    this.panels.notify(text, kind);
+  }
+
+  /**
+   * @param {annotator.ReviewEntry["list_name"]} list
+   * @param {-1 | 0 | 1} by
+   */
+  stepReview(list, by) {
+    this.review.step(list, by);
+  }
+
+  markReviewed() {
+    editing(this.state, this).review("reviewed");
+  }
+
+  nameState() {
+    this.history.startNaming();
+  }
+
+  help() {
+    showHelp(this.keys, "Keys", [{ text: "Tour in 3 steps", run: () => this.tour.open() }]);
+  }
+
+  palette() {
+    showPalette(this.keys);
+  }
+
+  /** Shows whole images. */
+  fit() {
+    this.images.fit();
+  }
+
+  sendTheme() {
+    const theme = currentTheme();
+    this.state.set({ theme });
+    this.socket.send("set_theme", { theme });
+  }
+
+  // -- events of the server
+
+  #listen() {
+    const { socket, state } = this;
+    socket.onConnection((connected) => {
+      if (!connected) this.outbox?.disconnected();
+      state.set({ connected, theme: currentTheme(), trouble: null });
+    });
+    socket.on("workspace", (event) => this.#begin(event));
+    socket.on("label_file", ({ state: file, text }) => state.set({ labelFile: { state: file, text } }));
+    socket.on("frame", ({ frame }) => this.#showFrame(frame));
+    socket.on("frame_list", ({ frames }) => {
+      if (state.isReady) state.set({ received: { ...state.labels, frames: this.#merged(frames) } });
+    });
+    socket.on("update", ({ labels, frame }) => {
+      if (!state.isReady) return; // it was sent before the workspace, which brings all
+      this.#take(labels, frame);
+      this.preview();
+    });
+    socket.on("saved_operation", ({ reply_to: request, operation }) => {
+      state.set({ onDisk: request === null ? null : { request, operation } });
+      this.#release();
+    });
+    socket.on("edit_saved", (event) => this.#saved(event));
+    socket.on("past_frame", ({ past }) => this.past.received(past));
+    socket.on("operations", ({ operations }) => this.history.received(operations));
+    socket.on("named_states", ({ states }) => this.history.receivedNames(states));
+    socket.on("review", ({ review }) => this.review.received(review));
+    socket.on("scene", () => {
+      this.sceneGate = showScene(byId("scene", HTMLIFrameElement), socket.session, this.keys);
+    });
+    socket.on("element_clicked", ({ element }) => this.select(element));
+    socket.on("error", (event) => this.#refused(event));
+  }
+
+  /** @param {annotator.WorkspaceEvent} event */
+  #begin({ workspace, labels }) {
+    const { state } = this;
+    const isFirst = !state.isReady;
+    state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
+    this.keys.use(commands(state, this.images, this.tools, this));
+    const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
+    this.#showPending();
+    this.panels.start();
+    this.light.start();
+    this.images.fit();
+    this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
+    if (isFirst) new Sketch(state, workspace.key).restore();
+    outbox.flush();
+    this.sendTheme();
+    this.backdrop.start();
+  }
+
+  /** The frame named in the address, if it exists; else the first.
+   *
+   * @param {annotator.FrameSummary[]} frames
+   */
+  #firstFrame(frames) {
+    const requested = Number(new URLSearchParams(location.search).get("frame") ?? frames[0].index);
+    return frames.some(({ index }) => index === requested) ? requested : frames[0].index;
+  }
+
+  /** @param {annotator.LabelledFrameView} frame */
+  #showFrame(frame) {
+    const { state } = this;
+    state.set({ received: { ...state.labels, frame } });
+    if (!state.hasRight && frame.index === state.frame) this.#showPictures(frame.index); // the second image is known now
+    this.preview();
+    this.#selectSought();
+  }
+
+  /** @param {annotator.EditSavedEvent} event */
+  #saved({ reply_to: request, labels, frame, element, added, note }) {
+    const { state, outbox } = this;
+    const edit = outbox?.find(request)?.edit;
+    if (request !== null) this.#settle(request);
+    this.#take(labels, frame, { pending: outbox?.entries ?? [], trouble: null });
+    const isDrawing = edit?.kind === "draw" || edit?.kind === "accept";
+    const isSelected = edit?.kind === "draw" && state.selected?.element === edit.element_id;
+    if (element && (isSelected || !isDrawing)) {
+      state.set({ selected: { element, side: state.selected?.side ?? "left" } });
+    }
+    this.effort.saved(added);
+    this.notify(note);
+    const isStep = edit?.kind === "undo" || edit?.kind === "redo";
+    if (frame.index !== state.frame && isStep) this.go(frame.index);
+    else this.preview();
+  }
+
+  /** Shows an error. An invalid edit is dropped; one that could not be saved stays in the outbox.
+   *
+   * @param {annotator.Events["error"]} event
+   */
+  #refused(event) {
+    const entry = this.outbox?.find(event.reply_to) ?? null;
+    if (!entry) this.notify(event.text, "wrong");
+    else if ("theirs" in event) this.state.set({ conflict: { entry, text: event.text, theirs: event.theirs } });
+    else this.#refusedEdit(entry, event);
+  }
+
+  /**
+   * @param {Entry} entry
+   * @param {import("/static/protocol").ErrorEvent} event
+   */
+  #refusedEdit(entry, { code, text, retry }) {
+    const staysPending = code !== "invalid" && code !== "not_found";
+    if (!staysPending) this.#settle(entry.request);
+    else if (retry) this.outbox?.retry();
+    if (!staysPending || this.state.trouble !== text) this.notify(text, "wrong"); // once, not at every retry
+    this.state.set({ trouble: staysPending ? text : null });
+    this.#showPending();
+    this.preview();
+  }
+
+  // -- pending edits
+
+  /** @param {Entry} entry */
+  #send({ request, edit: { seen: start, ...edit } }) {
+    return this.socket.send("apply_edit", { edit, seen: start ?? null }, request);
+  }
+
+  /** Removes an edit that is on disk or was given up.
+   *
+   * @param {string} request
+   */
+  #settle(request) {
+    this.outbox?.settle(request);
+    if (this.state.conflict?.entry.request === request) this.state.set({ conflict: null });
+  }
+
+  #showPending() {
+    this.state.set({ pending: this.outbox?.entries ?? [] });
+  }
+
+  // -- contents of the page
+
+  /** Takes over the changes of an operation, together with `more` fields of the state.
+   *
+   * @param {annotator.LabelsView} labels
+   * @param {annotator.LabelledFrameView} frame
+   * @param {Partial<State>} more
+   */
+  #take(labels, frame, more = {}) {
+    const shown = frame.index === this.state.frame ? frame : this.state.labels.frame;
+    this.state.set({ received: { ...labels, frames: this.#merged(labels.frames), frame: shown }, ...more });
+  }
+
+  /** The list of all frames with `some` of them replaced.
+   *
+   * @param {annotator.FrameSummary[]} some
+   */
+  #merged(some) {
+    const changed = new Map(some.map((frame) => [frame.index, frame]));
+    return this.state.labels.frames.map((frame) => changed.get(frame.index) ?? frame);
+  }
+
+  /** Shows the images of a frame, then loads those of its neighbours.
+   *
+   * @param {number} index
+   */
+  async #showPictures(index) {
+    const { state, pictures } = this;
+    await Promise.all(SIDES.map(async (side) => {
+      const pane = state.panes[side];
+      const { bitmap, message } = pane
+        ? await pictures.get(pane.frame, pane.side)
+        : { bitmap: null, message: "No right camera, and no other frame with a pose." };
+      if (state.frame === index) this.images.show(side, index, bitmap, message);
+    }));
+    this.#release();
+    const rank = state.order.indexOf(index);
+    for (const near of [state.order[rank + 1], state.order[rank - 1]]) {
+      if (near === undefined) continue;
+      pictures.get(near, "left");
+      if (state.hasRight) pictures.get(near, "right");
+    }
+  }
+
+  /** Lets the 3D pane draw again, one frame after the page has painted. */
+  #release() {
+    requestAnimationFrame(() => requestAnimationFrame(() => this.sceneGate?.release()));
+  }
+
+  /** Selects the element named in the address and zooms to it: the inspector links to it. */
+  #selectSought() {
+    const element = this.soughtName && this.state.elements.find(({ name }) => name === this.soughtName);
+    if (!element) return;
+    this.soughtName = null;
+    this.select(element.id);
+    zoomToSelection(this.state, this.images);
+  }
+}
 
 startTheme();
-const state = new State();
-const keys = new Keys("annotate");
-let sought = new URLSearchParams(location.search).get("element"); // a name, such as P-04
-const images = new Images(state, { left: byId("left-image"), right: byId("right-image") }, (name) => keys.shown(name));
-const pictures = new Pictures();
-const effort = new Effort();
-const looking = { waiting: false, again: false };
-let outbox = null;
-let sketch = null;
-let session = "";
-let pictures3d = null;
-
-/** Keeps an edit and sends it; the page shows it at once. One that changes nothing is dropped. */
-function submit(edit) {
-  if (!mayEdit()) return;
-  if (isIdle(state.elements, edit)) return;
-  pictures3d?.hold(false);
-  const start = startOf(state.elements, edit);
-  if (start) outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class });
-  else outbox.add(edit);
-  if (edit.kind === "draw") {
-    state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
-  }
-  refreshPending();
-}
-
-/** Whether labels can be changed now; says why not. */
-function mayEdit() {
-  if (state.past) panels.tell(`This is the state after operation ${spaced(state.past.operation)}: Esc goes back to now.`, "wrong");
-  return !state.past;
-}
-
-/** The server has an edit on disk, or nobody wants it any more. */
-function settle(request) {
-  outbox.settle(request);
-  if (state.conflict?.entry.request === request) state.set({ conflict: null });
-}
-
-/** Somebody else changed what an edit starts from: both versions are there, one is chosen. */
-function resolve(isMine) {
-  const { entry, theirs } = state.conflict;
-  const { request, edit, shown } = entry;
-  if (isMine && theirs) {
-    outbox.replace(entry, { ...edit, seen: theirs });
-  } else {
-    settle(request);
-    const again = isMine && drawnAgain(edit, shown);
-    if (again) outbox.add(again);
-  }
-  state.set({ conflict: null });
-  refreshPending();
-}
-
-function refreshPending() {
-  state.set({ pending: outbox.entries });
-}
-
-/** Asks for guides and numbers of what is in hand; one question at a time, the last one counts. */
-function look() {
-  if (state.past) return; // guides and numbers are of now
-  if (looking.waiting) {
-    looking.again = true;
-    return;
-  }
-  looking.waiting = socket.send({ type: "look", look: inHand() });
-}
-
-function inHand() {
-  const { drawing, dragged, selected } = state;
-  const known = selected && !state.pending.some(({ edit }) => edit.element_id === selected.element);
-  return {
-    frame_index: state.frame,
-    selected_id: known ? selected.element : null,
-    side: selected?.side ?? "left",
-    drawing: drawing && {
-      side: drawing.side,
-      class_id: drawing.class,
-      anchor_px: drawing.anchor,
-      end_px: drawing.end,
-      anchor_known: drawing.anchor_known,
-      end_known: drawing.end_known,
-      snap: state.aids.snap && !drawing.box,
-      asks_bottom: state.aids.snap && drawing.asks_bottom,
-    },
-    moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
-  };
-}
-
-/** Shows frame `index`; what is selected stays so, to be continued there. */
-function go(index) {
-  if (!state.hello || index === null) return;
-  const order = state.order;
-  if (!order.includes(index)) return;
-  tools.cancel();
-  state.set({ frame: index, look: null });
-  history.replaceState(null, "", `?frame=${index}`);
-  socket.send({ type: "go", frame: index });
-  pictures3d?.hold(true);
-  showPictures(index);
-  look();
-}
-
-/** The images of the frame on screen; the neighbours' are fetched ahead. */
-async function showPictures(index) {
-  await Promise.all(SIDES.map(async (side) => {
-    const pane = state.panes[side];
-    const { bitmap, message } = pane
-      ? await pictures.get(pane.frame, pane.side)
-      : { bitmap: null, message: "No right camera, and no other frame with a pose to match with." };
-    if (state.frame === index) images.show(side, index, bitmap, message);
-  }));
-  release();
-  const place = state.order.indexOf(index);
-  for (const near of [state.order[place + 1], state.order[place - 1]]) {
-    if (near === undefined) continue;
-    pictures.get(near, "left");
-    if (state.hasRight) pictures.get(near, "right");
-  }
-}
-
-/** The 3D pane draws again, one picture after what the page is about to paint. */
-function release() {
-  requestAnimationFrame(() => requestAnimationFrame(() => pictures3d?.release()));
-}
-
-const received = {
-  hello(message) {
-    const first = state.hello === null;
-    state.hello = message;
-    keys.use(commands(state, images, tools, commanded));
-    outbox ??= new Outbox(message.key, (one) => socket.send(one));
-    const frames = message.state.frames;
-    state.set({ labels: { ...message.state, frame: state.labels?.frame ?? null } });
-    refreshPending();
-    panels.start();
-    light.start();
-    images.fit();
-    const asked = Number(new URLSearchParams(location.search).get("frame") ?? frames[0].index);
-    const known = frames.some(({ index }) => index === asked);
-    go(first ? (known ? asked : frames[0].index) : state.frame);
-    if (first) {
-      sketch = new Sketch(state, message.key);
-      sketch.restore();
-    }
-    outbox.flush();
-    sendTheme();
-  },
-  frame({ frame }) {
-    state.set({ labels: { ...state.labels, frame } });
-    if (!state.hasRight && frame.index === state.frame) showPictures(frame.index); // the companion is known now
-    look();
-    findSought();
-  },
-  facts({ frames }) {
-    state.set({ labels: { ...state.labels, frames: merged(frames) } });
-  },
-  news(message) {
-    take(message);
-    look();
-  },
-  "on disk"({ request, operation }) {
-    state.set({ onDisk: { request, operation } });
-    release();
-  },
-  saved(message) {
-    const sent = outbox.entries.find(({ request }) => request === message.request);
-    settle(message.request);
-    take(message, { pending: outbox.entries, trouble: null });
-    const isDrawing = sent?.edit.kind === "draw" || sent?.edit.kind === "accept";
-    const isInHand = isDrawing && state.selected?.element === sent.edit.element_id;
-    if (message.element && (isInHand || !isDrawing)) {
-      state.set({ selected: { element: message.element, side: state.selected?.side ?? "left" } });
-    }
-    effort.saved(message.added);
-    panels.tell(message.note);
-    if (message.frame.index !== state.frame && isStep(sent)) go(message.frame.index);
-    else look();
-  },
-  conflict({ request, text, theirs }) {
-    const entry = outbox.entries.find((one) => one.request === request);
-    if (entry) state.set({ conflict: { entry, text, theirs } });
-  },
-  refused({ request, text, kept }) {
-    if (kept) outbox.retry();
-    else settle(request);
-    if (!kept || state.trouble !== text) panels.tell(text, "wrong"); // once, not at every retry
-    state.set({ trouble: kept ? text : null, pending: outbox.entries });
-    look();
-  },
-  past(message) {
-    past.received(message);
-  },
-  review(message) {
-    review.received(message);
-  },
-  history(message) {
-    operations.received(message);
-  },
-  look({ look: answer }) {
-    looking.waiting = false;
-    state.set({ look: state.past ? null : answer });
-    if (!looking.again) return;
-    looking.again = false;
-    look();
-  },
-  scene() {
-    pictures3d = showScene(byId("scene"), session, keys);
-  },
-  select({ element }) {
-    select(element);
-  },
-  error({ text }) {
-    looking.waiting = false;
-    panels.tell(text, "wrong");
-  },
-};
-
-/** Takes over what an operation changed, together with `more` fields of the state. */
-function take({ state: news, frame }, more = {}) {
-  const frames = merged(news.frames);
-  const mine = frame.index === state.frame ? frame : state.labels.frame;
-  state.set({ labels: { ...news, frames, frame: mine }, ...more });
-}
-
-/** The list of all frames with some of them anew. */
-function merged(some) {
-  const changed = new Map(some.map((one) => [one.index, one]));
-  return state.labels.frames.map((one) => changed.get(one.index) ?? one);
-}
-
-function sendTheme() {
-  state.set({ theme: currentTheme() });
-  socket.send({ type: "theme", theme: state.theme });
-}
-
-const isStep = (sent) => sent?.edit.kind === "undo" || sent?.edit.kind === "redo";
-
-/** Whoever comes from the inspector finds the element named in the address selected, and large. */
-function findSought() {
-  const found = sought && state.elements.find(({ name }) => name === sought);
-  if (!found) return;
-  sought = null;
-  select(found.id);
-  lookAt(state, images);
-}
-
-/** Selects an element on the side where it can be seen. */
-function select(element, side = null) {
-  const here = state.elements.find((one) => one.id === element)?.observations ?? {};
-  const shown = side ?? (here.left || !here.right ? "left" : "right");
-  state.set({ selected: element ? { element, side: shown } : null, vertex: "anchor" });
-  look();
-}
-
-const actions = {
-  submit, mayEdit, look, go, select, resolve,
-  stepReview: (list, by) => review.step(list, by),
-  sayReviewed: () => editing(state, actions).review("reviewed"),
-};
-const tools = new Tools(state, images, actions);
-const send = (message) => socket.send(message);
-const past = new Past(state, keys, { send, submit, look });
-const operations = new History(state, keys, past, { go, send, submit });
-const review = new Review(state, keys, { go, select, send, submit, fit: () => images.fit(), tell: (...said) => panels.tell(...said) });
-const light = new Light(state);
-const tour = new Tour(state, keys);
-const help = () => showHelp(keys, "Keys", [{ text: "Tour in 3 steps", run: () => tour.open() }]);
-const palette = () => showPalette(keys);
-const panels = new Panels(state, images, keys, { ...actions, help }, [past, operations, light, review, tour]);
-const commanded = { ...actions, cursor: new Cursor(state, images, tools), help, nameState: () => operations.startNaming(), palette, past, review, sendTheme, tour };
-keys.onchange = () => state.set({ changedKeys: keys.changed });
-keys.listen(window);
-watchLists();
-
-window.semviz = { state, looking }; // for scripts that drive the page
-
-const socket = new Socket({
-  onmessage: (message) => received[message.type]?.(message),
-  onsession: (id) => {
-    session = id;
-  },
-  onstate: (connected) => {
-    looking.waiting = false;
-    if (!connected) outbox?.disconnected();
-    state.set({ connected, theme: currentTheme(), trouble: null });
-  },
-});
+Object.assign(window, { semviz: new Page() }); // for scripts that drive the page

@@ -1,29 +1,50 @@
-// Edits on their way to the server. Each lies in localStorage under its request's UUID until the
-// server has said that it is on disk, so closing the page or the server loses none; the store
-// knows a request that it has already done, so sending one twice does it once.
-import { uuid7 } from "./state.js";
+// @ts-check
+// Unsaved edits. Each stays in localStorage under its request's UUID until the server confirms that it
+// is on disk, so closing the page or the server loses none. The store recognizes a request that it has
+// applied, so a request that is sent twice is applied once.
+/** @import {Edit, Entry, ShownAt} from "./values.js" */
+import { uuid7 } from "./values.js";
 
 const RETRY_MS = 3000;
 
-/** Sends one edit at a time: what builds on an edit that could not be saved waits behind it. */
+/** Sends one edit at a time: later edits may build on it, so they wait. */
 export class Outbox {
-  /** `send(message)` returns false while there is no connection. */
+  /**
+   * @param {string} workspace
+   * @param {(entry: Entry) => boolean} send false while there is no connection
+   */
   constructor(workspace, send) {
     this.prefix = `semviz.outbox.${workspace}.`;
     this.send = send;
-    this.sent = null; // the request that the server has not answered yet
-    this.timer = 0;
+    /** @type {string | null} */
+    this.sent = null; // the unanswered request
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.timer = undefined;
   }
 
-  /** [{request, place, edit, shown}], oldest first. Their order is counted, not timed: clocks jump. */
+  /** All edits, oldest first. They are numbered, because clocks jump.
+   *
+   * @returns {Entry[]}
+   */
   get entries() {
     return Object.keys(localStorage)
       .filter((key) => key.startsWith(this.prefix))
-      .map((key) => JSON.parse(localStorage.getItem(key)))
-      .sort((one, two) => one.place - two.place || (one.request < two.request ? -1 : 1));
+      .map((key) => /** @type {Entry} */ (JSON.parse(localStorage.getItem(key) ?? "")))
+      .sort((first, second) => first.place - second.place || (first.request < second.request ? -1 : 1));
   }
 
-  /** `shown` stays here: where on the page the edit was made. */
+  /** The edit of a request; null if it is on disk.
+   *
+   * @param {string | null} request
+   */
+  find(request) {
+    return this.entries.find((entry) => entry.request === request) ?? null;
+  }
+
+  /**
+   * @param {Edit} edit
+   * @param {ShownAt | null} shown where on the page the edit was made; not sent
+   */
   add(edit, shown = null) {
     const request = uuid7();
     const place = (this.entries.at(-1)?.place ?? 0) + 1;
@@ -31,34 +52,39 @@ export class Outbox {
     this.flush();
   }
 
-  /** Sends the oldest edit, unless an answer is still to come. */
+  /** Sends the oldest edit, unless an answer is awaited. */
   flush() {
     const [oldest] = this.sent ? [] : this.entries;
-    if (!oldest) return;
-    const { request, edit } = oldest;
-    if (this.send({ type: "edit", request, edit })) this.sent = request;
+    if (oldest && this.send(oldest)) this.sent = oldest.request;
   }
 
-  /** The connection is gone: whatever was not acknowledged goes out again with the next one. */
+  /** After the connection is lost: the next `flush` sends the unconfirmed edit again. */
   disconnected() {
     this.sent = null;
   }
 
-  /** The server could not save it now; it goes out again soon, or with the next edit. */
+  /** After a failed save: sends the edit again soon, or with the next edit. */
   retry() {
     this.sent = null;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.flush(), RETRY_MS);
   }
 
-  /** Another edit in the place of one that the server has not done. */
+  /** Replaces an edit that the server has not applied.
+   *
+   * @param {Entry} entry
+   * @param {Edit} edit
+   */
   replace(entry, edit) {
     localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, edit }));
     this.sent = null;
     this.flush();
   }
 
-  /** The server has it on disk, or refused it for good. */
+  /** Removes an edit that is on disk or was refused for good.
+   *
+   * @param {string} request
+   */
   settle(request) {
     localStorage.removeItem(this.prefix + request);
     if (this.sent === request) this.sent = null;

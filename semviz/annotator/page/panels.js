@@ -1,51 +1,70 @@
-// Around the images: classes, elements, card, hints and frames. Rebuilt from the state.
-import { byId, el, fixed, svg } from "/static/dom.js";
+// @ts-check
+// The panels around the images: classes, elements, card, hints, conflicts. Rebuilt from the state.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Child, Click} from "/static/dom.js" */
+/** @import {Keys} from "/static/keys.js" */
+/** @import {Hint} from "./hints.js" */
+/** @import {Images} from "./images.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+/** @import {ElementClass, Proposal, ShownElement, Side} from "./values.js" */
+import { byId, el, find, fixed, svg } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { Aids } from "./aids.js";
-import { Conflict } from "./conflict.js";
 import { editing } from "./commands.js";
 import { hints } from "./hints.js";
 import { Jumps } from "./jumps.js";
-import { SIDES, shownScore } from "./state.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
-import { Kept, badge, capital, header, row } from "./widgets.js";
+import { SIDES, shownScore } from "./values.js";
+import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
-const TOLD_MS = 6000;
+const MESSAGE_MS = 6000;
 
 export class Panels {
-  /** `more`: further parts of the page, each with `show()`. */
-  constructor(state, images, keys, actions, more) {
+  /**
+   * @param {State} state
+   * @param {Images} images
+   * @param {Keys} keys
+   * @param {Page} page
+   * @param {{show: () => void}[]} more other parts of the page
+   */
+  constructor(state, images, keys, page, more) {
     this.state = state;
     this.images = images;
     this.keys = keys;
-    this.actions = actions;
-    this.edit = editing(state, actions);
-    this.parts = [new TopBar(state, keys, actions), new Aids(state, keys), new Jumps(state, keys, actions), new Strip(state, actions), new Conflict(state, actions), ...more];
-    this.timer = 0;
-    this.kept = new Kept(state);
+    this.page = page;
+    this.edit = editing(state, page);
+    this.parts = [new TopBar(state, keys, page), new Aids(state, keys), new Jumps(state, keys, page), new Strip(state, page), new Conflict(state, page), ...more];
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.timer = undefined;
+    this.queued = false;
+    this.cache = new RenderCache(state);
     state.onChange(() => this.#queue());
   }
 
-  /** What never changes after the first greeting. */
+  /** Fills in what does not change while the page is open. */
   start() {
-    const { workspace, images } = this.state.hello;
-    document.title = `${workspace} · semviz annotate`;
+    const { name, images } = this.state.workspace;
+    document.title = `${name} · semviz annotate`;
     for (const side of SIDES) {
-      const size = images[side] ? `${images[side].width} × ${images[side].height}` : "none";
-      byId(`${side}-image`).querySelector(".about").textContent = size;
+      const size = images[side];
+      find(byId(`${side}-image`), ".about").textContent = size ? `${size.width} × ${size.height}` : "none";
     }
   }
 
-  /** Says something for a few seconds, below the images. */
-  tell(text, kind = "") {
+  /** Shows a message below the images for a few seconds.
+   *
+   * @param {string} text
+   */
+  notify(text, kind = "") {
     if (!text) return;
     const message = byId("message");
     message.textContent = text;
     message.className = `toast ${kind}`;
     message.hidden = false;
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => { message.hidden = true; }, TOLD_MS);
+    this.timer = setTimeout(() => { message.hidden = true; }, MESSAGE_MS);
   }
 
   #queue() {
@@ -53,90 +72,102 @@ export class Panels {
     this.queued = true;
     requestAnimationFrame(() => {
       this.queued = false;
-      if (this.state.labels) this.#show();
+      if (this.state.isReady) this.#show();
     });
   }
 
   #show() {
     const { state } = this;
-    byId("scene").hidden = !state.aids.map; // a hidden scene costs no time
+    byId("scene").hidden = !state.aids.map; // a hidden scene is not drawn
     this.parts.forEach((part) => part.show());
-    this.kept.show("classes", [state.classId, state.labels.counts], () => this.#classes());
-    this.kept.show("elements", [state.elements, state.offers, state.nearby, state.selected], () => this.#elements());
-    this.kept.show("card", [state.selected, state.selectedElement, state.look, Boolean(state.drawing)], () => this.#card());
-    this.kept.show("hints", hints(state), () => hints(state).map((one) => hintItem(one, this.keys)));
+    this.cache.show("classes", [state.classId, state.labels.counts], () => this.#classes());
+    this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected], () => this.#elements());
+    this.cache.show("card", [state.selected, state.selectedElement, state.preview, Boolean(state.drawing)], () => this.#card());
+    this.cache.show("hints", hints(state), () => hints(state).map((hint) => hintItem(hint, this.keys)));
     this.#status();
   }
 
-  #glyph(one) {
-    return classGlyph(one, this.state.colorOf(one));
+  /** @param {ElementClass} elementClass */
+  #glyph(elementClass) {
+    return classGlyph(elementClass, this.state.colorOf(elementClass));
   }
 
   #classes() {
-    const { hello, classId, labels } = this.state;
-    return hello.classes.map((one, place) =>
-      row({ chosen: one.id === classId, onclick: () => this.edit.chooseClass(one.id) },
-        place < 9 ? badge(this.keys, `${place + 1}`) : null, this.#glyph(one),
-        el("span", { class: "fill", text: capital(one.name) }),
-        el("span", { class: "dim", text: labels.counts[one.id] ?? 0 })));
+    const { workspace, classId, labels } = this.state;
+    return workspace.classes.map((elementClass, index) =>
+      row({ chosen: elementClass.id === classId, onclick: () => this.edit.chooseClass(elementClass.id) },
+        index < 9 ? badge(this.keys, `${index + 1}`) : null, this.#glyph(elementClass),
+        el("span", { class: "fill", text: capital(elementClass.name) }),
+        el("span", { class: "dim", text: labels.counts[elementClass.id] ?? 0 })));
   }
 
-  /** Takes an element in hand; with Ctrl beside the one that was, to be linked. */
+  /** Selects an element; with Ctrl, together with the one selected before, to link both.
+   *
+   * @param {string} id
+   * @param {Click} event
+   */
   #choose(id, event) {
-    const { selected } = this.state;
-    this.actions.select(id);
-    const isSecond = (event.ctrlKey || event.metaKey) && selected && selected.element !== id;
-    if (isSecond) this.state.set({ selected: { ...this.state.selected, also: selected.element } });
+    const before = this.state.selected;
+    this.page.select(id);
+    const now = this.state.selected;
+    if ((event.ctrlKey || event.metaKey) && now && before && before.element !== id) {
+      this.state.set({ selected: { ...now, also: before.element } });
+    }
   }
 
   #elements() {
     const { state } = this;
-    const line = (one, about) =>
-      row({ chosen: one.id === state.selected?.element, onclick: (event) => this.#choose(one.id, event) },
-        this.#glyph(state.classOf(one.class)), el("span", { class: "fill", text: one.name }), ...about);
-    const seen = state.elements.map((one) => {
-      const sides = SIDES.filter((side) => one.observations[side]);
-      const lacks = state.hasRight && sides.length < 2;
-      const offer = state.offers.find(({ id }) => id === one.id);
-      return line(one, [
-        offer ? scoreBar(offer) : null,
-        el("span", { class: lacks ? "warning" : "dim", text: lacks ? `${sides[0]} only` : "left, right" }),
-        el("span", { class: "views dim", text: one.views ? `${one.views}` : "" })]);
+    const line = (/** @type {Pick<ShownElement, "id" | "name" | "class_id">} */ { id, name, class_id: classId }, /** @type {Child[]} */ details) =>
+      row({ chosen: id === state.selected?.element, onclick: (/** @type {Click} */ event) => this.#choose(id, event) },
+        this.#glyph(state.classOf(classId)), el("span", { class: "fill", text: name }), ...details);
+    const labelled = state.elements.map((element) => {
+      const sides = SIDES.filter((side) => element.observations[side]);
+      const isMissing = state.hasRight && sides.length < 2;
+      const proposal = state.proposals.find(({ id }) => id === element.id);
+      return line(element, [
+        proposal ? scoreBar(proposal) : null,
+        el("span", { class: isMissing ? "warning" : "dim", text: isMissing ? `${sides[0]} only` : "left, right" }),
+        el("span", { class: "views dim", text: element.views ? `${element.views}` : "" })]);
     });
-    const offered = state.expected.map((one) => line(one, [scoreBar(one), el("span", { class: "views dim", text: about(one) })]));
-    const near = state.nearby.map((one) => line(one, [el("span", { class: "faint", text: whence(one) })]));
-    const count = (list, what) => (list.length ? `${list.length} ${what}` : "");
-    byId("elements-about").textContent = [`${seen.length} here`, count(offered, "proposed"), count(near, "nearby")].filter(Boolean).join(", ");
+    const proposed = state.expected.map((proposal) => line(proposal, [scoreBar(proposal), el("span", { class: "views dim", text: depthOrOrigin(proposal) })]));
+    const near = state.nearby.map((element) => line(element, [el("span", { class: "faint", text: whyListed(element) })]));
+    const count = (/** @type {unknown[]} */ list, /** @type {string} */ noun) => (list.length ? `${list.length} ${noun}` : "");
+    byId("elements-about").textContent = [`${labelled.length} here`, count(proposed, "proposed"), count(near, "nearby")].filter(Boolean).join(", ");
     byId("map-about").textContent = `${state.labels.mapped} elements`;
-    return [...seen, ...offered, ...near];
+    return [...labelled, ...proposed, ...near];
   }
 
   #card() {
     const { state } = this;
-    const { look, drawing, selectedElement: element } = state;
-    const card = look?.card;
-    const id = drawing?.class ?? element?.class ?? state.selectedGhost?.class;
+    const { preview, drawing, selectedElement: element, selectedCandidate: candidate } = state;
+    const card = preview?.card ?? null;
+    const id = drawing?.class ?? element?.class_id ?? candidate?.class_id;
     if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
-    const name = drawing ? look?.joins ?? `New ${state.classOf(id).name}` : (element ?? state.selectedGhost).name;
-    const about = drawing ? "not saved yet" : element?.kept ? "kept here" : element ? state.classOf(id).name : whence(state.selectedGhost);
+    const name = drawing ? preview?.joins ?? `New ${state.classOf(id).name}` : (element ?? candidate)?.name ?? "";
+    const about = drawing ? "not saved yet" : element?.unsaved ? "kept here" : element ? state.classOf(id).name : candidate ? whyListed(candidate) : "";
     const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side)), this.#judged(element) ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? warning(card), this.#buttons(element)];
   }
 
-  /** What people decided about the element; null where nothing. */
-  #judged(element) {
-    if (!element?.judged?.length) return null;
-    const takeBack = ({ id, text }) => el("button", {
-      class: "small", title: "Leave it to the map again", onclick: () => this.actions.submit({ kind: "take back", judgement_id: id }),
+  /** The review decisions about the element; null if there are none.
+   *
+   * @param {ShownElement | null} element
+   */
+  #decisions(element) {
+    if (!element?.review_decisions?.length) return null;
+    const revokeButton = (/** @type {annotator.ReviewDecisionView} */ { id, text }) => el("button", {
+      class: "small", title: "Revoke this decision", onclick: () => this.page.submit({ kind: "take back", judgement_id: id }),
     }, capital(text), " ✕");
-    return el("p", { class: "about-card judged" }, ...element.judged.map(takeBack));
+    return el("p", { class: "about-card decisions" }, ...element.review_decisions.map(revokeButton));
   }
 
+  /** @param {ShownElement | null} element */
   #buttons(element) {
     if (!element || this.state.drawing) return "";
     const observation = this.state.selectedObservation;
-    const { kind } = this.state.classOf(element.class);
+    const { kind } = this.state.classOf(element.class_id);
+    /** @type {(text: string, key: string, run: () => void, pressed?: string) => HTMLElement} */
     const button = (text, key, run, pressed) =>
       el("button", { class: "small", "aria-pressed": pressed, onclick: run }, text, badge(this.keys, key));
     if (kind === "point") return el("div", { class: "buttons" }, ...this.#reclass(element), button("Delete", "Del", this.edit.remove));
@@ -146,17 +177,23 @@ export class Panels {
       button("Delete", "Del", this.edit.remove));
   }
 
-  /** The other classes that a sign can be. */
+  /** The other classes that a sign can be.
+   *
+   * @param {ShownElement} element
+   */
   #reclass(element) {
-    const { classes } = this.state.hello;
-    const others = classes.filter((one) => one.kind === "point" && one.id !== element.class);
-    return others.map((one) => {
-      const title = `Make it a ${one.name} (${this.keys.shown(`Shift ${classes.indexOf(one) + 1}`)})`;
-      return el("button", { class: "small", title, "aria-label": title, onclick: () => this.edit.setClass(one.id) }, this.#glyph(one));
+    const { classes } = this.state.workspace;
+    const others = classes.filter(({ kind, id }) => kind === "point" && id !== element.class_id);
+    return others.map((other) => {
+      const title = `Make it a ${other.name} (${this.keys.shown(`Shift ${classes.indexOf(other) + 1}`)})`;
+      return el("button", { class: "small", title, "aria-label": title, onclick: () => this.edit.setClass(other.id) }, this.#glyph(other));
     });
   }
 
-  /** With one camera the images are of two frames, and are called so. */
+  /** The title of an image; with one camera, the number of its frame.
+   *
+   * @param {Side} side
+   */
   #paneTitle(side) {
     const pane = this.state.panes[side];
     return this.state.hasRight || !pane ? capital(side) : `Frame ${pane.frame}`;
@@ -165,45 +202,91 @@ export class Panels {
   #status() {
     const { state } = this;
     for (const side of SIDES) {
-      byId(`${side}-image`).querySelector("h2").textContent = this.#paneTitle(side);
-      const node = byId(`${side}-image`).querySelector(".status");
+      find(byId(`${side}-image`), "h2").textContent = this.#paneTitle(side);
+      const node = find(byId(`${side}-image`), ".status");
       const { drawing } = state;
       if (drawing?.side === side) {
         const { name, kind } = state.classOf(drawing.class);
         const next = kind === "line" ? "second click sets the bottom" : "release sets the middle";
-        const joins = state.look?.joins ? ` of ${state.look.joins}` : "";
+        const joins = state.preview?.joins ? ` of ${state.preview.joins}` : "";
         node.textContent = `drawing ${name}${joins}: ${next}`;
       } else {
-        const there = state.elements.filter((one) => one.observations[side]).length;
-        node.textContent = there === 1 ? "1 element" : `${there} elements`;
+        const count = state.elements.filter(({ observations }) => observations[side]).length;
+        node.textContent = count === 1 ? "1 element" : `${count} elements`;
       }
     }
   }
 }
 
-/** Why an element that is not labelled here is listed. */
-const whence = (one) => {
-  if (one.labelled_in !== undefined) return `labelled in frame ${one.labelled_in}`;
-  return `proposed, ${about(one)}${one.refused ? ", turned down elsewhere" : ""}`;
+/** Two people changed one label: a bar below the images asks whose version to keep. */
+class Conflict {
+  /**
+   * @param {State} state
+   * @param {Pick<Page, "resolve">} page
+   */
+  constructor(state, page) {
+    this.state = state;
+    this.page = page;
+    /** @type {State["conflict"]} */
+    this.shown = null;
+  }
+
+  show() {
+    const { conflict } = this.state;
+    if (conflict === this.shown) return;
+    this.shown = conflict;
+    const bar = byId("conflict");
+    bar.hidden = conflict === null;
+    if (!conflict) return;
+    const choice = (/** @type {string} */ text, /** @type {boolean} */ isMine) =>
+      el("button", { class: "small", text, onclick: () => this.page.resolve(isMine) });
+    bar.replaceChildren(
+      el("span", { class: "fill", text: `${conflict.text} Both stay in the history.` }),
+      choice("Keep mine", true), choice("Keep theirs", false));
+  }
+}
+
+/** Why an element that is not labelled here is listed.
+ *
+ * @param {Proposal | annotator.NearbyView} candidate
+ */
+const whyListed = (candidate) => {
+  if ("labelled_in" in candidate) return `labelled in frame ${candidate.labelled_in}`;
+  return `proposed, ${depthOrOrigin(candidate)}${candidate.rejected_elsewhere ? ", rejected in another frame" : ""}`;
 };
 
-/** What there is to say of a proposal: its depth, or where it comes from. */
-const about = ({ depth_m, origin }) => (depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
+/** The depth of a proposal or, if it is unknown, its origin.
+ *
+ * @param {Proposal} proposal
+ */
+const depthOrOrigin = ({ depth_m, origin }) => (depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
-/** How sure a proposal is, and that it is weak. */
-function scoreBar({ score, sure }) {
-  if (score === null) return el("span", { class: "faint", text: "looking …" });
-  const bar = svg("svg", { class: sure ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
+/** The score of a proposal, marked as weak if it is not confident.
+ *
+ * @param {Proposal} proposal
+ */
+function scoreBar({ score, is_confident: isConfident }) {
+  if (score === null) return el("span", { class: "faint", text: "searching …" });
+  const bar = svg("svg", { class: isConfident ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
-  return el("span", { class: "scored" }, bar, el("span", { class: "dim", text: shownScore(score) }), sure ? null : el("span", { class: "faint", text: "weak" }));
+  return el("span", { class: "scored" }, bar, el("span", { class: "dim", text: shownScore(score) }), isConfident ? null : el("span", { class: "faint", text: "weak" }));
 }
 
-function hintItem({ keys: names, text, push }, keys) {
-  return el("span", { class: push ? "push dim" : "hint" }, ...names.map((name) => badge(keys, name)), text);
+/**
+ * @param {Hint} hint
+ * @param {Keys} keys
+ */
+function hintItem({ keys: names, text }, keys) {
+  return el("span", { class: "hint" }, ...names.map((name) => badge(keys, name)), text);
 }
 
+/**
+ * @param {annotator.Card | null} card
+ * @param {Side} side
+ */
 function numbers(card, side) {
-  const length = card?.length_px?.[side] ?? Object.values(card?.length_px ?? {})[0];
+  const lengths = card?.length_px ?? {};
+  const length = lengths[side] ?? Object.values(lengths)[0];
   return [
     number("Depth", card?.depth_m, "m", 1, card?.depth_sigma_m),
     number("Height", card?.height_m, "m", 2, card?.height_sigma_m),
@@ -214,13 +297,21 @@ function numbers(card, side) {
   ];
 }
 
-function number(name, value, unit, decimals, sigma) {
+/**
+ * @param {string} name
+ * @param {number | null | undefined} value
+ * @param {string} unit
+ * @param {number} decimals
+ * @param {number | null} [sigma]
+ */
+function number(name, value, unit, decimals, sigma = null) {
   const known = value !== undefined && value !== null;
   return el("div", {}, el("dt", { text: name }),
     el("dd", {}, el("b", { text: known ? `${fixed(value, decimals)} ${unit}` : "—" }),
-      sigma !== undefined ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
+      sigma !== null ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
 }
 
+/** @param {annotator.Card | null} card */
 function warning(card) {
   if (card?.is_thin) {
     return el("p", { class: "about-card" }, el("span", { class: "chip thin", text: "◆ Thin rays" }), " below 1°, add frames");

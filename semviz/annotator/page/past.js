@@ -1,70 +1,89 @@
-// An earlier state of the labels, shown in the images. Nothing can be changed in it.
+// @ts-check
+// Shows an earlier state of the labels in the images, read-only.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Keys} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
 import { byId, el } from "/static/dom.js";
-import { spaced } from "./state.js";
-import { Kept, badge } from "./widgets.js";
+import { spaced } from "./values.js";
+import { RenderCache, badge } from "./widgets.js";
 
-const DRAG_MS = 60; // a slider that moves asks no more often
+const DRAG_MS = 60; // shortest interval of requests while the slider moves
 
 export class Past {
-  /** `send(message)` to the server; `submit(edit)` and `look()` as for the tools. */
-  constructor(state, keys, { send, submit, look }) {
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   * @param {Pick<Page, "socket" | "submit" | "preview">} page
+   */
+  constructor(state, keys, page) {
     this.state = state;
     this.keys = keys;
-    this.send = send;
-    this.submit = submit;
-    this.ask = look;
-    this.kept = new Kept(state);
-    this.asked = null; // {operation, frame}
-    this.timer = 0;
+    this.page = page;
+    this.cache = new RenderCache(state);
+    /** @type {{operation: number, frame: number} | null} */
+    this.requested = null;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.timer = undefined;
     state.onChange(() => {
-      if (this.asked && this.asked.frame !== state.frame) this.look(this.asked.operation);
+      if (this.requested && this.requested.frame !== state.frame) this.view(this.requested.operation);
     });
   }
 
-  /** Shows the state after `operation` in the frame on screen, as soon as it comes. */
-  look(operation) {
-    this.asked = { operation, frame: this.state.frame };
+  /** Requests the state after `operation` in the frame on screen.
+   *
+   * @param {number} operation
+   */
+  view(operation) {
+    const request = { operation, frame: this.state.frame ?? 0 };
+    this.requested = request;
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.send({ type: "at", ...this.asked }), DRAG_MS);
+    this.timer = setTimeout(() => this.page.socket.send("show_past_frame", request), DRAG_MS);
     if (this.state.drawing) this.state.set({ drawing: null });
   }
 
-  /** The server's answer; one that nobody waits for any more is dropped. */
-  received({ type: _, ...past }) {
-    const { operation, frame } = this.asked ?? {};
-    if (past.operation === operation && past.frame.index === frame) this.state.set({ past, look: null });
+  /** Shows the server's answer, unless another state was requested since.
+   *
+   * @param {annotator.PastFrame} past
+   */
+  received(past) {
+    const { operation, frame } = this.requested ?? {};
+    if (past.operation === operation && past.frame.index === frame) this.state.set({ past, preview: null });
   }
 
-  /** Back to now. Returns whether something else was shown. */
+  /** Returns to the present. Returns whether an earlier state was shown. */
   back() {
-    const was = Boolean(this.asked);
+    const was = Boolean(this.requested);
     clearTimeout(this.timer);
-    this.asked = null;
+    this.requested = null;
     this.state.set({ past: null });
-    if (was) this.ask();
+    if (was) this.page.preview();
     return was;
   }
 
-  /** Makes the state that is shown the present one, by a new operation. */
+  /** Restores the shown state by a new operation. */
   restore() {
-    const { operation } = this.state.past;
+    const { past } = this.state;
+    if (!past) return;
     this.back();
-    this.submit({ kind: "restore", number: operation });
+    this.page.submit({ kind: "restore", number: past.operation });
   }
 
   show() {
-    const { past, hello } = this.state;
+    const { past, workspace } = this.state;
     byId("past").hidden = !past;
     document.body.classList.toggle("past", Boolean(past));
-    this.kept.show("past", past && past.operation, () => this.#bar(past, hello.author));
+    this.cache.show("past", past && past.operation, () => (past ? this.#bar(past, workspace.author) : []));
   }
 
-  #bar(past, me) {
-    if (!past) return [];
-    const { time, author, text } = past.done ?? {};
-    const about = time ? [ago(time), author === me ? "you" : author, text].join(", ") : "the beginning";
+  /**
+   * @param {annotator.PastFrame} past
+   * @param {string} me
+   */
+  #bar({ operation, done }, me) {
+    const about = done ? [ago(done.time), done.author === me ? "you" : done.author, done.text].join(", ") : "the beginning";
     return [
-      el("b", { text: `State after operation ${spaced(past.operation)}` }),
+      el("b", { text: `State after operation ${spaced(operation)}` }),
       el("span", { class: "fill", text: `${about}. Nothing is changed.` }),
       el("button", { class: "small", onclick: () => this.restore(), text: "Restore as new operation" }),
       el("button", { class: "small", onclick: () => this.back() }, "Back to now", badge(this.keys, "Esc")),
@@ -72,10 +91,13 @@ export class Past {
   }
 }
 
-/** How long ago, as people say it. `time`: ISO 8601. */
+/** How long ago a time was, for people.
+ *
+ * @param {string} time ISO 8601
+ */
 export function ago(time) {
   const minutes = Math.floor((Date.now() - Date.parse(time)) / 60_000);
-  if (minutes < 1) return "just now"; // also where another computer's clock is ahead
+  if (minutes < 1) return "just now"; // also if another computer's clock is ahead
   if (minutes < 60) return `${minutes} min ago`;
   if (minutes < 24 * 60) return `${Math.floor(minutes / 60)} h ago`;
   const days = Math.floor(minutes / (24 * 60));

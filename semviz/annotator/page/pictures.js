@@ -1,36 +1,53 @@
-// Decoded images, the last few kept, so that stepping to the next frame shows it at once.
+// @ts-check
+// A cache of decoded images, so that the next frame shows at once.
 
-const KEPT = 12;
+const CACHED = 12;
+
+/** An image; null with the reason if there is none.
+ * @typedef {{bitmap: ImageBitmap | null, message: string}} Picture */
 
 export class Pictures {
   constructor() {
-    this.kept = new Map(); // "frame/side" -> promise, least recently used first
+    /** @type {Map<string, Promise<Picture>>} by "frame/side", least recently used first */
+    this.cached = new Map();
   }
 
-  /** {bitmap, message}: the decoded image, or null and why there is none. */
+  /** The decoded image.
+   *
+   * @param {number} frame
+   * @param {"left" | "right"} side
+   */
   get(frame, side) {
     const key = `${frame}/${side}`;
-    const found = this.kept.get(key) ?? this.#load(key);
-    this.kept.delete(key);
-    this.kept.set(key, found);
-    for (const oldest of [...this.kept.keys()].slice(0, -KEPT)) this.kept.delete(oldest);
-    return found;
+    const picture = this.cached.get(key) ?? this.#load(key);
+    this.cached.delete(key);
+    this.cached.set(key, picture);
+    for (const oldest of [...this.cached.keys()].slice(0, -CACHED)) this.cached.delete(oldest);
+    return picture;
   }
 
+  /**
+   * @param {string} key
+   * @returns {Promise<Picture>}
+   */
   async #load(key) {
     try {
       const answer = await fetch(`image/${key}.png`);
       if (!answer.ok) return this.#failed(key, await answer.text());
-      // colours as they are in the file: a label is made on pixels, not on a colour profile
-      const options = { colorSpaceConversion: "none" };
-      return { bitmap: await createImageBitmap(await answer.blob(), options), message: "" };
+      // without colour profile: labels refer to the pixels of the file
+      const bitmap = await createImageBitmap(await answer.blob(), { colorSpaceConversion: "none" });
+      return { bitmap, message: "" };
     } catch {
-      return this.#failed(key, "No connection. The image comes when the server is back.");
+      return this.#failed(key, "No connection. The image loads when the server is back.");
     }
   }
 
+  /**
+   * @param {string} key
+   * @param {string} message
+   */
   #failed(key, message) {
-    this.kept.delete(key);
+    this.cached.delete(key);
     return { bitmap: null, message };
   }
 }

@@ -1,83 +1,124 @@
-// What the proposal keys do: accept, turn down, pick the runner-up, step through.
-import { SIDES, uuid7 } from "./state.js";
+// @ts-check
+// The proposal keys: accept, reject, swap with the runner-up, step through.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Command} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+/** @import {Proposal, Side} from "./values.js" */
+import { SIDES, uuid7 } from "./values.js";
 
-/** Commands for `Keys`; `nextFrame()` goes on to the frame after. */
+/** Commands for `Keys`; `nextFrame()` goes to the next frame.
+ *
+ * @param {State} state
+ * @param {Pick<Page, "submit" | "select" | "markReviewed">} actions
+ * @param {() => void} nextFrame
+ * @returns {Command[]}
+ */
 export function proposalCommands(state, actions, nextFrame) {
-  const does = proposing(state, actions);
+  const proposal = proposing(state, actions);
   const group = "Proposals";
   return [
-    { key: " ", group, title: "Accept the current one", run: does.accept },
-    { key: " ", shift: true, group, title: "Accept all that are sure", run: does.acceptSure },
-    { key: "Enter", ctrl: true, group, title: "Accept the sure ones, reviewed, next frame", run: () => {
-      does.acceptSure();
-      actions.sayReviewed();
+    { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
+    { key: " ", shift: true, group, title: "Accept all confident proposals", run: proposal.acceptSure },
+    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", run: () => {
+      proposal.acceptSure();
+      actions.markReviewed();
       nextFrame();
     } },
-    { key: "x", group, title: "Reject: not here", run: () => does.dismiss("rejected") },
-    { key: "n", group, title: "Not there any more", run: () => does.dismiss("absent") },
-    { key: "k", group, title: "Pick the runner-up", run: does.swap },
-    { key: "Tab", group, title: "Next", run: () => does.step(1) },
-    { key: "Tab", shift: true, group, title: "The one before", run: () => does.step(-1) },
+    { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
+    { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
+    { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
+    { key: "Tab", group, title: "Next proposal", run: () => proposal.step(1) },
+    { key: "Tab", shift: true, group, title: "Previous proposal", run: () => proposal.step(-1) },
   ];
 }
 
-/** What can be done with proposals, on the state as it is now. */
-export function proposing(state, { submit, select }) {
-  const accepted = (offers) => {
-    const marks = offers.flatMap((offer) => SIDES.filter((side) => offer[side]).map((side) => mark(state.frame, offer, side)));
-    if (marks.length) submit({ kind: "accept", marks });
+/** The actions on proposals, for the present state.
+ *
+ * @param {State} state
+ * @param {Pick<Page, "submit" | "select">} actions
+ */
+export function proposing(state, actions) {
+  const accepted = (/** @type {Proposal[]} */ proposals) => {
+    const marks = proposals.flatMap((proposal) => marksOf(proposal).map(([side, mark]) => drawnMark(state.frame ?? 0, proposal, side, mark)));
+    if (marks.length) actions.submit({ kind: "accept", marks });
   };
   return {
     accept() {
-      if (state.currentOffer) accepted([state.currentOffer]);
+      if (state.currentProposal) accepted([state.currentProposal]);
     },
     acceptSure() {
-      accepted(state.sureOffers);
+      accepted(state.confidentProposals);
     },
-    /** `why`: rejected, absent or occluded. Returns whether there was something to turn down. */
+    /** Rejects the current proposal. Returns whether there was one.
+     *
+     * @param {"rejected" | "absent" | "occluded"} why
+     */
     dismiss(why) {
-      const offer = state.currentOffer;
-      if (!offer) return false;
-      const dismissals = SIDES.filter((side) => offer[side]).map((side) => ({
-        id: offer[side].id,
-        frame_index: offer[side].frame,
-        side: offer[side].side,
+      const proposal = state.currentProposal;
+      if (!proposal) return false;
+      const dismissals = marksOf(proposal).map(([, { id, frame, side }]) => ({
+        id,
+        frame_index: frame,
+        side,
         why,
-        element_id: offer.origin === "detector" ? null : offer.id,
+        element_id: proposal.origin === "detector" ? null : proposal.id,
       }));
-      submit({ kind: "dismiss", dismissals });
+      actions.submit({ kind: "dismiss", dismissals });
       return true;
     },
     swap() {
-      const changed = SIDES.map((side) => state.currentOffer?.[side]).filter((one) => one?.runner_up);
       const swapped = new Set(state.swapped);
-      for (const { id } of changed) if (!swapped.delete(id)) swapped.add(id);
+      for (const [, { id, runner_up }] of state.currentProposal ? marksOf(state.currentProposal) : []) {
+        if (runner_up && !swapped.delete(id)) swapped.add(id);
+      }
       state.set({ swapped });
     },
-    /** Steps through the proposals or, where there are none, through the elements. */
+    /** Steps through the proposals; without any, through the elements.
+     *
+     * @param {number} by
+     */
     step(by) {
-      const ids = (state.offers.length ? state.offers : state.elements).map((one) => one.id);
+      const ids = (state.proposals.length ? state.proposals : state.elements).map(({ id }) => id);
       if (!ids.length) return;
-      const place = ids.indexOf(state.selected?.element);
-      select(ids[place < 0 ? (by > 0 ? 0 : ids.length - 1) : (place + by + ids.length) % ids.length]);
+      const index = ids.indexOf(state.selected?.element ?? "");
+      actions.select(ids[index < 0 ? (by > 0 ? 0 : ids.length - 1) : (index + by + ids.length) % ids.length]);
     },
   };
 }
 
-/** One accepted mark. A detector's becomes an observation under its own id, of a new element
- * unless all its marks fit one that is expected there. */
-function mark(frame, offer, side) {
-  const { id, anchor, end, anchor_known, end_known } = offer[side];
-  const isNew = offer.origin === "detector";
+/** The marks of a proposal with their sides.
+ *
+ * @param {Proposal} proposal
+ * @returns {[Side, annotator.ProposalMark][]}
+ */
+function marksOf({ marks }) {
+  return SIDES.flatMap((side) => {
+    const mark = marks[side];
+    return mark ? [/** @type {[Side, annotator.ProposalMark]} */ ([side, mark])] : [];
+  });
+}
+
+/** An accepted mark. A detection keeps its id and starts a new element, unless all its marks fit an
+ * expected one.
+ *
+ * @param {number} frame
+ * @param {Proposal} proposal
+ * @param {Side} side
+ * @param {annotator.ProposalMark} mark
+ * @returns {annotator.DrawnMark}
+ */
+function drawnMark(frame, proposal, side, { id, anchor, end, anchor_known, end_known }) {
+  const isNew = proposal.origin === "detector";
   return {
     observation_id: isNew ? id : uuid7(),
-    element_id: offer.id,
+    element_id: proposal.id,
     frame_index: frame,
     side,
     anchor_px: anchor,
     end_px: end,
     anchor_known,
     end_known: end !== null && end_known,
-    ...(isNew ? { class_id: offer.class } : {}),
+    ...(isNew ? { class_id: proposal.class_id } : {}),
   };
 }

@@ -1,105 +1,140 @@
-// What waits for a person in the last map: decisions to judge, and findings to look at.
+// @ts-check
+// Review of the last map: open decisions and lint findings.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Keys} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+/** @import {OpenReview} from "./values.js" */
 import { byId, el } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
-import { Kept, badge, capital, header } from "./widgets.js";
+import { RenderCache, badge, capital, header } from "./widgets.js";
 
-/** The lists, by what the server calls them. */
+/** @typedef {annotator.ReviewEntry["list_name"]} ListName */
+
+/** The lists by the server's names.
+ *
+ * @type {Record<ListName, {title: string, noun: string, none: string}>} */
 export const REVIEWS = {
-  decisions: { title: "Map decisions", one: "decision", none: "No decision is open." },
-  findings: { title: "Lint findings", one: "finding", none: "Nothing looks odd in the last map." },
+  decisions: { title: "Map decisions", noun: "decision", none: "No decision is open." },
+  findings: { title: "Lint findings", noun: "finding", none: "The last map has no findings." },
 };
-const QUESTIONS = { merge: "One thing?", split: "Two things?", apart: "Two things?", "leave out": "Leave out?" };
-const KEYS = ["Y", "Shift Y"]; // of the first answers
+/** @type {Record<string, string>} */
+const QUESTIONS = { merge: "Same landmark?", split: "Different landmarks?", apart: "Different landmarks?", "leave out": "Leave out?" };
+const KEYS = ["Y", "Shift Y"]; // for the first two answers
 
-/** Commands for `Keys`. */
+/** Commands for `Keys`.
+ *
+ * @param {Review} review
+ * @returns {import("/static/keys.js").Command[]}
+ */
 export function reviewCommands(review) {
   const group = "Map";
   return [
-    { key: "y", group, title: "Answer as the map has it", run: () => review.answer(0) },
-    { key: "y", shift: true, group, title: "Answer the other way", run: () => review.answer(1) },
-    { key: "m", shift: true, group, title: "Build the map; again: stop that", run: () => review.build() },
+    { key: "y", group, title: "Agree with the map", run: () => review.answer(0) },
+    { key: "y", shift: true, group, title: "Disagree with the map", run: () => review.answer(1) },
+    { key: "m", shift: true, group, title: "Build the map; again: stop", run: () => review.build() },
   ];
 }
 
 export class Review {
-  /** `send(message)` to the server; `submit`, `go` and `select` as for the tools; `tell` as of the
-   * panels; `fit` shows whole images. */
-  constructor(state, keys, { send, submit, go, select, tell, fit }) {
-    Object.assign(this, { state, keys, send, submit, go, select, tell, fit });
-    this.kept = new Kept(state);
-    this.asked = null; // the labels and map of the last question
-    this.answered = null; // key of the last one that was answered here
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   * @param {Pick<Page, "socket" | "submit" | "go" | "select" | "notify" | "fit">} page
+   */
+  constructor(state, keys, page) {
+    this.state = state;
+    this.keys = keys;
+    this.page = page;
+    this.cache = new RenderCache(state);
+    this.requestedFor = ""; // the labels and map of the last request
+    this.answered = ""; // key of the entry answered last
     this.failure = "";
     byId("build").addEventListener("click", () => this.build());
   }
 
-  /** Opens a list, or goes on in the one that is open. */
+  /** Opens a list, or steps through the open one.
+   *
+   * @param {ListName} list
+   * @param {-1 | 0 | 1} by
+   */
   step(list, by) {
     if (this.state.labels.map.built === null) {
-      this.tell("No map yet: press Build map, or run semviz map build.");
+      this.page.notify("No map yet: press Build map, or run semviz map build.");
       return;
     }
     const { review } = this.state;
-    const isOpen = review?.list === list;
-    this.#ask(list, isOpen ? review.key : null, isOpen ? review.place : 0, isOpen ? by : 0);
+    if (review?.list_name === list) this.#request(list, review.entry.key, review.place, by);
+    else this.#request(list, null, 0, 0);
   }
 
+  /** @param {number} place */
   answer(place) {
     const { review, pending } = this.state;
-    const answer = review?.answers[place];
-    if (!answer || (this.answered === review.key && pending.length)) return; // pressed twice
-    this.answered = review.key;
-    this.submit(answer.edit); // once it is saved, the next one is asked for
+    const answer = review?.entry.answers[place];
+    if (!review || !answer || (this.answered === review.entry.key && pending.length)) return; // pressed twice
+    this.answered = review.entry.key;
+    this.page.submit(answer.edit); // once it is saved, the next entry is requested
   }
 
-  /** Builds the map or, where that is going on, stops it. */
+  /** Builds the map, or stops a running build. */
   build() {
-    this.send({ type: "build", stop: this.state.labels.map.building !== null });
+    this.page.socket.send(this.state.labels.map.building === null ? "build_map" : "stop_map_build", {});
   }
 
-  /** Returns whether a card was open. */
+  /** Closes the open entry. Returns whether there was one. */
   close() {
     const wasOpen = Boolean(this.state.review);
     if (wasOpen) {
       this.state.set({ review: null });
-      this.send({ type: "review" });
+      this.page.socket.send("close_review", {});
     }
     return wasOpen;
   }
 
-  /** The server's answer: a new card leads to its frame, the same one anew stays where the page is. */
-  received({ card }) {
-    if (!card) return;
+  /** Shows the server's answer. A new entry leads to its frame; an updated one does not.
+   *
+   * @param {annotator.ReviewEntry | null} review
+   */
+  received(review) {
+    if (!review) return;
+    const { entry, list_name: list } = review;
     const before = this.state.review;
-    if (!card.count) {
+    if (!entry) {
       this.state.set({ review: null });
-      this.tell(`${REVIEWS[card.list].none}${this.#isDue() ? " Build map follows what you have answered." : ""}`);
+      this.page.notify(`${REVIEWS[list].none}${this.#isDue() ? " Press Build map to apply your answers." : ""}`);
       return;
     }
-    this.state.set({ review: card });
-    if (before?.list === card.list && before.key === card.key) return;
-    this.fit();
-    if (card.frame !== null) this.go(card.frame);
-    this.select(card.list === "findings" ? card.elements[0]?.id ?? null : null);
+    this.state.set({ review: { ...review, entry } });
+    if (before?.list_name === list && before.entry.key === entry.key) return;
+    this.page.fit();
+    if (entry.frame !== null) this.page.go(entry.frame);
+    this.page.select(list === "findings" ? entry.elements[0]?.id ?? null : null);
   }
 
   show() {
     const { labels, review, theme } = this.state;
     const { map, operation } = labels;
     const now = JSON.stringify([operation, map]);
-    if (review && this.asked !== now) this.#ask(review.list, review.key, review.place, 0);
-    if (map.failure && map.failure !== this.failure) this.tell(map.failure, "wrong");
+    if (review && this.requestedFor !== now) this.#request(review.list_name, review.entry.key, review.place, 0);
+    if (map.failure && map.failure !== this.failure) this.page.notify(map.failure, "wrong");
     this.failure = map.failure;
     this.#showBuild(map);
     document.body.classList.toggle("reviewing", Boolean(review));
     byId("review").hidden = !review;
-    if (review) this.kept.show("review", [review, this.state.frame, theme], () => this.#card(review));
+    if (review) this.cache.show("review", [review, this.state.frame, theme], () => this.#card(review));
   }
 
-  #ask(list, key, place, by) {
+  /**
+   * @param {ListName} list
+   * @param {string | null} key
+   * @param {number} place
+   * @param {-1 | 0 | 1} by
+   */
+  #request(list, key, place, by) {
     const { map, operation } = this.state.labels;
-    this.asked = JSON.stringify([operation, map]);
-    this.send({ type: "review", list, key, place, by });
+    this.requestedFor = JSON.stringify([operation, map]);
+    this.page.socket.send("show_review", { list_name: list, key, place, by });
   }
 
   /** Whether the map is older than the labels. */
@@ -108,48 +143,63 @@ export class Review {
     return operation > 0 && map.built !== operation;
   }
 
-  /** In the accent where the labels have changed since. */
+  /** Updates the build button; it is highlighted if labels have changed since the last build.
+   *
+   * @param {annotator.MapSummary} map
+   */
   #showBuild(map) {
     const node = byId("build");
     node.textContent = map.building === null ? "Build map" : `Stop, ${map.building.match(/\d+ %/)?.[0] ?? "0 %"}`;
     node.classList.toggle("due", map.building === null && this.#isDue());
-    const known = map.built === null ? "There is no map yet" : `The map knows the labels up to operation ${map.built}`;
-    node.title = map.building === null ? known : `Building the map: ${map.building}`;
+    const present = map.built === null ? "There is no map yet" : `The map contains the labels up to operation ${map.built}`;
+    node.title = map.building === null ? present : `Building the map: ${map.building}`;
   }
 
-  #card(review) {
-    const { kind, list, place, count, severity, reason, evidence, answers } = review;
+  /** @param {OpenReview} review */
+  #card({ list_name: list, place, count, entry }) {
+    const { kind, severity, reason, evidence, answers, elements, about } = entry;
     const title = list === "decisions" ? QUESTIONS[kind] : capital(kind);
     const chip = severity ? el("span", { class: `push chip ${severity}`, text: severity }) : null;
     return [
-      header(title, `${REVIEWS[list].one} ${place + 1} of ${count}`, null, chip),
-      el("div", { class: "seen-list" }, ...review.elements.map((one) => this.#element(one, answers))),
-      review.about.length ? el("p", { class: "seen" }, "in question", ...this.#frames(review.about)) : null,
+      header(title, `${REVIEWS[list].noun} ${place + 1} of ${count}`, null, chip),
+      el("div", { class: "seen-list" }, ...elements.map((element) => this.#element(element, answers))),
+      about.length ? el("p", { class: "seen" }, "in question", ...this.#frames(about)) : null,
       el("p", { class: "reason", text: reason }),
       el("dl", { class: "evidence" }, ...evidence.flatMap(({ name, value }) => [el("dt", { text: name }), el("dd", { text: value })])),
-      answers.length ? el("div", { class: "buttons" }, ...answers.slice(0, KEYS.length).map((one, index) => this.#answer(one, index))) : null,
-    ].filter(Boolean);
+      answers.length ? el("div", { class: "buttons" }, ...answers.slice(0, KEYS.length).map((answer, index) => this.#answer(answer, index))) : null,
+    ];
   }
 
-  /** Where of three and more elements one alone can be another thing, its line says so. */
-  #element({ id, number, name, class: classId, frames }, answers) {
+  /** The line of one element; it has a button if an answer excludes only this element.
+   *
+   * @param {annotator.EntryElement} element
+   * @param {annotator.AnswerView[]} answers
+   */
+  #element({ id, number, name, class_id: classId, frames }, answers) {
     const other = answers.findIndex((answer) => answer.name === `not ${number}`);
-    const one = classId === null ? null : this.state.classOf(classId);
-    const glyph = one && classGlyph(one, this.state.colorOf(one));
+    const elementClass = classId === null ? null : this.state.classOf(classId);
+    const glyph = elementClass && classGlyph(elementClass, this.state.colorOf(elementClass));
     const label = el("b", { text: name });
-    if (one) label.style.color = this.state.colorOf(one);
-    return el("p", { class: "seen" }, glyph, id ? el("button", { class: "small", onclick: () => this.select(id) }, label) : label, ...this.#frames(frames),
-      other < 0 ? null : el("button", { class: "push small", title: answers[other].title, onclick: () => this.answer(other), text: "another" }));
+    if (elementClass) label.style.color = this.state.colorOf(elementClass);
+    return el("p", { class: "seen" }, glyph, id ? el("button", { class: "small", onclick: () => this.page.select(id) }, label) : label, ...this.#frames(frames),
+      other < 0 ? null : el("button", { class: "push small", title: answers[other].title, onclick: () => this.answer(other), text: "exclude" }));
   }
 
-  /** Where to look: buttons that lead to frames. */
+  /** Buttons that lead to frames.
+   *
+   * @param {number[]} frames
+   */
   #frames(frames) {
     return frames.map((frame) => el("button", {
       class: frame === this.state.frame ? "small frame chosen" : "small frame", title: `To frame ${frame}`,
-      onclick: () => this.go(frame), text: frame,
+      onclick: () => this.page.go(frame), text: frame,
     }));
   }
 
+  /**
+   * @param {annotator.AnswerView} answer
+   * @param {number} index
+   */
   #answer({ title }, index) {
     return el("button", { class: "small", onclick: () => this.answer(index) }, title, KEYS[index] ? badge(this.keys, KEYS[index]) : null);
   }

@@ -1,4 +1,8 @@
-// The frames along the bottom: picture, number of elements, how far each is.
+// @ts-check
+// The strip of frames: thumbnail, number of elements, review state.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
 import { byId, el, svg } from "/static/dom.js";
 
 export const REVIEWS = [
@@ -8,16 +12,23 @@ export const REVIEWS = [
   ["unseen", "Unseen"],
 ];
 
-const BESIDE = 4; // tiles drawn beyond each end of what is on screen
+const BESIDE = 4; // tiles drawn beyond each end of the visible part
 
-/** Only the tiles on screen are there: a drive may have ten thousand frames. */
+/** Builds only the visible tiles: a drive may have ten thousand frames. */
 export class Strip {
-  constructor(state, actions) {
+  /**
+   * @param {State} state
+   * @param {Pick<Page, "go">} page
+   */
+  constructor(state, page) {
     this.state = state;
-    this.actions = actions;
-    this.tiles = new Map(); // by place in time
+    this.page = page;
+    /** @type {Map<number, HTMLElement>} */
+    this.tiles = new Map(); // by index in time
+    /** @type {number | null} */
     this.current = null;
-    this.frames = null;
+    /** @type {annotator.FrameSummary[]} */
+    this.frames = [];
     this.rail = el("div", { class: "rail" });
     this.root = byId("strip");
     this.root.append(this.rail);
@@ -35,7 +46,7 @@ export class Strip {
     if (this.current !== frame) {
       this.current = frame;
       const pitch = this.#pitch();
-      this.root.scrollLeft = (order.indexOf(frame) + 0.5) * pitch - this.root.clientWidth / 2;
+      this.root.scrollLeft = (order.indexOf(frame ?? -1) + 0.5) * pitch - this.root.clientWidth / 2;
     }
     this.#draw();
   }
@@ -46,7 +57,7 @@ export class Strip {
   }
 
   #draw() {
-    if (!this.frames?.length) return;
+    if (!this.frames.length) return;
     const pitch = this.#pitch();
     const first = Math.max(0, Math.floor(this.root.scrollLeft / pitch) - BESIDE);
     const last = Math.min(this.frames.length - 1, Math.ceil((this.root.scrollLeft + this.root.clientWidth) / pitch) + BESIDE);
@@ -56,39 +67,48 @@ export class Strip {
       this.tiles.delete(place);
     }
     for (let place = first; place <= last; place += 1) {
-      if (!this.tiles.has(place)) this.tiles.set(place, this.#tile(place));
-      this.#update(this.tiles.get(place), this.frames[place]);
+      const tile = this.tiles.get(place) ?? this.#tile(place);
+      this.tiles.set(place, tile);
+      this.#update(tile, this.frames[place]);
     }
   }
 
+  /** @param {number} place */
   #tile(place) {
     const { index } = this.frames[place];
-    const tile = el("button", { class: "tile", data: { frame: index }, "aria-label": `Frame ${index}`, onclick: () => this.actions.go(index) },
+    const tile = el("button", { class: "tile", data: { frame: index }, "aria-label": `Frame ${index}`, onclick: () => this.page.go(index) },
       el("img", { alt: "", draggable: "false", src: `thumbnail/${index}.jpg` }), el("span", { class: "caption" }, el("b", { text: index })));
     tile.style.left = `calc(${place} * var(--pitch))`;
     this.rail.append(tile);
     return tile;
   }
 
+  /**
+   * @param {HTMLElement} tile
+   * @param {annotator.FrameSummary} frame
+   */
   #update(tile, { index, state, elements }) {
     const now = `${state} ${elements} ${index === this.state.frame}`;
     if (tile.dataset.now === now) return;
     tile.dataset.now = now;
     tile.className = `tile ${state === "unseen" ? "unseen" : ""} ${index === this.state.frame ? "current" : ""}`;
     tile.title = `Frame ${index}: ${state}, ${elements} elements`;
-    tile.lastChild.replaceChildren(
+    tile.lastElementChild?.replaceChildren(
       el("b", { text: index }), el("span", { class: "dim", text: state === "unseen" ? "" : elements }), reviewMark(state));
   }
 
   #legend() {
-    const count = (wanted) => this.frames.filter(({ state }) => state === wanted).length;
+    const count = (/** @type {string} */ wanted) => this.frames.filter(({ state }) => state === wanted).length;
     const rows = REVIEWS.map(([state, text]) =>
       el("li", {}, reviewMark(state), el("span", { class: "fill", text }), el("b", { text: count(state) })));
     byId("legend").replaceChildren(...rows);
   }
 }
 
-/** Disc, struck circle, half disc or dashed circle. */
+/** The icon of a review state: disc, struck circle, half disc or dashed circle.
+ *
+ * @param {string} state
+ */
 function reviewMark(state) {
   const icon = svg("svg", { class: "review", viewBox: "-6 -6 12 12", "aria-label": state });
   const ring = { r: 4.2, class: state === "unseen" ? "dashed" : "ring" };

@@ -1,108 +1,154 @@
-// The pen: what presses, moves and releases on the images mean.
+// @ts-check
+// Drawing and dragging on the images with the pointer or the keyboard cursor.
+/** @import {Hit, Images} from "./images.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+/** @import {Drawing, Proposal, Point, Side} from "./values.js" */
 import { pointerAt } from "/static/canvas.js";
-import { SIDES, uuid7 } from "./state.js";
+import { SIDES, uuid7 } from "./values.js";
 
-const BESIDE = 8; // CSS pixels; a press so near to the image is meant for its border
-const DRAG_FROM = 4; // CSS pixels; a shorter way is a click
+const BESIDE = 8; // CSS pixels; a press this close outside the image counts as on its border
+const DRAG_FROM = 4; // CSS pixels; a shorter move is a click
+
+/** A press that has not ended; `held`: the observation that a drag moves.
+ * @typedef {{
+ *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw",
+ *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null},
+ * }} Press */
 
 export class Tools {
-  /** `submit(edit)` keeps and sends an edit; `look()` asks for guides and numbers; `mayEdit()` says
-   * whether labels can be changed now, and tells the person why not. */
-  constructor(state, images, { submit, look, mayEdit }) {
+  /**
+   * @param {State} state
+   * @param {Images} images
+   * @param {Pick<Page, "submit" | "preview" | "mayEdit">} page
+   */
+  constructor(state, images, page) {
     this.state = state;
     this.images = images;
-    this.submit = submit;
-    this.look = look;
-    this.mayEdit = mayEdit;
-    this.press = null; // the button that is down: {side, from, moved, mode, ...}
+    this.page = page;
+    /** @type {Press | null} */
+    this.press = null;
     for (const side of SIDES) {
       const canvas = images.canvas(side);
-      const on = (name, handler) =>
-        canvas.addEventListener(name, (event) => handler.call(this, side, event), { passive: false });
-      on("pointerdown", this.#down);
-      on("pointermove", this.#move);
-      on("pointerup", this.#up);
-      on("pointercancel", this.#cancelPress);
-      on("pointerleave", this.#leave);
-      on("wheel", this.#wheel);
+      canvas.addEventListener("pointerdown", (event) => this.#down(side, event));
+      canvas.addEventListener("pointermove", (event) => this.#move(side, event));
+      canvas.addEventListener("pointerup", (event) => this.#up(side, event));
+      canvas.addEventListener("pointercancel", () => this.#cancelPress());
+      canvas.addEventListener("pointerleave", () => this.#leave());
+      canvas.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
       canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     }
   }
 
-  /** Esc: leaves nothing behind. Returns whether there was something to leave. */
+  /** Cancels drawing and drag. Returns whether there was one. */
   cancel() {
     const had = this.state.drawing || this.press?.moved;
     this.press = null;
     this.state.set({ drawing: null, dragged: null });
-    if (had) this.look();
+    if (had) this.page.preview();
     return Boolean(had);
   }
 
+  /**
+   * @param {Side} side
+   * @param {PointerEvent} event
+   */
   #down(side, event) {
     event.preventDefault();
     this.images.canvas(side).focus({ preventScroll: true });
     this.images.canvas(side).setPointerCapture(event.pointerId);
     const point = pointerAt(event);
-    this.press = { side, button: event.button, start: point, last: point, moved: false };
+    /** @type {Press} */
+    const press = { side, start: point, last: point, moved: false, mode: "" };
+    this.press = press;
     if (event.button !== 0 || event.altKey) {
-      this.press.mode = "pan";
+      press.mode = "pan";
     } else if (this.state.drawing) {
-      this.press.mode = "finish";
+      press.mode = "finish";
     } else {
       const hit = event.shiftKey ? null : this.images.hit(side, point);
-      if (hit) this.#take(side, hit, event);
-      else if (this.#begin(side, this.images.view.toImage(point))) this.press.mode = "draw";
+      if (hit) this.#take(press, hit, event);
+      else if (this.#begin(side, this.images.view.toImage(point))) press.mode = "draw";
     }
   }
 
-  // -- without a mouse
+  // -- with the keyboard cursor
 
-  /** A point at `pixel`, as by a click there: begins a drawing, or finishes it. */
+  /** Sets a point at `pixel`, like a click: begins a drawing, or finishes it.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   */
   setPoint(side, pixel) {
     const { drawing } = this.state;
-    if (drawing && drawing.side !== side) this.cancel();
-    else if (drawing) this.#finish(pixel);
-    else if (this.#begin(side, pixel) && !this.state.drawing.end) this.#save(pixel, null);
+    if (drawing && drawing.side !== side) {
+      this.cancel();
+    } else if (drawing) {
+      this.#finish(drawing, pixel);
+    } else {
+      const started = this.#begin(side, pixel);
+      if (started && !started.end) this.#save(started, pixel, null);
+    }
   }
 
-  /** The rubber band goes to `pixel`, if there is one on this side. */
+  /** Moves the free end of a drawn pole on this side to `pixel`.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   */
   stretchTo(side, pixel) {
     const { drawing } = this.state;
     if (drawing?.side !== side || !drawing.end) return;
     this.state.set({ drawing: { ...drawing, end: this.#inside(side, pixel) } });
-    this.look();
+    this.page.preview();
   }
 
-  /** Takes hold of an observation: a click selects it, a drag moves its vertex or all of it. */
-  #take(side, hit, event) {
-    const element = this.state.elements.find((one) => one.id === hit.element);
-    const { anchor, end } = element.observations[side];
-    const grab = this.images.view.toImage(pointerAt(event));
-    Object.assign(this.press, { mode: "drag", hit, grab, original: { anchor, end } });
+  /** Selects an observation; a drag will move its vertex or all of it.
+   *
+   * @param {Press} press
+   * @param {Hit} hit
+   * @param {PointerEvent} event
+   */
+  #take(press, hit, event) {
+    const { side } = press;
+    const observation = this.state.elements.find(({ id }) => id === hit.element)?.observations[side];
+    if (!observation) return;
+    const { anchor, end } = observation;
+    press.mode = "drag";
+    press.held = { hit, grab: this.images.view.toImage(press.start), anchor, end };
     const linked = event.ctrlKey || event.metaKey;
     const also = linked && this.state.selected ? this.state.selected.element : null;
     this.state.set({
       selected: { element: hit.element, side, also: also === hit.element ? null : also },
       vertex: hit.part === "end" ? "end" : "anchor",
     });
-    this.look();
+    this.page.preview();
   }
 
-  /** Returns whether something is being drawn now. */
-  #begin(side, anchor) {
+  /** Begins a drawing and returns it; null if nothing can be drawn here.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   */
+  #begin(side, pixel) {
     const near = BESIDE / this.images.view.scale;
-    if (!this.images.bitmap(side) || !this.#isInside(side, anchor, near) || !this.mayEdit()) return false;
-    anchor = this.#inside(side, anchor);
+    if (!this.images.bitmap(side) || !this.#isInside(side, pixel, near) || !this.page.mayEdit()) return null;
+    const anchor = this.#inside(side, pixel);
     const id = this.state.classId;
-    const kind = this.state.classOf(id).kind;
-    this.state.set({ drawing: {
-      side, class: id, anchor, end: kind === "line" ? anchor : null,
-      anchor_known: true, end_known: kind === "line", asks_bottom: kind === "line",
-    } });
-    this.look();
-    return true;
+    const isLine = this.state.classOf(id).kind === "line";
+    /** @type {Drawing} */
+    const drawing = {
+      side, class: id, anchor, end: isLine ? anchor : null, anchor_known: true, end_known: isLine, asks_bottom: isLine,
+    };
+    this.state.set({ drawing });
+    this.page.preview();
+    return drawing;
   }
 
+  /**
+   * @param {Side} side
+   * @param {PointerEvent} event
+   */
   #move(side, event) {
     const point = pointerAt(event);
     this.images.pointer = { side, point };
@@ -113,95 +159,126 @@ export class Tools {
     if (press?.mode === "pan") {
       this.images.panBy(point[0] - press.last[0], point[1] - press.last[1]);
       press.last = point;
-    } else if (press?.mode === "drag" && press.moved && this.mayEdit()) {
-      this.#drag(side, event);
+    } else if (press?.mode === "drag" && press.moved && this.page.mayEdit()) {
+      this.#drag(side, press, point);
     } else if (this.state.drawing?.side === side) {
-      this.#stretch(side, event);
+      this.#stretch(side, this.state.drawing, point);
     } else {
       this.#hover(side, point);
     }
     this.images.repaint();
   }
 
-  /** The rubber band, or the sign's box. */
-  #stretch(side, event) {
-    const at = this.images.view.toImage(pointerAt(event));
-    const { drawing } = this.state;
+  /** Moves the free end of a pole, or the corner of a sign's box.
+   *
+   * @param {Side} side
+   * @param {Drawing} drawing
+   * @param {Point} point
+   */
+  #stretch(side, drawing, point) {
+    const at = this.images.view.toImage(point);
     if (drawing.end) {
       this.stretchTo(side, at);
     } else if (this.press?.moved) {
       const from = this.images.view.toImage(this.press.start);
       this.state.set({ drawing: { ...drawing, box: [from, at], anchor: middle(from, at) } });
-      this.look();
+      this.page.preview();
     }
   }
 
-  #drag(side, event) {
-    const { hit, grab, original } = this.press;
-    const at = this.images.view.toImage(pointerAt(event));
-    const by = [at[0] - grab[0], at[1] - grab[1]];
-    const moved = {
-      anchor: hit.part === "end" ? original.anchor : this.#inside(side, shifted(original.anchor, by)),
-      end: hit.part === "anchor" || !original.end ? original.end : this.#inside(side, shifted(original.end, by)),
-    };
-    this.state.set({ dragged: { observation: hit.observation, ...moved } });
-    this.look();
+  /**
+   * @param {Side} side
+   * @param {Press} press
+   * @param {Point} point
+   */
+  #drag(side, { held }, point) {
+    if (!held) return;
+    const { hit, grab, anchor, end } = held;
+    const at = this.images.view.toImage(point);
+    const moved = (/** @type {Point} */ [u, v]) => this.#inside(side, [u + at[0] - grab[0], v + at[1] - grab[1]]);
+    this.state.set({ dragged: {
+      observation: hit.observation,
+      anchor: hit.part === "end" ? anchor : moved(anchor),
+      end: hit.part === "anchor" || !end ? end : moved(end),
+    } });
+    this.page.preview();
   }
 
+  /**
+   * @param {Side} side
+   * @param {Point} point
+   */
   #hover(side, point) {
     const hit = this.images.hit(side, point);
     this.images.hovered = hit;
     this.images.canvas(side).style.cursor = hit ? "grab" : "crosshair";
-    this.#point(this.images.hitOffer(side, point));
+    this.#point(this.images.hitProposal(side, point));
   }
 
-  /** The proposal under the pointer is the one that the keys are for. */
-  #point(offer) {
-    const id = offer?.id ?? null;
+  /** Makes the proposal under the pointer the current one.
+   *
+   * @param {Proposal | null} proposal
+   */
+  #point(proposal) {
+    const id = proposal?.id ?? null;
     if (id !== this.state.pointed) this.state.set({ pointed: id });
   }
 
+  /**
+   * @param {Side} side
+   * @param {PointerEvent} event
+   */
   #up(side, event) {
     const { press } = this;
+    const { drawing, dragged } = this.state;
     this.press = null;
     if (!press) return;
-    if (press.mode === "drag" && this.state.dragged) this.#drop();
-    else if (press.mode === "draw") this.#released(press);
-    else if (press.mode === "finish" && this.state.drawing?.side === side) {
-      this.#finish(this.images.view.toImage(pointerAt(event)));
+    if (press.mode === "drag" && dragged) this.#drop(dragged);
+    else if (press.mode === "draw" && drawing) this.#released(press, drawing);
+    else if (press.mode === "finish" && drawing?.side === side) {
+      this.#finish(drawing, this.images.view.toImage(pointerAt(event)));
     } else if (press.mode === "finish") {
       this.cancel();
     }
   }
 
-  #drop() {
-    const { observation, anchor, end } = this.state.dragged;
+  /** @param {import("./values.js").Dragged} dragged */
+  #drop({ observation, anchor, end }) {
     this.state.set({ dragged: null });
-    this.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
+    this.page.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
   }
 
-  /** A sign is done; a pole waits for its second click, unless it was drawn in one stroke. */
-  #released(press) {
-    const { drawing } = this.state;
-    if (!drawing) return;
-    if (!drawing.end) this.#save(drawing.anchor, null);
-    else if (press.moved) this.#save(drawing.anchor, drawing.end);
+  /** Saves a sign, or a pole drawn in one stroke; any other pole waits for its second click.
+   *
+   * @param {Press} press
+   * @param {Drawing} drawing
+   */
+  #released(press, drawing) {
+    if (!drawing.end) this.#save(drawing, drawing.anchor, null);
+    else if (press.moved) this.#save(drawing, drawing.anchor, drawing.end);
   }
 
-  #finish(end) {
-    const { side, anchor } = this.state.drawing;
-    this.#save(anchor, this.#inside(side, end));
+  /**
+   * @param {Drawing} drawing
+   * @param {Point} end
+   */
+  #finish(drawing, end) {
+    this.#save(drawing, drawing.anchor, this.#inside(drawing.side, end));
   }
 
-  #save(anchor, end) {
-    const { side, class: id, anchor_known, end_known, asks_bottom, box } = this.state.drawing;
+  /**
+   * @param {Drawing} drawing
+   * @param {Point} anchor
+   * @param {Point | null} end
+   */
+  #save({ side, class: id, anchor_known, end_known, asks_bottom, box }, anchor, end) {
     const [element, observation] = [uuid7(), uuid7()];
     this.state.set({ drawing: null });
-    this.submit({
+    this.page.submit({
       kind: "draw",
       observation_id: observation,
       element_id: element,
-      frame_index: this.state.frame,
+      frame_index: this.state.frame ?? 0,
       side,
       class_id: id,
       anchor_px: anchor,
@@ -227,30 +304,84 @@ export class Tools {
     this.images.repaint();
   }
 
-  #wheel(side, event) {
+  /** @param {WheelEvent} event */
+  #wheel(event) {
     event.preventDefault();
     const point = pointerAt(event);
     if (event.shiftKey) this.images.panBy(-(event.deltaX || event.deltaY), 0);
     else this.images.zoomAt(point, Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.002)));
   }
 
-  /** Whether a pole's end lies on the image's border: there it is cut off, not at an end. */
+  /** Whether a pole's end lies on the image's border: there it is cut off.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   */
   #isCut(side, pixel) {
     return !this.#isInside(side, pixel, -1);
   }
 
+  /**
+   * @param {Side} side
+   * @param {Point} pixel
+   * @param {number} margin
+   */
   #isInside(side, [u, v], margin) {
-    const { width, height } = this.state.hello.images[side];
+    const { width, height } = this.#size(side);
     const low = -0.5 - margin;
     return u >= low && v >= low && u <= width - 0.5 + margin && v <= height - 0.5 + margin;
   }
 
-  /** The nearest pixel of the image: what is cut off ends at its border. */
+  /** @param {Side} side */
+  #size(side) {
+    return this.state.workspace.images[side] ?? { width: 0, height: 0 };
+  }
+
+  /** The nearest pixel inside the image.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   * @returns {Point}
+   */
   #inside(side, [u, v]) {
-    const { width, height } = this.state.hello.images[side];
+    const { width, height } = this.#size(side);
     return [Math.min(Math.max(u, -0.5), width - 0.5), Math.min(Math.max(v, -0.5), height - 0.5)];
   }
 }
 
-const shifted = ([u, v], [du, dv]) => [u + du, v + dv];
+/** Keeps a half-drawn pole in sessionStorage, so that it survives a reload or a rebuilt frame. */
+export class Sketch {
+  /**
+   * @param {State} state
+   * @param {string} workspace key of the workspace
+   */
+  constructor(state, workspace) {
+    this.state = state;
+    this.key = `semviz.sketch.${workspace}`;
+    /** @type {Drawing | null} */
+    this.saved = null;
+    state.onChange(() => this.#store());
+  }
+
+  /** Resumes the drawing that was left in the frame on screen. */
+  restore() {
+    const left = JSON.parse(sessionStorage.getItem(this.key) ?? "null");
+    if (left?.frame === this.state.frame) this.state.set({ drawing: left.drawing });
+  }
+
+  /** Stores only a drawing that waits for its second click; one stroke ends with the press. */
+  #store() {
+    const { drawing, frame } = this.state;
+    if (drawing === this.saved) return;
+    this.saved = drawing;
+    if (drawing?.end) sessionStorage.setItem(this.key, JSON.stringify({ frame, drawing }));
+    else sessionStorage.removeItem(this.key);
+  }
+}
+
+/**
+ * @param {Point} first
+ * @param {Point} second
+ * @returns {Point}
+ */
 const middle = ([a, b], [c, d]) => [(a + c) / 2, (b + d) / 2];

@@ -1,52 +1,81 @@
-// The bar at the top: which frame, how far, undo, and what is on disk.
+// @ts-check
+// The top bar: frame, review progress, undo, and the last saved operation.
+/** @import {Keys} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+/** @import {Entry} from "./values.js" */
 import { byId, el, svg } from "/static/dom.js";
 import { neighbour } from "./commands.js";
-import { spaced } from "./state.js";
-import { Kept, badge } from "./widgets.js";
+import { spaced } from "./values.js";
+import { RenderCache, badge } from "./widgets.js";
+
+const CHECKED = {
+  checking: "The label file is being checked …",
+  sound: "The label file was checked: log and labels are as they were written",
+  damaged: "The label file is damaged",
+  missing: "The label file is not at its place",
+};
 
 export class TopBar {
-  constructor(state, keys, actions) {
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   * @param {Pick<Page, "submit" | "help" | "go">} page
+   */
+  constructor(state, keys, page) {
     this.state = state;
     this.keys = keys;
-    this.kept = new Kept(state);
-    const press = (id, run) => byId(id).addEventListener("click", run);
-    press("undo", () => actions.submit({ kind: "undo" }));
-    press("redo", () => actions.submit({ kind: "redo" }));
-    press("help", actions.help);
-    press("step", (event) => {
-      const box = event.currentTarget.getBoundingClientRect();
-      actions.go(neighbour(state, event.clientX - box.left < box.width / 2 ? -1 : 1));
+    this.cache = new RenderCache(state);
+    byId("undo").addEventListener("click", () => page.submit({ kind: "undo" }));
+    byId("redo").addEventListener("click", () => page.submit({ kind: "redo" }));
+    byId("help").addEventListener("click", () => page.help());
+    byId("step").addEventListener("click", (event) => {
+      const box = byId("step").getBoundingClientRect();
+      page.go(neighbour(state, event.clientX - box.left < box.width / 2 ? -1 : 1));
     });
   }
 
   show() {
-    const { hello, labels, frame, order } = this.state;
-    const { workspace, source, author } = hello;
-    this.kept.show("workspace", hello, () => [workspace, el("span", { class: "dim", text: ` ${source}` })]);
-    this.kept.show("author", author, () => [author]);
-    this.kept.show("step", [frame, order.length], () => this.#step());
+    const { workspace, labels, frame, order } = this.state;
+    const { name, source, author } = workspace;
+    this.cache.show("workspace", workspace, () => [name, el("span", { class: "dim", text: ` ${source}` })]);
+    this.cache.show("author", author, () => [author]);
+    this.cache.show("step", [frame, order.length], () => this.#step());
     const done = labels.frames.filter(({ state }) => state.startsWith("reviewed")).length;
-    this.kept.show("reviewed", [done, order.length], () => progress(done, order.length));
+    this.cache.show("reviewed", [done, order.length], () => progress(done, order.length));
     this.#saved();
-    byId("undo").disabled = !labels.can_undo;
-    byId("redo").disabled = !labels.can_redo;
+    this.#labelFile();
+    byId("undo", HTMLButtonElement).disabled = !labels.can_undo;
+    byId("redo", HTMLButtonElement).disabled = !labels.can_redo;
   }
 
   #saved() {
-    const { pending, connected, trouble, labels, onDisk } = this.state;
+    const { pending, connected, trouble, labels, labelFile, onDisk } = this.state;
     const node = byId("saved");
-    const isOnDisk = ({ request }) => request === onDisk?.request;
-    const unsaved = pending.filter((one) => !isOnDisk(one)).length;
-    const operation = pending.some(isOnDisk) ? onDisk.operation : labels.operation;
-    const [kind, text] = trouble
-      ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
-      : !connected
-        ? ["offline", `Offline, ${pending.length} kept here`]
-        : unsaved
-          ? ["saving", `Saving ${unsaved} …`]
-          : ["saved", `Saved operation ${spaced(operation)}`];
+    const isOnDisk = (/** @type {Entry} */ { request }) => request === onDisk?.request;
+    const unsaved = pending.filter((entry) => !isOnDisk(entry)).length;
+    const operation = onDisk && pending.some(isOnDisk) ? onDisk.operation : labels.operation;
+    const [kind, text] = labelFile.text
+      ? ["wrong", `Not saved, ${pending.length} kept here`]
+      : trouble
+        ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
+        : !connected
+          ? ["offline", `Offline, ${pending.length} kept here`]
+          : unsaved
+            ? ["saving", `Saving ${unsaved} …`]
+            : ["saved", `Saved operation ${spaced(operation)}`];
     node.className = `chip ${kind}`;
     node.textContent = text;
+    node.title = CHECKED[labelFile.state];
+  }
+
+  /** A bar that stays as long as the label file takes no edits. */
+  #labelFile() {
+    const { pending, labelFile } = this.state;
+    const bar = byId("label-file");
+    bar.hidden = !labelFile.text;
+    const edits = `${pending.length} ${pending.length === 1 ? "edit is" : "edits are"} kept in this page.`;
+    if (!bar.hidden) bar.textContent = `${labelFile.text.replace(/\.?$/, ".")} ${edits}`;
   }
 
   #step() {
@@ -54,12 +83,16 @@ export class TopBar {
     return [
       badge(this.keys, ","),
       el("b", { text: `Frame ${frame}` }),
-      el("span", { class: "dim", text: `${order.indexOf(frame) + 1} of ${order.length}` }),
+      el("span", { class: "dim", text: `${order.indexOf(frame ?? -1) + 1} of ${order.length}` }),
       badge(this.keys, "."),
     ];
   }
 }
 
+/**
+ * @param {number} done
+ * @param {number} all
+ */
 function progress(done, all) {
   const bar = svg("svg", { class: "bar", viewBox: "0 0 100 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 100, height: 6 }),

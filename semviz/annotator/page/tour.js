@@ -1,88 +1,112 @@
-// Three steps for people who are here for the first time. Stands beside the images, never on them.
+// @ts-check
+// A tour in three steps for first-time users, beside the images.
+/** @import {Keys} from "/static/keys.js" */
+/** @import {State} from "./state.js" */
 import { byId, el } from "/static/dom.js";
-import { Kept, badge } from "./widgets.js";
+import { RenderCache, badge } from "./widgets.js";
 
-const PLACE = "semviz.tour";
+const STORAGE_KEY = "semviz.tour";
+
+/** State of labels and page.
+ * @typedef {{operation: number, frame: number | null}} Progress */
+/** `at`: highlighted panels. `done`: whether the user has followed the step.
+ * @typedef {{
+ *   title: string, at: string[], done: (before: Progress, now: Progress) => boolean, lines: (string | {key: string})[][],
+ * }} Step */
 
 export class Tour {
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   */
   constructor(state, keys) {
     this.state = state;
     this.keys = keys;
-    this.kept = new Kept(state);
-    this.step = localStorage.getItem(PLACE) ? null : 0;
+    this.cache = new RenderCache(state);
+    this.step = localStorage.getItem(STORAGE_KEY) ? null : 0;
+    /** @type {Progress | null} */
     this.before = null; // the labels when the step began
   }
 
-  /** From the first step, again. */
+  /** Starts at the first step. */
   open() {
     this.#go(0);
   }
 
   end() {
-    localStorage.setItem(PLACE, "seen");
+    localStorage.setItem(STORAGE_KEY, "seen");
     this.step = null;
     this.state.set({});
   }
 
   show() {
-    if (this.step !== null && this.#isDone()) this.step = Math.min(this.step + 1, STEPS.length - 1);
-    const node = byId("tour");
-    node.hidden = this.step === null;
-    for (const one of document.querySelectorAll(".toured")) one.classList.remove("toured");
+    if (this.step !== null && this.#isDone(this.step)) this.step = Math.min(this.step + 1, STEPS.length - 1);
+    byId("tour").hidden = this.step === null;
+    for (const node of document.querySelectorAll(".toured")) node.classList.remove("toured");
     if (this.step === null) return;
-    STEPS[this.step].at.forEach((id) => byId(id).classList.add("toured"));
-    this.kept.show("tour", this.step, () => this.#card(STEPS[this.step]));
+    const { step } = this;
+    STEPS[step].at.forEach((id) => byId(id).classList.add("toured"));
+    this.cache.show("tour", step, () => this.#card(STEPS[step], step));
   }
 
+  /** @param {number} step */
   #go(step) {
     this.step = step;
     this.before = null;
     this.state.set({});
   }
 
-  /** Whether what the step asks for has been done; a step can also be left by its button. */
-  #isDone() {
+  /** Whether the user has followed a step; its button also ends it.
+   *
+   * @param {number} step
+   */
+  #isDone(step) {
     const { labels, frame } = this.state;
     const now = { operation: labels.operation, frame };
     this.before ??= now;
-    if (!STEPS[this.step].done(this.before, now)) return false;
+    if (!STEPS[step].done(this.before, now)) return false;
     this.before = now;
     return true;
   }
 
-  #card({ title, lines }) {
-    const isLast = this.step === STEPS.length - 1;
+  /**
+   * @param {Step} step
+   * @param {number} place
+   */
+  #card({ title, lines }, place) {
+    const isLast = place === STEPS.length - 1;
     return [
-      el("header", {}, el("h2", { text: title }), el("span", { class: "about", text: `step ${this.step + 1} of ${STEPS.length}` })),
+      el("header", {}, el("h2", { text: title }), el("span", { class: "about", text: `step ${place + 1} of ${STEPS.length}` })),
       ...lines.map((line) => el("p", {}, ...line.map((part) => (typeof part === "string" ? part : badge(this.keys, part.key))))),
       el("footer", {},
         el("button", { class: "small", onclick: () => this.end() }, "End", badge(this.keys, "Esc")),
-        this.step ? el("button", { class: "small push", onclick: () => this.#go(this.step - 1), text: "Back" }) : el("span", { class: "push" }),
-        el("button", { class: "small primary", onclick: () => (isLast ? this.end() : this.#go(this.step + 1)), text: isLast ? "Done" : "Next" })),
+        place ? el("button", { class: "small push", onclick: () => this.#go(place - 1), text: "Back" }) : el("span", { class: "push" }),
+        el("button", { class: "small primary", onclick: () => (isLast ? this.end() : this.#go(place + 1)), text: isLast ? "Done" : "Next" })),
     ];
   }
 }
 
+/** @param {string} name */
 const key = (name) => ({ key: name });
 
-/** `at`: panels that the step is about. `done(before, now)`: whether it has been followed. */
+/** @type {Step[]} */
 const STEPS = [
   {
     title: "Draw a pole",
     at: ["classes"],
     done: (before, now) => now.operation > before.operation,
     lines: [
-      [key("1"), " takes the class pole. Click the pole's peak in the left image, then its bottom."],
-      ["The second click saves. ", key("Esc"), " before it leaves nothing behind."],
+      [key("1"), " selects the class pole. Click the pole's peak in the left image, then its bottom."],
+      ["The second click saves. ", key("Esc"), " before it cancels the drawing."],
     ],
   },
   {
-    title: "Partner and next frames",
+    title: "Second image, next frames",
     at: ["elements"],
     done: (before, now) => now.frame !== before.frame,
     lines: [
-      ["The pole is proposed in the right image, dashed: ", key("Space"), " accepts it, ", key("X"), " turns it down."],
-      [key("."), " goes to the next frame, where it is proposed again. ", key("Shift Space"), " accepts all that are sure."],
+      ["The pole is proposed in the right image, dashed: ", key("Space"), " accepts it, ", key("X"), " rejects it."],
+      [key("."), " goes to the next frame, where it is proposed again. ", key("Shift Space"), " accepts all confident proposals."],
     ],
   },
   {
@@ -90,8 +114,8 @@ const STEPS = [
     at: ["saved", "undo"],
     done: () => false,
     lines: [
-      ["The number at the top right is the last operation that is on disk. It counts only what is there."],
-      [key("Ctrl Z"), " takes back any step, also tomorrow. ", key("?"), " lists all keys, ", key("Ctrl K"), " finds any command."],
+      ["The number at the top right is the last operation on disk."],
+      [key("Ctrl Z"), " undoes any edit, even after a restart. ", key("?"), " lists all keys, ", key("Ctrl K"), " finds any command."],
     ],
   },
 ];

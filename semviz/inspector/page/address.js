@@ -1,118 +1,161 @@
-/* The page's address holds what a colleague needs to see the same; the browser's back and forward
- * go between the frames that were looked at.
+// @ts-check
+/* The page's address: a link shows the same view, and the browser's back and forward go between
+ * visited frames.
  *
- * What of it is a panel's, the panel says in `address()`: a list of `{fields, get, set}`. `fields` are
- * by name, as `oneOf`, `flag`, `known` and `whole` make them. `get()` gives their values by name, as
- * texts, null for none; what is initial is not written. `set(values)` gets all of them at once. */
+ * Each panel returns its parts by `address()`. `oneOf`, `flag`, `memberOf` and `wholeNumber` make
+ * fields. Initial values are not written. */
 
-const SETTLED_MS = 300; // writing is slow in browsers: not while anything is painted
-const LOOKED_AT_MS = 1000; // frames that were seen for less are no places to go back to
-const OWN = ["run", "frame", "token"];
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./panel.js").Field} Field */
+/** @typedef {import("./main.js").Page} Page */
 
-/** One of some texts; the first is the initial one. */
-export const oneOf = (...texts) => ({ initial: texts[0], knows: (text) => texts.includes(text) });
-export const flag = (initial = "no") => ({ initial, knows: (text) => text === "yes" || text === "no" });
-/** None at first; of those that `names()` gives by then. */
-export const known = (names) => ({ initial: null, knows: (text) => names().includes(text) });
-/** None at first; a whole number. */
-export const whole = () => ({ initial: null, knows: (text) => /^\d{1,15}$/.test(text) });
+const SETTLED_MS = 300; // writing an address is slow: not while a frame is painted
+const VISITED_MS = 1000; // frames shown for less time are not visited
+const RESERVED = ["run", "frame", "token"];
+
+/** One of the texts; the first is the initial value.
+ *
+ * @param {...string} texts
+ * @returns {Field}
+ */
+export const oneOf = (...texts) => ({ initial: texts[0], accepts: (text) => texts.includes(text) });
+/**
+ * @param {string} initial
+ * @returns {Field}
+ */
+export const flag = (initial = "no") => ({ initial, accepts: (text) => text === "yes" || text === "no" });
+/** Initially null; then one of `names()`.
+ *
+ * @param {() => string[]} names
+ * @returns {Field}
+ */
+export const memberOf = (names) => ({ initial: null, accepts: (text) => names().includes(text) });
+/** Initially null; then a whole number.
+ *
+ * @returns {Field}
+ */
+export const wholeNumber = () => ({ initial: null, accepts: (text) => /^\d{1,15}$/.test(text) });
+/** @param {boolean} value */
 export const yes = (value) => (value ? "yes" : "no");
+/** @param {string | null} text */
 export const numberOf = (text) => (text === null ? null : Number(text));
+/** @param {number | null} number */
 export const textOf = (number) => (number === null ? null : String(number));
 
+/** The frame number in an address; null without one.
+ *
+ * @param {URLSearchParams} query
+ */
+function frameIn(query) {
+  const text = query.get("frame");
+  return text !== null && wholeNumber().accepts(text) ? Number(text) : null;
+}
+
 export class Address {
+  /**
+   * @param {Page} page
+   * @param {AddressPart[]} parts
+   */
   constructor(page, parts) {
     this.page = page;
     this.parts = parts;
-    this.wanted = null; // an address that is not shown yet
-    this.written = null; // {run, position} of the address as it is
-    this.since = 0; // when that frame was come to
-    addEventListener("popstate", () => this.follow());
+    /** @type {URLSearchParams | null} */
+    this.pending = null; // an address that is not applied yet
+    /** @type {{run: string, position: number} | null} */
+    this.written = null; // run and frame of the present address
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.writing = undefined;
+    this.shownSince = 0; // when that frame was reached
+    addEventListener("popstate", () => this.restore());
   }
 
-  /** Opens what the address says, among the runs that there are. */
-  begin(runs) {
-    this.wanted = new URLSearchParams(location.search);
-    const run = this.wanted.get("run");
-    this.page.open(runs.includes(run) ? run : null, numberOf(this.numberIn("frame")));
+  /** Opens run and frame of the address, or else the first run. */
+  open() {
+    this.pending = new URLSearchParams(location.search);
+    const run = this.pending.get("run");
+    const isKnown = run !== null && this.page.store.names.includes(run);
+    this.page.open(isKnown ? run : null, frameIn(this.pending));
   }
 
-  /** Back or forward: to the run and frame of the address that it is by now. */
-  follow() {
+  /** Back or forward: goes to run and frame of the new address. */
+  restore() {
     const { page } = this;
-    if (!page.run) return;
-    this.wanted = new URLSearchParams(location.search);
-    const frame = numberOf(this.numberIn("frame"));
-    const position = page.run.frames.findIndex((row) => row.index === frame);
-    if (this.wanted.get("run") !== page.run.name) page.open(this.wanted.get("run"), frame);
-    else if (position >= 0 && position !== page.frame.position) page.go(position);
-    else this.arrive();
+    const { store } = page;
+    if (!store.isOpen) return;
+    this.pending = new URLSearchParams(location.search);
+    const frame = frameIn(this.pending);
+    const position = store.run.frames.findIndex((row) => row.index === frame);
+    if (this.pending.get("run") !== store.run.name) page.open(this.pending.get("run"), frame);
+    else if (position >= 0 && position !== store.position) page.go(position);
+    else this.apply();
   }
 
-  /** A frame is shown: now the rest of what the address asks for can be. */
-  arrive() {
-    if (!this.wanted) return;
-    const { wanted, page } = this;
-    this.wanted = null;
-    this.written = { run: page.run.name, position: page.frame.position };
-    const strange = this.strangers(wanted);
+  /** A frame is shown: applies the rest of the address. */
+  apply() {
+    if (!this.pending) return;
+    const { pending, page } = this;
+    const { run, frame } = page.store;
+    this.pending = null;
+    this.written = { run: run.name, position: frame.position };
+    const unknown = this.unknownParts(pending);
     for (const { fields, get, set } of this.parts) {
+      /** @type {{[name: string]: string | null}} */
       const values = {};
-      for (const [name, { initial, knows }] of Object.entries(fields)) {
-        const text = wanted.get(name);
-        values[name] = text !== null && knows(text) ? text : initial;
-        if (text !== null && !knows(text)) strange.push(`${name}=${text}`);
+      for (const [name, { initial, accepts }] of Object.entries(fields)) {
+        const text = pending.get(name);
+        values[name] = text !== null && accepts(text) ? text : initial;
+        if (text !== null && !accepts(text)) unknown.push(`${name}=${text}`);
       }
       const now = get();
       if (Object.entries(values).some(([name, value]) => now[name] !== value)) set(values);
     }
-    if (strange.length) page.notice(`Left out of this address, as it is not known here: ${strange.join(", ")}`, true);
+    if (unknown.length) page.notice(`Unknown parts of this address were ignored: ${unknown.join(", ")}`, true);
     this.changed();
   }
 
-  /** What is in an address but not there: run, frame, or names that nobody has. */
-  strangers(wanted) {
-    const { run, frame } = this.page;
-    const names = [...OWN, ...this.parts.flatMap(({ fields }) => Object.keys(fields))];
+  /** Parts of an address that the page cannot apply: another run or frame, unknown names.
+   *
+   * @param {URLSearchParams} pending
+   */
+  unknownParts(pending) {
+    const { run, frame } = this.page.store;
+    const names = [...RESERVED, ...this.parts.flatMap(({ fields }) => Object.keys(fields))];
+    /** @type {{[name: string]: string}} */
     const shown = { run: run.name, frame: String(frame.index) };
-    return [...wanted].filter(([name, text]) => !names.includes(name) || (name in shown && shown[name] !== text)).map(([name, text]) => `${name}=${text}`);
+    return [...pending].filter(([name, text]) => !names.includes(name) || (name in shown && shown[name] !== text)).map(([name, text]) => `${name}=${text}`);
   }
 
-  numberIn(name) {
-    const text = this.wanted.get(name);
-    return text !== null && whole().knows(text) ? text : null;
+  /** The server refused a request. */
+  cancel() {
+    this.pending = null;
   }
 
-  /** What was asked for was refused. */
-  refused() {
-    this.wanted = null;
-  }
-
-  /** To be called whenever something of it may be another. */
+  /** To be called whenever a value of the address may have changed. */
   changed() {
     clearTimeout(this.writing);
     this.writing = setTimeout(() => this.write(), SETTLED_MS);
   }
 
   write() {
-    const { run, frame, wanted } = this.page;
-    if (this.wanted || !frame || wanted !== frame.position) return; // on the way to another frame
-    const query = new URLSearchParams({ run: run.name, frame: frame.index });
+    const { store } = this.page;
+    if (this.pending || !store.hasFrame || store.target !== store.position) return; // on the way to another frame
+    const { run, frame } = store;
+    const query = new URLSearchParams({ run: run.name, frame: String(frame.index) });
     for (const { fields, get } of this.parts) {
-      for (const [name, value] of Object.entries(get())) if (value !== fields[name].initial) query.set(name, value);
+      for (const [name, value] of Object.entries(get())) if (value !== fields[name].initial) query.set(name, String(value));
     }
     const address = `?${query}`;
-    if (address !== location.search) history[this.isPlace() ? "pushState" : "replaceState"](null, "", address);
-    if (this.written?.run !== run.name || this.written.position !== frame.position) this.since = performance.now();
+    if (address !== location.search) history[this.isVisited() ? "pushState" : "replaceState"](null, "", address);
+    if (this.written?.run !== run.name || this.written.position !== frame.position) this.shownSince = performance.now();
     this.written = { run: run.name, position: frame.position };
     document.title = `Frame ${frame.index} · ${run.name} · semviz inspect`;
   }
 
-  /** Whether the frame before is one to come back to: it was looked at, and left by a jump. */
-  isPlace() {
-    const { run, frame } = this.page;
+  /** Whether the last frame is one to go back to: it was visited, and left by a jump. */
+  isVisited() {
+    const { run, frame } = this.page.store;
     const { written } = this;
     const jumped = written && (written.run !== run.name || Math.abs(written.position - frame.position) > 1);
-    return jumped && performance.now() - this.since > LOOKED_AT_MS;
+    return jumped && performance.now() - this.shownSince > VISITED_MS;
   }
 }

@@ -1,16 +1,24 @@
+// @ts-check
 /* The bar at the top: run, frame, status, error. */
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./main.js").Page} Page */
+
 const STATUS = { ok: "Ok", ambiguous: "Ambiguous", cannot: "Cannot" };
 
 export class Bar {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
-    byId("run").addEventListener("change", (event) => {
-      page.open(event.target.value, page.frame?.index ?? null);
-      event.target.blur();
+    page.socket.on("runs", ({ names }) => this.showRuns(names));
+    this.choice = byId("run", HTMLSelectElement);
+    this.choice.addEventListener("change", () => {
+      page.open(this.choice.value, page.store.hasFrame ? page.store.frame.index : null);
+      this.choice.blur();
     });
     byId("previous").addEventListener("click", () => page.step(-1));
     byId("next").addEventListener("click", () => page.step(1));
@@ -20,34 +28,38 @@ export class Bar {
     byId("copy-link").addEventListener("click", () => this.copyLink());
   }
 
+  /** @param {string[]} names */
   showRuns(names) {
-    byId("run").replaceChildren(...names.map((name) => el("option", { text: name, value: name })));
+    this.choice.replaceChildren(...names.map((name) => el("option", { text: name, value: name })));
   }
 
+  /** @param {RunView} run */
   showRun(run) {
-    byId("run").value = run.name;
+    this.choice.value = run.name;
     byId("method").textContent = `${run.method} in ${run.map}`;
   }
 
-  /** What was asked for did not come; the bar says what is shown all the same. */
+  /** Another run was refused: shows the open one. */
   showRefusal() {
-    if (this.page.run) byId("run").value = this.page.run.name;
+    if (this.page.store.isOpen) this.choice.value = this.page.store.run.name;
   }
 
+  /** @param {FrameView} frame */
   showFrame(frame) {
     this.pointAt(frame.position);
     byId("status").replaceChildren(statusMark(frame.status), STATUS[frame.status]);
     byId("status").title = frame.reason;
-    const missing = frame.status === "cannot" ? "no pose" : "no truth";
-    const error = frame.errorM === null
+    const missing = frame.status === "cannot" ? "no pose" : "no ground truth";
+    const error = frame.error_m === null
       ? missing
-      : `${fixed(frame.errorM, 2)} m · ${fixed(frame.errorDeg, 2)}°`;
+      : `${fixed(frame.error_m, 2)} m · ${fixed(frame.error_deg, 2)}°`;
     byId("numbers").textContent = frame.ms ? `${error} · ${fixed(frame.ms, 1)} ms` : error;
   }
 
+  /** @param {number} position */
   pointAt(position) {
-    const { frames } = this.page.run;
-    byId("frame-number").textContent = `Frame ${frames[position].index} of ${frames.at(-1).index}`;
+    const { frames } = this.page.store.run;
+    byId("frame-number").textContent = `Frame ${frames[position].index} of ${frames.at(-1)?.index}`;
   }
 
   async copyLink() {

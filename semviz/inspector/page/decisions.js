@@ -1,31 +1,41 @@
-/* What was decided when the run's map was built and what looks odd in it. */
+// @ts-check
+/* The tab "Map": decisions of map building, and findings of lint. */
 
 import { byId, el } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 
-// a finding's kind is its rule, in words
-export const SAID = { merge: "taken as one", apart: "kept apart", split: "split in two", "leave out": "left out" };
+/** @typedef {import("/static/protocol").inspector.DecidedElement} DecidedElement */
+/** @typedef {import("/static/protocol").inspector.DecisionView} DecisionView */
+/** @typedef {import("/static/protocol").inspector.DecisionsEvent} DecisionsEvent */
+/** @typedef {import("./main.js").Page} Page */
+
+/** Texts of the kinds of decisions. The kind of a finding is already a text. */
+export const KINDS = new Map([["merge", "merged"], ["apart", "kept apart"], ["split", "split in two"], ["leave out", "left out"]]);
 
 export class DecisionList {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
+    /** @type {DecisionView[]} */
     this.entries = [];
-    this.chosen = null; // key of the entry that is open
+    /** @type {string | null} */
+    this.chosen = null; // key of the open entry
+    page.socket.on("decisions", (event) => this.showDecisions(event));
   }
 
-  showRun(run) {
-    this.run = run;
+  showRun() {
     this.chosen = null;
-    this.page.socket.send({ verb: "decisions" });
+    this.page.socket.send("get_decisions");
   }
 
+  /** @param {DecisionsEvent} event */
   showDecisions({ entries, note }) {
     this.entries = entries;
     const open = entries.filter(({ answers }) => answers.length).length;
-    byId("decisions-open").textContent = open || "";
+    byId("decisions-open").textContent = open ? String(open) : "";
     byId("decisions-open").title = `${open} open`;
-    byId("decisions-note").textContent = entries.length ? note : "Nothing was merged, split or left out in this map, and nothing looks odd in it.";
+    byId("decisions-note").textContent = entries.length ? note : "No decisions of map building, and no findings of lint.";
     this.fill();
   }
 
@@ -33,26 +43,28 @@ export class DecisionList {
     this.fill();
   }
 
-  /** With findings, and of decisions the newest: others may have answered some. */
+  /** Requests findings, too, and updated decisions: another process may have answered some. */
   showTabs() {
-    const { left, run, socket } = this.page;
-    if (left.shown === "map" && run) socket.send({ verb: "decisions", findings: true });
+    const { left, store, socket } = this.page;
+    if (left.shown === "map" && store.isOpen) socket.send("get_decisions", { findings: true });
   }
 
   fill() {
     byId("decision-list").replaceChildren(...this.entries.map((entry) => this.row(entry)));
   }
 
+  /** @param {string} key */
   choose(key) {
     this.chosen = key;
-    this.page.socket.send({ verb: "see", key });
+    this.page.socket.send("go_to_decision", { key });
     this.fill();
   }
 
+  /** @param {DecisionView} entry */
   row(entry) {
     const { key, kind, reason, evidence, elements } = entry;
     const isChosen = key === this.chosen;
-    const names = el("span", { class: "names" }, ...elements.map((one) => this.name(one)), SAID[kind] ?? kind);
+    const names = el("span", { class: "names" }, ...elements.map((element) => this.name(element)), KINDS.get(kind) ?? kind);
     const head = el("header", {}, names, this.state(entry));
     const more = isChosen ? [
       el("p", { text: reason }),
@@ -60,30 +72,36 @@ export class DecisionList {
       this.answers(entry),
     ] : [];
     const choose = () => { if (!isChosen) this.choose(key); };
+    /** @param {KeyboardEvent} event */
     const pressed = (event) => { if (event.key === "Enter") choose(); };
     return el("li", { class: "decision", "aria-current": isChosen, tabindex: 0, onclick: choose, onkeydown: pressed }, head, ...more);
   }
 
+  /** @param {DecisionView} entry */
   state({ answers, undo, by, severity }) {
     const text = severity ?? (undo ? "answered" : answers.length ? "open" : `by ${by}`);
     return el("span", { class: severity ? `by ${severity}` : "by", text });
   }
 
-  name({ name, class: id, map_id }) {
-    const one = this.run.classes.find((other) => other.id === id);
-    const color = one && (currentTheme() === "light" ? one.colorLight : one.color);
-    const label = el("b", { title: map_id === null ? "not in the map" : "" }, one ? classGlyph(one, color) : null, name);
+  /** @param {DecidedElement} element */
+  name({ name, class_id: id, map_id: mapId }) {
+    const kind = this.page.store.run.classes.find((other) => other.id === id);
+    const color = kind && (currentTheme() === "light" ? kind.color_light : kind.color);
+    const label = el("b", { title: mapId === null ? "not in the map" : "" }, kind ? classGlyph(kind, color) : null, name);
     if (color) label.style.color = color;
     return label;
   }
 
+  /** @param {DecisionView} entry */
   answers({ key, answers, undo }) {
-    const button = (text, message) => el("button", { class: "small", text, onclick: (event) => {
+    const { socket } = this.page;
+    /** @type {(text: string, send: () => void) => HTMLButtonElement} */
+    const button = (text, send) => el("button", { class: "small", text, onclick: (/** @type {Event} */ event) => {
       event.stopPropagation();
-      this.page.socket.send({ key, findings: true, ...message });
+      send();
     } });
-    const said = answers.map(({ name, title }) => button(title, { verb: "answer", name }));
-    if (!said.length && !undo) return "";
-    return el("div", { class: "answers" }, ...said, undo ? button("Undo the answer", { verb: "undo" }) : null);
+    const options = answers.map(({ name, title }) => button(title, () => socket.send("answer_decision", { key, name })));
+    if (!options.length && !undo) return "";
+    return el("div", { class: "answers" }, ...options, undo ? button("Undo the answer", () => socket.send("undo_answer", { key })) : null);
   }
 }

@@ -1,118 +1,147 @@
-/* The tab "Elements": what the run says of its map and camera, and each map element over the run. */
+// @ts-check
+/* The tab "Elements": faults of the map and the camera, and each map element over the run. */
 
 import { byId, el, fixed } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
-import { known, oneOf } from "./address.js";
+import { memberOf, oneOf } from "./address.js";
 
+/** @typedef {import("/static/protocol").inspector.ElementClassView} ElementClassView */
+/** @typedef {import("/static/protocol").inspector.ElementRow} ElementRow */
+/** @typedef {import("/static/protocol").inspector.ElementsEvent} ElementsEvent */
+/** @typedef {import("/static/protocol").inspector.RunFaultView} RunFaultView */
+/** @typedef {import("/static/protocol").inspector.RunFindings} RunFindings */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./main.js").Page} Page */
+
+/** @typedef {{name: string, text: string, of: (row: ElementRow) => any, title: string, wide?: boolean}} Column */
+
+/** @type {Column[]} */
 const COLUMNS = [
   { name: "name", text: "element", of: (row) => row.name, title: "Element" },
-  { name: "view", text: "view", of: (row) => row.inView, title: "Frames in whose image it should be", wide: true },
-  { name: "seen", text: "seen", of: (row) => row.seen.length, title: "Frames with a detection of it" },
-  { name: "used", text: "used", of: (row) => row.used.length, title: "Frames whose answer rests on it", wide: true },
-  { name: "out", text: "out", of: (row) => row.outlier.length, title: "Outlier: frames whose detection of it does not fit it, at the true pose where that is known, else under the answer" },
-  { name: "px", text: "px", of: (row) => row.medianPx, title: "Residual: the median over the frames that see it, px" },
-  { name: "cost", text: "cost", of: (row) => row.costM, title: "Error cost, m: how much larger the error is with it than without, on average over the frames that use it (their answers fitted again to the other pairs, not searched again). Below 0 it helps" },
+  { name: "view", text: "view", of: (row) => row.in_view, title: "Frames with the element in view", wide: true },
+  { name: "seen", text: "seen", of: (row) => row.seen.length, title: "Frames that detect it" },
+  { name: "used", text: "used", of: (row) => row.used.length, title: "Frames whose estimate uses it", wide: true },
+  { name: "out", text: "out", of: (row) => row.outlier.length, title: "Frames in which it is an outlier at the true pose, or at the estimate without ground truth" },
+  { name: "px", text: "px", of: (row) => row.median_px, title: "Median residual over the frames that detect it, px" },
+  { name: "cost", text: "cost", of: (row) => row.cost_m, title: "Mean error with this element minus error without it (m), over the frames that use it. Negative: the element helps. The pose is refined without it; the search is not repeated" },
 ];
-const BY_NAME = new Map(COLUMNS.map((one) => [one.name, one]));
+const BY_NAME = new Map(COLUMNS.map((column) => [column.name, column]));
 const WORST = "out";
-const LISTED = 8; // so many frames of a fault are named
+const MAX_LISTED = 8; // frames listed for a fault
 
 export class ElementList {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
-    this.found = null; // what the server said of the run
+    /** @type {RunFindings | null} */
+    this.findings = null;
+    this.progress = "";
     this.sort = WORST;
+    /** @type {number | null} */
     this.classId = null;
-    this.isAsked = false;
+    this.isRequested = false;
+    page.socket.on("elements", (event) => this.showElements(event));
     byId("elements-page").replaceChildren(
-      el("div", { id: "run-verdict" }),
+      el("div", { id: "run-diagnosis" }),
       el("div", { class: "chips", id: "element-classes" }),
       el("div", { class: "element row head", id: "element-head" }),
       el("ol", { class: "body list", id: "element-list", tabindex: -1 }));
   }
 
+  /** @returns {AddressPart[]} */
   address() {
     return [{
-      fields: { sort: oneOf(WORST, ...COLUMNS.map((one) => one.name)), class: known(() => this.run.classes.map((one) => one.name)) },
+      fields: { sort: oneOf(WORST, ...COLUMNS.map((column) => column.name)), class: memberOf(() => this.page.store.run.classes.map((kind) => kind.name)) },
       get: () => ({ sort: this.sort, class: this.className() }),
       set: ({ sort, class: name }) => this.show(sort, name),
     }];
   }
 
-  showRun(run) {
-    this.run = run;
-    this.found = null;
-    this.isAsked = false;
+  showRun() {
+    this.findings = null;
+    this.isRequested = false;
     this.classId = null;
-    this.ask();
+    this.requestFindings();
   }
 
   showTabs() {
-    this.ask();
+    this.requestFindings();
   }
 
-  /** Only once it is looked at: it takes a while. */
-  ask() {
-    if (this.page.left.shown !== "elements" || this.isAsked || !this.run) return;
-    this.isAsked = true;
-    this.page.socket.send({ verb: "elements" });
+  /** Only once the tab is shown: the diagnosis takes a while. */
+  requestFindings() {
+    if (this.page.left.shown !== "elements" || this.isRequested || !this.page.store.isOpen) return;
+    this.isRequested = true;
+    this.page.socket.send("get_elements");
   }
 
-  showElements(found) {
-    this.found = found;
+  /** @param {ElementsEvent} event */
+  showElements({ progress, found: findings }) {
+    this.progress = progress;
+    this.findings = findings;
     this.fill();
   }
 
-  showState(state) {
-    this.state = state;
+  showState() {
     this.mark();
   }
 
   showTheme() {
-    if (this.found) this.fill();
+    if (this.findings) this.fill();
   }
 
   className() {
-    return this.run?.classes.find((one) => one.id === this.classId)?.name ?? null;
+    if (this.classId === null) return null;
+    return this.page.store.run.classes.find((kind) => kind.id === this.classId)?.name ?? null;
   }
 
-  /** Sorted by a column, and only the class of that name, or all where it is null. */
+  /** Sorts by a column, and filters by a class name; null shows all classes.
+   *
+   * @param {string} sort
+   * @param {string | null} name
+   */
   show(sort, name) {
     this.sort = sort;
-    this.classId = this.run.classes.find((one) => one.name === name)?.id ?? null;
-    if (this.found?.ready) this.fill();
+    this.classId = this.page.store.run.classes.find((kind) => kind.name === name)?.id ?? null;
+    if (this.findings) this.fill();
     this.page.address.changed();
   }
 
   fill() {
-    const { ready, doing } = this.found;
-    byId("run-verdict").replaceChildren(...(ready ? this.verdict() : [el("p", { class: "dim", text: `Going through the run: ${doing}` })]));
-    byId("element-classes").replaceChildren(...(ready ? this.chips() : []));
-    byId("element-head").replaceChildren(...(ready ? this.head() : []));
-    byId("element-list").replaceChildren(...(ready ? this.rows().map((row) => this.row(row)) : []));
+    const { findings } = this;
+    const progress = el("p", { class: "dim", text: `Diagnosing the run: ${this.progress}` });
+    byId("run-diagnosis").replaceChildren(...(findings ? this.faults(findings) : [progress]));
+    byId("element-classes").replaceChildren(...(findings ? this.chips(findings.rows) : []));
+    byId("element-head").replaceChildren(...(findings ? this.head() : []));
+    byId("element-list").replaceChildren(...(findings ? this.sorted(findings.rows).map((row) => this.row(row)) : []));
     this.mark();
   }
 
-  /* The run's verdict */
+  /* The diagnosis of the run */
 
-  verdict() {
-    const { verdict, compared } = this.found;
-    const about = `in ${compared} ${compared === 1 ? "frame" : "frames"} with a pose to compare with`;
-    if (!verdict.length) return [el("p", {}, "Nothing of map or camera is seen to be wrong ", el("span", { class: "dim", text: about }), ".")];
-    return [el("h4", { text: "Wrong over the run", title: about }), ...verdict.map((one) => this.fault(one))];
+  /** @param {RunFindings} findings */
+  faults({ faults, compared }) {
+    const about = `in ${compared} ${compared === 1 ? "frame" : "frames"} with a pose`;
+    if (!faults.length) return [el("p", {}, "No faults of the map or the camera ", el("span", { class: "dim", text: about }), ".")];
+    return [el("h4", { text: "Faults over the run", title: about }), ...faults.map((fault) => this.fault(fault))];
   }
 
+  /** @param {RunFaultView} fault */
   fault({ kind, sentence, evidence, frames, element, observed, position }) {
-    const see = () => this.see({ element, observed }, position);
-    const listed = frames.length > LISTED ? [...frames.slice(0, LISTED), "…"] : frames;
-    const numbers = [...evidence.map(([name, value]) => `${name} ${value}`), ...(frames.length ? [`frames ${listed.join(", ")}`] : [])].join(" · ");
-    return el("button", { class: "fault", title: "Click: see it in a frame", onclick: see },
+    const goTo = () => this.goTo({ element, observed }, position);
+    const indices = frames.length > MAX_LISTED ? [...frames.slice(0, MAX_LISTED), "…"] : frames;
+    const numbers = [...evidence.map(([name, value]) => `${name} ${value}`), ...(frames.length ? [`frames ${indices.join(", ")}`] : [])].join(" · ");
+    return el("button", { class: "fault", title: "Go to a frame that shows it", onclick: goTo },
       el("b", { text: kind }), el("span", { text: sentence }), el("span", { class: "dim", text: numbers }));
   }
 
-  /** Selects it, then goes to a frame that shows it; the frame keeps a selected element. */
-  see({ element, observed = null }, position) {
+  /** Selects the target and goes to a frame that shows it. A new frame keeps a selected element only.
+   *
+   * @param {{element: number | null, observed?: number | null}} target
+   * @param {number | null} position
+   */
+  goTo({ element, observed = null }, position) {
     if (position === null) {
       this.page.select({ element });
     } else if (element !== null) {
@@ -126,60 +155,75 @@ export class ElementList {
 
   /* The list */
 
-  chips() {
-    const chip = (one, name) => {
-      const rows = this.found.rows.filter((row) => !one || row.class === one.id);
-      const glyph = one ? classGlyph(one, this.color(one)) : el("span", { text: "All" });
-      return el("button", { class: "chip", title: one?.name ?? "all classes", "aria-pressed": this.classId === (one?.id ?? null), onclick: () => this.show(this.sort, name) },
-        glyph, el("span", { text: rows.length }));
+  /** @param {ElementRow[]} rows */
+  chips(rows) {
+    /** @param {ElementClassView | null} kind */
+    const chip = (kind) => {
+      const count = rows.filter((row) => !kind || row.class_id === kind.id).length;
+      const glyph = kind ? classGlyph(kind, this.color(kind)) : el("span", { text: "All" });
+      return el("button", { class: "chip", title: kind?.name ?? "all classes", "aria-pressed": this.classId === (kind?.id ?? null), onclick: () => this.show(this.sort, kind?.name ?? null) },
+        glyph, el("span", { text: count }));
     };
-    const there = this.run.classes.filter((one) => this.found.rows.some((row) => row.class === one.id));
-    return [chip(null, null), ...there.map((one) => chip(one, one.name))];
+    const present = this.page.store.run.classes.filter((kind) => rows.some((row) => row.class_id === kind.id));
+    return [chip(null), ...present.map((kind) => chip(kind))];
   }
 
   head() {
     return COLUMNS.map(({ name, text, title, wide }) => el("button", {
-      class: wide ? "wide" : "", title: `${title}. Click: sort by it`, "aria-pressed": this.sort === name, text, onclick: () => this.show(name, this.className()) }));
+      class: wide ? "wide" : "", title: `${title}. Click to sort`, "aria-pressed": this.sort === name, text, onclick: () => this.show(name, this.className()) }));
   }
 
-  /** The largest first, names by the alphabet; what has no value last. */
-  rows() {
-    const { of } = BY_NAME.get(this.sort);
-    const kept = this.found.rows.filter((row) => this.classId === null || row.class === this.classId);
+  /** Largest first, names alphabetically, rows without a value last.
+   *
+   * @param {ElementRow[]} rows
+   */
+  sorted(rows) {
+    const of = BY_NAME.get(this.sort)?.of ?? (() => null);
+    const filtered = rows.filter((row) => this.classId === null || row.class_id === this.classId);
+    /** @type {(a: ElementRow, b: ElementRow) => number} */
     const order = (a, b) => (this.sort === "name" ? a.name.localeCompare(b.name, "en", { numeric: true }) : (of(b) ?? -Infinity) - (of(a) ?? -Infinity));
-    return kept.sort((a, b) => order(a, b) || (b.costM ?? -Infinity) - (a.costM ?? -Infinity) || a.id - b.id);
+    return filtered.sort((a, b) => order(a, b) || (b.cost_m ?? -Infinity) - (a.cost_m ?? -Infinity) || a.id - b.id);
   }
 
+  /** @param {ElementRow} row */
   row(row) {
-    const cells = COLUMNS.slice(1).map((one) => el("span", { class: one.wide ? "wide" : "", text: cellText(one, row) }));
+    const cells = COLUMNS.slice(1).map((column) => el("span", { class: column.wide ? "wide" : "", text: cellText(column, row) }));
     return el("li", { class: "element row", title: rowTitle(row), data: { element: row.id }, onclick: () => this.choose(row) },
       this.name(row), ...cells);
   }
 
-  name({ name, class: id }) {
-    const one = this.run.classes.find((other) => other.id === id);
-    return el("b", {}, classGlyph(one, this.color(one)), name);
+  /** @param {ElementRow} row */
+  name({ name, class_id: id }) {
+    const kind = this.page.store.run.classes.find((other) => other.id === id);
+    return el("b", {}, kind ? classGlyph(kind, this.color(kind)) : null, name);
   }
 
-  color(one) {
-    return currentTheme() === "light" ? one.colorLight : one.color;
+  /** @param {ElementClassView} kind */
+  color(kind) {
+    return currentTheme() === "light" ? kind.color_light : kind.color;
   }
 
+  /** @param {ElementRow} row */
   choose(row) {
-    const { position } = this.page.frame;
+    const { position } = this.page.store.frame;
     const isHere = row.seen.includes(position) || row.used.includes(position);
-    this.see({ element: row.id }, isHere ? null : row.position);
+    this.goTo({ element: row.id }, isHere ? null : row.position);
   }
 
   mark() {
+    const { element } = this.page.store.state;
     for (const row of byId("element-list").children) {
-      const current = Number(row.dataset.element) === this.state?.element;
-      row.setAttribute("aria-current", current);
+      const current = row instanceof HTMLElement && Number(row.dataset.element) === element;
+      row.setAttribute("aria-current", String(current));
       if (current) row.scrollIntoView({ block: "nearest" });
     }
   }
 }
 
+/**
+ * @param {Column} column
+ * @param {ElementRow} row
+ */
 function cellText({ name, of }, row) {
   const value = of(row);
   if (name === "px") return value === null ? "—" : fixed(value, 1);
@@ -187,9 +231,10 @@ function cellText({ name, of }, row) {
   return value;
 }
 
-function rowTitle({ name, inView, seen, used, outlier, share, medianPx, costM }) {
-  const said = [`${name}: in view in ${inView} frames, seen in ${seen.length}, used in ${used.length}.`];
-  if (seen.length) said.push(`It does not fit in ${outlier.length} of those that see it (${Math.round(100 * share)} %); the residual in the middle is ${fixed(medianPx, 1)} px.`);
-  if (costM !== null) said.push(`With it the error is ${fixed(Math.abs(costM), 2)} m ${costM > 0 ? "larger" : "smaller"} than without, on average.`);
-  return said.join(" ");
+/** @param {ElementRow} row */
+function rowTitle({ name, in_view: inView, seen, used, outlier, share, median_px: medianPx, cost_m: costM }) {
+  const sentences = [`${name}: in view in ${inView} frames, detected in ${seen.length}, used in ${used.length}.`];
+  if (seen.length) sentences.push(`An outlier in ${outlier.length} of the frames that detect it (${Math.round(100 * (share ?? 0))} %); median residual ${fixed(medianPx, 1)} px.`);
+  if (costM !== null) sentences.push(`The mean error is ${fixed(Math.abs(costM), 2)} m ${costM > 0 ? "larger" : "smaller"} with it than without it.`);
+  return sentences.join(" ");
 }

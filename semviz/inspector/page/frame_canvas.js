@@ -1,20 +1,39 @@
-/* Canvases that mark the frame on screen: what the panels that draw all frames of a run share. */
+// @ts-check
+/* Base classes of the panels that draw all frames of a run and mark the current one. */
 
 import { Surface, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("./timeline_drawing.js").TimelineAxes} TimelineAxes */
+/** @typedef {import("./panel.js").Context} Context */
+/** @typedef {import("./main.js").Page} Page */
+
 export class FrameCanvas {
-  /** `draw(context, width, height)` is the panel's own. */
+  /**
+   * @param {Page} page
+   * @param {string} id
+   */
   constructor(page, id) {
     this.page = page;
     this.position = 0;
-    this.surface = new Surface(byId(id), (...size) => this.draw(...size));
+    this.surface = new Surface(byId(id, HTMLCanvasElement), (...size) => this.draw(...size));
   }
 
+  /** Overridden by each panel.
+   *
+   * @param {Context} _context
+   * @param {number} _width
+   * @param {number} _height
+   */
+  draw(_context, _width, _height) {}
+
+  /** @param {FrameView} frame */
   showFrame(frame) {
     this.pointAt(frame.position);
   }
 
+  /** @param {number} position */
   pointAt(position) {
     if (position === this.position) return;
     this.position = position;
@@ -26,9 +45,15 @@ export class FrameCanvas {
   }
 }
 
-/** On a frame clock: a press or a drag goes to a frame. `draw` keeps the `clock` it draws on, `says(position)`
- * is what the pointer is told. */
-export class ClockCanvas extends FrameCanvas {
+/** With frames along an axis: a press or a drag goes to a frame. `draw` sets `axes`. */
+export class TimelineCanvas extends FrameCanvas {
+  /** @type {TimelineAxes | null} */
+  axes = null;
+
+  /**
+   * @param {Page} page
+   * @param {string} id
+   */
   constructor(page, id) {
     super(page, id);
     const { canvas } = this.surface;
@@ -38,13 +63,22 @@ export class ClockCanvas extends FrameCanvas {
     });
     canvas.addEventListener("pointermove", (event) => {
       if (event.buttons & 1) this.goTo(event);
-      if (this.clock) canvas.title = this.says(this.clock.positionAt(pointerAt(event)[0]));
+      if (this.axes) canvas.title = this.titleOf(this.axes.positionAt(pointerAt(event)[0]));
     });
   }
 
+  /** The tooltip of the frame under the pointer.
+   *
+   * @param {number} _position
+   */
+  titleOf(_position) {
+    return "";
+  }
+
+  /** @param {PointerEvent} event */
   goTo(event) {
-    if (!this.clock) return;
-    const position = this.clock.positionAt(pointerAt(event)[0]);
-    if (position !== this.page.wanted) this.page.go(position);
+    if (!this.axes) return;
+    const position = this.axes.positionAt(pointerAt(event)[0]);
+    if (position !== this.page.store.target) this.page.go(position);
   }
 }

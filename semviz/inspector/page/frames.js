@@ -1,147 +1,193 @@
-/* The list of frames, worst first, and its filters: by status, verdict and element. */
+// @ts-check
+/* The list of frames, worst first, and its filters: by status, diagnosis and element. */
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
-import { known, numberOf, textOf, whole } from "./address.js";
+import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
 
+/** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
+/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./main.js").Page} Page */
+
+/** @type {Status[]} */
 const STATUSES = ["ok", "ambiguous", "cannot"];
 
-/** Sure and wrong is the worst kind, then wrong, then no answer, then doubt, then by error. */
-export function badness(row) {
-  if (row.sureAndWrong) return 3e6 + row.errorM;
-  if (row.errorM > 1) return 2e6 + row.errorM;
+/** @typedef {FrameRow["status"]} Status */
+/** @typedef {FrameRow & {position: number}} PlacedRow */
+/** @typedef {PlacedRow & {members: number[]}} FrameGroup the worst of consecutive frames, and the positions of all */
+
+/** How bad a frame is: overconfident, over 1 m off, without a pose, ambiguous, then by error.
+ *
+ * @param {Pick<FrameRow, "overconfident" | "error_m" | "status">} row
+ */
+export function severity(row) {
+  const errorM = row.error_m ?? 0;
+  if (row.overconfident) return 3e6 + errorM;
+  if (errorM > 1) return 2e6 + errorM;
   if (row.status === "cannot") return 1e6;
-  if (row.status === "ambiguous") return 5e5 + (row.errorM ?? 0);
-  return row.errorM ?? 0;
+  if (row.status === "ambiguous") return 5e5 + errorM;
+  return errorM;
 }
 
+/** @param {FrameRow} row */
 function errorText(row) {
   if (row.status === "cannot") return "none";
-  return row.errorM === null ? "—" : `${fixed(row.errorM, 2)} m`;
+  return row.error_m === null ? "—" : `${fixed(row.error_m, 2)} m`;
 }
 
-/** Neighbouring frames with the same verdict become one row, but for healthy ones. */
+/** Consecutive frames with the same diagnosis form a group, except healthy ones.
+ *
+ * @param {PlacedRow[]} rows
+ * @returns {FrameGroup[]}
+ */
 function grouped(rows) {
+  /** @type {PlacedRow[][]} */
   const groups = [];
   for (const row of rows) {
-    const last = groups.at(-1)?.at(-1);
+    const group = groups.at(-1);
+    const last = group?.at(-1);
     const isNext = last && last.position + 1 === row.position;
-    if (isNext && last.verdict === row.verdict && last.status === row.status && row.verdict !== "healthy") groups.at(-1).push(row);
+    if (isNext && last.diagnosis === row.diagnosis && last.status === row.status && row.diagnosis !== "healthy") group?.push(row);
     else groups.push([row]);
   }
-  const worst = (group) => group.reduce((a, b) => (badness(b) > badness(a) ? b : a));
+  /** @param {PlacedRow[]} group */
+  const worst = (group) => group.reduce((a, b) => (severity(b) > severity(a) ? b : a));
   return groups.map((group) => ({ ...worst(group), members: group.map((row) => row.position) }));
 }
 
 export class FrameList {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
+    /** @type {FrameGroup[]} */
     this.groups = [];
-    this.clear();
-    byId("frame-list").addEventListener("click", (event) => {
-      const row = event.target.closest("[data-position]");
-      if (row) page.go(Number(row.dataset.position));
-    });
-    byId("verdict-filter").addEventListener("change", (event) => {
-      this.filter({ verdict: event.target.value || null });
-      event.target.blur();
+    /** @type {Status | null} */
+    this.status = null;
+    /** @type {string | null} */
+    this.diagnosis = null;
+    /** @type {number | null} */
+    this.element = null; // only frames that detect it, or whose estimate uses it
+    /** @type {Set<number> | null} */
+    this.withElement = null; // their positions
+    this.elementName = "";
+    page.socket.on("element_frames", (event) => this.showElementFrames(event));
+    byId("frame-list").addEventListener("click", (event) => goToClicked(page, event));
+    this.choice = byId("diagnosis-filter", HTMLSelectElement);
+    this.choice.addEventListener("change", () => {
+      this.filter({ diagnosis: this.choice.value || null });
+      this.choice.blur();
     });
     byId("element-filter").addEventListener("click", () => this.toggleElement());
   }
 
+  /** @returns {AddressPart[]} */
   address() {
-    const verdicts = () => this.run.frames.map((row) => row.verdict);
+    const diagnoses = () => this.page.store.run.frames.map((row) => row.diagnosis);
     return [{
-      fields: { status: known(() => STATUSES), verdict: known(verdicts), only: whole() },
-      get: () => ({ status: this.status, verdict: this.verdict, only: textOf(this.element) }),
-      set: ({ status, verdict, only }) => this.filter({ status, verdict, element: numberOf(only) }),
+      fields: { status: memberOf(() => STATUSES), verdict: memberOf(diagnoses), only: wholeNumber() },
+      get: () => ({ status: this.status, verdict: this.diagnosis, only: textOf(this.element) }),
+      set: ({ status, verdict, only }) => this.filter({ status, diagnosis: verdict, element: numberOf(only) }),
     }];
   }
 
-  /** All frames are listed. */
+  /** Removes all filters. */
   clear() {
     this.status = null;
-    this.verdict = null;
-    this.element = null; // only frames that see it, or whose answer rests on it
-    this.withElement = null; // their positions
+    this.diagnosis = null;
+    this.element = null;
+    this.withElement = null;
   }
 
-  showRun(run) {
-    this.run = run;
+  showRun() {
     this.clear();
     this.fill();
   }
 
+  /** @param {FrameView} frame */
   showFrame(frame) {
     this.pointAt(frame.position);
   }
 
-  showState({ element }) {
-    this.selected = element;
+  showState() {
     this.fillElement();
   }
 
-  /** Positions of the frames of the element that is filtered by. */
-  showFramesOf({ element, name, positions }) {
+  /** The frames with the element of the filter have arrived.
+   *
+   * @param {ElementFramesEvent} event
+   */
+  showElementFrames({ element, name, positions }) {
     if (element !== this.element) return;
     this.withElement = new Set(positions);
     this.elementName = name;
     this.fill();
   }
 
-  /** The element that was to be filtered by is not in the map. */
+  /** The element of the filter is not in the map. */
   showRefusal() {
     if (this.element !== null && !this.withElement) this.filter({ element: null });
   }
 
+  /** @param {number} position */
   pointAt(position) {
-    for (const row of byId("frame-list").children) {
-      const current = row.members?.includes(position) ?? false;
-      row.setAttribute("aria-current", current);
+    [...byId("frame-list").children].forEach((row, at) => {
+      const current = this.groups[at]?.members.includes(position) ?? false;
+      row.setAttribute("aria-current", String(current));
       if (current) row.scrollIntoView({ block: "nearest" });
-    }
+    });
   }
 
+  /** @param {number} by */
   step(by) {
-    const now = this.groups.findIndex((group) => group.members.includes(this.page.wanted));
+    const now = this.groups.findIndex((group) => group.members.includes(this.page.store.target));
     const next = this.groups[Math.min(Math.max(now + by, 0), this.groups.length - 1)];
     if (next) this.page.go(next.position);
   }
 
-  /** Filters that are left out stay as they are. */
-  filter({ status = this.status, verdict = this.verdict, element = this.element }) {
-    Object.assign(this, { status, verdict });
+  /** Sets filters; omitted ones stay as they are.
+   *
+   * @param {{status?: Status | null, diagnosis?: string | null, element?: number | null}} filters
+   */
+  filter({ status = this.status, diagnosis = this.diagnosis, element = this.element }) {
+    Object.assign(this, { status, diagnosis });
     if (element !== this.element) {
       this.element = element;
       this.withElement = null;
-      if (element !== null) this.page.socket.send({ verb: "frames of", element });
+      if (element !== null) this.page.socket.send("find_frames", { element });
     }
     this.fill();
     this.page.address.changed();
   }
 
   toggleElement() {
-    this.filter({ element: this.element === null ? this.selected : null });
+    this.filter({ element: this.element === null ? this.page.store.state.element : null });
   }
 
-  /** Frames that all filters let pass, but for one of them. */
+  /** Frames that pass all filters, except the one named.
+   *
+   * @param {string} [except]
+   * @returns {PlacedRow[]}
+   */
   rows(except = "") {
-    return this.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
+    return this.page.store.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
       (except === "status" || !this.status || row.status === this.status)
-      && (except === "verdict" || !this.verdict || row.verdict === this.verdict)
+      && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
       && (!this.withElement || this.withElement.has(row.position)));
   }
 
   fill() {
-    this.groups = grouped(this.rows()).sort((a, b) => badness(b) - badness(a) || a.position - b.position);
-    const none = el("li", { class: "none dim", text: "No frame passes these filters." });
+    this.groups = grouped(this.rows()).sort((a, b) => severity(b) - severity(a) || a.position - b.position);
+    const none = el("li", { class: "none dim", text: "No frames match these filters." });
     byId("frame-list").replaceChildren(...(this.groups.length ? this.groups.map(listRow) : [none]));
     byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)));
-    this.fillVerdicts();
+    this.fillDiagnoses();
     this.fillElement();
-    this.pointAt(this.page.wanted);
+    this.pointAt(this.page.store.target);
   }
 
+  /** @param {Status | null} status */
   chip(status) {
     const rows = this.rows("status").filter((row) => !status || row.status === status);
     const chip = el("button", {
@@ -154,37 +200,48 @@ export class FrameList {
     return chip;
   }
 
-  /** The most frequent first. */
-  fillVerdicts() {
-    const rows = this.rows("verdict");
+  /** Most frequent first. */
+  fillDiagnoses() {
+    const rows = this.rows("diagnosis");
+    /** @type {Map<string, number>} */
     const counts = new Map();
-    for (const { verdict } of this.run.frames) counts.set(verdict, 0);
-    for (const { verdict } of rows) counts.set(verdict, counts.get(verdict) + 1);
+    for (const { diagnosis } of this.page.store.run.frames) counts.set(diagnosis, 0);
+    for (const { diagnosis } of rows) counts.set(diagnosis, (counts.get(diagnosis) ?? 0) + 1);
+    /** @type {(value: string, name: string, count: number) => HTMLOptionElement} */
     const option = (value, name, count) => el("option", { value, text: `${name}  ${count}` });
     const sorted = [...counts].sort((a, b) => b[1] - a[1] || a[0].localeCompare(b[0]));
-    byId("verdict-filter").replaceChildren(option("", "Every verdict", rows.length), ...sorted.map(([name, count]) => option(name, name, count)));
-    byId("verdict-filter").value = this.verdict ?? "";
-    byId("verdict-filter").classList.toggle("on", this.verdict !== null);
+    this.choice.replaceChildren(option("", "Any diagnosis", rows.length), ...sorted.map(([name, count]) => option(name, name, count)));
+    this.choice.value = this.diagnosis ?? "";
+    this.choice.classList.toggle("on", this.diagnosis !== null);
   }
 
   fillElement() {
-    const button = byId("element-filter");
+    const button = byId("element-filter", HTMLButtonElement);
     const isOn = this.element !== null;
-    button.disabled = !isOn && (this.selected ?? null) === null;
-    button.setAttribute("aria-pressed", isOn);
+    button.disabled = !isOn && this.page.store.state.element === null;
+    button.setAttribute("aria-pressed", String(isOn));
     const count = this.withElement ? ` ${this.withElement.size}` : "";
-    button.textContent = isOn ? `${this.elementName ?? "…"}${count} ✕` : "Of the selected";
-    button.title = isOn ? "Frames that see it, or whose answer rests on it. Click: all frames again" : "Only frames that see the selected element, or whose answer rests on it";
+    button.textContent = isOn ? `${this.elementName || "…"}${count} ✕` : "With selected";
+    button.title = isOn ? "Frames that detect this element or use it. Click to show all frames" : "Show only frames that detect the selected element or use it";
   }
 }
 
+/** @param {FrameGroup} group */
 function listRow(group) {
-  const row = el("li", { class: "row", title: group.reason, data: { position: group.position } },
+  return el("li", { class: "row", title: group.reason, data: { position: group.position } },
     statusMark(group.status),
     el("span", { class: "index", text: group.index }),
-    el("span", { class: group.sureAndWrong ? "wrong" : "", text: errorText(group) }),
-    el("span", { class: "verdict", text: group.verdict }),
+    el("span", { class: group.overconfident ? "wrong" : "", text: errorText(group) }),
+    el("span", { class: "diagnosis", text: group.diagnosis }),
     el("span", { class: "count", text: group.members.length > 1 ? `${group.members.length}×` : "" }));
-  row.members = group.members;
-  return row;
+}
+
+/** Goes to the frame whose row was clicked.
+ *
+ * @param {Page} page
+ * @param {Event} event
+ */
+export function goToClicked(page, { target }) {
+  const row = target instanceof Element ? target.closest("[data-position]") : null;
+  if (row instanceof HTMLElement) page.go(Number(row.dataset.position));
 }

@@ -1,56 +1,101 @@
-/* The image panel: which image, what is drawn on it, and what people do with it. */
+// @ts-check
+/* The image panel: the image, what is drawn on it, and how the user controls it. */
 
 import { Surface, View, enableZoomAndPan, pointerAt } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import { flag, oneOf, yes } from "./address.js";
-import { drawPhoto, drawSight, drawTried } from "./image_drawing.js";
-import { Sight, gap, middle, nearestOn, placeOf } from "./image_model.js";
-import { Pictures } from "./pictures.js";
+import { drawPhoto, drawModel, drawWhatIf } from "./image_drawing.js";
+import { ImageModel, gap, middle, nearestOn, placeOf } from "./image_model.js";
+import { ImageCache } from "./image_cache.js";
+
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.RightImageEvent} RightImageEvent */
+/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/protocol").inspector.WhatIfEvent} WhatIfEvent */
+/** @typedef {import("/static/protocol").inspector.WhatIfResult} WhatIfResult */
+/** @typedef {import("/static/keys.js").Command} Command */
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./panel.js").ClassMap} ClassMap */
+/** @typedef {import("./panel.js").Context} Context */
+/** @typedef {import("./panel.js").Ends} Ends */
+/** @typedef {import("./panel.js").Figure} Figure */
+/** @typedef {import("./image_drawing.js").ImageLook} ImageLook */
+/** @typedef {import("./main.js").Page} Page */
 
 const HIT_PX = 12;
 const TITLES = { left: "Left image", right: "Right image" };
 
 export class ImagePanel {
+  /**
+   * @param {Page} page
+   * @param {() => void} painted
+   */
   constructor(page, painted) {
     this.page = page;
     this.residuals = true;
-    this.state = { mode: "estimate", side: "left" };
+    this.state = page.store.state;
     this.view = new View();
     this.fitted = true;
-    this.pictures = new Pictures();
-    const canvas = byId("image-canvas");
+    this.images = new ImageCache();
+    /** @type {FrameView | null} */
+    this.coming = null;
+    /** @type {FrameView | null} */
+    this.frame = null; // once its image has arrived
+    /** @type {RightImageEvent | null} */
+    this.right = null;
+    /** @type {RightImageEvent | null} */
+    this.rightShown = null;
+    /** @type {ImageModel | null} */
+    this.model = null;
+    /** @type {ImageBitmap | null} */
+    this.bitmap = null;
+    this.missingReason = "";
+    /** @type {ClassMap} */
+    this.classes = new Map();
+    /** @type {WhatIfResult | null} */
+    this.whatIf = null;
+    page.socket.on("right_image", (event) => this.showRight(event));
+    page.socket.on("what_if", (event) => this.showWhatIf(event));
+    const canvas = byId("image-canvas", HTMLCanvasElement);
     this.surface = new Surface(canvas, (...size) => this.draw(...size));
     this.surface.onpainted = painted;
-    this.surface.onresize = () => this.fitted && this.run && this.fit();
+    this.surface.onresize = () => { if (this.fitted && page.store.isOpen) this.fit(); };
     this.listen(canvas, (at) => this.pick(at));
-    for (const button of document.querySelectorAll("[data-mode]")) {
-      button.addEventListener("click", () => this.ask({ mode: button.dataset.mode }));
+    /** @type {NodeListOf<HTMLElement>} */
+    this.modes = document.querySelectorAll("[data-mode]");
+    for (const button of this.modes) {
+      button.addEventListener("click", () => this.setImage({ mode: /** @type {StateView["mode"]} */ (button.dataset.mode) }));
     }
     byId("image-side").addEventListener("click", () => this.switchSide());
     byId("image-neighbours").addEventListener("click", () => this.toggleNeighbours());
   }
 
+  /** @returns {Command[]} */
   commands() {
+    /** @type {(key: string, title: string, run: () => void, shift?: boolean) => Command} */
     const show = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Image and matrix" });
     return [
-      show("1", "Map with the estimate", () => this.ask({ mode: "estimate" })),
-      show("2", "Map with the truth", () => this.ask({ mode: "truth" })),
-      show("3", "Pairs with outliers", () => this.ask({ mode: "pairs" })),
-      show("4", "Error: the map from truth to estimate", () => this.ask({ mode: "error" })),
+      show("1", "Map projected with the estimate", () => this.setImage({ mode: "estimate" })),
+      show("2", "Map projected with the true pose", () => this.setImage({ mode: "truth" })),
+      show("3", "Pairs with outliers", () => this.setImage({ mode: "pairs" })),
+      show("4", "Error: map from true pose to estimate", () => this.setImage({ mode: "error" })),
       show("r", "Residuals", () => this.toggleResiduals()),
       show("k", "Left or right image", () => this.switchSide()),
-      show("k", "Images before and after", () => this.toggleNeighbours(), true),
+      show("k", "Neighbouring images", () => this.toggleNeighbours(), true),
       show("z", "Zoom to the selection", () => this.zoomToSelection()),
       show("0", "Whole image", () => this.fit()),
     ];
   }
 
+  /** @returns {AddressPart[]} */
   address() {
     return [
       {
         fields: { image: oneOf("estimate", "truth", "pairs", "error"), side: oneOf("left", "right"), around: flag() },
         get: () => ({ image: this.state.mode, side: this.state.side, around: yes(this.state.neighbours) }),
-        set: ({ image, side, around }) => this.ask({ mode: image, side, neighbours: around === "yes" }),
+        set: ({ image, side, around }) => this.setImage({ mode: image, side, neighbours: around === "yes" }),
       },
       {
         fields: { residuals: flag("yes") },
@@ -60,10 +105,15 @@ export class ImagePanel {
     ];
   }
 
-  /** Zoom, pan and clicks on a canvas that is drawn through this panel's view; `pick(at)` is called
-   * with what was clicked, in CSS pixels. */
+  /** Zoom, pan and clicks on a canvas that is drawn in this panel's view; `pick` gets the point of a
+   * click, in CSS pixels.
+   *
+   * @param {HTMLCanvasElement} canvas
+   * @param {(at: Point) => void} pick
+   */
   listen(canvas, pick) {
     enableZoomAndPan(canvas, this.view, () => { this.fitted = false; this.surface.redraw(); });
+    /** @type {Point | null} */
     let down = null;
     canvas.addEventListener("pointerdown", (event) => { down = pointerAt(event); });
     canvas.addEventListener("pointerup", (event) => {
@@ -73,105 +123,109 @@ export class ImagePanel {
     canvas.addEventListener("dblclick", () => this.fit());
   }
 
-  /* What the server says */
+  /* From the server */
 
+  /** @param {RunView} run */
   showRun(run) {
-    this.run = run;
     this.frame = null;
-    this.sight = null;
+    this.model = null;
     this.coming = null;
     this.right = null;
-    this.classes = new Map(run.classes.map((one) => [one.id, one]));
-    byId("image-side").hidden = !run.imageRight;
-    this.pictures.open(run);
-    this.takeSize();
+    this.classes = new Map(run.classes.map((kind) => [kind.id, kind]));
+    byId("image-side").hidden = !run.image_right;
+    this.images.open(run);
+    this.applySize();
   }
 
+  /** @param {FrameView} frame */
   showFrame(frame) {
     this.coming = frame;
     this.show();
   }
 
+  /** @param {RightImageEvent} right */
   showRight(right) {
     this.right = right;
     this.show();
   }
 
+  /** @param {StateView} state */
   showState(state) {
-    const turned = state.side !== this.state.side;
+    const isSwitched = state.side !== this.state.side;
     this.state = state;
-    if (turned && this.run) this.takeSize();
+    if (isSwitched && this.page.store.isOpen) this.applySize();
     byId("image-title").textContent = TITLES[state.side];
-    byId("image-neighbours").setAttribute("aria-pressed", state.neighbours);
-    for (const button of document.querySelectorAll("[data-mode]")) {
-      button.setAttribute("aria-pressed", button.dataset.mode === state.mode);
+    byId("image-neighbours").setAttribute("aria-pressed", String(state.neighbours));
+    for (const button of this.modes) {
+      button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));
     }
-    if (turned) this.show();
-    else if (this.coming === this.frame) this.see();
+    if (isSwitched) this.show();
+    else if (this.coming === this.frame) this.update();
   }
 
+  /** @param {WhatIfEvent} event */
   showWhatIf({ result }) {
-    this.tried = result;
-    this.see();
+    this.whatIf = result;
+    this.update();
   }
 
-  /** Draws the frame that is coming as soon as its picture is there and, in the right image, where
-   * its map is. */
+  /** Draws the coming frame as soon as its image and, for the right side, its map have arrived. */
   async show() {
     const { coming, state: { side } } = this;
     if (!coming || (side === "right" && this.right?.position !== coming.position)) return;
-    const { picture, why } = await this.pictures.get(coming.position, side);
-    if (this.coming !== coming || this.state.side !== side) return; // something later was asked for
+    const { bitmap, reason } = await this.images.get(coming.position, side);
+    if (this.coming !== coming || this.state.side !== side) return; // a later request
     this.frame = coming;
     this.rightShown = side === "right" ? this.right : null;
-    this.picture = picture;
-    this.whyNoPicture = why;
-    this.see();
-    this.pictures.prefetch(coming.position, side);
+    this.bitmap = bitmap;
+    this.missingReason = reason;
+    this.update();
+    this.images.prefetch(coming.position, side);
   }
 
-  see() {
+  update() {
     if (!this.frame) return;
     const { mode, element } = this.state;
-    this.sight = new Sight(this.frame, mode, this.size, this.rightShown);
-    const absent = element === null ? "" : this.sight.whyAbsent(element);
-    const tried = this.triedHere.length ? "thick dashes: tried" : "";
-    const about = [absent, tried, this.whyNoPicture, this.sight.about].filter(Boolean).join(" · ");
+    this.model = new ImageModel(this.frame, mode, this.size, this.rightShown);
+    const absent = element === null ? "" : this.model.whyAbsent(element);
+    const whatIf = this.whatIfElements.length ? "thick dashes: what if" : "";
+    const about = [absent, whatIf, this.missingReason, this.model.about].filter(Boolean).join(" · ");
     byId("image-about").textContent = about;
     byId("image-about").title = about;
     this.surface.redraw();
   }
 
-  /** The map under a pose that is being tried, where this image shows it. */
-  get triedHere() {
-    const isHere = this.tried?.position === this.frame.position && this.state.side === "left";
-    return isHere ? (this.tried.mapped ?? []) : [];
+  /** The map projected with the what-if pose, if this image shows its frame. */
+  get whatIfElements() {
+    const { whatIf, frame, state } = this;
+    return whatIf && whatIf.position === frame?.position && state.side === "left" ? whatIf.mapped : [];
   }
 
   get size() {
-    return (this.state.side === "right" && this.run.imageRight) || this.run.image;
+    const { run } = this.page.store;
+    return (this.state.side === "right" && run.image_right) || run.image;
   }
 
-  takeSize() {
+  applySize() {
     const panel = byId("image");
-    panel.style.setProperty("--image-width", this.size.width);
-    panel.style.setProperty("--image-height", this.size.height);
+    panel.style.setProperty("--image-width", String(this.size.width));
+    panel.style.setProperty("--image-height", String(this.size.height));
     this.fit();
   }
 
-  /* What people ask for */
+  /* From the user */
 
-  /** `{mode, side, neighbours}`, or some of them. */
-  ask(wish) {
-    this.page.socket.send({ verb: "image", ...wish });
+  /** @param {{mode?: StateView["mode"], side?: StateView["side"], neighbours?: boolean}} wish */
+  setImage(wish) {
+    this.page.socket.send("set_image", wish);
   }
 
   switchSide() {
-    this.ask({ side: this.state.side === "left" ? "right" : "left" });
+    this.setImage({ side: this.state.side === "left" ? "right" : "left" });
   }
 
   toggleNeighbours() {
-    this.ask({ neighbours: !this.state.neighbours });
+    this.setImage({ neighbours: !this.state.neighbours });
   }
 
   toggleResiduals() {
@@ -200,34 +254,49 @@ export class ImagePanel {
   }
 
   placeOfSelection() {
-    if (!this.sight) return null;
-    const seen = this.sight.observed[this.state.observed];
-    const row = this.frame.mapped.findIndex((one) => one.id === this.state.element);
+    const { model, state: { observed, element } } = this;
+    if (!model) return null;
+    const seen = observed === null ? undefined : model.observed[observed];
+    const row = model.frame.mapped.findIndex((mapped) => mapped.id === element);
     if (seen) return placeOf(seen);
-    return row < 0 ? null : this.sight.place(row);
+    return row < 0 ? null : model.place(row);
   }
 
+  /** @param {Point} at */
   pick(at) {
-    if (this.sight) this.page.select(found(this.sight, this.view, at));
+    if (this.model) this.page.select(pickAt(this.model, this.view, at));
   }
 
   /* Drawing */
 
+  /**
+   * @param {Context} context
+   * @param {number} width
+   * @param {number} height
+   */
   draw(context, width, height) {
-    if (!this.sight) return;
-    drawPhoto(context, this.picture, this.view, this.size);
-    drawSight(context, this.sight, this.view, width, height, this.look());
-    drawTried(context, this.triedHere, this.view, this.classes);
+    if (!this.model) return;
+    drawPhoto(context, this.bitmap, this.view, this.size);
+    drawModel(context, this.model, this.view, width, height, this.look());
+    drawWhatIf(context, this.whatIfElements, this.view, this.classes);
   }
 
+  /**
+   * @param {boolean} [legend]
+   * @returns {ImageLook}
+   */
   look(legend = true) {
     const { observed, element } = this.state;
     return { classes: this.classes, observed, element, vectors: this.residuals, legend };
   }
 
-  /** What is shown, without the free room around a whole image. */
+  /** The view as shown, without the margins around a whole image.
+   *
+   * @returns {Figure[]}
+   */
   figures() {
-    if (!this.sight) return [];
+    const { model } = this;
+    if (!model) return [];
     const { mode, side } = this.state;
     const parts = ["image", mode === "estimate" ? "" : mode, side === "left" ? "" : side];
     const view = new View();
@@ -235,26 +304,37 @@ export class ImagePanel {
     if (this.fitted) [view.x, view.y] = [0, 0];
     const width = this.fitted ? view.scale * this.size.width : this.surface.width;
     const height = this.fitted ? view.scale * this.size.height : this.surface.height;
+    /** @type {NonNullable<Figure["draw"]>} */
     const draw = (context, { photo, legend }) => {
-      if (photo) drawPhoto(context, this.picture, view, this.size);
-      drawSight(context, this.sight, view, width, height, this.look(legend));
-      drawTried(context, this.triedHere, view, this.classes);
+      if (photo) drawPhoto(context, this.bitmap, view, this.size);
+      drawModel(context, model, view, width, height, this.look(legend));
+      drawWhatIf(context, this.whatIfElements, view, this.classes);
     };
-    return [{ name: parts.filter(Boolean).join("-"), title: "Image", width, height, draw, hasPhoto: Boolean(this.picture), hasLegend: true }];
+    return [{ name: parts.filter(Boolean).join("-"), title: "Image", width, height, draw, hasPhoto: Boolean(this.bitmap), hasLegend: true }];
   }
 }
 
-/** What is drawn at a point of the canvas: `{observed}`, or `{element}`, or neither. */
-export function found(sight, view, at) {
-  const far = (place) => gap(at, nearestOn(place.map((point) => point && view.toScreen(point)), at));
-  const seen = nearest(sight.observed.map((one) => far(placeOf(one))));
+/** The detection or the element at a point of the canvas; neither if none is near.
+ *
+ * @param {ImageModel} model
+ * @param {View} view
+ * @param {Point} at
+ * @returns {{observed?: number, element?: number}}
+ */
+export function pickAt(model, view, at) {
+  /** @param {Ends | null} place */
+  const far = (place) => (place ? gap(at, nearestOn([view.toScreen(place[0]), place[1] && view.toScreen(place[1])], at)) : Infinity);
+  const seen = nearest(model.observed.map((detection) => far(placeOf(detection))));
   if (seen !== null) return { observed: seen };
-  const { mapped } = sight;
-  const place = nearest(mapped.map((row) => far(sight.place(row))));
-  return place === null ? {} : { element: sight.frame.mapped[mapped[place]].id };
+  const { mapped } = model;
+  const place = nearest(mapped.map((row) => far(model.place(row))));
+  return place === null ? {} : { element: model.frame.mapped[mapped[place]].id };
 }
 
-/** The index of the least of `distances` under HIT_PX; null where there is none. */
+/** The index of the smallest of `distances`; null if none is below HIT_PX.
+ *
+ * @param {number[]} distances
+ */
 function nearest(distances) {
   const least = Math.min(...distances);
   return least < HIT_PX ? distances.indexOf(least) : null;

@@ -1,23 +1,47 @@
-/* What there is to draw on an image: which elements, where, and what joins them. No drawing here. */
+// @ts-check
+/* What is drawn on an image: elements, their positions, and the vectors between them. */
 
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.ImageSize} ImageSize */
+/** @typedef {import("/static/protocol").inspector.PairView} PairView */
+/** @typedef {import("/static/protocol").inspector.RightMapped} RightMapped */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("./panel.js").Ends} Ends */
+
+/** @typedef {StateView["mode"]} Mode */
+/** @typedef {"known" | "cut" | "hidden"} EndState */
+/** @typedef {{mapped: RightMapped[]}} RightImage */
+/** An error of the map in the image, px.
+ *
+ * @typedef {{start: Point, end: Point, px: number, fits: boolean}} Vector
+ */
+
+/** @type {Record<Mode, {title: string, pose: "estimate" | "truth", magnification: number}>} */
 const MODES = {
   estimate: { title: "map projected with the estimate", pose: "estimate", magnification: 8 },
-  truth: { title: "map projected with the truth", pose: "truth", magnification: 8 },
-  pairs: { pose: "truth", magnification: 1 },
-  error: { title: "map from truth to estimate", pose: "estimate", magnification: 1 },
+  truth: { title: "map projected with the true pose", pose: "truth", magnification: 8 },
+  pairs: { title: "pairs", pose: "truth", magnification: 1 },
+  error: { title: "map from true pose to estimate", pose: "estimate", magnification: 1 },
 };
 const MISSING = {
-  estimate: "no pose: no map here; 2 shows it with the truth",
-  truth: "no truth: no map here; 1 shows it with the estimate",
+  estimate: "no pose: press 2 to project the map with the true pose",
+  truth: "no ground truth: press 1 to project the map with the estimate",
   pairs: "no pose: no pairs",
-  error: "no truth or no pose: no error",
+  error: "no ground truth or no pose: no error",
 };
 const BORDER_PX = 2; // an unknown end this near the border is cut off there, others are hidden
 
-/** One frame as one camera has it in one mode. Places are `[anchor, end]` in pixels, `end` null for
- * signs. In the right image nothing is detected: only the map is in it. */
-export class Sight {
-  /** `frame` and `right` come from the server; `right` is null for the left image. */
+/** One frame in one image and mode. Detections are of the left image; the right one shows the map
+ * alone. */
+export class ImageModel {
+  /** `right` is null for the left image.
+   *
+   * @param {FrameView} frame
+   * @param {Mode} mode
+   * @param {ImageSize} size
+   * @param {RightImage | null} [right]
+   */
   constructor(frame, mode, size, right = null) {
     this.frame = frame;
     this.mode = mode;
@@ -26,19 +50,24 @@ export class Sight {
     this.magnification = MODES[mode].magnification;
     this.observed = right || mode === "error" ? [] : frame.observed;
     this.pairOf = new Map(frame.pairs.map((pair) => [pair.observed, pair]));
-    const pairs = mode === "truth" ? frame.truePairs : frame.pairs;
+    const pairs = mode === "truth" ? frame.true_pairs : frame.pairs;
     this.matched = new Set(pairs.map((pair) => pair.mapped));
-    this.pose = mode === "pairs" && !frame.hasTruth ? "estimate" : MODES[mode].pose;
+    this.pose = mode === "pairs" && !frame.has_truth ? "estimate" : MODES[mode].pose;
   }
 
   /** Whether the poses that the mode needs are known. */
   get isPossible() {
-    const { hasTruth, status } = this.frame;
+    const { has_truth: hasTruth, status } = this.frame;
     if (this.mode === "truth") return hasTruth;
     return status !== "cannot" && (this.mode !== "error" || hasTruth);
   }
 
-  /** Where row `row` of the map is, null where it is not in or near the image. */
+  /** The ends of row `row` of the map; null if they are not in or near the image.
+   *
+   * @param {number} row
+   * @param {"estimate" | "truth"} [pose]
+   * @returns {Ends | null}
+   */
   place(row, pose = this.pose) {
     return (this.right?.mapped ?? this.frame.mapped)[row][pose];
   }
@@ -49,26 +78,30 @@ export class Sight {
     return this.mode === "pairs" ? rows.filter((row) => this.matched.has(row)) : rows;
   }
 
-  /** Map rows that a detector should have found in this image and did not. */
-  get missed() {
-    return this.#isDetected ? this.frame.missed.filter((row) => this.isPossible && this.place(row)) : [];
+  /** Map rows that the detector missed in this image. */
+  get missedDetections() {
+    if (!this.#isDetected || !this.isPossible) return [];
+    return this.frame.missed_detections.filter((row) => this.place(row));
   }
 
-  /** Observed rows that are nothing real. */
-  get false() {
-    return this.#isDetected ? this.frame.false : [];
+  /** Rows of detections that are false positives. */
+  get falsePositives() {
+    return this.#isDetected ? this.frame.false_positives : [];
   }
 
   get #isDetected() {
     return !this.right && this.mode !== "error";
   }
 
-  /** In the right image only poses can be compared. */
+  /** The right image has no detections, so it can only compare poses. */
   get hasVectors() {
     return !this.right || this.mode === "error";
   }
 
-  /** How far the map is off, each as `{start, end, px, fits}`; pixels, and not magnified yet. */
+  /** The vectors, not magnified.
+   *
+   * @returns {Vector[]}
+   */
   get vectors() {
     if (this.mode === "error") return this.#errors();
     if (!this.hasVectors) return [];
@@ -76,62 +109,73 @@ export class Sight {
   }
 
   #residuals() {
-    const pairs = this.mode === "truth" ? this.frame.truePairs : this.frame.pairs;
-    const whole = pairs.filter(({ start, vector }) => ![...start, ...vector].includes(null));
-    return whole.map(({ start, vector, residualPx, inlier }) =>
-      ({ start, end: plus(start, vector), px: residualPx, fits: inlier }));
+    const pairs = this.mode === "truth" ? this.frame.true_pairs : this.frame.pairs;
+    return pairs.flatMap(({ start, vector, residual_px: px, inlier }) => {
+      const [from, by] = [finite(start), finite(vector)];
+      return from && by ? [{ start: from, end: plus(from, by), px: px ?? 0, fits: inlier }] : [];
+    });
   }
 
-  /** From what is seen to what it was matched with, wherever that truly is. */
+  /** From each detection to the true position of the element matched with it. */
   #correspondences() {
-    const placed = this.frame.pairs.filter((pair) => this.place(pair.mapped));
-    return placed.map((pair) => {
+    return this.frame.pairs.flatMap((pair) => {
+      const place = this.place(pair.mapped);
+      if (!place) return [];
       const start = middle(...placeOf(this.frame.observed[pair.observed]));
-      const end = nearestOn(this.place(pair.mapped), start);
-      return { start, end, px: gap(start, end), fits: this.isFitting(pair) };
+      const end = nearestOn(place, start);
+      return [{ start, end, px: gap(start, end), fits: this.isGood(pair) }];
     });
   }
 
-  /** From where each end of an element is in truth to where the estimate has it. */
+  /** From the true position of each end to its position under the estimate. */
   #errors() {
-    return this.mapped.filter((row) => this.place(row, "truth")).flatMap((row) => {
-      const [estimated, true_] = [this.place(row), this.place(row, "truth")];
-      const ends = [0, 1].filter((end) => estimated[end] && true_[end]);
-      return ends.map((end) => ({ start: true_[end], end: estimated[end], px: gap(true_[end], estimated[end]), fits: true }));
+    return this.mapped.flatMap((row) => {
+      const [estimated, true_] = [this.place(row) ?? [], this.place(row, "truth") ?? []];
+      return [0, 1].flatMap((at) => {
+        const [start, end] = [true_[at], estimated[at]];
+        return start && end ? [{ start, end, px: gap(start, end), fits: true }] : [];
+      });
     });
   }
 
-  isFitting(pair) {
+  /** @param {PairView} pair */
+  isGood(pair) {
     return pair.inlier && !this.isWrong(pair);
   }
 
-  /** Whether a pair joins two things that are known to differ. */
+  /** Whether ground truth contradicts a pair.
+   *
+   * @param {PairView} pair
+   */
   isWrong(pair) {
     const { truth } = this.frame.observed[pair.observed];
     return truth !== null && truth !== pair.mapped;
   }
 
-  /** What an observed row is called: as its match, or by its number. */
+  /** The name of a detection: that of its match, or else its number.
+   *
+   * @param {number} row
+   */
   nameOf(row) {
     const pair = this.pairOf.get(row);
     if (!pair) return `#${row}`;
     const name = this.frame.mapped[pair.mapped].name;
     const { truth } = this.frame.observed[row];
-    return this.mode === "pairs" && this.isWrong(pair) ? `${name}, is ${this.frame.mapped[truth].name}` : name;
+    return this.mode === "pairs" && truth !== null && this.isWrong(pair) ? `${name}, is ${this.frame.mapped[truth].name}` : name;
   }
 
-  /** One line on what is drawn or why it is not. */
+  /** One line that describes what is drawn, or why it is not. */
   get about() {
     if (!this.isPossible) return MISSING[this.mode];
     const title = this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
-    const failed = [[this.missed, "missed"], [this.false, "false"]].filter(([rows]) => rows.length);
-    const counts = failed.map(([rows, what]) => `${rows.length} ${what}`);
+    const [missed, wrong] = [this.missedDetections.length, this.falsePositives.length];
+    const counts = [missed && `${missed} missed`, wrong && count(wrong, "false positive")].filter(Boolean);
     return this.hasVectors ? [title, ...counts].join(", ") : `detections are of the left image; ${title}`;
   }
 
   #countPairs() {
-    const outliers = this.frame.pairs.filter((pair) => !this.isFitting(pair)).length;
-    return `${this.frame.pairs.length} pairs, ${outliers} outliers`;
+    const outliers = this.frame.pairs.filter((pair) => !this.isGood(pair)).length;
+    return `${count(this.frame.pairs.length, "pair")}, ${count(outliers, "outlier")}`;
   }
 
   #countInView() {
@@ -139,28 +183,51 @@ export class Sight {
     return `${inView} of ${this.frame.mapped.length} in view`;
   }
 
-  /** Why a selected map element is not in the image; empty where it is. */
+  /** Why a selected map element is not in the image; empty if it is.
+   *
+   * @param {number} element
+   */
   whyAbsent(element) {
-    const row = this.frame.mapped.findIndex((one) => one.id === element);
-    if (row < 0) return "the selected element is not near the prior";
+    const row = this.frame.mapped.findIndex((mapped) => mapped.id === element);
+    if (row < 0) return "the selected element is not in the submap";
     if (!this.isPossible || this.place(row)) return "";
     const { name, behind } = this.frame.mapped[row];
     return `${name} is ${behind ? "behind the camera" : "outside the image"}`;
   }
 }
 
-/** Whether an end is known, or else "cut" off by the image's border or "hidden" by something. */
+/** Whether an end is known, cut off by the image's border, or hidden by an object.
+ *
+ * @param {boolean} known
+ * @param {Point} point
+ * @param {ImageSize} size
+ * @returns {EndState}
+ */
 export function endState(known, [u, v], { width, height }) {
   if (known) return "known";
   const inside = Math.min(u + 0.5, v + 0.5, width - 0.5 - u, height - 0.5 - v);
   return inside < BORDER_PX ? "cut" : "hidden";
 }
 
+/**
+ * @param {{anchor: Point, end: Point | null}} element
+ * @returns {Ends}
+ */
 export const placeOf = ({ anchor, end }) => [anchor, end];
 
+/**
+ * @param {Point} anchor
+ * @param {Point | null} end
+ * @returns {Point}
+ */
 export const middle = (anchor, end) => (end ? [(anchor[0] + end[0]) / 2, (anchor[1] + end[1]) / 2] : anchor);
 
-/** The point of an element that is nearest to another point: ends of poles may be out of sight. */
+/** The point of an element nearest to another point: ends of poles may be outside the image.
+ *
+ * @param {Ends} ends
+ * @param {Point} point
+ * @returns {Point}
+ */
 export function nearestOn([a, b], [x, y]) {
   if (!b) return a;
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
@@ -169,5 +236,24 @@ export function nearestOn([a, b], [x, y]) {
   return [a[0] + within * dx, a[1] + within * dy];
 }
 
+/** A point, or null if a coordinate is null.
+ *
+ * @param {[number | null, number | null]} point
+ * @returns {Point | null}
+ */
+const finite = ([x, y]) => (x === null || y === null ? null : [x, y]);
+
+/** @type {(number: number, noun: string) => string} */
+const count = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
+
+/**
+ * @param {Point} a
+ * @param {Point} b
+ * @returns {Point}
+ */
 const plus = ([x, y], [dx, dy]) => [x + dx, y + dy];
+/**
+ * @param {Point} a
+ * @param {Point} b
+ */
 export const gap = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);

@@ -1,12 +1,17 @@
-/* The legend on the image: what its lines, marks, and the residual colours and lengths mean. */
+// @ts-check
+/* The legend on the image: lines, marks, residual colours and lengths. */
 
 import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawFalse, drawHandle, drawMissed } from "/static/glyphs.js";
 import { endState } from "./image_model.js";
 
+/** @typedef {import("./panel.js").Context} Context */
+/** @typedef {import("./image_model.js").EndState} EndState */
+/** @typedef {import("./image_model.js").ImageModel} ImageModel */
+
 const WIDTH = 268;
 const ROW = 18;
-const SMALL = 180; // of a picture, in CSS pixels
-const SEEN = "#EFE154";
+const SMALL = 180; // height of a small image, CSS pixels
+const DETECTION_COLOR = "#EFE154";
 const TITLES = {
   estimate: "residual, drawn 8×",
   truth: "residual, drawn 8×",
@@ -14,33 +19,51 @@ const TITLES = {
   error: "error, true length",
 };
 
-/** `scale` is how long one pixel of the image is drawn, in CSS pixels. On a small picture there is
- * room for lengths and colours only. */
-export function drawLegend(context, height, sight, scale) {
+/** `scale` is the size of an image pixel in CSS pixels. A small image has room for lengths and
+ * colours only.
+ *
+ * @param {Context} context
+ * @param {number} height
+ * @param {ImageModel} model
+ * @param {number} scale
+ */
+export function drawLegend(context, height, model, scale) {
   if (height < SMALL) {
-    drawSmall(context, height, sight);
+    drawSmall(context, height, model);
     return;
   }
-  const marks = unknownEnds(sight);
-  const failed = sight.missed.length + sight.false.length > 0;
-  const tall = 44 + (marks.size ? ROW : 0) + (failed ? ROW : 0);
-  const [x, y] = [8, height - tall - 8];
-  drawGround(context, x, y, WIDTH, tall);
-  write(context, TITLES[sight.mode], x + 8, y + 12);
-  drawBar(context, x + 124, y + 12, sight.magnification * scale);
+  const marks = unknownEnds(model);
+  const failed = model.missedDetections.length + model.falsePositives.length > 0;
+  const total = 44 + (marks.size ? ROW : 0) + (failed ? ROW : 0);
+  const [x, y] = [8, height - total - 8];
+  drawGround(context, x, y, WIDTH, total);
+  write(context, TITLES[model.mode], x + 8, y + 12);
+  drawBar(context, x + 124, y + 12, model.magnification * scale);
   drawScale(context, x + 8, y + 22);
-  drawKey(context, x + 132, y + 30, sight);
+  drawKey(context, x + 132, y + 30, model);
   drawMarks(context, x + 8, y + 52, marks);
-  if (failed) drawFailures(context, x + 8, y + tall - 10, sight);
+  if (failed) drawFailures(context, x + 8, y + total - 10, model);
 }
 
-function drawSmall(context, height, sight) {
+/**
+ * @param {Context} context
+ * @param {number} height
+ * @param {ImageModel} model
+ */
+function drawSmall(context, height, model) {
   const [x, y] = [4, height - 28];
   drawGround(context, x, y, 152, 24);
-  write(context, `${sight.magnification}×`, x + 6, y + 12);
+  write(context, `${model.magnification}×`, x + 6, y + 12);
   drawScale(context, x + 28, y + 3);
 }
 
+/**
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {number} width
+ * @param {number} height
+ */
 function drawGround(context, x, y, width, height) {
   context.fillStyle = "rgba(20,21,23,.82)";
   context.beginPath();
@@ -48,14 +71,28 @@ function drawGround(context, x, y, width, height) {
   context.fill();
 }
 
-function write(context, words, left, top, size = 11, align = "left") {
+/**
+ * @param {Context} context
+ * @param {string} text
+ * @param {number} left
+ * @param {number} top
+ * @param {number} [size]
+ * @param {CanvasTextAlign} [align]
+ */
+function write(context, text, left, top, size = 11, align = "left") {
   context.font = `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
   context.fillStyle = "#E6E7E9";
   context.textAlign = align;
   context.textBaseline = "middle";
-  context.fillText(words, left, top);
+  context.fillText(text, left, top);
 }
 
+/**
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {number} pxLength
+ */
 function drawBar(context, x, y, pxLength) {
   const px = [50, 20, 10, 5, 2, 1, 0.5].find((size) => size * pxLength <= 60) ?? 0.2;
   const length = px * pxLength;
@@ -66,6 +103,11 @@ function drawBar(context, x, y, pxLength) {
   write(context, `${px} px`, x + length + 7, y);
 }
 
+/**
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ */
 function drawScale(context, x, y) {
   const step = 22;
   ON_IMAGE.residual.forEach((color, level) => {
@@ -76,48 +118,67 @@ function drawScale(context, x, y) {
   write(context, "px", x + 5 * step, y + 14, 9.5, "right");
 }
 
-function drawKey(context, x, y, sight) {
-  const entries = sight.observed.length ? [[SEEN, "seen"]] : [];
-  entries.push([ON_IMAGE[sight.pose], sight.mode === "error" ? "estimate" : "map"]);
-  if (sight.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
-  if (sight.mode === "pairs" && sight.hasVectors) entries.push([ON_IMAGE.cannot, "outlier", [0, 6]]);
+/**
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {ImageModel} model
+ */
+function drawKey(context, x, y, model) {
+  /** @type {[string, string, number[]?][]} */
+  const entries = model.observed.length ? [[DETECTION_COLOR, "detected"]] : [];
+  entries.push([ON_IMAGE[model.pose], model.mode === "error" ? "estimate" : "map"]);
+  if (model.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
+  if (model.mode === "pairs" && model.hasVectors) entries.push([ON_IMAGE.cannot, "outlier", [0, 6]]);
   let left = x;
-  for (const [color, words, dashes = [0, 3, 6]] of entries) {
+  for (const [color, text, dashes = [0, 3, 6]] of entries) {
     context.fillStyle = color;
     for (const dash of dashes) context.fillRect(left + dash, y - 1, 3, 2);
-    write(context, words, left + 12, y);
-    left += 20 + context.measureText(words).width;
+    write(context, text, left + 12, y);
+    left += 20 + context.measureText(text).width;
   }
 }
 
-/** How the ends of poles are drawn that are not known. */
+/** The marks of unknown ends of poles.
+ *
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {Set<EndState>} marks
+ */
 function drawMarks(context, x, y, marks) {
   let left = x;
   if (marks.has("hidden")) {
-    drawHandle(context, "bottom", left + 5, y, SEEN, false);
+    drawHandle(context, "bottom", left + 5, y, DETECTION_COLOR, false);
     write(context, "end hidden", left + 15, y);
     left += 90;
   }
   if (!marks.has("cut")) return;
-  drawArrow(context, [left, y], [left + 13, y], SEEN, 2);
+  drawArrow(context, [left, y], [left + 13, y], DETECTION_COLOR, 2);
   write(context, "cut by the border", left + 20, y);
 }
 
-/** How it is drawn where detection failed. */
-function drawFailures(context, x, y, { missed, false: invented }) {
+/** The marks of missed detections and false positives.
+ *
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {ImageModel} model
+ */
+function drawFailures(context, x, y, { missedDetections, falsePositives }) {
   let left = x;
-  if (missed.length) {
+  if (missedDetections.length) {
     drawMissed(context, [left + 5, y], [left + 9, y], 5);
-    write(context, "missed or hidden", left + 20, y);
-    left += 118;
+    write(context, "missed or occluded", left + 20, y);
+    left += 130;
   }
-  if (!invented.length) return;
+  if (!falsePositives.length) return;
   drawFalse(context, left + 6, y, 4);
-  write(context, "false: nothing real", left + 18, y);
+  write(context, "false positive", left + 18, y);
 }
 
+/** @param {ImageModel} model */
 function unknownEnds({ observed, size }) {
-  const lines = observed.filter((one) => one.end);
-  const states = lines.flatMap((one) => [endState(one.anchorKnown, one.anchor, size), endState(one.endKnown, one.end, size)]);
+  const states = observed.flatMap((detection) => (detection.end ? [endState(detection.anchor_known, detection.anchor, size), endState(detection.end_known, detection.end, size)] : []));
   return new Set(states.filter((state) => state !== "known"));
 }

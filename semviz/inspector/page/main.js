@@ -1,13 +1,15 @@
-/* The inspector's page: the server holds the state, each panel draws its part of it. */
+// @ts-check
+/* The inspector's page: the server holds the state, and each panel draws its part. */
 
 import { byId, el } from "/static/dom.js";
 import { showHelp } from "/static/help.js";
 import { Keys } from "/static/keys.js";
 import { showPalette } from "/static/palette.js";
 import { showScene } from "/static/scene.js";
-import { Socket } from "/static/socket.js";
+import { PageSocket } from "/static/socket.js";
 import { currentTheme, startTheme, switchTheme } from "/static/theme.js";
-import { Address, numberOf, oneOf, textOf, whole } from "./address.js";
+import { Address, numberOf, oneOf, textOf, wholeNumber } from "./address.js";
+import { Backdrop } from "./backdrop.js";
 import { Bar } from "./bar.js";
 import { Compare } from "./compare/compare.js";
 import { DecisionList } from "./decisions.js";
@@ -16,34 +18,48 @@ import { Exporter } from "./exporting/export.js";
 import { Forecast } from "./forecast.js";
 import { FrameList } from "./frames.js";
 import { ImagePanel } from "./image.js";
+import { LabelEdits } from "./label_edits.js";
 import { MatrixPanel } from "./matrix.js";
-import { Mending } from "./mending.js";
 import { Neighbours } from "./neighbours.js";
 import { SelectedCard } from "./selected.js";
 import { SolverCard } from "./solver.js";
 import { SpacePanel } from "./space.js";
+import { Store } from "./store.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
 import { Viewpoints } from "./viewpoints.js";
 import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
-const POINTED_MS = 50; // a frame that comes sooner is painted once, not twice
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/protocol").inspector.Requests} Requests */
+/** @typedef {import("/static/protocol").inspector.Events} Events */
+/** @typedef {import("/static/keys.js").Command} Command */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./panel.js").Panel} Panel */
 
-class Page {
+const POINT_DELAY_MS = 50; // a frame that arrives sooner is painted once, not twice
+const PLAY_INTERVAL_MS = 60; // between frames
+
+export class Page {
   constructor() {
     startTheme();
-    this.run = null;
-    this.frame = null;
-    this.state = { observed: null, element: null, view: "behind", alternatives: true };
-    this.wanted = 0;
-    this.waiting = false;
-    this.playing = false;
-    this.image = new ImagePanel(this, () => this.painted());
+    this.store = new Store();
+    this.session = ""; // of the 3D scene
+    /** @type {import("/static/scene.js").RenderGate | null} */
+    this.scene = null;
+    /** @type {ReturnType<typeof setTimeout> | null} */
+    this.pointing = null;
+    /** @type {PageSocket<Requests, Events>} */
+    this.socket = new PageSocket();
+    this.image = new ImagePanel(this, () => this.imagePainted());
     this.list = new FrameList(this);
     this.compare = new Compare(this);
-    this.left = new Tabs(byId("frames"), () => this.turned());
-    this.right = new Tabs(byId("why"), () => this.turned());
+    this.left = new Tabs(byId("frames"), () => this.tabChanged());
+    this.right = new Tabs(byId("why"), () => this.tabChanged());
+    /** @type {Panel[]} */
     this.panels = [
       new Bar(this),
       this.list,
@@ -51,6 +67,7 @@ class Page {
       new DecisionList(this),
       new SpacePanel(this),
       new Viewpoints(this),
+      new Backdrop(this),
       new Forecast(this),
       this.image,
       new Neighbours(this),
@@ -58,7 +75,7 @@ class Page {
       new WhatIf(this),
       new SelectedCard(this),
       new SolverCard(this),
-      new Mending(this),
+      new LabelEdits(this),
       new MatrixPanel(this),
       new Timeline(this),
       this.compare,
@@ -68,200 +85,239 @@ class Page {
     this.address = new Address(this, [...this.ownAddress(), ...this.panels.flatMap((panel) => panel.address?.() ?? [])]);
     this.keys = new Keys("inspect", this.commands());
     this.keys.listen(window);
-    this.socket = new Socket({
-      onmessage: (message) => this.receive(message),
-      onsession: (id, isNew) => this.begin(id, isNew),
-      onstate: (connected) => this.line(connected),
-    });
+    this.subscribe();
   }
 
   /* From the server */
 
-  begin(session, isNew) {
+  /** Called after the panels have subscribed, so that their handlers run first. */
+  subscribe() {
+    const { socket } = this;
+    socket.onConnection((connected) => this.showConnection(connected));
+    socket.on("hello", ({ session }) => this.startSession(session));
+    socket.on("runs", ({ names }) => this.showRuns(names));
+    socket.on("scene", () => this.showScene());
+    socket.on("run", ({ run }) => this.showRun(run));
+    socket.on("frame", ({ frame, state }) => this.showFrame(frame, state));
+    socket.on("state", ({ state }) => this.changeState(state));
+    socket.on("selection", () => { if (!this.store.isStepping) this.release(); });
+    socket.on("error", ({ text }) => this.showError(text));
+  }
+
+  /** @param {string} session a new one has no state of this page */
+  startSession(session) {
+    this.isNew = session !== this.session;
     this.session = session;
-    this.isNew = isNew;
-    if (isNew) this.sceneShown = false;
+    if (this.isNew) this.scene = null;
   }
 
-  receive(message) {
-    const { type } = message;
-    if (type === "error") this.refused(message.text);
-    else if (type === "runs") this.showRuns(message.runs);
-    else if (type === "run") this.showRun(message.run);
-    else if (type === "frame") this.showFrame(message.frame, message.state);
-    else if (type === "state") this.showOther(message.state);
-    else if (type === "scene") this.showScene();
-    else this.each(`show${type[0].toUpperCase()}${type.slice(1)}`, message[type]);
-    if (type === "selected" && this.stepping === undefined) this.release();
+  /** @param {string[]} names */
+  showRuns(names) {
+    this.store.names = names;
+    if (this.isNew) this.address.open();
+    this.isNew = false;
   }
 
-  showRuns(runs) {
-    this.each("showRuns", runs);
-    if (this.isNew) this.address.begin(runs);
-  }
-
-  refused(text) {
+  /** @param {string} text */
+  showError(text) {
     this.notice(text);
-    this.address.refused();
-    this.waiting = false;
-    this.wanted = this.frame?.position ?? 0;
-    this.each("showRefusal");
+    this.address.cancel();
+    this.store.cancel();
+    this.forEachPanel((panel) => panel.showRefusal?.());
   }
 
   showScene() {
-    if (!this.sceneShown) this.pictures3d = showScene(byId("scene"), this.session, this.keys);
-    this.sceneShown = true;
+    this.scene ??= showScene(byId("scene", HTMLIFrameElement), this.session, this.keys);
   }
 
-  line(connected) {
+  /** @param {boolean} connected */
+  showConnection(connected) {
     if (connected) this.notice("");
-    else this.notice("Offline: the server does not answer. This page connects again by itself.", true);
-    this.waiting = false;
+    else this.notice("Offline: the server does not answer. This page reconnects by itself.", true);
+    this.store.waiting = false;
   }
 
+  /** @param {RunView} run */
   showRun(run) {
-    this.run = run;
+    this.store.run = run;
     this.notice(run.note, true);
-    this.each("showRun", run);
+    this.forEachPanel((panel) => panel.showRun?.(run));
   }
 
+  /**
+   * @param {FrameView} frame
+   * @param {StateView} state
+   */
   showFrame(frame, state) {
-    this.waiting = false;
-    this.frame = frame;
-    clearTimeout(this.pointing);
-    this.pointing = undefined;
-    if (this.wanted !== frame.position && this.stepping) {
-      this.go(this.wanted); // keys were faster than the server
-    } else {
-      this.wanted = frame.position;
-    }
-    this.each("showFrame", frame);
+    this.stopPointing();
+    if (this.store.receive(frame)) this.go(this.store.target);
+    this.forEachPanel((panel) => panel.showFrame?.(frame));
     this.showState(state);
-    this.address.arrive();
+    this.address.apply();
   }
 
-  /** Where another is selected, its card comes before its ring in 3D. */
-  showOther(state) {
-    const { observed, element } = this.state;
-    if (state.observed !== observed || state.element !== element) this.pictures3d?.hold(false);
+  /** A new selection shows its card before its ring in 3D.
+   *
+   * @param {StateView} state
+   */
+  changeState(state) {
+    const { observed, element } = this.store.state;
+    if (state.observed !== observed || state.element !== element) this.scene?.hold(false);
     this.showState(state);
   }
 
+  /** @param {StateView} state */
   showState(state) {
-    this.state = state;
-    this.each("showState", state);
+    this.store.state = state;
+    this.forEachPanel((panel) => panel.showState?.(state));
     this.address.changed();
   }
 
-  painted() {
-    this.each("imagePainted");
-    if (this.stepping === undefined || this.frame?.position !== this.wanted) return;
-    if (this.image.frame !== this.frame) return; // its picture is still to come
-    performance.measure("frame switch", { start: this.stepping, end: performance.now() });
-    this.stepping = undefined;
-    if (this.drawn !== this.wanted) this.draw();
-    requestAnimationFrame(() => this.pictures3d?.release()); // the image comes first
-    if (this.playing) setTimeout(() => this.playing && this.step(1), 60);
+  imagePainted() {
+    const { store } = this;
+    this.forEachPanel((panel) => panel.imagePainted?.());
+    if (!store.isStepping || store.position !== store.target) return;
+    if (this.image.frame !== store.frame) return; // its image has not arrived
+    const now = performance.now();
+    performance.measure("frame switch", { start: now - store.finishStep(now), end: now });
+    if (store.drawn !== store.target) this.draw();
+    requestAnimationFrame(() => this.scene?.release()); // after the image
+    if (store.playing) setTimeout(() => store.playing && this.step(1), PLAY_INTERVAL_MS);
   }
 
   /* To the server */
 
+  /**
+   * @param {string | null} run null for the first one
+   * @param {number | null} frame its number; null for the first one
+   */
   open(run, frame) {
-    this.socket.send({ verb: "open", run, frame, theme: currentTheme() });
+    this.socket.send("open_run", { run, frame, theme: currentTheme() });
   }
 
+  /** @param {number} position */
   go(position) {
-    if (!this.run) return;
-    this.wanted = Math.min(Math.max(position, 0), this.run.frames.length - 1);
-    if (this.wanted !== position) this.playing = false;
-    const isRush = this.stepping !== undefined;
-    this.stepping ??= performance.now();
-    if (!this.waiting && this.wanted !== this.frame?.position) {
-      this.waiting = this.socket.send({ verb: "go", position: this.wanted });
-      if (isRush) this.drawn = undefined; // what is rushed through is not drawn in 3D
-      else this.draw(); // made while the image is painted
+    const { store } = this;
+    if (!store.isOpen) return;
+    const isFast = store.isStepping;
+    store.setTarget(position, performance.now());
+    if (!store.waiting && store.target !== store.position) {
+      store.waiting = this.socket.send("go_to_position", { position: store.target });
+      if (isFast) store.drawn = null; // skipped frames are not drawn in 3D
+      else this.draw(); // while the image is painted
     }
-    this.pointing ??= setTimeout(() => this.point(), POINTED_MS);
+    this.pointing ??= setTimeout(() => this.pointPanels(), POINT_DELAY_MS);
   }
 
-  /** The panels show where it goes, unless that has come. */
-  point() {
-    this.pointing = undefined;
-    this.each("pointAt", this.wanted);
+  /** The panels show the target frame before it arrives. */
+  pointPanels() {
+    this.pointing = null;
+    this.forEachPanel((panel) => panel.pointAt?.(this.store.target));
   }
 
-  /** The 3D pane draws again, one picture after what the page is about to paint. */
+  stopPointing() {
+    if (this.pointing !== null) clearTimeout(this.pointing);
+    this.pointing = null;
+  }
+
+  /** Lets the 3D pane draw again, one frame after the next paint of the page. */
   release() {
-    requestAnimationFrame(() => requestAnimationFrame(() => this.pictures3d?.release()));
+    requestAnimationFrame(() => requestAnimationFrame(() => this.scene?.release()));
   }
 
-  /** Asks for the frame in 3D. */
+  /** Requests the frame in 3D. */
   draw() {
-    this.drawn = this.wanted;
-    this.pictures3d?.hold(true);
-    this.socket.send({ verb: "draw" });
+    this.store.drawn = this.store.target;
+    this.scene?.hold(true);
+    this.socket.send("draw_frame");
   }
 
+  /** @param {number} by */
   step(by) {
-    this.go(this.wanted + by);
+    this.go(this.store.target + by);
   }
 
-  /** `{observed}`, `{element}`, both for a pair, or neither to clear. */
+  /** Selects a detection, an element, both as a pair, or nothing.
+   *
+   * @param {{observed?: number | null, element?: number | null}} [selection]
+   */
   select({ observed = null, element = null } = {}) {
-    this.socket.send({ verb: "select", observed, element });
+    this.socket.send("select", { observed, element });
   }
 
-  look(view) {
-    this.socket.send({ verb: "look", view });
+  /** @param {StateView["view"]} view */
+  setView(view) {
+    this.socket.send("set_view", { view });
   }
 
-  /* Alone */
+  /* On the page alone */
 
-  /** What of the address is no panel's. */
+  /** Parts of the address that belong to no panel.
+   *
+   * @returns {AddressPart[]}
+   */
   ownAddress() {
-    const selected = () => ({ element: textOf(this.state.element), seen: textOf(this.state.observed) });
-    const tabs = (one) => oneOf(...one.names);
+    const { store, left, right } = this;
+    /** @param {Tabs} tabs */
+    const names = (tabs) => oneOf(...tabs.names);
     return [
-      { fields: { element: whole(), seen: whole() }, get: selected, set: ({ element, seen }) => this.select({ element: numberOf(element), observed: numberOf(seen) }) },
-      { fields: { list: tabs(this.left), card: tabs(this.right) }, get: () => ({ list: this.left.shown, card: this.right.shown }), set: ({ list, card }) => { this.left.show(list); this.right.show(card); } },
+      {
+        fields: { element: wholeNumber(), seen: wholeNumber() },
+        get: () => ({ element: textOf(store.state.element), seen: textOf(store.state.observed) }),
+        set: ({ element, seen }) => this.select({ element: numberOf(element), observed: numberOf(seen) }),
+      },
+      {
+        fields: { list: names(left), card: names(right) },
+        get: () => ({ list: left.shown, card: right.shown }),
+        set: ({ list, card }) => { left.show(list); right.show(card); },
+      },
     ];
   }
 
-  turned() {
-    this.each("showTabs");
+  tabChanged() {
+    this.forEachPanel((panel) => panel.showTabs?.());
     this.address.changed();
   }
 
+  /** @returns {Command[]} */
   commands() {
+    const { store, socket } = this;
+    /** @type {(key: string, title: string, run: () => void, shift?: boolean) => Command} */
     const step = (key, title, run, shift = false) => ({ key, shift, title, run, group: "Frames" });
+    /** @type {(key: string, title: string, run: () => void) => Command} */
     const from = (key, title, run) => ({ key, title, run, group: "3D" });
     return [
-      step(",", "Frame before", () => this.step(-1)),
-      step(".", "Frame after", () => this.step(1)),
-      step(",", "Up in the worst-first list", () => this.shownList().step(-1), true),
-      step(".", "Down in the worst-first list", () => this.shownList().step(1), true),
-      step("j", "Go to a frame by number", () => this.askForFrame()),
-      step(" ", "Play, stop", () => this.play()),
-      from("b", "From behind the vehicle", () => this.look("behind")),
-      from("l", "Through the camera", () => this.look("camera")),
-      from("u", "From above", () => this.look("above")),
-      from("g", "Other poses that fit", () => this.socket.send({ verb: "alternatives", shown: !this.state.alternatives })),
-      { key: "Tab", group: "Selection", title: "Next element", run: () => this.selectNext(1) },
-      { key: "Tab", shift: true, group: "Selection", title: "Previous element", run: () => this.selectNext(-1) },
-      { key: "Escape", group: "Selection", title: "Clear the selection; close the comparison", run: () => this.leave() },
+      step(",", "Previous frame", () => this.step(-1)),
+      step(".", "Next frame", () => this.step(1)),
+      step(",", "Previous row of the worst-first list", () => this.shownList().step(-1), true),
+      step(".", "Next row of the worst-first list", () => this.shownList().step(1), true),
+      step("j", "Go to a frame by number", () => this.openFrameDialog()),
+      step(" ", "Play or stop", () => this.play()),
+      from("b", "View from behind the vehicle", () => this.setView("behind")),
+      from("l", "View through the camera", () => this.setView("camera")),
+      from("u", "View from above", () => this.setView("above")),
+      from("g", "Alternative poses", () => socket.send("show_alternatives", { shown: !store.state.alternatives })),
+      { key: "Tab", group: "Selection", title: "Next detection", run: () => this.selectNext(1) },
+      { key: "Tab", shift: true, group: "Selection", title: "Previous detection", run: () => this.selectNext(-1) },
+      { key: "Escape", group: "Selection", title: "Clear the selection; close the comparison", run: () => this.escape() },
       ...this.panels.flatMap((panel) => panel.commands?.() ?? []),
-      { key: "h", group: "Page", title: "Frames, elements, map", run: () => this.left.next() },
-      { key: "i", group: "Page", title: "Why, selected, solver, what if", run: () => this.right.next() },
-      { key: "t", group: "Page", title: "Dark or light", run: () => this.switchTheme() },
+      { key: "h", group: "Page", title: "Next tab: frames, elements, map", run: () => this.left.next() },
+      { key: "i", group: "Page", title: "Next tab: why, selected, solver, what if", run: () => this.right.next() },
+      { key: "t", group: "Page", title: "Dark or light theme", run: () => this.switchTheme() },
       { key: "k", ctrl: true, group: "Page", title: "All commands", run: () => showPalette(this.keys) },
       { key: "?", group: "Page", title: "This help", run: () => this.help() },
     ];
   }
 
-  each(method, ...values) {
-    for (const panel of this.panels) panel[method]?.(...values);
+  /** @param {(panel: Panel) => void} call */
+  forEachPanel(call) {
+    this.panels.forEach(call);
   }
 
+  /**
+   * @param {string} text
+   * @param {boolean} mild
+   */
   notice(text, mild = false) {
     const box = byId("notice");
     box.textContent = text;
@@ -270,14 +326,16 @@ class Page {
   }
 
   play() {
-    this.playing = !this.playing;
-    if (this.playing) this.step(1);
+    this.store.playing = !this.store.playing;
+    if (this.store.playing) this.step(1);
   }
 
+  /** @param {number} by */
   selectNext(by) {
-    const count = this.frame?.observed.length ?? 0;
+    const { store } = this;
+    const count = store.hasFrame ? store.frame.observed.length : 0;
     if (!count) return;
-    const now = this.state.observed;
+    const now = store.state.observed;
     const next = now === null ? (by > 0 ? 0 : count - 1) : (now + by + count) % count;
     this.select({ observed: next });
   }
@@ -286,27 +344,27 @@ class Page {
     return this.compare.isOpen ? this.compare.frames : this.list;
   }
 
-  leave() {
+  escape() {
     if (this.compare.isOpen) this.compare.close();
     else this.select();
   }
 
   switchTheme() {
-    const theme = switchTheme();
-    this.socket.send({ verb: "theme", theme });
-    this.each("showTheme");
+    this.socket.send("set_theme", { theme: switchTheme() });
+    this.forEachPanel((panel) => panel.showTheme?.());
   }
 
   help() {
     showHelp(this.keys, "Keys of the inspector");
   }
 
-  askForFrame() {
-    const input = el("input", { type: "number", value: this.frame?.index ?? 0, "aria-label": "Frame number" });
+  openFrameDialog() {
+    const { store } = this;
+    const input = el("input", { type: "number", value: store.hasFrame ? store.frame.index : 0, "aria-label": "Frame number" });
     const dialog = el("dialog", { class: "help ask" }, el("h2", { text: "Go to frame" }),
       el("form", { method: "dialog" }, input));
     dialog.addEventListener("close", () => {
-      const position = this.run.frames.findIndex((row) => row.index === Number(input.value));
+      const position = store.run.frames.findIndex((row) => row.index === Number(input.value));
       if (dialog.returnValue !== "cancel" && position >= 0) this.go(position);
       dialog.remove();
     });

@@ -1,64 +1,112 @@
-/* Where rows and columns of the matrix lie, in CSS pixels, and what is under a point.
+// @ts-check
+/* Positions of rows and columns of the matrix, in CSS pixels, and the cell under a point.
  *
- * Names stay at the left and the top, dustbins, sums and entropies at the right and the bottom, while
- * the blocks of classes scroll between them. */
+ * Names stay at the left and the top; dustbins, sums and entropies at the right and the bottom. The
+ * blocks of classes scroll between them. */
 
-export const LEAST_CELL = 4;
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("./matrix_model.js").MatrixModel} MatrixModel */
+
+export const MIN_CELL = 4;
 export const BIN = 12; // dustbins
 export const SUM = { across: 28, down: 10 }; // numbers of rows, bars of columns
 export const ENTROPY = { across: 22, down: 16 }; // bars
-const MOST_CELL = 48;
+const MAX_CELL = 48;
 const ROW_NAMES = 30;
 const GLYPHS = 20;
 const COLUMN_NAMES = 36;
-const COMFORTABLE = 14; // rows give room to the columns' names, but not below this
-const VALUE = { width: 27, height: 14 }; // cells as large show their value
+const COMFORTABLE = 14; // smaller rows leave no room for column names
+const VALUE = { width: 27, height: 14 }; // larger cells show their value
 const GAP = 5; // between class blocks, and before the dustbins
-const MEASURE = { sum: "sum", entropy: "entropy" }; // names have none
+
+/** @typedef {"names" | "cells" | "bin" | "sum" | "entropy" | "none"} Zone */
+/** @typedef {{class: number, start: number, end: number, first: number, count: number}} Block */
+/** What is under a point; null stands for the dustbin.
+ *
+ * @typedef {{of: "cell", observed: number | null, mapped: number | null}
+ *   | {of: "row", observed: number | null, measure?: "sum" | "entropy"}
+ *   | {of: "column", mapped: number | null, measure?: "sum" | "entropy"}} MatrixPlace
+ */
+
+/** The measure of a zone; names have none.
+ *
+ * @param {Zone} zone
+ */
+const measureOf = (zone) => (zone === "sum" || zone === "entropy" ? zone : undefined);
 
 /** Positions along one direction: cells of equal size in blocks of one class. */
-class Axis {
+export class Axis {
+  /**
+   * @param {number[]} order
+   * @param {(index: number) => number} classOf
+   * @param {number} room
+   */
   constructor(order, classOf, room) {
-    const changes = order.filter((one, k) => k && classOf(one) !== classOf(order[k - 1])).length;
-    const fair = (room - GAP * changes) / Math.max(1, order.length);
+    const changes = order.filter((index, k) => k && classOf(index) !== classOf(order[k - 1])).length;
+    const fitting = (room - GAP * changes) / Math.max(1, order.length);
     this.order = order;
-    this.size = Math.max(LEAST_CELL, Math.min(MOST_CELL, fair));
-    this.at = new Map(); // start of each index
-    this.blocks = []; // {class, start, end, first, count}
+    this.size = Math.max(MIN_CELL, Math.min(MAX_CELL, fitting));
+    /** @type {Map<number, number>} */
+    this.at = new Map(); // start by index
+    /** @type {Block[]} */
+    this.blocks = [];
     let end = 0;
-    for (const [k, one] of order.entries()) {
-      const kind = classOf(one);
-      if (this.blocks.at(-1)?.class !== kind) {
-        if (this.blocks.length) end += GAP;
-        this.blocks.push({ class: kind, start: end, first: k, count: 0 });
+    for (const [k, index] of order.entries()) {
+      const kind = classOf(index);
+      let block = this.blocks.at(-1);
+      if (!block || block.class !== kind) {
+        if (block) end += GAP;
+        block = { class: kind, start: end, end, first: k, count: 0 };
+        this.blocks.push(block);
       }
-      this.at.set(one, end);
+      this.at.set(index, end);
       end += this.size;
-      this.blocks.at(-1).end = end;
-      this.blocks.at(-1).count += 1;
+      block.end = end;
+      block.count += 1;
     }
     this.length = end;
     this.shown = Math.min(room, end);
   }
 
-  /** The index at a position, null in gaps and outside. */
+  /** The index at a position; null in gaps and outside.
+   *
+   * @param {number} position
+   */
   find(position) {
-    return this.order.find((one) => position >= this.at.get(one) && position < this.at.get(one) + this.size) ?? null;
+    return this.order.find((index) => position >= this.start(index) && position < this.start(index) + this.size) ?? null;
   }
 
-  /** Indices that are seen, wholly or in part. */
+  /** Start of an index.
+   *
+   * @param {number} index
+   */
+  start(index) {
+    return this.at.get(index) ?? 0;
+  }
+
+  /** Indices that are visible, at least in part.
+   *
+   * @param {number} scroll
+   */
   visible(scroll) {
-    return this.order.filter((one) => this.at.get(one) + this.size > scroll && this.at.get(one) < scroll + this.shown);
+    return this.order.filter((index) => this.start(index) + this.size > scroll && this.start(index) < scroll + this.shown);
   }
 }
 
 export class MatrixLayout {
+  /**
+   * @param {MatrixModel} model
+   * @param {number} width
+   * @param {number} height
+   */
   constructor(model, width, height) {
     this.left = ROW_NAMES;
     const right = GAP + BIN + SUM.across + ENTROPY.across + 4;
     this.below = GAP + BIN + SUM.down + ENTROPY.down + 4;
-    const column = (j) => model.mapped[j].class;
-    const row = (i) => model.observed[i].class;
+    /** @param {number} j */
+    const column = (j) => model.mapped[j].class_id;
+    /** @param {number} i */
+    const row = (i) => model.observed[i].class_id;
     this.columns = new Axis(model.columns, column, width - this.left - right);
     const named = new Axis(model.rows, row, height - GLYPHS - COLUMN_NAMES - this.below);
     this.hasColumnNames = named.size >= COMFORTABLE;
@@ -66,7 +114,7 @@ export class MatrixLayout {
     this.rows = this.hasColumnNames ? named : new Axis(model.rows, row, height - this.top - this.below);
     this.glyphY = GLYPHS / 2;
     this.hasValues = this.columns.size >= VALUE.width && this.rows.size >= VALUE.height;
-    this.end = { x: this.left + this.columns.shown, y: this.top + this.rows.shown }; // of the blocks
+    this.end = { x: this.left + this.columns.shown, y: this.top + this.rows.shown }; // end of the blocks
     this.bin = { x: this.end.x + GAP, y: this.end.y + GAP };
     this.sum = { x: this.bin.x + BIN + 4, y: this.bin.y + BIN + 3 };
     this.entropy = { x: this.sum.x + SUM.across, y: this.sum.y + SUM.down + 3 };
@@ -77,21 +125,30 @@ export class MatrixLayout {
     };
   }
 
-  /** Where the blocks are scrolled to. */
+  /** Sets the scroll position of the blocks.
+   *
+   * @param {number} x
+   * @param {number} y
+   */
   scrollTo(x, y) {
     this.scroll = { x, y };
   }
 
+  /** @param {number} column */
   x(column) {
-    return this.left + this.columns.at.get(column) - this.scroll.x;
+    return this.left + this.columns.start(column) - this.scroll.x;
   }
 
+  /** @param {number} row */
   y(row) {
-    return this.top + this.rows.at.get(row) - this.scroll.y;
+    return this.top + this.rows.start(row) - this.scroll.y;
   }
 
-  /** What is under a point: {of: "cell", observed, mapped}, either of them null in the dustbins; of
-   * names, sums and entropies {of: "row", observed, measure} or {of: "column", mapped, measure}. */
+  /** What is under a point.
+   *
+   * @param {Point} point
+   * @returns {MatrixPlace | null}
+   */
   find([x, y]) {
     const across = this.zone(x, this.left, this.end.x, "x", ENTROPY.across);
     const down = this.zone(y, this.top, this.end.y, "y", ENTROPY.down);
@@ -100,11 +157,19 @@ export class MatrixLayout {
     const isColumn = mapped !== null || across === "bin";
     const isRow = observed !== null || down === "bin";
     if (isRow && isColumn) return observed === null && mapped === null ? null : { of: "cell", observed, mapped };
-    if (isRow && across !== "none" && across !== "cells") return { of: "row", observed, measure: MEASURE[across] };
-    if (isColumn && down !== "none" && down !== "cells") return { of: "column", mapped, measure: MEASURE[down] };
+    if (isRow && across !== "none" && across !== "cells") return { of: "row", observed, measure: measureOf(across) };
+    if (isColumn && down !== "none" && down !== "cells") return { of: "column", mapped, measure: measureOf(down) };
     return null;
   }
 
+  /**
+   * @param {number} at
+   * @param {number} start
+   * @param {number} end
+   * @param {"x" | "y"} way
+   * @param {number} entropy
+   * @returns {Zone}
+   */
   zone(at, start, end, way, entropy) {
     if (at < start) return "names";
     if (at < end) return "cells";

@@ -1,33 +1,52 @@
-/* The images before and after, under the image: small, or, where something is selected, cut out
- * around it, all at one scale. A click goes there. */
+// @ts-check
+/* The neighbouring images, below the image: whole, or cropped around the selection, at one scale.
+ * A click goes to the frame. */
 
 import { Surface, View, cssColor, pointerAt } from "/static/canvas.js";
 import { byId, fixed } from "/static/dom.js";
 import { ON_IMAGE, drawMark } from "/static/glyphs.js";
-import { drawMapped, drawPhoto, drawSeen } from "./image_drawing.js";
+import { drawMapped, drawPhoto, drawDetection } from "./image_drawing.js";
 import { middle } from "./image_model.js";
+
+/** @typedef {import("./panel.js").Figure} Figure */
+/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("/static/protocol").inspector.NeighbourView} NeighbourView */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("./panel.js").ClassMap} ClassMap */
+/** @typedef {import("./panel.js").Context} Context */
+/** @typedef {import("./main.js").Page} Page */
 
 const GAP = 6;
 const CAPTION = 20;
-const SHARE = 0.55; // of a picture's height that a selected pole fills
-const MOST = 4; // times the image's own size
+const POLE_SHARE = 0.55; // of the image height that a selected pole fills
+const MAX_SCALE = 4; // times the size of the image
+
+/** @typedef {NeighbourView & {row: FrameRow, bitmap: ImageBitmap | null}} ShownNeighbour */
 
 export class Neighbours {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
+    /** @type {ShownNeighbour[]} */
     this.shown = [];
-    const canvas = byId("neighbours-canvas");
+    /** @type {NeighbourView[]} */
+    this.coming = [];
+    /** @type {ClassMap} */
+    this.classes = new Map();
+    page.socket.on("neighbours", ({ frames }) => this.showNeighbours(frames));
+    const canvas = byId("neighbours-canvas", HTMLCanvasElement);
     this.surface = new Surface(canvas, (...size) => this.draw(...size));
     canvas.addEventListener("click", (event) => this.pick(pointerAt(event)));
     canvas.addEventListener("pointermove", (event) => this.hint(pointerAt(event)));
   }
 
-  showRun(run) {
-    this.run = run;
+  showRun() {
     this.shown = [];
-    this.classes = new Map(run.classes.map((one) => [one.id, one]));
+    this.classes = new Map(this.run.classes.map((kind) => [kind.id, kind]));
   }
 
+  /** @param {StateView} state */
   showState(state) {
     byId("neighbours").hidden = !state.neighbours;
   }
@@ -36,58 +55,88 @@ export class Neighbours {
     this.surface.redraw();
   }
 
-  async showNeighbours(neighbours) {
-    this.coming = neighbours;
-    const { pictures } = this.page.image;
-    const loaded = await Promise.all(neighbours.map((one) => pictures.get(one.position, "left")));
-    if (this.coming !== neighbours) return;
-    this.shown = neighbours.map((one, k) => ({ ...one, row: this.run.frames[one.position], picture: loaded[k].picture }));
+  get run() {
+    return this.page.store.run;
+  }
+
+  /** @param {NeighbourView[]} frames */
+  async showNeighbours(frames) {
+    this.coming = frames;
+    const { images } = this.page.image;
+    const loaded = await Promise.all(frames.map((neighbour) => images.get(neighbour.position, "left")));
+    if (this.coming !== frames) return;
+    this.shown = frames.map((neighbour, k) => ({ ...neighbour, row: this.run.frames[neighbour.position], bitmap: loaded[k].bitmap }));
     this.surface.redraw();
   }
 
+  /** @returns {Figure[]} */
   figures() {
     return this.shown.length && !byId("neighbours").hidden ? [this.surface.figure("around", "Around")] : [];
   }
 
+  /**
+   * @param {Point} point
+   * @returns {ShownNeighbour | undefined}
+   */
   at([x]) {
     const width = this.surface.width / Math.max(1, this.shown.length);
     return this.shown[Math.floor(x / width)];
   }
 
+  /** @param {Point} point */
   pick(point) {
-    const there = this.at(point);
-    if (there) this.page.go(there.position);
+    const neighbour = this.at(point);
+    if (neighbour) this.page.go(neighbour.position);
   }
 
+  /** @param {Point} point */
   hint(point) {
-    const there = this.at(point);
-    if (there) this.surface.canvas.title = `Frame ${there.row.index}: ${there.row.verdict}`;
+    const neighbour = this.at(point);
+    if (neighbour) this.surface.canvas.title = `Frame ${neighbour.row.index}: ${neighbour.row.diagnosis}`;
   }
 
   /* Drawing */
 
+  /**
+   * @param {Context} context
+   * @param {number} width
+   * @param {number} height
+   */
   draw(context, width, height) {
     const cell = (width - GAP * (this.shown.length - 1)) / this.shown.length;
     const scale = this.scale(cell, height - CAPTION);
-    this.shown.forEach((one, k) => {
+    this.shown.forEach((neighbour, k) => {
       const left = k * (cell + GAP);
-      this.drawCell(context, one, [left, cell, height - CAPTION], scale);
-      this.drawCaption(context, one, left, height - CAPTION / 2);
+      this.drawCell(context, neighbour, [left, cell, height - CAPTION], scale);
+      this.drawCaption(context, neighbour, left, height - CAPTION / 2);
     });
   }
 
-  /** One for all, so that sizes can be compared: the whole image, or what is selected well in sight. */
+  /** One scale for all: whole images, or the selection large enough to see.
+   *
+   * @param {number} width
+   * @param {number} height
+   */
   scale(width, height) {
     const [across, down] = [width / this.run.image.width, height / this.run.image.height];
-    const places = this.shown.map(placeOf).filter(Boolean);
+    const places = this.shown.flatMap((neighbour) => {
+      const place = placeOf(neighbour);
+      return place ? [place] : [];
+    });
     if (!places.length) return Math.min(across, down);
     const longest = Math.max(1, ...places.map(([a, b]) => (b ? Math.hypot(a[0] - b[0], a[1] - b[1]) : 12)));
-    return Math.max(across, down, Math.min(MOST, (SHARE * height) / longest));
+    return Math.max(across, down, Math.min(MAX_SCALE, (POLE_SHARE * height) / longest));
   }
 
-  drawCell(context, one, [left, width, height], scale) {
+  /**
+   * @param {Context} context
+   * @param {ShownNeighbour} neighbour
+   * @param {[number, number, number]} cell
+   * @param {number} scale
+   */
+  drawCell(context, neighbour, [left, width, height], scale) {
     const { width: w, height: h } = this.run.image;
-    const place = placeOf(one);
+    const place = placeOf(neighbour);
     const [u, v] = place ? middle(...place) : [w / 2, h / 2];
     const view = new View();
     view.scale = scale;
@@ -97,39 +146,56 @@ export class Neighbours {
     context.beginPath();
     context.rect(left, 0, width, height);
     context.clip();
-    drawPhoto(context, one.picture, view, this.run.image);
+    drawPhoto(context, neighbour.bitmap, view, this.run.image);
+    /** @param {Point} point */
     const at = (point) => view.toScreen(point);
-    if (one.mapped) drawMapped(context, this.classes.get(one.mapped.class), one.mapped.place, at, ON_IMAGE.estimate, one.seen);
-    if (one.seen) drawSeen(context, this.classes.get(one.seen.class), one.seen.place, at);
+    const [seen, mapped] = [neighbour.seen, neighbour.mapped].map((element) => element && this.classes.get(element.class_id));
+    if (mapped && neighbour.mapped) drawMapped(context, mapped, neighbour.mapped.place, at, ON_IMAGE.estimate, Boolean(neighbour.seen));
+    if (seen && neighbour.seen) drawDetection(context, seen, neighbour.seen.place, at);
     context.restore();
-    if (!this.isHere(one)) return;
+    if (!this.isHere(neighbour)) return;
     context.strokeStyle = cssColor("--text");
     context.lineWidth = 2;
     context.strokeRect(left + 1, 1, width - 2, height - 2);
   }
 
+  /** @param {ShownNeighbour} neighbour */
   isHere({ position }) {
-    return position === this.page.frame?.position;
+    return position === this.page.store.position;
   }
 
-  drawCaption(context, one, left, y) {
-    const { row } = one;
-    const isHere = this.isHere(one);
-    drawMark(context, row.status, left + 8, y, 4, cssColor(`--${row.sureAndWrong ? "cannot" : row.status}`));
+  /**
+   * @param {Context} context
+   * @param {ShownNeighbour} neighbour
+   * @param {number} left
+   * @param {number} y
+   */
+  drawCaption(context, neighbour, left, y) {
+    const { row } = neighbour;
+    const isHere = this.isHere(neighbour);
+    drawMark(context, row.status, left + 8, y, 4, cssColor(`--${row.overconfident ? "cannot" : row.status}`));
     context.font = `${isHere ? 600 : 400} 11px Inter, "Liberation Sans", Arial, sans-serif`;
     context.textAlign = "left";
     context.textBaseline = "middle";
     context.fillStyle = cssColor(isHere ? "--text" : "--dim");
-    const error = row.errorM === null ? (row.status === "cannot" ? "no pose" : "") : `${fixed(row.errorM, 2)} m`;
+    const error = row.error_m === null ? (row.status === "cannot" ? "no pose" : "") : `${fixed(row.error_m, 2)} m`;
     context.fillText(["frame " + row.index, error].filter(Boolean).join(" · "), left + 18, y);
   }
 }
 
-/** Where the selected element is: as it is seen, or else as the map has it. */
+/** The ends of the selected element: as detected, or else as mapped.
+ *
+ * @param {NeighbourView} neighbour
+ */
 const placeOf = ({ seen, mapped }) => (seen ?? mapped)?.place;
 
-/** An offset of a picture of `size` in `room`, changed so that it leaves none of it free; in the
- * middle where it cannot fill it. */
+/** An offset of an image of `size` in `room`, clamped so that the image fills the room, or centred
+ * if it is smaller.
+ *
+ * @param {number} offset
+ * @param {number} room
+ * @param {number} size
+ */
 function covering(offset, room, size) {
   return size < room ? (room - size) / 2 : Math.min(0, Math.max(room - size, offset));
 }

@@ -1,9 +1,18 @@
-/* The 3D panel around viser's iframe: viewpoints, colours of the map, and what they mean. */
+// @ts-check
+/* The 3D panel around viser's iframe: viewpoints, colours of the map, legend. */
 
 import { byId, el } from "/static/dom.js";
 import { classGlyph, statusMark } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 import { flag, oneOf, yes } from "./address.js";
+
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.MapColorsEvent} MapColorsEvent */
+/** @typedef {import("/static/protocol").inspector.MapLegend} MapLegend */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/keys.js").Command} Command */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./main.js").Page} Page */
 
 const POSES = [
   ["truth", ""],
@@ -12,100 +21,112 @@ const POSES = [
   ["alternative", "dotted"],
 ];
 const STATUS = ["ok", "ambiguous", "cannot"];
-const COLORS = { class: "Class", residual: "Residual", times: "Times used" };
-const NAMES = Object.keys(COLORS);
+const COLORS = { class: "Class", residual: "Residual", times: "Usage" };
+/** @type {MapColors[]} */
+const NAMES = ["class", "residual", "times"];
+
+/** @typedef {StateView["colors"]} MapColors */
 const TITLES = {
+  class: "",
   residual: "Median residual, px: elements",
-  times: "Times used: elements",
+  times: "Frames that use it: elements",
 };
 
 export class SpacePanel {
+  /** @param {Page} page */
   constructor(page) {
     this.page = page;
-    this.coloring = null;
-    for (const button of document.querySelectorAll("[data-view]")) {
-      button.addEventListener("click", () => page.look(button.dataset.view));
+    this.state = page.store.state;
+    /** @type {NodeListOf<HTMLElement>} */
+    this.views = document.querySelectorAll("[data-view]");
+    for (const button of this.views) {
+      button.addEventListener("click", () => page.setView(/** @type {StateView["view"]} */ (button.dataset.view)));
     }
+    page.socket.on("map_colors", (event) => this.showMapColors(event));
     byId("map-colors").addEventListener("click", () => this.nextColors());
     byId("ellipsoids").addEventListener("click", () => this.toggleEllipsoids());
   }
 
+  /** @returns {Command[]} */
   commands() {
+    /** @type {(key: string, title: string, run: () => void, shift?: boolean) => Command} */
     const own = (key, title, run, shift = false) => ({ key, shift, title, run, group: "3D" });
     return [
-      own("v", "Map by class, residual, times used", () => this.nextColors()),
-      own("v", "Covariance of the elements", () => this.toggleEllipsoids(), true),
+      own("v", "Map by class, residual, usage", () => this.nextColors()),
+      own("v", "Covariance ellipsoids", () => this.toggleEllipsoids(), true),
     ];
   }
 
+  /** @returns {AddressPart[]} */
   address() {
     return [
-      { // a viewpoint of one's own stays with who has it
+      { // a free viewpoint is not shared
         fields: { view: oneOf("behind", "above", "camera") },
         get: () => ({ view: this.state.view === "free" ? "behind" : this.state.view }),
-        set: ({ view }) => this.page.look(view),
+        set: ({ view }) => this.page.setView(view),
       },
       {
         fields: { colors: oneOf(...NAMES), sigma: flag() },
         get: () => ({ colors: this.state.colors, sigma: yes(this.state.ellipsoids) }),
-        set: ({ colors, sigma }) => this.ask({ colors, ellipsoids: sigma === "yes" }),
+        set: ({ colors, sigma }) => this.setColors({ colors, ellipsoids: sigma === "yes" }),
       },
       {
         fields: { others: flag("yes") },
         get: () => ({ others: yes(this.state.alternatives) }),
-        set: ({ others }) => this.page.socket.send({ verb: "alternatives", shown: others === "yes" }),
+        set: ({ others }) => this.page.socket.send("show_alternatives", { shown: others === "yes" }),
       },
     ];
   }
 
   nextColors() {
-    this.ask({ colors: NAMES[(NAMES.indexOf(this.state.colors) + 1) % NAMES.length] });
+    this.setColors({ colors: NAMES[(NAMES.indexOf(this.state.colors) + 1) % NAMES.length] });
   }
 
   toggleEllipsoids() {
-    this.ask({ ellipsoids: !this.state.ellipsoids });
+    this.setColors({ ellipsoids: !this.state.ellipsoids });
   }
 
-  ask(wanted) {
-    this.state = { ...this.state, ...wanted }; // the next key may come before the answer
-    this.page.socket.send({ verb: "colors", ...wanted });
+  /** @param {{colors?: MapColors, ellipsoids?: boolean}} wish */
+  setColors(wish) {
+    this.state = { ...this.state, ...wish }; // the next key may come before the reply
+    this.page.socket.send("set_map_colors", wish);
   }
 
-  showRun(run) {
-    this.run = run;
-  }
-
+  /** @param {FrameView} frame */
   showFrame(frame) {
     const about = byId("space-about");
-    about.textContent = `${frame.mapped.length} of ${this.run.elements} elements`;
-    about.title = "In the submap: near the prior, given to the solver";
+    about.textContent = `${frame.mapped.length} of ${this.page.store.run.elements} elements`;
+    about.title = "Elements of the submap: those near the prior";
   }
 
+  /** @param {StateView} state */
   showState(state) {
     this.state = state;
-    for (const button of document.querySelectorAll("[data-view]")) {
-      button.setAttribute("aria-pressed", button.dataset.view === state.view);
+    for (const button of this.views) {
+      button.setAttribute("aria-pressed", String(button.dataset.view === state.view));
     }
-    byId("map-colors").firstChild.textContent = `${COLORS[state.colors]} `;
-    byId("ellipsoids").setAttribute("aria-pressed", state.ellipsoids);
+    byId("map-colors-name").textContent = COLORS[state.colors];
+    byId("ellipsoids").setAttribute("aria-pressed", String(state.ellipsoids));
   }
 
-  showColoring(coloring) {
+  /** @param {MapColorsEvent} event */
+  showMapColors({ legend, magnified }) {
     byId("space-legend").replaceChildren(
-      el("div", {}, ...(coloring.steps.length ? this.steps(coloring) : this.classes())),
+      el("div", {}, ...(legend.levels.length ? this.levels(legend) : this.classes())),
       el("div", {}, ...POSES.map(([role, style]) => el("span", {}, poseLine(role, style), role)),
-        ...STATUS.map((status) => el("span", {}, statusMark(status), status)), "frames: click to go",
-        coloring.magnified && el("span", {}, el("i", { class: "ball" }), `1σ × ${coloring.magnified}`)),
+        ...STATUS.map((status) => el("span", {}, statusMark(status), status)), "click a frame to go there",
+        magnified && el("span", {}, el("i", { class: "ball" }), `1σ × ${magnified}`)),
     );
   }
 
   classes() {
     const light = currentTheme() === "light";
-    return this.run.classes.map((one) => el("span", {}, classGlyph(one, light ? one.colorLight : one.color), one.name));
+    return this.page.store.run.classes.map((kind) => el("span", {}, classGlyph(kind, light ? kind.color_light : kind.color), kind.name));
   }
 
-  steps({ by, steps }) {
-    const shown = steps.map(({ color, width, name, elements }) => {
+  /** @param {MapLegend} legend */
+  levels({ by, levels }) {
+    const shown = levels.map(({ color, width, name, elements }) => {
       const line = el("i", { class: "line" });
       line.style.borderTop = `${width}px solid ${color}`;
       return el("span", {}, line, el("b", { text: name }), String(elements));
@@ -114,6 +135,10 @@ export class SpacePanel {
   }
 }
 
+/**
+ * @param {string} role
+ * @param {string} style
+ */
 function poseLine(role, style) {
   const line = el("i", { class: `line ${style}` });
   line.style.borderColor = `var(--${role})`;

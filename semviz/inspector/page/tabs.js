@@ -1,23 +1,32 @@
-/* Tabs of a panel: a button with data-tab for each of its pages with data-page. */
+// @ts-check
+/* Tabs of a panel: a button with data-tab for each page with data-page. */
 
 export class Tabs {
-  /** `onshow` is called after another page is shown. */
-  constructor(panel, onshow) {
-    this.buttons = [...panel.querySelectorAll("[data-tab]")];
-    this.pages = [...panel.querySelectorAll("[data-page]")];
-    this.onshow = onshow;
-    for (const button of this.buttons) button.addEventListener("click", () => this.show(button.dataset.tab));
-    this.turn(this.names[0]);
+  /** `onShow` is called after a page is shown.
+   *
+   * @param {HTMLElement} panel
+   * @param {() => void} onShow
+   */
+  constructor(panel, onShow) {
+    /** @type {NodeListOf<HTMLElement>} */
+    this.buttons = panel.querySelectorAll("[data-tab]");
+    /** @type {NodeListOf<HTMLElement>} */
+    this.pages = panel.querySelectorAll("[data-page]");
+    this.onShow = onShow;
+    this.shown = "";
+    for (const button of this.buttons) button.addEventListener("click", () => this.show(button.dataset.tab ?? ""));
+    this.select(this.names[0]);
   }
 
   get names() {
-    return this.buttons.map((button) => button.dataset.tab);
+    return [...this.buttons].map((button) => button.dataset.tab ?? "");
   }
 
+  /** @param {string} name */
   show(name) {
     if (!this.names.includes(name)) return;
-    this.turn(name);
-    this.onshow();
+    this.select(name);
+    this.onShow();
   }
 
   next() {
@@ -25,9 +34,10 @@ export class Tabs {
     this.show(names[(names.indexOf(this.shown) + 1) % names.length]);
   }
 
-  turn(name) {
+  /** @param {string} name */
+  select(name) {
     this.shown = name;
-    for (const button of this.buttons) button.setAttribute("aria-selected", button.dataset.tab === name);
+    for (const button of this.buttons) button.setAttribute("aria-selected", String(button.dataset.tab === name));
     for (const page of this.pages) page.hidden = page.dataset.page !== name;
   }
 }

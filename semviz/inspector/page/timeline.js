@@ -1,34 +1,62 @@
+// @ts-check
 /* Error over the run, on a log scale; a click or a drag goes to a frame. */
 
 import { cssColor } from "/static/canvas.js";
 import { byId, fixed } from "/static/dom.js";
 import { drawMark } from "/static/glyphs.js";
 import { drawChanges } from "./compare/error_lines.js";
-import { ClockCanvas } from "./frame_canvas.js";
-import { Clock, drawCursor, drawFrameNumbers, drawScale } from "./timeline_drawing.js";
+import { TimelineCanvas } from "./frame_canvas.js";
+import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "./timeline_drawing.js";
 
-const STATUS_PX = 26; // from the bottom: status line
-const FLOOR_PX = 40; // from the bottom: foot of the bars
-const AGAINST_PX = 18; // the line of fixed and broken frames takes so much more
+/** @typedef {import("/static/protocol").inspector.ComparedFrame} ComparedFrame */
+/** @typedef {import("/static/protocol").inspector.ComparisonView} ComparisonView */
+/** @typedef {import("/static/protocol").inspector.ForecastEvent} ForecastEvent */
+/** @typedef {import("/static/protocol").inspector.ForecastView} ForecastView */
+/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {FrameRow["status"]} Status */
+/** @typedef {import("./panel.js").Context} Context */
+/** @typedef {import("./main.js").Page} Page */
 
-export class Timeline extends ClockCanvas {
+const STATUS_PX = 26; // status line, from the bottom
+const FLOOR_PX = 40; // foot of the bars, from the bottom
+const CHANGES_PX = 18; // height of the line of fixed and broken frames
+
+export class Timeline extends TimelineCanvas {
+  /** Frames of both runs by position, null for frames of one; null without a comparison.
+   *
+   * @type {(ComparedFrame | null)[] | null} */
+  changed = null;
+  /** @type {RunView | null} */
+  run = null;
+  /** @type {ForecastView | null} */
+  forecast = null;
+  maxErrorM = 1;
+  withForecast = false;
+  base = "";
+
+  /** @param {Page} page */
   constructor(page) {
     super(page, "timeline-canvas");
-    this.changed = null; // a frame of both runs, or null, for each position, where there is another run
+    page.socket.on("forecast", (event) => this.showForecast(event));
+    page.socket.on("comparison", ({ comparison }) => this.showComparison(comparison));
   }
 
-  says(position) {
+  /** @param {number} position */
+  titleOf(position) {
     const row = this.run?.frames[position];
-    return row ? `Frame ${row.index}: ${row.verdict}` : "";
+    return row ? `Frame ${row.index}: ${row.diagnosis}` : "";
   }
 
+  /** @param {RunView} run */
   showRun(run) {
     if (run.name !== this.run?.name) this.compareWith("");
     this.run = run;
     this.forecast = null;
-    this.mostM = run.frames.reduce((most, row) => Math.max(most, row.errorM ?? 0), 1);
-    byId("median").textContent = run.medianM === null ? "no truth" : `median ${fixed(run.medianM, 2)} m`;
-    byId("ok-share").textContent = `${Math.round(100 * (run.okShare ?? 0))} % ok`;
+    this.maxErrorM = run.frames.reduce((most, row) => Math.max(most, row.error_m ?? 0), 1);
+    byId("median").textContent = run.median_m === null ? "no ground truth" : `median ${fixed(run.median_m, 2)} m`;
+    byId("ok-share").textContent = `${Math.round(100 * run.ok_share)} % ok`;
     this.surface.redraw();
   }
 
@@ -36,29 +64,38 @@ export class Timeline extends ClockCanvas {
     return this.run && this.surface.width ? [this.surface.figure("timeline", "Timeline")] : [];
   }
 
+  /** @param {StateView} state */
   showState(state) {
-    if (this.changed && state.base !== this.against) this.compareWith("");
+    if (this.changed && state.base !== this.base) this.compareWith("");
     if (state.forecast === this.withForecast) return;
     this.withForecast = state.forecast;
-    this.drawAgain();
+    this.showMean();
   }
 
+  /** @param {ForecastEvent} forecast */
   showForecast(forecast) {
-    this.forecast = forecast.ready ? forecast : null;
-    this.drawAgain();
+    this.forecast = forecast.found;
+    this.showMean();
   }
 
+  /** @param {ComparisonView} comparison */
   showComparison({ frames, base }) {
-    const changed = Array(this.run.frames.length).fill(null);
-    for (const one of frames) changed[one.position] = one;
+    /** @type {(ComparedFrame | null)[]} */
+    const changed = Array(this.page.store.run.frames.length).fill(null);
+    for (const frame of frames) changed[frame.position] = frame;
     this.compareWith(base.name, changed);
   }
 
-  /** Another line, of the frames that are fixed or broken against another run. */
+  /** Adds a line with the frames that are fixed or broken compared with another run.
+   *
+   * @param {string} name
+   * @param {(ComparedFrame | null)[] | null} [changed]
+   */
   compareWith(name, changed = null) {
     this.changed = changed;
-    this.against = name;
-    const count = (change) => changed.filter((one) => one?.change === change).length;
+    this.base = name;
+    /** @param {ComparedFrame["change"]} change */
+    const count = (change) => (changed ?? []).filter((frame) => frame?.change === change).length;
     byId("timeline").classList.toggle("against", Boolean(changed));
     byId("against").textContent = byId("against").title = changed ? `Against ${name}` : "";
     byId("against-counts").textContent = changed ? `+${count("fixed")} fixed, −${count("broken")}` : "";
@@ -66,71 +103,96 @@ export class Timeline extends ClockCanvas {
     this.surface.redraw();
   }
 
-  drawAgain() {
-    const shown = this.withForecast && this.forecast;
-    byId("forecast-mean").textContent = shown ? `forecast ${fixed(this.forecast.meanM, 2)} m` : "";
+  showMean() {
+    const shown = this.withForecast ? this.forecast : null;
+    byId("forecast-mean").textContent = shown ? `forecast ${fixed(shown.mean_m, 2)} m` : "";
     this.surface.redraw();
   }
 
+  /**
+   * @param {Context} context
+   * @param {number} width
+   * @param {number} height
+   */
   draw(context, width, height) {
     if (!this.run) return;
     const { frames } = this.run;
-    const more = this.changed ? AGAINST_PX : 0;
-    const statusY = height - STATUS_PX - more;
-    const clock = new Clock(width, height - FLOOR_PX - more, frames.length, this.mostM);
-    this.clock = clock;
-    drawScale(context, clock);
-    const colors = Object.fromEntries(["ok", "ambiguous", "cannot"].map((one) => [one, cssColor(`--${one}`)]));
-    drawBars(context, clock, frames, colors);
-    if (this.withForecast && this.forecast) drawForecast(context, clock, this.forecast.expectedM);
-    drawStatus(context, clock, frames, statusY, colors);
-    if (this.changed) drawChanges(context, clock, this.changed, statusY + AGAINST_PX);
-    drawFrameNumbers(context, clock, frames, height - 4);
-    drawCursor(context, clock.x(this.position), height - STATUS_PX + 6);
+    const extra = this.changed ? CHANGES_PX : 0;
+    const statusY = height - STATUS_PX - extra;
+    const axes = new TimelineAxes(width, height - FLOOR_PX - extra, frames.length, this.maxErrorM);
+    this.axes = axes;
+    drawScale(context, axes);
+    const colors = { ok: cssColor("--ok"), ambiguous: cssColor("--ambiguous"), cannot: cssColor("--cannot") };
+    drawBars(context, axes, frames, colors);
+    if (this.withForecast && this.forecast) drawForecast(context, axes, this.forecast.expected_m);
+    drawStatus(context, axes, frames, statusY, colors);
+    if (this.changed) drawChanges(context, axes, this.changed, statusY + CHANGES_PX);
+    drawFrameNumbers(context, axes, frames, height - 4);
+    drawCursor(context, axes.x(this.position), height - STATUS_PX + 6);
   }
 }
 
-/** The errors; a wide pale bar where there is none. */
-function drawBars(context, clock, frames, colors) {
-  const { slot, floor } = clock;
+/** The errors as bars; frames without an error get a wide pale bar.
+ *
+ * @param {Context} context
+ * @param {TimelineAxes} axes
+ * @param {FrameRow[]} frames
+ * @param {Record<Status, string>} colors
+ */
+function drawBars(context, axes, frames, colors) {
+  const { slot, floor } = axes;
   const bar = Math.min(18, Math.max(1, slot - (slot > 3 ? 1 : 0)));
   frames.forEach((row, position) => {
-    const x = clock.x(position);
+    const x = axes.x(position);
     context.fillStyle = colors[row.status];
-    if (row.errorM === null) {
+    if (row.error_m === null) {
       context.globalAlpha = row.status === "cannot" ? 0.22 : 0.1;
       context.fillRect(x - slot / 2, 4, slot, floor - 4);
     } else {
       context.globalAlpha = row.status === "ok" ? 0.62 : 1;
-      const top = Math.min(clock.y(row.errorM), floor - 1);
+      const top = Math.min(axes.y(row.error_m), floor - 1);
       context.fillRect(x - bar / 2, top, bar, floor - top);
       context.globalAlpha = 1;
       context.fillStyle = colors.cannot;
-      if (row.sureAndWrong) context.fillRect(x - bar / 2, top - 4, bar, 3);
+      if (row.overconfident) context.fillRect(x - bar / 2, top - 4, bar, 3);
     }
     context.globalAlpha = 1;
   });
 }
 
-/** A line over the bars: the error that the map alone lets one expect. */
-function drawForecast(context, clock, expectedM) {
+/** The expected error as a line over the bars.
+ *
+ * @param {Context} context
+ * @param {TimelineAxes} axes
+ * @param {(number | null)[]} expectedM
+ */
+function drawForecast(context, axes, expectedM) {
   context.beginPath();
-  let before = null;
+  let isDrawn = false; // the frame before
   expectedM.forEach((error, position) => {
-    const at = [clock.x(position), error === null ? null : clock.y(error)];
-    if (error !== null && before !== null) context.lineTo(...at);
-    else if (error !== null) context.moveTo(...at);
-    before = error;
+    if (error !== null) {
+      const [x, y] = [axes.x(position), axes.y(error)];
+      if (isDrawn) context.lineTo(x, y);
+      else context.moveTo(x, y);
+    }
+    isDrawn = error !== null;
   });
   context.strokeStyle = cssColor("--text");
   context.lineWidth = 1.2;
   context.stroke();
 }
 
-function drawStatus(context, clock, frames, y, colors) {
+/**
+ * @param {Context} context
+ * @param {TimelineAxes} axes
+ * @param {FrameRow[]} frames
+ * @param {number} y
+ * @param {Record<Status, string>} colors
+ */
+function drawStatus(context, axes, frames, y, colors) {
   context.fillStyle = colors.ok;
-  context.fillRect(clock.left, y - 0.75, clock.width - clock.left, 1.5);
+  context.fillRect(axes.left, y - 0.75, axes.width - axes.left, 1.5);
   frames.forEach(({ status }, position) => {
-    if (status !== "ok") drawMark(context, status, clock.x(position), y, Math.min(3.5, Math.max(2, clock.slot / 2)), colors[status]);
+    if (status !== "ok") drawMark(context, status, axes.x(position), y, Math.min(3.5, Math.max(2, axes.slot / 2)), colors[status]);
   });
 }

@@ -1,34 +1,55 @@
-/* The card that says why a frame came out as it did. */
+// @ts-check
+/* The tab "Why": the diagnosis of a frame. */
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
+/** @typedef {import("/static/protocol").inspector.DiagnosisCard} DiagnosisCard */
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.OtherPose} OtherPose */
+
 export class WhyCard {
+  /** @param {FrameView} frame */
   showFrame(frame) {
-    const { title, sentence, sure, rows, alternatives, alternativesLeft, times, hypotheses } = frame.why;
-    const numbers = [...rows, ...alternatives.map(alternativeRow)];
-    if (alternativesLeft) numbers.at(-1)[0] += `, ${alternativesLeft} more`;
+    const { title, sentence, confidence, rows, times_ms: times, poses_tried: evaluated } = frame.card;
     const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
-    if (hypotheses !== null) costs.push(`${hypotheses} poses tried`);
-    const told = frame.hasTruth ? "with truth" : "without truth";
-    const surely = sure === null ? told : `${told} · ${fixed(100 * sure, 0)} % sure`;
+    if (evaluated !== null) costs.push(`${evaluated} poses evaluated`);
+    const basis = frame.has_truth ? "with ground truth" : "without ground truth";
+    const about = confidence === null ? basis : `${basis} · ${fixed(100 * confidence, 0)} % sure`;
+    const numbers = [...rows, ...otherPoses(frame.card)];
     byId("why-body").replaceChildren(
       el("header", {},
-        el("h3", {}, statusMark(frame.sureAndWrong ? "cannot" : frame.status), title),
-        el("span", { class: "about", id: "why-truth", text: surely })),
+        el("h3", {}, statusMark(frame.overconfident ? "cannot" : frame.status), title),
+        el("span", { class: "about", id: "why-truth", text: about })),
       el("p", { class: "sentence" }, ...unbroken(sentence)),
-      el("dl", {}, ...numbers.flatMap(([label, value]) => [el("dt", { text: label }), el("dd", { text: value })])),
+      el("dl", {}, ...numbers.map(([label, value]) => el("div", {}, el("dt", { text: label }), el("dd", { text: value })))),
       el("div", { class: "actions", id: "why-actions" }),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
   }
 }
 
-/** With names of elements, such as P-29, each in one line. */
+/** A sentence whose element names, for example P-29, do not break across lines.
+ *
+ * @param {string} sentence
+ */
 function unbroken(sentence) {
   return sentence.split(/([A-Z]-\d+)/).map((part, place) => (place % 2 ? el("span", { text: part }) : part));
 }
 
-function alternativeRow({ name, distanceM, angleDeg, gapNats }) {
+/** Labels and values of alternative poses; the last label counts those not listed.
+ *
+ * @param {DiagnosisCard} card
+ */
+function otherPoses({ alternatives, more_alternatives: more }) {
+  const rows = alternatives.map(alternativeRow);
+  return rows.map(([label, value], at) => (more && at === rows.length - 1 ? [`${label} (+${more})`, value] : [label, value]));
+}
+
+/**
+ * @param {OtherPose} pose
+ * @returns {[string, string]}
+ */
+function alternativeRow({ name, distance_m: distanceM, angle_deg: angleDeg, gap_nats: gapNats }) {
   const gap = gapNats === null ? "" : ` · −${fixed(gapNats, 1)} nats`;
   return [`Pose ${name}`, `${fixed(distanceM, 1)} m · ${fixed(angleDeg, 1)}°${gap}`];
 }

@@ -1,28 +1,49 @@
-/* Canvases that stay crisp, and one transform between image pixels and CSS pixels. */
+// @ts-check
+/* Canvases at device resolution, and the transform between image pixels and CSS pixels. */
 
-/** Where an image lies on its canvas: screen = scale * image + offset, in CSS pixels.
+/** @typedef {[number, number]} Point */
+
+/** The position of an image on its canvas: screen = scale * image + offset, in CSS pixels.
  * Pixel (0, 0) of an image is the CENTRE of its top-left pixel. */
 export class View {
   scale = 1;
   x = 0;
   y = 0;
 
+  /**
+   * @param {Point} pixel
+   * @returns {Point}
+   */
   toScreen([u, v]) {
     return [this.scale * (u + 0.5) + this.x, this.scale * (v + 0.5) + this.y];
   }
 
+  /**
+   * @param {Point} point
+   * @returns {Point}
+   */
   toImage([x, y]) {
     return [(x - this.x) / this.scale - 0.5, (y - this.y) / this.scale - 0.5];
   }
 
-  /** The whole image, as large as it fits, in the middle. */
+  /** Shows the whole image, as large as it fits, centered.
+   *
+   * @param {number} imageWidth
+   * @param {number} imageHeight
+   * @param {number} width
+   * @param {number} height
+   */
   fit(imageWidth, imageHeight, width, height) {
     this.scale = Math.min(width / imageWidth, height / imageHeight);
     this.x = (width - this.scale * imageWidth) / 2;
     this.y = (height - this.scale * imageHeight) / 2;
   }
 
-  /** Zooms so that what is under `point` stays there. */
+  /** Zooms around a point, which stays fixed.
+   *
+   * @param {Point} point
+   * @param {number} factor
+   */
   zoomAt([x, y], factor, least = 0.05, most = 60) {
     const scale = Math.min(most, Math.max(least, this.scale * factor));
     this.x = x - (x - this.x) * (scale / this.scale);
@@ -30,11 +51,16 @@ export class View {
     this.scale = scale;
   }
 
+  /**
+   * @param {number} dx
+   * @param {number} dy
+   */
   pan(dx, dy) {
     this.x += dx;
     this.y += dy;
   }
 
+  /** @param {View} other */
   copyFrom(other) {
     this.scale = other.scale;
     this.x = other.x;
@@ -42,9 +68,15 @@ export class View {
   }
 }
 
-/** A canvas that fills its parent, at the device's own pixels. `draw(context, width, height)` gets
- * CSS pixels and runs at most once a screen refresh, after `redraw` or a change of size. */
+/** @typedef {(context: CanvasRenderingContext2D, width: number, height: number) => void} Draw */
+
+/** A canvas that fills its parent, at device resolution. `draw(context, width, height)` gets CSS pixels
+ * and runs at most once per screen refresh, after `redraw` or a change of size. */
 export class Surface {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {Draw} draw
+   */
   constructor(canvas, draw) {
     this.canvas = canvas;
     this.width = 0;
@@ -52,18 +84,23 @@ export class Surface {
     this.onresize = () => {};
     this.onpainted = () => {};
     this._draw = draw;
-    this._context = canvas.getContext("2d");
+    this._context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
     this._pending = false;
     canvas.style.position = "absolute";
     canvas.style.inset = "0";
-    new ResizeObserver(() => this._resize()).observe(canvas.parentElement);
+    this._parent = /** @type {HTMLElement} */ (canvas.parentElement);
+    new ResizeObserver(() => this._resize()).observe(this._parent);
     this._resize();
   }
 
-  /** What is on it, as a figure that can be saved. */
+  /** The contents as a figure that can be saved.
+   *
+   * @param {string} name
+   * @param {string} title
+   */
   figure(name, title) {
     const { width, height } = this;
-    return { name, title, width, height, draw: (context) => this._draw(context, width, height) };
+    return { name, title, width, height, draw: (/** @type {CanvasRenderingContext2D} */ context) => this._draw(context, width, height) };
   }
 
   redraw() {
@@ -73,7 +110,7 @@ export class Surface {
   }
 
   _resize() {
-    const box = this.canvas.parentElement.getBoundingClientRect();
+    const box = this._parent.getBoundingClientRect();
     this.width = box.width;
     this.height = box.height;
     const ratio = window.devicePixelRatio || 1;
@@ -96,15 +133,26 @@ export class Surface {
   }
 }
 
-/** The pointer in CSS pixels of the event's own element; fractional. */
+/** The pointer position in CSS pixels of the event's element; fractional.
+ *
+ * @param {MouseEvent} event
+ * @returns {Point}
+ */
 export function pointerAt(event) {
-  const box = event.currentTarget.getBoundingClientRect();
+  const box = /** @type {Element} */ (event.currentTarget).getBoundingClientRect();
   return [event.clientX - box.left, event.clientY - box.top];
 }
 
-/** Wheel zooms at the cursor; dragging with the middle or right button, or with the left one where
- * `leftPans(event)` says so, pans. Calls `changed` after each change of `view`. */
+/** Zooms with the wheel at the pointer, and pans by dragging with the middle or right button, or with the
+ * left one if `leftPans(event)`. Calls `changed` after each change of `view`.
+ *
+ * @param {HTMLElement} canvas
+ * @param {View} view
+ * @param {() => void} changed
+ * @param {(event: PointerEvent) => boolean} leftPans
+ */
 export function enableZoomAndPan(canvas, view, changed, leftPans = () => true) {
+  /** @type {Point | null} */
   let last = null;
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
@@ -127,14 +175,17 @@ export function enableZoomAndPan(canvas, view, changed, leftPans = () => true) {
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
 }
 
-const known = new Map();
+/** @type {Map<string, string>} */
+const colors = new Map();
 
-/** A colour of the page's palette in its present theme, such as `cssColor("--estimate")`. Kept:
- * asking the style sheet makes the browser settle the whole page first. */
+/** A colour of the page's palette in the present theme, for example `cssColor("--estimate")`. Cached: reading
+ * a style forces the browser to lay out the page.
+ *
+ * @param {string} name
+ */
 export function cssColor(name) {
   const key = `${document.documentElement.dataset.theme} ${name}`;
-  if (!known.has(key)) {
-    known.set(key, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-  }
-  return known.get(key);
+  const color = colors.get(key) ?? getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  colors.set(key, color);
+  return color;
 }

@@ -1,4 +1,5 @@
-/* Shapes that say what something is: class glyphs (outlines), status marks (filled), cased lines.
+// @ts-check
+/* Shapes: class glyphs (outlines), status marks (filled) and lines with a dark casing.
  * Sizes are CSS pixels. On images the dark colours are used in both themes, with a casing. */
 
 import { svg } from "./dom.js";
@@ -6,15 +7,33 @@ import { svg } from "./dom.js";
 export const CASING = "rgba(10,11,13,.82)";
 const CASING_PX = 1.1;
 
+/** @typedef {[number, number]} Point */
+/** @typedef {"line" | "triangle" | "square" | "circle" | "diamond" | "pentagon"} Shape */
+/** @typedef {"ok" | "ambiguous" | "cannot"} Status */
+/** @typedef {CanvasRenderingContext2D} Context */
+
+/** @type {Partial<Record<Shape, Point>>} number of corners, angle of the first one */
 const CORNERS = { triangle: [3, -90], square: [4, -45], diamond: [4, -90], pentagon: [5, -90] };
 
+/**
+ * @param {Shape} shape
+ * @param {number} radius
+ * @returns {Point[]}
+ */
 function corners(shape, radius) {
-  const [count, first] = CORNERS[shape] ?? CORNERS.square;
+  const [count, first] = CORNERS[shape] ?? [4, -45];
   const angles = Array.from({ length: count }, (_, i) => ((first + (360 * i) / count) * Math.PI) / 180);
   return angles.map((angle) => [radius * Math.cos(angle), radius * Math.sin(angle)]);
 }
 
-/** A class glyph around (x, y) as the current path: a sign's outline, or a pole with its cap. */
+/** Traces a class glyph around (x, y) as the current path: a sign's outline, or a pole with its cap.
+ *
+ * @param {Context} context
+ * @param {Shape} shape
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ */
 export function traceGlyph(context, shape, x, y, radius) {
   context.beginPath();
   if (shape === "circle") {
@@ -31,7 +50,13 @@ export function traceGlyph(context, shape, x, y, radius) {
   }
 }
 
-/** Strokes the current path with a dark casing under it. */
+/** Strokes the current path with a dark casing under it.
+ *
+ * @param {Context} context
+ * @param {string} color
+ * @param {number} width
+ * @param {number[]} dash
+ */
 export function strokeCased(context, color, width, dash = []) {
   context.lineJoin = "round";
   context.setLineDash(dash);
@@ -44,13 +69,31 @@ export function strokeCased(context, color, width, dash = []) {
   context.setLineDash([]);
 }
 
-/** A sign's outline around (x, y). */
+/** Draws a class glyph around (x, y).
+ *
+ * @param {Context} context
+ * @param {Shape} shape
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ * @param {string} color
+ * @param {number} [width]
+ * @param {number[]} [dash]
+ */
 export function drawGlyph(context, shape, x, y, radius, color, width = 2, dash = []) {
   traceGlyph(context, shape, x, y, radius);
   strokeCased(context, color, width, dash);
 }
 
-/** A line from `a` to `b`, both [x, y]. */
+/** Draws a line from `a` to `b`.
+ *
+ * @param {Context} context
+ * @param {Point} a
+ * @param {Point} b
+ * @param {string} color
+ * @param {number} [width]
+ * @param {number[]} [dash]
+ */
 export function drawLine(context, a, b, color, width = 2, dash = []) {
   context.beginPath();
   context.moveTo(a[0], a[1]);
@@ -58,7 +101,14 @@ export function drawLine(context, a, b, color, width = 2, dash = []) {
   strokeCased(context, color, width, dash);
 }
 
-/** A line with an arrow head of 5 px at `b`. */
+/** Draws a line with an arrow head of 5 px at `b`.
+ *
+ * @param {Context} context
+ * @param {Point} a
+ * @param {Point} b
+ * @param {string} color
+ * @param {number} [width]
+ */
 export function drawArrow(context, a, b, color, width = 2) {
   drawLine(context, a, b, color, width);
   const angle = Math.atan2(b[1] - a[1], b[0] - a[0]);
@@ -70,7 +120,15 @@ export function drawArrow(context, a, b, color, width = 2) {
   strokeCased(context, color, width);
 }
 
-/** A pole's handles: square at the peak, circle at the bottom; hollow where an end is not known. */
+/** Draws the handle of a pole's end: square at the peak, circle at the bottom, hollow if unknown.
+ *
+ * @param {Context} context
+ * @param {"peak" | "bottom"} kind
+ * @param {number} x
+ * @param {number} y
+ * @param {string} color
+ * @param {boolean} [known]
+ */
 export function drawHandle(context, kind, x, y, color, known = true) {
   context.beginPath();
   if (kind === "peak") context.rect(x - 3.5, y - 3.5, 7, 7);
@@ -86,7 +144,13 @@ export function drawHandle(context, kind, x, y, color, known = true) {
   }
 }
 
-/** A ring around a line, or around the point that `from` and `to` are, as the current path. */
+/** Traces a ring around a line as the current path; around a point if `from` equals `to`.
+ *
+ * @param {Context} context
+ * @param {Point} from
+ * @param {Point} to
+ * @param {number} radius
+ */
 export function traceRing(context, from, to, radius) {
   const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
   context.beginPath();
@@ -95,18 +159,37 @@ export function traceRing(context, from, to, radius) {
   context.closePath();
 }
 
-/** Around an element that a detector missed: a dashed ring. */
+/** Draws a dashed ring around a missed detection.
+ *
+ * @param {Context} context
+ * @param {Point} from
+ * @param {Point} to
+ * @param {number} radius
+ */
 export function drawMissed(context, from, to, radius) {
   traceRing(context, from, to, radius);
   strokeCased(context, ON_IMAGE.cannot, 1.6, [5, 4]);
 }
 
-/** On a detection of nothing: a cross. */
+/** Draws a cross on a false positive.
+ *
+ * @param {Context} context
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ */
 export function drawFalse(context, x, y, radius) {
   for (const turn of [radius, -radius]) drawLine(context, [x - radius, y - turn], [x + radius, y + turn], ON_IMAGE.cannot, 2.2);
 }
 
-/** Text with a dark outline, for labels on images. */
+/** Draws text with a dark outline, for labels on images.
+ *
+ * @param {Context} context
+ * @param {string} text
+ * @param {number} x
+ * @param {number} y
+ * @param {{color?: string, weight?: number, align?: CanvasTextAlign, size?: number}} [look]
+ */
 export function drawText(context, text, x, y, { color = "#FFFFFF", weight = 600, align = "left", size = 11 } = {}) {
   context.font = `${weight} ${size}px Inter, "Liberation Sans", Arial, sans-serif`;
   context.textAlign = align;
@@ -119,7 +202,15 @@ export function drawText(context, text, x, y, { color = "#FFFFFF", weight = 600,
   context.fillText(text, x, y);
 }
 
-/** A filled status mark on a canvas: disc, diamond or cross. */
+/** Draws a filled status mark: disc, diamond or cross.
+ *
+ * @param {Context} context
+ * @param {string} status
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ * @param {string} color
+ */
 export function drawMark(context, status, x, y, radius, color) {
   context.beginPath();
   if (status === "cannot") {
@@ -139,17 +230,27 @@ export function drawMark(context, status, x, y, radius, color) {
   context.fill();
 }
 
-/** A status mark for lists and buttons. */
+/** A status mark for lists and buttons.
+ *
+ * @param {string} status
+ */
 export function statusMark(status) {
-  const shape = {
-    ok: () => svg("circle", { cx: 6, cy: 6, r: 4.2 }),
-    ambiguous: () => svg("path", { d: "M6 .6 11.4 6 6 11.4 .6 6Z" }),
-    cannot: () => svg("path", { d: "M2.6 1 6 4.4 9.4 1 11 2.6 7.6 6 11 9.4 9.4 11 6 7.6 2.6 11 1 9.4 4.4 6 1 2.6Z" }),
-  }[status] ?? (() => svg("g"));
-  return svg("svg", { class: `mark mark-${status}`, viewBox: "0 0 12 12", "aria-label": status }, shape());
+  return svg("svg", { class: `mark mark-${status}`, viewBox: "0 0 12 12", "aria-label": status }, markShape(status));
 }
 
-/** A class glyph for lists and legends; `element` is a class with `shape` and `color`. */
+/** @param {string} status */
+function markShape(status) {
+  if (status === "ok") return svg("circle", { cx: 6, cy: 6, r: 4.2 });
+  if (status === "ambiguous") return svg("path", { d: "M6 .6 11.4 6 6 11.4 .6 6Z" });
+  if (status !== "cannot") return svg("g");
+  return svg("path", { d: "M2.6 1 6 4.4 9.4 1 11 2.6 7.6 6 11 9.4 9.4 11 6 7.6 2.6 11 1 9.4 4.4 6 1 2.6Z" });
+}
+
+/** A class glyph for lists and legends.
+ *
+ * @param {{shape: Shape, color: string}} element
+ * @param {string} color
+ */
 export function classGlyph(element, color = element.color) {
   const icon = svg("svg", { class: "glyph", viewBox: "-8 -8 16 16", stroke: color });
   if (element.shape === "line") icon.append(svg("path", { d: "M0 6.5V-6M-3-6H3" }));
@@ -158,7 +259,7 @@ export function classGlyph(element, color = element.color) {
   return icon;
 }
 
-/** Colours on images, which are dark in both themes. */
+/** Colours on images, the same in both themes. */
 export const ON_IMAGE = {
   truth: "#FFFFFF",
   estimate: "#FF7A1A",
@@ -169,7 +270,11 @@ export const ON_IMAGE = {
 
 export const RESIDUAL_LIMITS_PX = [1, 2, 3, 5];
 
-/** The colour of a residual; the limits are absolute and never adapt. */
+/** The colour of a residual; the limits are absolute.
+ *
+ * @param {number} px
+ * @param {string[]} colors
+ */
 export function residualColor(px, colors = ON_IMAGE.residual) {
   const level = RESIDUAL_LIMITS_PX.findIndex((limit) => px <= limit);
   return colors[level < 0 ? RESIDUAL_LIMITS_PX.length : level];

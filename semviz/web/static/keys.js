@@ -1,29 +1,46 @@
-/* One place for all keys of a page: no clashes, every key can be changed, none is missing in the help. */
+// @ts-check
+/* All keys of a page in one table: no clashes, any key can be changed, the help lists them all. */
 
+/** @typedef {{key: string, shift?: boolean, ctrl?: boolean}} Key */
+/** @typedef {Key & {group: string, title: string, row?: string, run?: (event?: KeyboardEvent) => void}} Command */
+
+/** @type {Record<string, string>} */
 const NAMES = { " ": "Space", arrowleft: "←", arrowright: "→", arrowup: "↑", arrowdown: "↓", escape: "Esc", delete: "Del" };
 const CAMERA_KEYS = new Set(["w", "a", "s", "d", "q", "e", "arrowleft", "arrowright", "arrowup", "arrowdown"]);
 const BROWSER_KEYS = new Set(["ctrl+n", "ctrl+t", "ctrl+w", "ctrl+r", "ctrl+l", "f5", "f11", "f12"]);
 const CONTROLS = "button, select, input, a[href], summary";
 const CONTROL_KEYS = new Set(["enter", " ", "tab", "home", "end", "pageup", "pagedown", "arrowleft", "arrowright", "arrowup", "arrowdown"]);
 
-/** What a key is called, badge by badge: `["Shift", "Space"]`. */
+/** The name of a key as badges: `["Shift", "Space"]`.
+ *
+ * @param {Key} key
+ */
 export function keyBadges({ key, shift, ctrl }) {
   const plain = NAMES[key.toLowerCase()] ?? (key.length === 1 ? key.toUpperCase() : key);
-  return [ctrl && "Ctrl", shift && "Shift", plain].filter(Boolean);
+  return [...(ctrl ? ["Ctrl"] : []), ...(shift ? ["Shift"] : []), plain];
 }
 
-/** The same in one: `Shift Space`, `Ctrl K`. */
+/** The name of a key: `Shift Space`, `Ctrl K`.
+ *
+ * @param {Key} key
+ */
 export const keyName = (key) => keyBadges(key).join(" ");
 
+/** @param {Key} key */
 function signature({ key, shift = false, ctrl = false }) {
   return `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
 }
 
-/** What was pressed, as it is most likely meant. Keys made with Shift on some layouts only (such as ?)
- * are found with and without it. */
+/** The keys that an event may mean, most likely first. Symbols that need Shift on some layouts only
+ * (for example ?) match with and without it.
+ *
+ * @param {KeyboardEvent} event
+ * @returns {Key[]}
+ */
 function pressed(event) {
   const { shiftKey: shift } = event;
   const ctrl = event.ctrlKey || event.metaKey;
+  /** @type {Record<string, string>} */
   const codes = { Comma: ",", Period: "." }; // Shift , is < on many layouts, Shift 1 is !
   const code = codes[event.code] ?? event.code.match(/^Digit(\d)$/)?.[1];
   const key = shift && code ? code : event.key;
@@ -31,111 +48,146 @@ function pressed(event) {
   return isSymbol ? [{ key, shift, ctrl }, { key, shift: false, ctrl }] : [{ key, shift, ctrl }];
 }
 
-/** The commands of a page, `{key, shift, ctrl, group, title, row, run}`, each under the key that the
- * person chose. Those with one `row` stand together in the help. Entries without `run` are gestures of the mouse, for the help only. A command's own key, as
- * written in the list, also names it where changed keys are kept. */
+/** The commands of a page, `{key, shift, ctrl, group, title, row, run}`, with the keys that the user chose.
+ * Commands with the same `row` share a row of the help. Entries without `run` are mouse gestures, for
+ * the help only. Stored key changes refer to a command by its default key. */
 export class Keys {
-  /** `page` names the place in localStorage. */
+  /** Changed keys are stored in localStorage under the name `page`.
+   *
+   * @param {string} page
+   * @param {Command[]} commands
+   */
   constructor(page, commands = []) {
-    this.place = `semviz.keys.${page}`;
+    this.storageKey = `semviz.keys.${page}`;
     this.onchange = () => {};
+    /** @type {Command[]} */
+    this.commands = [];
+    /** @type {Record<string, Key>} by a command's default key */
+    this.changed = {};
+    /** @type {Map<string, Command>} by present key */
+    this._byKey = new Map();
     this.use(commands);
   }
 
-  /** Takes over a list of commands. Throws where two of them have one key. */
+  /** Replaces the commands. Throws if two of them share a key.
+   *
+   * @param {Command[]} commands
+   */
   use(commands) {
     this.commands = commands;
-    const found = new Map();
+    const defaults = new Map();
     for (const command of commands) {
-      const other = found.get(signature(command));
+      const other = defaults.get(signature(command));
       if (other) throw new Error(`${keyName(command)} is both "${other.title}" and "${command.title}"`);
-      found.set(signature(command), command);
+      defaults.set(signature(command), command);
     }
-    this._apply(JSON.parse(localStorage.getItem(this.place) ?? "{}"));
+    this._apply(JSON.parse(localStorage.getItem(this.storageKey) ?? "{}"));
     this.onchange();
   }
 
-  /** The key that `command` has now: `{key, shift, ctrl}`. */
+  /** The present key of `command`.
+   *
+   * @param {Command} command
+   * @returns {Key}
+   */
   of(command) {
     return this.changed[signature(command)] ?? command;
   }
 
-  /** The badge of a command as it is now, by the name of its own key, such as `Shift Enter`. */
+  /** The name of a command's present key, by the name of its default key, for example `Shift Enter`.
+   *
+   * @param {string} name
+   */
   shown(name) {
-    const command = this.commands.find((one) => one.run && keyName(one) === name);
+    const command = this.commands.find((candidate) => candidate.run && keyName(candidate) === name);
     return command ? keyName(this.of(command)) : name;
   }
 
-  /** Whether a person may give `command` another key. */
+  /** Whether the key of `command` may be changed.
+   *
+   * @param {Command} command
+   */
   canChange(command) {
     return Boolean(command.run) && command.key !== "Escape";
   }
 
-  /** Gives `command` the key that was pressed. Returns why not, or "" where it has it now. */
+  /** Gives `command` the pressed key. Returns "", or why the key was refused.
+   *
+   * @param {Command} command
+   * @param {KeyboardEvent} event
+   */
   change(command, event) {
-    const key = pressed(event).at(-1);
+    const key = pressed(event).slice(-1)[0];
     const [id, name] = [signature(key), keyName(key)];
-    const other = this._find.get(id);
+    const other = this._byKey.get(id);
     if (other && other !== command) return `${name} is both “${other.title}” and “${command.title}”: nothing was changed.`;
-    const isOwn = id === signature(command);
-    if (!isOwn && !key.ctrl && CAMERA_KEYS.has(key.key.toLowerCase())) return `${name} moves the camera of the 3D scene: nothing was changed.`;
+    const isDefault = id === signature(command);
+    if (!isDefault && !key.ctrl && CAMERA_KEYS.has(key.key.toLowerCase())) return `${name} moves the camera of the 3D scene: nothing was changed.`;
     if (BROWSER_KEYS.has(id)) return `${name} belongs to the browser: nothing was changed.`;
     const changed = { ...this.changed, [signature(command)]: key };
-    if (isOwn) delete changed[id];
-    this._keep(changed);
+    if (isDefault) delete changed[id];
+    this._store(changed);
     return "";
   }
 
-  /** Every command has its own key again. */
+  /** Gives every command its default key. */
   reset() {
-    this._keep({});
+    this._store({});
   }
 
-  /** Listens on a window. In the 3D pane (`isScene`) the keys that move its camera stay its own; a
-   * control that was reached by keys keeps those that work it. */
+  /** Listens for keys on a window. The 3D pane (`isScene`) keeps the keys that move its camera; a focused
+   * control keeps the keys that operate it.
+   *
+   * @param {Window} target
+   */
   listen(target, isScene = false) {
     target.addEventListener("keydown", (event) => {
       if (event.altKey || isTyping(event.target)) return;
       const key = event.key.toLowerCase();
       if (isScene && !event.ctrlKey && CAMERA_KEYS.has(key)) return;
-      if (!isScene && CONTROL_KEYS.has(key) && event.target.matches?.(CONTROLS)) return;
-      const command = pressed(event).map((one) => this._find.get(signature(one))).find(Boolean);
+      if (!isScene && CONTROL_KEYS.has(key) && event.target instanceof Element && event.target.matches(CONTROLS)) return;
+      const command = pressed(event).map((key) => this._byKey.get(signature(key))).find(Boolean);
       if (!command?.run || document.querySelector("dialog[open]")) return;
       event.preventDefault();
       event.stopImmediatePropagation();
       command.run(event);
     }, { capture: true });
     if (isScene) return;
-    // the mouse presses a button, but the keys stay where they are
+    // clicking a button does not move the focus
     target.addEventListener("mousedown", (event) => {
-      if (event.target.closest?.("button")) event.preventDefault();
+      if (event.target instanceof Element && event.target.closest("button")) event.preventDefault();
     });
   }
 
-  _keep(changed) {
-    localStorage.setItem(this.place, JSON.stringify(changed));
+  /** @param {Record<string, Key>} changed */
+  _store(changed) {
+    localStorage.setItem(this.storageKey, JSON.stringify(changed));
     this._apply(changed);
     this.onchange();
   }
 
-  /** A changed key that the list gives to another command by now falls back to the command's own. */
+  /** Applies changed keys. One that another command has by now falls back to its default.
+   *
+   * @param {Record<string, Key>} changed
+   */
   _apply(changed) {
-    const found = new Map();
+    const byKey = new Map();
     for (const command of this.commands) {
       const [own, key] = [signature(command), changed[signature(command)] ?? command];
-      const other = found.get(signature(key));
+      const other = byKey.get(signature(key));
       if (other) {
         const { [own in changed ? own : signature(other)]: _, ...rest } = changed;
         this._apply(rest);
         return;
       }
-      found.set(signature(key), command);
+      byKey.set(signature(key), command);
     }
     this.changed = changed;
-    this._find = found;
+    this._byKey = byKey;
   }
 }
 
+/** @param {EventTarget | null} target */
 function isTyping(target) {
   return target instanceof HTMLElement
     && target.matches("input:not([type=checkbox], [type=range]), textarea, select, [contenteditable]");

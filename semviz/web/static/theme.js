@@ -1,11 +1,16 @@
-/* Dark or light: as the system says, until the user chooses. */
+// @ts-check
+/* Dark or light theme: the system's, until the user chooses. */
 
 const STORED = "semviz-theme";
 
+/** @typedef {"dark" | "light"} Theme */
+
+/** @returns {Theme} */
 export function currentTheme() {
-  return document.documentElement.dataset.theme ?? "dark";
+  return document.documentElement.dataset.theme === "light" ? "light" : "dark";
 }
 
+/** @param {string} theme */
 function apply(theme) {
   document.documentElement.dataset.theme = theme;
 }
@@ -15,7 +20,7 @@ export function startTheme() {
   apply(localStorage.getItem(STORED) ?? system);
 }
 
-/** Switches, remembers, and returns the new theme. */
+/** Switches the theme, stores it and returns it. */
 export function switchTheme() {
   const theme = currentTheme() === "dark" ? "light" : "dark";
   apply(theme);
@@ -23,7 +28,11 @@ export function switchTheme() {
   return theme;
 }
 
-/** Runs `draw` as if the page had another theme; nothing of it is shown. */
+/** Runs `draw` in another theme; the page does not change visibly.
+ *
+ * @param {Theme} theme
+ * @param {() => void} draw
+ */
 export function inTheme(theme, draw) {
   const shown = currentTheme();
   apply(theme);

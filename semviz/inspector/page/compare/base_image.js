@@ -1,89 +1,131 @@
-/* The frame as run A has it, beside the page's own image, which is of run B: the same side, mode,
- * crop and zoom, since both are drawn through one view. */
+// @ts-check
+/* The frame in run A, beside the page's own image, which is of run B. Both share side, mode, crop and
+ * zoom. */
 
 import { Surface } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
-import { found } from "../image.js";
-import { drawPhoto, drawSight } from "../image_drawing.js";
-import { Sight } from "../image_model.js";
-import { Pictures } from "../pictures.js";
+import { pickAt } from "../image.js";
+import { drawPhoto, drawModel } from "../image_drawing.js";
+import { ImageModel } from "../image_model.js";
+import { ImageCache } from "../image_cache.js";
+
+/** @typedef {import("/static/protocol").inspector.BaseFrameEvent} BaseFrameEvent */
+/** @typedef {import("/static/protocol").inspector.BaseFrameView} BaseFrameView */
+/** @typedef {import("/static/protocol").inspector.ComparisonView} ComparisonView */
+/** @typedef {import("/static/protocol").inspector.StateView} StateView */
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("../panel.js").ClassMap} ClassMap */
+/** @typedef {import("../panel.js").Context} Context */
+/** @typedef {import("../panel.js").Figure} Figure */
+/** @typedef {import("../main.js").Page} Page */
+/** @typedef {import("./same_element.js").SameElement} SameElement */
 
 export class BaseImage {
-  /** `same` is a SameElement. */
+  /**
+   * @param {Page} page
+   * @param {SameElement} same
+   */
   constructor(page, same) {
     this.page = page;
     this.same = same;
-    this.run = null;
-    this.pictures = new Pictures();
-    this.surface = new Surface(byId("base-image-canvas"), (...size) => this.draw(...size));
+    this.images = new ImageCache();
+    /** @type {BaseFrameEvent | null} */
+    this.coming = null;
+    /** @type {BaseFrameEvent | null} */
+    this.shown = null; // once its image has arrived
+    /** @type {ImageBitmap | null} */
+    this.bitmap = null;
+    /** @type {ImageModel | null} */
+    this.model = null;
+    /** @type {StateView["side"]} */
+    this.side = "left";
+    /** @type {ClassMap} */
+    this.classes = new Map();
+    this.surface = new Surface(byId("base-image-canvas", HTMLCanvasElement), (...size) => this.draw(...size));
     page.image.listen(this.surface.canvas, (at) => this.pick(at));
-    this.forget();
+    page.socket.on("comparison", ({ comparison }) => this.showComparison(comparison));
+    page.socket.on("base_frame", (event) => this.showBaseFrame(event));
   }
 
-  forget() {
-    this.coming = { index: null, frame: null, right: null };
-    this.shown = { ...this.coming, picture: null };
-    this.sight = null;
-  }
-
+  /** @param {ComparisonView} comparison */
   showComparison({ base }) {
-    this.forget();
-    this.run = base;
-    this.classes = new Map(base.classes.map((one) => [one.id, one]));
-    this.pictures.open({ ...base, frames: [] });
+    this.coming = this.shown = this.bitmap = this.model = null;
+    this.classes = new Map(base.classes.map((kind) => [kind.id, kind]));
+    this.images.open({ ...base, frames: [] });
     this.surface.redraw();
   }
 
+  /** @returns {Figure[]} */
   figures() {
-    return this.surface.width && this.sight ? [this.surface.figure("image-of-A", "Image of A")] : [];
+    return this.surface.width && this.model ? [this.surface.figure("image-of-A", "Image of A")] : [];
   }
 
-  showBaseFrame(message) {
-    this.coming = message;
+  /** @param {BaseFrameEvent} event */
+  showBaseFrame(event) {
+    this.coming = event;
     this.show();
   }
 
+  /** @param {StateView} state */
   showState({ side }) {
     if (side !== this.side) this.show();
     this.side = side;
-    this.see();
+    this.update();
   }
 
   async show() {
-    const { coming, page: { state: { side } } } = this;
-    const { picture } = coming.frame ? await this.pictures.get(coming.frame.position, side) : { picture: null };
-    if (this.coming !== coming || this.page.state.side !== side) return; // something later was asked for
-    this.shown = { ...coming, picture };
-    this.see();
+    const { coming, page: { store } } = this;
+    const { side } = store.state;
+    const { bitmap } = coming?.base ? await this.images.get(coming.base.frame.position, side) : { bitmap: null };
+    if (this.coming !== coming || store.state.side !== side) return; // a later request
+    this.shown = coming;
+    this.bitmap = bitmap;
+    this.update();
   }
 
-  see() {
-    const { frame, right } = this.shown;
-    const { mode, side } = this.page.state;
-    const isWhole = frame && !(side === "right" && !right);
-    this.sight = isWhole ? new Sight(frame, mode, this.page.image.size, side === "right" ? right : null) : null;
-    byId("base-image-none").textContent = this.shown.index === null || frame ? "" : `A has no frame ${this.shown.index}.`;
+  update() {
+    const { shown } = this;
+    this.model = shown?.base ? this.modelOf(shown.base) : null;
+    byId("base-image-none").textContent = shown && !shown.base ? `A has no frame ${shown.index}.` : "";
     this.surface.redraw();
   }
 
-  /** The page's own image was painted: this one follows its view. */
+  /** Null if A has no right image.
+   *
+   * @param {BaseFrameView} base
+   */
+  modelOf({ frame, right }) {
+    const { store: { state: { mode, side } }, image } = this.page;
+    if (side === "left") return new ImageModel(frame, mode, image.size);
+    return right && new ImageModel(frame, mode, image.size, { mapped: right });
+  }
+
+  /** The page's own image was painted: follows its view. */
   imagePainted() {
     this.surface.redraw();
   }
 
+  /** @param {Point} at */
   pick(at) {
-    if (!this.sight) return;
-    const { observed, element } = found(this.sight, this.page.image.view, at);
-    const pair = this.shown.frame.pairs.find((one) => one.observed === observed);
-    const base = pair ? this.shown.frame.mapped[pair.mapped].id : element;
+    if (!this.model) return;
+    const { observed, element } = pickAt(this.model, this.page.image.view, at);
+    const { frame } = this.model;
+    const pair = frame.pairs.find((candidate) => candidate.observed === observed);
+    const base = pair ? frame.mapped[pair.mapped].id : element;
     this.page.select(base === undefined ? {} : { element: this.same.inOther(base) });
   }
 
+  /**
+   * @param {Context} context
+   * @param {number} width
+   * @param {number} height
+   */
   draw(context, width, height) {
-    const { sight, page: { image } } = this;
-    if (!sight) return;
-    drawPhoto(context, this.shown.picture, image.view, image.size);
-    const selection = this.same.selection(this.page.state, this.page.frame, this.shown.frame);
-    drawSight(context, sight, image.view, width, height, { ...image.look(), ...selection, classes: this.classes });
+    const { model, page: { image } } = this;
+    if (!model) return;
+    drawPhoto(context, this.bitmap, image.view, image.size);
+    const { state, frame } = this.page.store;
+    const selection = this.same.selection(state, frame, model.frame);
+    drawModel(context, model, image.view, width, height, { ...image.look(), ...selection, classes: this.classes });
   }
 }

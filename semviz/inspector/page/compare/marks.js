@@ -1,14 +1,27 @@
+// @ts-check
 /* Marks of a frame that is fixed, broken or the same in run B: on a canvas, and in lists. */
 
 import { cssColor } from "/static/canvas.js";
 import { svg } from "/static/dom.js";
 
-const TURN = { broken: 1, fixed: -1 };
+/** @typedef {import("/static/protocol").inspector.ComparedFrame} ComparedFrame */
+/** @typedef {import("../panel.js").Context} Context */
+
+const TIP = { broken: 1, fixed: -1, same: 0 }; // down or up
 const COLOR = { broken: "--cannot", fixed: "--ok", same: "--faint" };
 
-/** A triangle down where it is broken, up where it is fixed; a small disc where it is the same. */
+/** @typedef {ComparedFrame["change"]} Change */
+
+/** A triangle down for broken, up for fixed; a small disc for the same.
+ *
+ * @param {Context} context
+ * @param {Change} change
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ */
 export function drawChange(context, change, x, y, radius) {
-  const tip = TURN[change];
+  const tip = TIP[change];
   context.beginPath();
   if (tip) {
     context.moveTo(x, y + tip * radius);
@@ -22,7 +35,10 @@ export function drawChange(context, change, x, y, radius) {
   context.fill();
 }
 
-/** The same for lists and legends. */
+/** The mark for lists and legends.
+ *
+ * @param {Change} change
+ */
 export function changeMark(change) {
   const shape = {
     broken: () => svg("path", { d: "M1 2H11L6 10.5Z" }),

@@ -1,35 +1,47 @@
-/* The error of every frame in A against that in B, on log scales. Frames without a pose have no
- * error: they stand in a margin of their own. */
+// @ts-check
+/* The errors in A and B of all frames, on log scales. Frames without a pose have no error: they are
+ * in a margin. */
 
 import { cssColor } from "/static/canvas.js";
 import { drawChange } from "./marks.js";
 
+/** @typedef {import("/static/protocol").inspector.ComparedAnswer} ComparedAnswer */
+/** @typedef {import("/static/protocol").inspector.ComparedFrame} ComparedFrame */
+/** @typedef {import("/static/canvas.js").Point} Point */
+/** @typedef {import("../panel.js").Context} Context */
+
 const FONT = 'Inter, "Liberation Sans", Arial, sans-serif';
 const LEFT = 54; // room for the scale of B
-const BOTTOM = 36; // and of A
+const BOTTOM = 36; // room for the scale of A
 const EDGE = 12;
 const MARGIN = 60; // for frames without a pose in A
-const NO_POSE = 44; // of it, the strip itself
-const ABOVE = 32; // and in B
+const NO_POSE = 44; // width of the strip in it
+const ABOVE = 32; // margin of frames without a pose in B
 const GOOD_BELOW_M = 1;
-const LEAST_M = 1e-4;
-const ORDER = { same: 0, fixed: 1, broken: 2 }; // the last drawn is on top
+const MIN_ERROR_M = 1e-4;
+const ORDER = { same: 0, fixed: 1, broken: 2 }; // the last one is on top
 
-/** What there is to draw: frames with an error or, in A or B, no pose. */
+/** Frames with an error, or without a pose, in each run. */
 export class Scatter {
+  /** @param {ComparedFrame[]} frames */
   constructor(frames) {
     this.frames = frames
-      .filter(({ a, b }) => [a, b].every(({ status, errorM }) => errorM !== null || status === "cannot"))
-      .sort((one, two) => ORDER[one.change] - ORDER[two.change]);
-    const errors = this.frames.flatMap(({ a, b }) => [a.errorM, b.errorM]).filter((one) => one !== null);
-    const decade = (error, round) => round(Math.log10(Math.max(error, LEAST_M)) + (round === Math.ceil ? -1e-9 : 1e-9));
+      .filter(({ a, b }) => [a, b].every(({ status, error_m: errorM }) => errorM !== null || status === "cannot"))
+      .sort((first, second) => ORDER[first.change] - ORDER[second.change]);
+    const errors = this.frames.flatMap(({ a, b }) => [a.error_m ?? [], b.error_m ?? []].flat());
+    /** @type {(error: number, round: (value: number) => number) => number} */
+    const decade = (error, round) => round(Math.log10(Math.max(error, MIN_ERROR_M)) + (round === Math.ceil ? -1e-9 : 1e-9));
     this.low = errors.length ? decade(errors.reduce((a, b) => Math.min(a, b)), Math.floor) : -2;
     this.high = Math.max(this.low + 1, errors.length ? decade(errors.reduce((a, b) => Math.max(a, b)), Math.ceil) : 0);
     this.hasErrors = errors.length > 0;
-    this.lacks = { a: this.frames.some(({ a }) => a.errorM === null), b: this.frames.some(({ b }) => b.errorM === null) };
+    this.lacks = { a: this.frames.some(({ a }) => a.error_m === null), b: this.frames.some(({ b }) => b.error_m === null) };
   }
 
-  /** Where things are in an area of `width` x `height`. */
+  /** The layout in an area of `width` x `height`.
+   *
+   * @param {number} width
+   * @param {number} height
+   */
   layout(width, height) {
     const right = width - EDGE - (this.lacks.a ? MARGIN : 0);
     const top = EDGE + (this.lacks.b ? ABOVE : 0);
@@ -37,42 +49,75 @@ export class Scatter {
   }
 }
 
-class Layout {
-  constructor({ low, high }, box) {
-    Object.assign(this, { low, high }, box);
+/** @typedef {{left: number, right: number, top: number, bottom: number, width: number}} Box */
+
+export class Layout {
+  /**
+   * @param {Scatter} scatter
+   * @param {Box} box
+   */
+  constructor({ low, high }, { left, right, top, bottom, width }) {
+    this.low = low;
+    this.high = high;
+    this.left = left;
+    this.right = right;
+    this.top = top;
+    this.bottom = bottom;
+    this.width = width;
   }
 
-  /** Pixels of an error in A; in the margin for none. */
+  /** Position of an error in A; in the margin for null.
+   *
+   * @param {number | null} error
+   */
   x(error) {
     return error === null ? this.width - EDGE - NO_POSE / 2 : this.left + this.#share(error) * (this.right - this.left);
   }
 
-  /** Pixels of an error in B. */
+  /** Position of an error in B; in the margin for null.
+   *
+   * @param {number | null} error
+   */
   y(error) {
     return error === null ? EDGE : this.bottom - this.#share(error) * (this.bottom - this.top);
   }
 
+  /**
+   * @param {ComparedFrame} frame
+   * @returns {Point}
+   */
   at({ a, b }) {
-    return [this.x(a.errorM), this.y(b.errorM)];
+    return [this.x(a.error_m), this.y(b.error_m)];
   }
 
+  /** @param {number} error */
   #share(error) {
-    return Math.max(0, (Math.log10(Math.max(error, LEAST_M)) - this.low) / (this.high - this.low));
+    return Math.max(0, (Math.log10(Math.max(error, MIN_ERROR_M)) - this.low) / (this.high - this.low));
   }
 }
 
-/** `current` and `pointed` are frames of the scatter or null; `names` are those of A and B. */
+/**
+ * @param {Context} context
+ * @param {Scatter} scatter
+ * @param {number} width
+ * @param {number} height
+ * @param {{current: ComparedFrame | null, pointed: ComparedFrame | null}} marked
+ */
 export function drawScatter(context, scatter, width, height, { current, pointed }) {
   const layout = scatter.layout(width, height);
-  drawGround(context, layout);
+  drawGrid(context, layout);
   drawMargins(context, scatter, layout);
   for (const frame of scatter.frames) drawChange(context, frame.change, ...layout.at(frame), frame.change === "same" ? 4 : 5);
   drawCounts(context, scatter, layout);
   for (const frame of new Set([current, pointed])) if (frame) drawNamed(context, layout, frame, frame === current);
 }
 
-/** Decades, the diagonal, and the lines at one metre between good and not. */
-function drawGround(context, layout) {
+/** Decades, the diagonal, and the 1 m lines between good and bad.
+ *
+ * @param {Context} context
+ * @param {Layout} layout
+ */
+function drawGrid(context, layout) {
   const { left, right, top, bottom, low, high } = layout;
   for (let power = low; power <= high; power += 1) {
     const text = `${Number((10 ** power).toPrecision(1))}`;
@@ -91,6 +136,11 @@ function drawGround(context, layout) {
   write(context, "B, m", left - 7, (layout.y(10 ** high) + layout.y(10 ** (high - 1))) / 2, { align: "right" });
 }
 
+/**
+ * @param {Context} context
+ * @param {Scatter} scatter
+ * @param {Layout} layout
+ */
 function drawMargins(context, { lacks }, { left, top, bottom, width }) {
   if (lacks.a) {
     const x = width - EDGE - NO_POSE;
@@ -106,12 +156,23 @@ function drawMargins(context, { lacks }, { left, top, bottom, width }) {
   }
 }
 
-/** Frames without a pose in both lie on one point: how many there are stands beside it. */
+/** Frames without a pose in both runs share one mark, with their number beside it.
+ *
+ * @param {Context} context
+ * @param {Scatter} scatter
+ * @param {Layout} layout
+ */
 function drawCounts(context, { frames }, layout) {
-  const both = frames.filter(({ a, b }) => a.errorM === null && b.errorM === null).length;
+  const both = frames.filter(({ a, b }) => a.error_m === null && b.error_m === null).length;
   if (both) write(context, `×${both}`, layout.x(null) + 7, layout.y(null));
 }
 
+/**
+ * @param {Context} context
+ * @param {Layout} layout
+ * @param {ComparedFrame} frame
+ * @param {boolean} isCurrent
+ */
 function drawNamed(context, layout, frame, isCurrent) {
   const [x, y] = layout.at(frame);
   context.beginPath();
@@ -120,12 +181,20 @@ function drawNamed(context, layout, frame, isCurrent) {
   context.lineWidth = isCurrent ? 2.2 : 1.2;
   context.stroke();
   const onLeft = x > (layout.left + layout.right) / 2;
-  const text = isCurrent ? `frame ${frame.index}` : `frame ${frame.index}: ${told(frame.a)} → ${told(frame.b)}`;
+  const text = isCurrent ? `frame ${frame.index}` : `frame ${frame.index}: ${errorText(frame.a)} → ${errorText(frame.b)}`;
   write(context, text, x + (onLeft ? -13 : 13), y, { align: onLeft ? "right" : "left", color: "--text", weight: 600, cased: true });
 }
 
-const told = ({ status, errorM }) => (errorM === null ? status : `${errorM.toFixed(2)} m`);
+/** @param {ComparedAnswer} answer */
+const errorText = ({ status, error_m: errorM }) => (errorM === null ? status : `${errorM.toFixed(2)} m`);
 
+/**
+ * @param {Context} context
+ * @param {Point} from
+ * @param {Point} to
+ * @param {string} color
+ * @param {number[]} [dash]
+ */
 function line(context, from, to, color, dash = []) {
   context.beginPath();
   context.moveTo(...from);
@@ -137,6 +206,13 @@ function line(context, from, to, color, dash = []) {
   context.setLineDash([]);
 }
 
+/**
+ * @param {Context} context
+ * @param {string} text
+ * @param {number} x
+ * @param {number} y
+ * @param {{align?: CanvasTextAlign, color?: string, weight?: number, cased?: boolean}} [style]
+ */
 function write(context, text, x, y, { align = "left", color = "--faint", weight = 400, cased = false } = {}) {
   context.font = `${weight} 11px ${FONT}`;
   context.textAlign = align;

@@ -1,0 +1,70 @@
+"""Expected position of a mapped element in the images of one moment, with its covariance.
+
+The covariance (px^2) is joint over views and ends. Poles are assumed upright within a
+tolerance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from semviz_annotation.labels.views import PosedView
+from semviz_annotation.mapping.placement.triangulation import Triangulated
+from semviz_core.common.arrays import FloatArray
+
+SIGMA_PX = 1.5
+"""Error of an expected position due to pose errors."""
+_UPRIGHT_RAD = 0.02
+_APART_PX = 0.4
+"""Additional error between the calibrated cameras of one moment."""
+
+
+def expected_px(element: Triangulated, view: PosedView) -> FloatArray | None:
+    """Return an element's projection (1 or 2, 2) px; None if it is out of the image."""
+    points = np.stack([element.anchor_m, element.end_m])[: 1 + element.is_line]
+    pixels = view.project(points)
+    if not np.isfinite(pixels).all():
+        return None
+    along = np.linspace(0.0, 1.0, 9)[:, None]
+    return (
+        pixels if view.camera.contains(pixels[0] + along * (pixels[-1] - pixels[0])).any() else None
+    )
+
+
+def upright(element: Triangulated) -> Triangulated:
+    """Return a pole updated by the prior that poles are upright within ``_UPRIGHT_RAD``.
+
+    One stereo pair hardly shows how far a pole leans towards it, but other frames see it from the
+    side. A Kalman update of the Gaussian; z is up in the map frame.
+    """
+    if not element.is_line:
+        return element
+    ends = np.concatenate([element.anchor_m, element.end_m])
+    length = float(np.linalg.norm(element.end_m - element.anchor_m))
+    H = np.array([[-1.0, 0, 0, 1.0, 0, 0], [0, -1.0, 0, 0, 1.0, 0]])
+    P = element.covariance_m2
+    S = H @ P @ H.T + (_UPRIGHT_RAD * length) ** 2 * np.eye(2)
+    gain = P @ H.T @ np.linalg.inv(S)
+    ends = ends - gain @ (H @ ends)
+    return replace(element, anchor_m=ends[:3], end_m=ends[3:], covariance_m2=P - gain @ H @ P)
+
+
+def spread_px2(element: Triangulated, views: Sequence[PosedView], sigma_px: float) -> FloatArray:
+    """Return the covariance (v, e, 2, v, e, 2) px^2 of an element's e projected ends in v views.
+
+    The pose error of the moment (``sigma_px``) is common to all views. The element's own covariance
+    adds to it; its depth error moves the projections in two views apart.
+    """
+    points = (element.anchor_m, element.end_m)[: 1 + element.is_line]
+    size = len(points)
+    blocks = np.zeros((len(views), size, 2, size, 3))
+    for v, view in enumerate(views):
+        for k, point in enumerate(points):
+            blocks[v, k, :, k] = view.jacobian(point)
+    J = blocks.reshape(-1, 3 * size)
+    covariance = J @ element.covariance_m2[: 3 * size, : 3 * size] @ J.T
+    alike = np.tile(np.eye(2), (len(views) * size, len(views) * size))
+    own = np.kron(np.eye(len(views)), np.tile(np.eye(2), (size, size)))
+    covariance += sigma_px**2 * alike + _APART_PX**2 * own
+    return covariance.reshape(len(views), size, 2, len(views), size, 2)

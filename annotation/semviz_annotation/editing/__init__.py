@@ -1,1 +1,0 @@
-"""What people can do to labels, each thing as a value that computes its row changes."""

@@ -1,0 +1,219 @@
+"""COCO keypoints in and out: one JSON file.
+
+A pole has the keypoints ``peak`` and ``bottom``, a sign the keypoint ``box_center`` (or, in foreign
+files, the centre of its ``bbox``). Visibility 2 is a known end, 1 an unknown one, 0 none.
+
+COCO's keypoints are pixel indices, so (0, 0) is the CENTRE of the top-left pixel, as here; its
+boxes count from the image corner. Facebook's detectron2 does the same: it adds 0.5 to keypoints
+only.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from semviz_annotation.label_formats import reading
+from semviz_annotation.label_formats.numbers import from_corner, json_number, number, quoted
+from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext
+from semviz_annotation.labels.rows import Observation, Pixel
+from semviz_core.base.classes import Kind
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+
+KEYPOINTS: Mapping[Kind, tuple[str, ...]] = {"line": ("peak", "bottom"), "point": ("middle",)}
+_DERIVED = frozenset(
+    {"id", "image_id", "category_id", "bbox", "area", "keypoints", "num_keypoints", "track_id"}
+)
+"""Keys that are read, or that follow from those that are read."""
+
+
+def read_coco(path: Path, context: reading.LabelImportContext) -> reading.ParsedLabels:
+    """Return the poles and signs of a COCO file. Raise SemvizError, naming an invalid item."""
+    with reading.at(path):
+        document = reading.as_object(
+            reading.read_json(reading.read_bytes(path, reading.MOST_JSON_BYTES))
+        )
+        images = _by_id(path, "image", reading.listed(document, "images"))
+        categories = _by_id(path, "category", reading.listed(document, "categories"))
+        annotations = reading.listed(document, "annotations")
+    parsed = reading.ParsedLabels(images=len(images))
+    for item, annotation in enumerate(annotations, 1):
+        where = f"{path}, item {item}"
+        with reading.at(where):
+            _read(where, reading.as_object(annotation), images, categories, context, parsed)
+    return parsed
+
+
+def _by_id(path: Path, what: str, rows: list[Any]) -> dict[int, dict[str, Any]]:
+    result: dict[int, dict[str, Any]] = {}
+    for item, row in enumerate(rows, 1):
+        with reading.at(f"{path}, {what} {item}"):
+            id_ = reading.as_number(reading.as_object(row).get("id"), "id")
+            if id_ is None or id_ in result:
+                raise SemvizError("no id" if id_ is None else f"id {id_} is another's already")
+            result[id_] = row
+    return result
+
+
+def _read(
+    where: str, annotation: dict[str, Any], images: Mapping[int, dict[str, Any]],
+    categories: Mapping[int, dict[str, Any]], context: reading.LabelImportContext,
+    parsed: reading.ParsedLabels,
+) -> None:  # fmt: skip
+    category = _of(annotation, "category_id", categories)
+    image = _of(annotation, "image_id", images)
+    name = reading.as_text(category.get("name"), "the category's name")
+    class_id = context.class_id(name)
+    if class_id is None:
+        return parsed.drop(f"annotations of category {quoted(name)}: ignored, as asked")
+    kind = context.rules.classes[class_id].kind
+    shape = _shape(annotation, category, kind, parsed)
+    if shape is None:
+        return None
+    form, points, known = shape
+    place = context.image(reading.as_text(image.get("file_name"), "file_name"))
+    context.check_size(place[1], image.get("width"), image.get("height"))
+    attributes = reading.as_object(annotation.get("attributes") or {})
+    _drop_others(annotation, attributes, parsed)
+    element = attributes.get("element", annotation.get("element"))
+    context.add_observation(
+        parsed, where, place, class_id, form, points,
+        name=None if element is None else reading.as_text(element, "element"),
+        number=reading.as_number(
+            attributes.get("track_id", annotation.get("track_id")), "track_id"
+        ),
+        **dict(zip(("anchor_known", "end_known"), known, strict=False)),
+    )  # fmt: skip
+    return None
+
+
+def _of(annotation: dict[str, Any], key: str, rows: Mapping[int, dict[str, Any]]) -> dict[str, Any]:
+    id_ = reading.as_number(annotation.get(key), key)
+    if id_ is None or id_ not in rows:
+        raise SemvizError(f"{key} {id_} is not in the file")
+    return rows[id_]
+
+
+def _shape(
+    annotation: dict[str, Any], category: dict[str, Any], kind: Kind, parsed: reading.ParsedLabels
+) -> tuple[reading.Form, list[Pixel], list[bool]] | None:
+    """Return points and which of them are known; None if there is no pole or sign."""
+    values = annotation.get("keypoints") or []
+    if not isinstance(values, list) or len(values) % 3:
+        raise SemvizError("keypoints are not a list of u, v, visibility")
+    rows = [_keypoint(values[start : start + 3]) for start in range(0, len(values), 3)]
+    names = category.get("keypoints") or []
+    if not isinstance(names, list) or (rows and len(rows) != len(names)):
+        raise SemvizError(f"{len(rows)} keypoints, other than its category names")
+    if kind == "point" and len(rows) != 1:
+        if rows:
+            parsed.drop("keypoints of signs that have several: a sign is the middle of its bbox")
+        return _box(annotation, parsed)
+    if kind == "line":
+        by_name = dict(zip(map(str, names), rows, strict=False))
+        rows = [by_name[name] for name in KEYPOINTS["line"] if name in by_name]
+        if len(rows) < 2:
+            parsed.drop("poles without the keypoints peak and bottom: a pole needs both")
+            return None
+    if any(visibility == 0 for _, visibility in rows):
+        parsed.drop("keypoints that are not labelled (visibility 0): nothing is there")
+        return None
+    form: reading.Form = "line" if kind == "line" else "points"
+    return form, [point for point, _ in rows], [visibility == 2 for _, visibility in rows]
+
+
+def _keypoint(values: list[Any]) -> tuple[Pixel, int]:
+    u, v = (number(json_number(value)) for value in values[:2])
+    visibility = number(json_number(values[2]))  # some tools write 2.0
+    if visibility not in (0, 1, 2):
+        raise SemvizError(f"visibility {quoted(values[2])} is not 0, 1 or 2")
+    return (u, v), int(visibility)
+
+
+def _box(
+    annotation: dict[str, Any], parsed: reading.ParsedLabels
+) -> tuple[reading.Form, list[Pixel], list[bool]] | None:
+    values = annotation.get("bbox")
+    if values is None or values == []:
+        parsed.drop("signs with neither one keypoint nor a bbox: nothing tells their middle")
+        return None
+    if not isinstance(values, list) or len(values) != 4:
+        raise SemvizError("bbox is not a list of u, v, width, height")
+    left, top = (from_corner(json_number(value)) for value in values[:2])
+    width, height = (number(json_number(value)) for value in values[2:])
+    if width < 0 or height < 0:
+        raise SemvizError("a bbox of negative size")
+    return "box", [(left, top), (left + width, top + height)], []
+
+
+def _drop_others(
+    annotation: dict[str, Any], attributes: dict[str, Any], parsed: reading.ParsedLabels
+) -> None:
+    unused = [key for key, value in annotation.items() if key not in _DERIVED and value]
+    unused = [key for key in unused if key not in ("attributes", "element")]
+    unused += [key for key in attributes if key not in ("element", "track_id")]
+    for key in unused:
+        parsed.drop(f"{quoted(key)}: not known here")
+
+
+def write_coco(context: LabelExportContext, path: Path) -> None:
+    """Write all images and labels into one file, completely or not at all."""
+    rows = [(image_id, labelled, row) for image_id, labelled in enumerate(context.images, 1)
+            for row in labelled.observations]  # fmt: skip
+    document = {
+        "info": {"description": "poles and traffic signs", "version": "1.0"},
+        "licenses": [],
+        "images": [
+            _image(image_id, labelled) for image_id, labelled in enumerate(context.images, 1)
+        ],
+        "categories": [
+            {
+                "id": class_.id + 1,
+                "name": class_.name,
+                "supercategory": "pole" if class_.kind == "line" else "traffic sign",
+                "keypoints": list(KEYPOINTS[class_.kind]),
+                "skeleton": [[1, 2]] if class_.kind == "line" else [],
+            }
+            for class_ in context.classes
+        ],
+        "annotations": [
+            _annotation(context, row, id_, image) for id_, (image, _, row) in enumerate(rows, 1)
+        ],
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(document), encoding="utf-8")
+
+
+def _image(id_: int, labelled: ImageLabels) -> dict[str, Any]:
+    return {
+        "id": id_,
+        "file_name": labelled.name,
+        "width": labelled.width,
+        "height": labelled.height,
+    }
+
+
+def _annotation(
+    context: LabelExportContext, row: Observation, id_: int, image_id: int
+) -> dict[str, Any]:
+    element = context.labels.element(row.element_id)
+    ends = [(row.anchor_px, row.anchor_known)]
+    if row.end_px is not None:
+        ends.append((row.end_px, row.end_known))
+    (left, top), (right, bottom) = (
+        tuple(pick(point[axis] for point, _ in ends) for axis in (0, 1)) for pick in (min, max)
+    )
+    width, height = right - left, bottom - top
+    return {
+        "id": id_,
+        "image_id": image_id,
+        "category_id": element.class_id + 1,
+        "keypoints": [part for (u, v), known in ends for part in (u, v, 2 if known else 1)],
+        "num_keypoints": len(ends),
+        "bbox": [left + 0.5, top + 0.5, width, height],
+        "area": width * height,
+        "iscrowd": 0,
+        "track_id": element.number,
+        "attributes": {"element": row.element_id},
+    }

@@ -1,0 +1,146 @@
+"""Helpers of the label writers, and the sidecar for keys of other tools.
+
+Each import writes one JSON file into the workspace's folder ``kept``, which never changes again. It
+holds the keys of labelme's files by image, and those of its shapes by observation. Keys of a
+deleted observation stay, and apply again if the deletion is undone.
+"""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.rows import Observation
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.frame import Side
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import MOST_TEXT_BYTES, parsed_json, read_limited
+
+SIDES: tuple[Side, Side] = ("left", "right")
+ATTRIBUTES: Mapping[str, Mapping[str, Literal["text", "checkbox"]]] = {
+    "line": {"element": "text", "anchor_known": "checkbox", "end_known": "checkbox"},
+    "point": {"element": "text", "anchor_known": "checkbox"},
+}
+"""Attributes of a pole and of a sign, with their input types."""
+
+
+@dataclass(frozen=True)
+class ImageLabels:
+    """One image with its labels."""
+
+    frame_index: int
+    side: Side
+    width: int
+    height: int
+    observations: tuple[Observation, ...]
+
+    @property
+    def stem(self) -> str:
+        return f"{self.frame_index:06d}"
+
+    @property
+    def name(self) -> str:
+        """File name of the image, from which readers get frame and side."""
+        return f"{self.side}/{self.stem}.png"
+
+
+@dataclass(frozen=True)
+class LabelExportContext:
+    """The labels to be written, and counts of what the format cannot hold."""
+
+    labels: Labels
+    classes: ClassSet
+    images: tuple[ImageLabels, ...]
+    dropped: "Counter[str]"
+    side: Side | None = None
+    """The side to be written; None for both."""
+
+    @classmethod
+    def of(
+        cls, labels: Labels, classes: ClassSet, rig: Rig, side: Side | None = None
+    ) -> "LabelExportContext":
+        """Return all images of frames with labels or a review; ``side`` None: both sides."""
+        cameras: dict[Side, Camera | None] = {"left": rig.left, "right": rig.right}
+        images = tuple(
+            ImageLabels(
+                frame, image_side, camera.width, camera.height, labels.in_frame(frame, image_side)
+            )
+            for frame in sorted({*labels.frames, *labels.reviews})
+            for image_side in SIDES
+            if (camera := cameras[image_side]) is not None and side in (None, image_side)
+        )
+        dropped: Counter[str] = Counter()
+        dropped["reviews of frames: the format has no word for them"] = len(labels.reviews)
+        dropped["proposals turned down: the format has no word for them"] = len(labels.dismissals)
+        dropped["decisions for map building: the format has no word for them"] = len(
+            labels.review_decisions
+        )
+        written = sum(len(labelled.observations) for labelled in images)
+        other = "right" if side == "left" else "left"
+        dropped[f"labels of {other} images: export them with --side {other}"] = (
+            len(labels.observations) - written
+        )
+        return cls(labels, classes, images, +dropped, side)
+
+    def class_name(self, row: Observation) -> str:
+        return self.classes[self.labels.element(row.element_id).class_id].name
+
+
+def as_word(value: bool) -> str:
+    return "true" if value else "false"
+
+
+@dataclass(frozen=True)
+class Sidecar:
+    """Keys of other tools with their values, by image and by observation."""
+
+    images: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    observations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @classmethod
+    def made(
+        cls,
+        images: Mapping[tuple[Side, int], Mapping[str, Any]],
+        observations: Mapping[str, Mapping[str, Any]],
+    ) -> "Sidecar":
+        named = {f"{side}/{frame}": keys for (side, frame), keys in images.items() if keys}
+        return cls(named, {key: keys for key, keys in observations.items() if keys})
+
+    def of_image(self, side: Side, frame_index: int) -> dict[str, Any]:
+        return dict(self.images.get(f"{side}/{frame_index}", {}))
+
+    def of_observation(self, observation_id: str) -> dict[str, Any]:
+        return dict(self.observations.get(observation_id, {}))
+
+
+def save_sidecar(kept: Sidecar, folder: Path) -> None:
+    """Add a file to ``folder``, unless there is nothing to keep, or it already exists."""
+    if not kept.images and not kept.observations:
+        return
+    text = json.dumps({"images": dict(kept.images), "observations": dict(kept.observations)})
+    path = folder / f"labelme-{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
+    if not path.exists():
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def load_sidecar(folder: Path) -> Sidecar:
+    """Return the keys of all files in ``folder``; newer ones win. Raise SemvizError if damaged."""
+    images: dict[str, Mapping[str, Any]] = {}
+    observations: dict[str, Mapping[str, Any]] = {}
+    for path in sorted(
+        folder.glob("labelme-*.json"), key=lambda path: (path.stat().st_mtime_ns, path)
+    ):
+        try:
+            document = parsed_json(read_limited(path, MOST_TEXT_BYTES))
+            images.update(document["images"])
+            observations.update(document["observations"])
+        except (SemvizError, ValueError, KeyError, TypeError):
+            raise SemvizError(f"{path}: damaged; delete it, its keys are lost then") from None
+    return Sidecar(images, observations)

@@ -1,0 +1,200 @@
+"""Edits of the label state as JSON, and the edits that draw nothing.
+
+An edit computes its row changes from the state alone, without file or clock. An invalid edit
+raises SemvizError and changes nothing. Reviews of frames, dismissals of proposals, and review
+decisions for map building are defined here.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from semviz_annotation.labels import rows
+from semviz_annotation.labels.element_edits import (
+    AddMany,
+    AddObservation,
+    DeleteElement,
+    DeleteMany,
+    DeleteObservation,
+    Link,
+    MoveObservation,
+    SetClass,
+    SetKnown,
+    SwapEnds,
+    Unlink,
+)
+from semviz_annotation.labels.labels import Labels, ReviewState
+from semviz_core.common.errors import SemvizError
+
+__all__ = [
+    "AddMany",
+    "AddObservation",
+    "AnyEdit",
+    "DecideElements",
+    "DeleteElement",
+    "DeleteMany",
+    "DeleteObservation",
+    "Dismiss",
+    "Edit",
+    "Link",
+    "MoveObservation",
+    "ReviewFrame",
+    "RevokeDecision",
+    "SetClass",
+    "SetKnown",
+    "SwapEnds",
+    "Unlink",
+    "edit_from_json",
+    "edit_to_json",
+    "first_fault",
+]
+
+
+@dataclass(frozen=True)
+class ReviewFrame:
+    """Set a frame's review state; ``unseen`` removes the review."""
+
+    frame_index: rows.Index
+    state: ReviewState
+    kind: Literal["review"] = "review"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        count = len(labels.in_frame(self.frame_index))
+        if self.state == "reviewed, empty" and count:
+            raise SemvizError(f"frame {self.frame_index} has {count} labels; it is not empty")
+        if self.state == "reviewed" and not count:
+            raise SemvizError(f"frame {self.frame_index} has no labels; say 'reviewed, empty'")
+        after = None if self.state == "unseen" else rows.Review(self.frame_index, self.state)
+        before = labels.reviews.get(self.frame_index)
+        if before is not None or after is not None:
+            yield rows.RowChange(before, after)
+
+
+@dataclass(frozen=True)
+class Dismiss:
+    """Dismiss proposals, all or none."""
+
+    dismissals: Annotated[tuple[rows.Dismissal, ...], Field(min_length=1)]
+    kind: Literal["dismiss"] = "dismiss"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        for row in self.dismissals:
+            rules.camera(row.side)
+            self._check(row, labels, rules)
+            before = labels.dismissals.get(row.id)
+            if before != row:
+                yield rows.RowChange(before, row)
+
+    @staticmethod
+    def _check(row: rows.Dismissal, labels: Labels, rules: rows.Rules) -> None:
+        if row.id in labels.observations:
+            raise SemvizError("this proposal was accepted; delete its observation instead")
+        if row.element_id is None:
+            return
+        element = labels.element(row.element_id)
+        if row.id != rows.proposal_id(element.id, row.frame_index, row.side):
+            raise SemvizError("this is not the id of a proposal of this element in this image")
+        if labels.find(element.id, row.frame_index, row.side):
+            name = rules.classes.element_name(element.class_id, element.number)
+            raise SemvizError(f"{name} is labelled in this {row.side} image; delete it there first")
+
+
+@dataclass(frozen=True)
+class DecideElements:
+    """Add review decisions, all or none; every later map build follows them."""
+
+    judgements: Annotated[tuple[rows.ReviewDecision, ...], Field(min_length=1)]
+    kind: Literal["judge"] = "judge"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        for row in self.judgements:
+            for element_id in rows.row_elements(row):
+                labels.element(element_id)
+            before = labels.review_decisions.get(row.id)
+            if before != row:
+                yield rows.RowChange(before, row)
+
+
+@dataclass(frozen=True)
+class RevokeDecision:
+    """Remove a review decision, so that map building decides again."""
+
+    judgement_id: rows.Id
+    kind: Literal["take back"] = "take back"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        row = labels.review_decisions.get(self.judgement_id)
+        if row is None:
+            raise SemvizError("there is no such decision; it may be revoked already")
+        yield rows.RowChange(row, None)
+
+
+class AnyEdit(Protocol):
+    """An edit that a store can apply: an ``Edit``, or one that no page sends, such as an import."""
+
+    @property
+    def kind(self) -> str:
+        """The name of the edit in the operation log."""
+        ...
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        """Compute the row changes. Raise SemvizError if the edit is invalid in ``labels``."""
+        ...
+
+
+Edit: TypeAlias = (
+    AddObservation
+    | AddMany
+    | Dismiss
+    | MoveObservation
+    | SetKnown
+    | SwapEnds
+    | DeleteObservation
+    | DeleteMany
+    | DeleteElement
+    | Link
+    | Unlink
+    | SetClass
+    | ReviewFrame
+    | DecideElements
+    | RevokeDecision
+)
+
+_EDIT: TypeAdapter[Edit] = TypeAdapter(Annotated[Edit, Field(discriminator="kind")])
+
+
+def edit_from_json(data: object) -> Edit:
+    """Return an edit from parsed JSON, for example ``{"kind": "delete", "observation_id": "..."}``.
+
+    Raise SemvizError, naming the invalid field.
+    """
+    try:
+        return _EDIT.validate_json(json.dumps(data))
+    except (ValidationError, TypeError, ValueError) as error:
+        raise SemvizError(f"not an edit: {first_fault(error)}") from None
+
+
+def edit_to_json(edit: Edit) -> dict[str, Any]:
+    """Return the JSON value that ``edit_from_json`` reads."""
+    result: dict[str, Any] = _EDIT.dump_python(edit, mode="json")
+    return result
+
+
+def first_fault(error: Exception) -> str:
+    """Return the first error that pydantic reports, on one line."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    fault = error.errors(include_url=False, include_input=False)[0]
+    where = ".".join(str(part) for part in fault["loc"])
+    return f"{where}: {fault['msg']}" if where else fault["msg"]

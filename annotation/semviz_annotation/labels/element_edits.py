@@ -1,0 +1,357 @@
+"""Edits that draw observations and link them to elements.
+
+Observations are added, moved, corrected and deleted; deleting the last one deletes its element.
+Linking states that label elements are one landmark: the element with the smallest number keeps
+all observations. Unlinking separates observations and keeps the elements apart.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+from semviz_annotation.labels.labels import Draft, Labels
+from semviz_annotation.labels.rows import (
+    STRICT,
+    Id,
+    Index,
+    LabelElement,
+    Observation,
+    Pixel,
+    Row,
+    RowChange,
+    Rules,
+    different_elements,
+    proposal_id,
+    review_decision,
+    review_decision_id,
+    row_elements,
+)
+from semviz_core.base.frame import Side
+from semviz_core.common.errors import SemvizError
+
+
+@dataclass(frozen=True)
+class DeleteElement:
+    """Delete an element with its observations, dismissals and decisions."""
+
+    element_id: Id
+    kind: Literal["delete element"] = "delete element"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        yield RowChange(labels.element(self.element_id), None)
+        for row in labels.of_element(self.element_id):
+            yield RowChange(row, None)
+        yield from _deletions_with_element(labels, self.element_id)
+
+
+@dataclass(frozen=True)
+class Link:
+    """State that label elements are one landmark: the smallest number keeps all observations.
+
+    Decisions about the others pass to the element that is kept, unless it has its own. A decision
+    that two of them are apart is revoked.
+    """
+
+    element_ids: Annotated[tuple[Id, ...], Field(min_length=2)]
+    kind: Literal["link"] = "link"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        kept, *merged = sorted(
+            map(labels.element, self.element_ids), key=lambda element: element.number
+        )
+        self._check([kept, *merged], labels, rules)
+        for element in merged:
+            yield RowChange(element, None)
+            for row in labels.of_element(element.id):
+                yield RowChange(row, replace(row, element_id=kept.id))
+                proposal = proposal_id(kept.id, row.frame_index, row.side)
+                yield from _deletions([labels.dismissals.get(proposal)])
+            yield from _deletions(labels.dismissed_of(element.id))
+        yield from _transferred_decisions(kept.id, {element.id for element in merged}, labels)
+
+    @staticmethod
+    def _check(elements: list[LabelElement], labels: Labels, rules: Rules) -> None:
+        images: dict[tuple[int, Side], str] = {}
+        first = rules.classes.element_name(elements[0].class_id, elements[0].number)
+        for index, element in enumerate(elements):
+            name = rules.classes.element_name(element.class_id, element.number)
+            if element in elements[:index]:
+                raise SemvizError(f"{name} cannot be linked with itself")
+            if element.class_id != elements[0].class_id:
+                raise SemvizError(f"{first} and {name} differ in class; set one class first")
+            for row in labels.of_element(element.id):
+                earlier = images.setdefault((row.frame_index, row.side), name)
+                if earlier != name:
+                    raise SemvizError(
+                        f"{earlier} and {name} are both in the {row.side} image of "
+                        f"frame {row.frame_index}, so they are two landmarks"
+                    )
+
+
+def _transferred_decisions(
+    kept_id: str, merged_ids: set[str], labels: Labels
+) -> Iterator[RowChange]:
+    """Replace the decisions about merged elements by decisions about ``kept_id``."""
+    rows = {row.id: row for id_ in sorted(merged_ids) for row in labels.decisions_of(id_)}
+    present = {row.id for row in labels.decisions_of(kept_id)}
+    for row in rows.values():
+        yield RowChange(row, None)
+        elements = sorted(
+            {kept_id if element in merged_ids else element for element in row_elements(row)}
+        )
+        if row.verdict != "apart":
+            decision = review_decision(kept_id, row.verdict)
+        elif len(elements) == 2:
+            decision = different_elements(elements[0], elements[1])
+        else:
+            continue
+        if decision.id not in present:
+            present.add(decision.id)
+            yield RowChange(None, decision)
+
+
+@dataclass(frozen=True)
+class Unlink:
+    """State that observations of an element show another landmark: a new element, kept apart."""
+
+    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    new_element_id: Id
+    kind: Literal["unlink"] = "unlink"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        rows = [labels.observation(id_) for id_ in self.observation_ids]
+        element = labels.element(rows[0].element_id)
+        self._check(rows, element, labels, rules)
+        yield RowChange(
+            None, LabelElement(self.new_element_id, labels.next_number, element.class_id)
+        )
+        for row in rows:
+            yield RowChange(row, replace(row, element_id=self.new_element_id))
+        kept_as_one = labels.review_decisions.get(review_decision_id(element.id))
+        if kept_as_one is not None and kept_as_one.verdict == "keep":
+            yield RowChange(kept_as_one, None)
+        yield RowChange(None, different_elements(element.id, self.new_element_id))
+
+    def _check(
+        self, rows: list[Observation], element: LabelElement, labels: Labels, rules: Rules
+    ) -> None:
+        name = rules.classes.element_name(element.class_id, element.number)
+        if self.new_element_id in labels.elements:
+            raise SemvizError("the new element already exists; link them instead")
+        if any(row.element_id != element.id for row in rows):
+            raise SemvizError(f"not all observations are of {name}; unlink one by one")
+        if len(labels.of_element(element.id)) == len(rows):
+            which = "this is the only observation" if len(rows) == 1 else "these are all"
+            raise SemvizError(f"{which} of {name}; nothing to unlink")
+
+
+@dataclass(frozen=True)
+class SetClass:
+    """Change the class of an element, within its kind: a sign stays a sign."""
+
+    element_id: Id
+    class_id: Index
+    kind: Literal["set class"] = "set class"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        element = labels.element(self.element_id)
+        old, new = rules.classes[element.class_id], rules.classes[self.class_id]
+        if old.kind != new.kind:
+            raise SemvizError(f"a {old.name} cannot become a {new.name}; delete and draw it anew")
+        yield RowChange(element, replace(element, class_id=self.class_id))
+
+
+def _deletions_with_element(labels: Labels, element_id: str) -> Iterator[RowChange]:
+    """Delete the dismissals and decisions that refer to an element."""
+    yield from _deletions([*labels.dismissed_of(element_id), *labels.decisions_of(element_id)])
+
+
+def _deletions(rows: Iterable[Row | None]) -> Iterator[RowChange]:
+    """Delete those of ``rows`` that exist."""
+    return (RowChange(row, None) for row in rows if row is not None)
+
+
+@dataclass(frozen=True)
+class AddObservation:
+    """Add an observation of an existing element or, if ``class_id`` is set, of a new one."""
+
+    observation_id: Id
+    element_id: Id
+    frame_index: Index
+    side: Side
+    anchor_px: Pixel
+    end_px: Pixel | None = None
+    anchor_known: bool = True
+    end_known: bool = True
+    """Ignored for signs, which have no end."""
+    class_id: Index | None = None
+    kind: Literal["add"] = "add"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        if self.observation_id in labels.observations:
+            raise SemvizError("this observation already exists")
+        if self.class_id is None:
+            element = labels.element(self.element_id)
+            if labels.find(element.id, self.frame_index, self.side):
+                name = rules.classes.element_name(element.class_id, element.number)
+                raise SemvizError(f"{name} is already labelled in this {self.side} image")
+        elif self.element_id in labels.elements:
+            raise SemvizError("this element already exists; omit its class")
+        else:
+            element = LabelElement(self.element_id, labels.next_number, self.class_id)
+        row = Observation(
+            id=self.observation_id,
+            element_id=element.id,
+            frame_index=self.frame_index,
+            side=self.side,
+            anchor_px=self.anchor_px,
+            end_px=self.end_px,
+            anchor_known=self.anchor_known,
+            end_known=self.end_known and self.end_px is not None,
+        )
+        rules.check(row, element.class_id)
+        if self.class_id is not None:
+            yield RowChange(None, element)
+        yield RowChange(None, row)
+        proposals = (proposal_id(element.id, self.frame_index, self.side), self.observation_id)
+        yield from _deletions(labels.dismissals.get(proposal) for proposal in proposals)
+
+
+@dataclass(frozen=True)
+class AddMany:
+    """Add several observations, all or none.
+
+    An observation of an element that an earlier one creates has ``class_id`` None.
+    """
+
+    observations: Annotated[tuple[AddObservation, ...], Field(min_length=1)]
+    kind: Literal["add many"] = "add many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        yield from _in_turn(self.observations, labels, rules)
+
+
+@dataclass(frozen=True)
+class MoveObservation:
+    """Move the anchor, the end or both; None leaves a point unchanged."""
+
+    observation_id: Id
+    anchor_px: Pixel | None = None
+    end_px: Pixel | None = None
+    kind: Literal["move"] = "move"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        row = labels.observation(self.observation_id)
+        moved = replace(
+            row,
+            anchor_px=row.anchor_px if self.anchor_px is None else self.anchor_px,
+            end_px=row.end_px if self.end_px is None else self.end_px,
+        )
+        yield RowChange(row, rules.check(moved, labels.element(row.element_id).class_id))
+
+
+@dataclass(frozen=True)
+class SetKnown:
+    """Set whether the ends of a pole are visible, not cut off or hidden; None: unchanged."""
+
+    observation_id: Id
+    anchor_known: bool | None = None
+    end_known: bool | None = None
+    kind: Literal["set known"] = "set known"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        row = labels.observation(self.observation_id)
+        if row.end_px is None:
+            raise SemvizError("only a pole's ends can be hidden or cut off; delete the sign")
+        yield RowChange(
+            row,
+            replace(
+                row,
+                anchor_known=row.anchor_known if self.anchor_known is None else self.anchor_known,
+                end_known=row.end_known if self.end_known is None else self.end_known,
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class SwapEnds:
+    """Swap the peak and the bottom of a pole."""
+
+    observation_id: Id
+    kind: Literal["swap ends"] = "swap ends"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        row = labels.observation(self.observation_id)
+        if row.end_px is None:
+            raise SemvizError("a sign has one point; there is nothing to swap")
+        yield RowChange(
+            row,
+            replace(
+                row,
+                anchor_px=row.end_px,
+                end_px=row.anchor_px,
+                anchor_known=row.end_known,
+                end_known=row.anchor_known,
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class DeleteObservation:
+    """Delete one observation; deleting the last one deletes its element."""
+
+    observation_id: Id
+    kind: Literal["delete"] = "delete"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        row = labels.observation(self.observation_id)
+        yield RowChange(row, None)
+        if len(labels.of_element(row.element_id)) == 1:
+            yield RowChange(labels.element(row.element_id), None)
+            yield from _deletions_with_element(labels, row.element_id)
+
+
+@dataclass(frozen=True)
+class DeleteMany:
+    """Delete several observations, all or none, each like ``DeleteObservation``."""
+
+    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    kind: Literal["delete many"] = "delete many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        yield from _in_turn(map(DeleteObservation, self.observation_ids), labels, rules)
+
+
+def _in_turn(
+    edits: Iterable[AddObservation | DeleteObservation], labels: Labels, rules: Rules
+) -> Iterator[RowChange]:
+    """Return the changes of ``edits``, each applied to the result of those before it."""
+    draft = Draft(labels)
+    for edit in edits:
+        changes = tuple(edit.changes(draft.labels(), rules))
+        draft.apply(changes)
+        yield from changes

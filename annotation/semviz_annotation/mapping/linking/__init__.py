@@ -1,1 +1,0 @@
-"""Which labels are of one physical thing."""

@@ -1,1 +1,0 @@
-"""Labels of many things as arrays, and their places in space."""

@@ -1,1 +1,0 @@
-"""The rules of ``mapping.lint``, each a small function over one ``Case``."""

@@ -1,0 +1,88 @@
+"""The entries of the operation log, and their hash chain.
+
+The hash of an operation covers its content and the hash of the operation before it.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias
+
+from pydantic import ConfigDict, Field, TypeAdapter
+
+from semviz_annotation.labels.rows import STRICT, Id, Observation, RowChange
+from semviz_core.common.errors import SemvizError
+
+Origin: TypeAlias = Literal["human", "machine"]
+Number: TypeAlias = Annotated[int, Field(ge=1, lt=2**53)]
+
+NO_HASH = ""
+"""The hash before the first operation."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One durable entry of the log."""
+
+    number: Number
+    """1, 2, 3, ... without gaps."""
+    request_id: Id
+    author: str
+    origin: Origin
+    time: str
+    """UTC, ISO 8601, by the writer's clock; the order is by number."""
+    kind: str
+    """The edit's kind, or ``undo``, ``redo``, ``restore`` or ``name``."""
+    changes: tuple[RowChange, ...]
+    undoes: Number | None = None
+    """Number of the edit that this operation undoes."""
+    redoes: Number | None = None
+    """Number of the edit that this operation redoes."""
+    text: str = ""
+    """The given name, the restored state, or the edit that an undo skipped."""
+    hash: str = NO_HASH
+    """SHA-256 (hex) of the previous hash and this operation; see ``sealed``."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+CHANGES: TypeAdapter[tuple[RowChange, ...]] = TypeAdapter(tuple[RowChange, ...])
+_OPERATION = TypeAdapter(Operation)
+
+
+class Writer(NamedTuple):
+    """The operation that last wrote a row."""
+
+    number: int
+    author: str
+    origin: Origin
+    time: str
+    kind: str
+
+
+def sealed(operation: Operation, hash_before: str) -> Operation:
+    """Return ``operation`` with its hash; ``hash_before`` is that of the operation before it.
+
+    The input of the hash is ``hash_before`` and the operation's JSON without ``hash``: keys sorted,
+    no spaces, ASCII, numbers as Python writes them.
+    """
+    content = _OPERATION.dump_python(operation, mode="json", exclude={"hash"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return replace(operation, hash=hashlib.sha256((hash_before + text).encode()).hexdigest())
+
+
+class BrokenOperationError(SemvizError):
+    """An operation of a log does not follow from those before it."""
+
+    def __init__(self, number: int, why: object) -> None:
+        super().__init__(f"operation {number}: {why}")
+        self.number = number
+
+
+class ConflictError(SemvizError):
+    """An observation has changed since the author of an edit saw it."""
+
+    def __init__(self, why: str, current: Observation | None) -> None:
+        super().__init__(why)
+        self.current = current
+        """The observation as it is now; None if it is deleted."""

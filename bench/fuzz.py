@@ -1,0 +1,182 @@
+"""Fuzz every reader of files: whatever a file holds, only a SemvizError may come out.
+
+    pip install '.[fuzz]'
+    python bench/fuzz.py --minutes 10                 # every reader
+    python bench/fuzz.py cvat run-values --minutes 1
+
+Inputs grow from ``bench/corpus``, guided by coverage (atheris, libFuzzer): half of them by changes
+that leave them JSON or XML, half by changes of bytes. Without atheris, the corpus is changed
+without that guidance, and a line says so. A reader's first input that raises anything else, takes
+more than 30 s or more than 2 GB is kept in the current folder, and the exit status is 1.
+"""
+
+import random
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import tests_support  # noqa: F401
+import tyro
+from mutations import mutated
+
+NAMES = (
+    "cvat", "labelme", "coco", "proposals", "proposals-parquet", "geojson", "lanelet2",
+    "opendrive", "csv", "map", "run", "run-values", "poses", "calibration", "image", "settings",
+    "model", "weights", "backdrop",
+)  # fmt: skip
+WORDS = (
+    "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
+    "anchor_known", "end_known", "true", "false", "null", "NaN", "1e999", "-Infinity", "0.5;1,2",
+    "keypoints", "bbox", "track_id", "attributes", "shape_type", "linestrip", "rectangle", "flags",
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "<![CDATA[", "encoding='utf-16'", "\\\\ud800", "[[[[",
+    "pole", "rounded sign", "left/000001.png", "image_3/000002.png", "Feature", "Point",
+    "coordinates", "LineString", "geometry", "paramPoly3", "spiral", "signalReference", "P2:",
+)  # fmt: skip
+INSTRUMENTED = [
+    "semviz_annotation.label_formats", "semviz_annotation.map_formats", "semviz_annotation.labels",
+    "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
+    "semviz_core.common.parquet_footer", "semviz_core.datasets", "semviz.runs.codec",
+    "semviz_core.detection.model_config", "semviz.runs.reader", "semviz.runs.rrd",
+    "semviz.workspace.workspace",
+]  # fmt: skip
+LIMIT_S, LIMIT_MB, MOST_BYTES = 30, 2048, 8192
+
+
+@dataclass(frozen=True)
+class Options:
+    readers: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Readers; default: all."""
+    minutes: float = 10.0
+    """For each reader."""
+    seed: int = 1
+    alone: bool = False
+    """Fuzz one reader in this process."""
+
+
+def main(options: Options) -> int:
+    unknown = [name for name in options.readers if name not in NAMES]
+    if unknown:
+        print(f"no reader {unknown[0]!r}; there are {', '.join(NAMES)}", file=sys.stderr)
+        return 2
+    if options.alone:
+        return fuzz(options.readers[0], 60.0 * options.minutes, options.seed)
+    if find_spec("atheris") is None:
+        print("atheris is not installed: the corpus is changed without guidance by coverage")
+    results = [_in_process(name, options) for name in options.readers or NAMES]
+    return int(any(results))
+
+
+def _in_process(name: str, options: Options) -> int:
+    """Fuzz one reader in a process of its own; print a line of a table."""
+    command = [sys.executable, __file__, name, "--alone"]
+    done = subprocess.run(
+        [*command, "--minutes", str(options.minutes), "--seed", str(options.seed)],
+        capture_output=True,
+        text=True,
+        errors="replace",
+    )
+    count = re.findall(r"^(?:Done|stat::number_of_executed_units:) +(\d+)", done.stderr, re.M)
+    cover = re.findall(r"cov: (\d+)", done.stderr)
+    covered = f"{cover[-1]:>6} edges" if cover else "no coverage"
+    verdict = "nothing else raised" if not done.returncode else f"FAILED ({done.returncode})"
+    print(f"{name:<18} {count[-1] if count else '?':>9} inputs  {covered}  {verdict}", flush=True)
+    if done.returncode:
+        print(done.stderr[-2500:])
+    return done.returncode
+
+
+def fuzz(name: str, seconds: float, seed: int) -> int:
+    """Fuzz one reader in this process, for so long. atheris ends the process."""
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
+        corpus = _corpus(name, folder)
+        if find_spec("atheris") is None:
+            return _without_guidance(corpus, _attack(name, folder), seconds, seed)
+        import atheris
+
+        with atheris.instrument_imports(include=INSTRUMENTED):
+            attack = _attack(name, folder)
+        words = folder / "words"
+        quoted = (word.replace("\\", "\\\\").replace('"', '\\"') for word in WORDS)
+        words.write_text("".join(f'"{word}"\n' for word in quoted))
+        most = max(MOST_BYTES, *(2 * path.stat().st_size for path in corpus.iterdir()))
+        limits = [f"-max_len={most}", f"-timeout={LIMIT_S}", f"-rss_limit_mb={LIMIT_MB}"]
+        amount = [f"-max_total_time={round(seconds)}", f"-seed={seed}", f"-dict={words}"]
+        kept = f"-artifact_prefix={Path.cwd() / name}-"
+        arguments = [sys.argv[0], *amount, *limits, kept, "-print_final_stats=1", str(corpus)]
+
+        def mutate(data: bytes, most_bytes: int, number: int) -> bytes:
+            rng = random.Random(number)
+            if rng.random() < 0.5:
+                return bytes(atheris.Mutate(data, most_bytes))
+            return mutated(data, rng)[:most_bytes]
+
+        atheris.Setup(arguments, attack, custom_mutator=mutate)
+        atheris.Fuzz()
+    return 0
+
+
+def _corpus(name: str, folder: Path) -> Path:
+    """Return a folder with the seeds of a reader, which may be added to."""
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    for path in (Path(__file__).parent / "corpus" / name).glob("*"):
+        (corpus / path.name).write_bytes(path.read_bytes())
+    if name == "run":
+        from fuzz_corpus import write_run
+
+        write_run(corpus / "small.rrd")
+    return corpus
+
+
+def _attack(name: str, folder: Path) -> Callable[[bytes], None]:
+    """Return a function that has ``data`` read, and raises unless that ends as it may."""
+    from fuzz_readers import READERS
+
+    from semviz_core.common.errors import SemvizError
+
+    reader = READERS[name]
+    path = folder / reader.file
+
+    def attack(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            reader.read(path)
+        except SemvizError as error:
+            line = str(error)
+            line.encode()  # what the terminal does
+            assert "\n" not in line, line
+            assert len(line) < 2000, line
+
+    return attack
+
+
+def _without_guidance(
+    corpus: Path, attack: Callable[[bytes], None], seconds: float, seed: int
+) -> int:
+    rng, seeds = random.Random(seed), [path.read_bytes() for path in sorted(corpus.iterdir())]
+    count, stop = 0, time.monotonic() + seconds
+    while time.monotonic() < stop:
+        data = mutated(rng.choice(seeds), rng)
+        started = time.monotonic()
+        try:
+            attack(data)
+            assert time.monotonic() - started < LIMIT_S, "too slow"
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < LIMIT_MB * 1024, "too large"
+        except BaseException:
+            Path(f"crash-{count}").write_bytes(data)
+            raise
+        count += 1
+    print(f"Done {count} inputs", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Options)))

@@ -1,0 +1,194 @@
+"""Write the corpus of ``fuzz.py``: small valid files of each reader, written by semviz itself.
+
+python bench/fuzz_corpus.py      # replaces bench/corpus
+"""
+
+import json
+import runpy
+import shutil
+import tempfile
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tests_support  # noqa: F401
+from map_files import small_map
+
+from semviz.runs import reader, run
+from semviz.runs.writer import RunWriter
+from semviz_annotation.label_formats.exchange import export_labels
+from semviz_annotation.labels.edits import AddObservation
+from semviz_annotation.labels.proposals import read_proposals, save_proposals
+from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.map_formats.exchange import export_map
+from semviz_annotation.map_formats.georeference import Georeference
+from semviz_annotation.mapping.backdrop.backdrop import Backdrop, BackdropSource, save_backdrop
+from semviz_annotation.mapping.backdrop.depth_fusion import FusionOptions
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.map_file import save_map
+from semviz_core.base.pose import Pose
+from semviz_core.base.weights import NetworkWeights
+
+CORPUS = Path(__file__).parent / "corpus"
+CAMERA = Camera(640, 480, np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]))
+RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.5, 0.0, 0.0])))
+CALIBRATION = "P2: 100 0 60 0 0 100 20 0 0 0 1 0\nP3: 100 0 60 -50 0 100 20 0 0 0 1 0\n"
+TIMES = "0.0\n"
+PROPOSALS = (
+    '{"format":"semviz-proposals","version":1,"proposals":[{"frame_index":1,"side":"left",'
+    '"class":"pole","anchor_px":[1,2],"end_px":[1.5,90],"score":0.5,"sigma_px":1.5},'
+    '{"frame_index":2,"side":"right","class":"rounded sign","anchor_px":[9,9],"score":1}]}'
+)
+SETTINGS = """version = 1
+name = "town"
+created = 2026-01-02T03:04:05
+[source]
+kind = "kitti"
+root = "../kitti"
+sequence = "07"
+cameras = [2, 3]
+[source.frames]
+start = 0
+stop = 10
+"""
+MODEL = """model = "model.onnx"
+kind = "segmentation"
+labels = ["road", "pole", "traffic sign"]
+outputs = ["logits"]
+[input]
+width = 640
+height = 192
+mean = [0.5, 0.5, 0.5]
+[classes]
+"pole" = "pole"
+"2" = "sign"
+"""
+OPENDRIVE = """<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="6"/>
+<road id="1" length="100" junction="-1"><planView>
+<geometry s="0" x="0" y="0" hdg="0" length="50"><line/></geometry>
+<geometry s="50" x="50" y="0" hdg="0" length="50"><arc curvature="0.01"/></geometry></planView>
+<elevationProfile><elevation s="0" a="1" b="0.01" c="0" d="0"/></elevationProfile>
+<signals><signal id="5" s="10" t="-4" zOffset="2.2" type="274" subtype="50" country="DE"
+ height="0.6" width="0.6" orientation="+" dynamic="no"/></signals>
+<objects><object id="7" type="pole" s="60" t="4" zOffset="0" height="5" radius="0.1"/></objects>
+</road></OpenDRIVE>
+"""
+
+
+def main() -> None:
+    shutil.rmtree(CORPUS, ignore_errors=True)
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        _write_labels(work)
+        _write_maps(work)
+        _write_images()
+        _write_tensors()
+    _write("proposals", "small.json", PROPOSALS)
+    save_proposals(
+        read_proposals(CORPUS / "proposals" / "small.json"), _path("proposals-parquet", "small")
+    )
+    _write_run_values()
+    _write("opendrive", "small.xodr", OPENDRIVE)
+    _write("calibration", "calib.txt", CALIBRATION)
+    _write("poses", "kitti.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1.5\n")
+    _write("poses", "tum.txt", "# t x y z q\n0 0 0 1.6 -0.5 0.5 -0.5 0.5\n")
+    _write("settings", "kitti.toml", SETTINGS)
+    _write("model", "segmentation.toml", MODEL)
+
+
+def _path(reader_name: str, name: str) -> Path:
+    path = CORPUS / reader_name / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _write(reader_name: str, name: str, text: str) -> None:
+    _path(reader_name, name).write_text(text, "utf-8")
+
+
+def _write_labels(work: Path) -> None:
+    with LabelStore.open(work / "labels.db", rig=RIG) as store:
+        for number, (frame, side, class_id) in enumerate(
+            [(1, "left", 0), (1, "right", 0), (2, "left", 3), (4, "right", 1)]
+        ):
+            end = (20.25, 200.0) if class_id == 0 else None
+            name = derived_id(f"element {class_id}")
+            known = name in store.labels.elements
+            edit = AddObservation(
+                derived_id(f"observation {number}"), name, frame, side, (10.1, 20.0 + number), end,
+                end_known=number > 0, class_id=None if known else class_id,
+            )  # fmt: skip
+            store.apply(edit, "fuzz")
+        export_labels(store, _path("cvat", "images.xml"), "cvat")
+        export_labels(store, _path("cvat", "tracks.xml"), "cvat-video")
+        export_labels(store, _path("coco", "small.json"), "coco")
+        export_labels(store, work / "labelme", "labelme")
+    for file in sorted((work / "labelme").rglob("*.json")):
+        shutil.copy(file, _path("labelme", f"{file.parent.name}-{file.name}"))
+
+
+def _write_maps(work: Path) -> None:
+    semantic_map, place = small_map(), Georeference(49.01, 8.42, 115.0, 33.0)
+    save_map(semantic_map, _path("map", "small.parquet"))
+    export_map(semantic_map, _path("geojson", "small.geojson"), "geojson", place)
+    export_map(semantic_map, _path("lanelet2", "small.osm"), "lanelet2", place)
+    export_map(semantic_map, _path("csv", "small.csv"), "csv")
+
+
+def _write_images() -> None:
+    grey = np.full((40, 120, 3), 90, np.uint8)
+    for suffix in ("png", "jpg"):
+        _path("image", f"grey.{suffix}").write_bytes(cv2.imencode(f".{suffix}", grey)[1].tobytes())
+
+
+def _write_tensors() -> None:
+    classes = ["pole", "triangular sign", "rectangular sign", "rounded sign"]
+    weights = NetworkWeights("matcher", {"classes": classes}, {"a": np.ones((2, 3), np.float32)})
+    weights.save(_path("weights", "small.safetensors"))
+    source = BackdropSource("town", "0", np.array([0]), np.eye(4)[None, :3], FusionOptions())
+    points, colors = np.ones((3, 3), np.float32), np.zeros((3, 3), np.uint8)
+    save_backdrop(Backdrop(points, colors, 0.05, source), _path("backdrop", "small.safetensors"))
+
+
+def _write_run_values() -> None:
+    structures = {
+        entity: json.loads(str(rows[0][1][run.STRUCTURE][0]))
+        for entity, rows in run_rows().items()
+        if run.STRUCTURE in rows[0][1]
+    }
+    _write("run-values", "small.json", json.dumps(structures))
+
+
+def write_run(path: Path) -> Path:
+    """Write a run of one frame, without images: 290 kB, too much for the corpus."""
+    made: dict[str, Any] = runpy.run_path(str(Path(__file__).parent / "recording.py"))
+    semantic_map = made["make_map"](length_m=20.0)
+    with RunWriter(path, made["make_info"]("a run"), semantic_map) as writer:
+        for record in made["make_records"](semantic_map, 1, None):
+            writer.write(replace(record, image_file="000000.png"))
+    return path
+
+
+def run_rows() -> dict[str, list[reader.Row]]:
+    """Return the rows of a small run without checksums; their values may be changed."""
+    return {
+        entity: [
+            (frame, {name: value for name, value in values.items() if name != run.CHECKSUM})
+            for frame, values in rows
+        ]
+        for entity, rows in _readwrite_run().items()
+    }
+
+
+@cache
+def _readwrite_run() -> dict[str, list[reader.Row]]:
+    with tempfile.TemporaryDirectory() as folder:
+        return reader.read_rows(write_run(Path(folder, "run.rrd")))[0]
+
+
+if __name__ == "__main__":
+    main()

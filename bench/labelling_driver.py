@@ -1,0 +1,341 @@
+"""The scripted annotator: it uses the labelling page in a browser as a person does."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from labelling_truth import RIGHT_PX, SIDES, Truth, is_about, meant, truth_of, why_wrong
+from playwright.sync_api import Page
+
+from semviz.annotator.draft import ProposalView
+from semviz.annotator.server import Annotator
+from semviz_annotation.labels.labels import Labels, Observation
+from semviz_core.base.frame import Side
+from semviz_core.simulation.street import Street
+
+TREMOR_CSS_PX = 1.5
+KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
+FRAME, FIRST = "a frame's key", "drawn first"
+
+
+@dataclass(frozen=True)
+class Spent:
+    """Inputs that one action cost."""
+
+    cause: str
+    inputs: int
+    frame: int
+    about: str
+    """What it was, for people who look into it."""
+
+
+@dataclass
+class Work:
+    """What the annotator did."""
+
+    keys: int = 0
+    clicks: int = 0
+    points: int = 0
+    """At something, for a key."""
+    thoughts: int = 0
+    spent: list[Spent] = field(default_factory=list)
+    pressed: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def inputs(self) -> int:
+        return self.keys + self.clicks
+
+    @property
+    def least(self) -> int:
+        """Inputs if all went well but for the first drawing of each element: the floor."""
+        return sum(step.inputs for step in self.spent if step.cause in (FRAME, FIRST))
+
+    @property
+    def seconds(self) -> float:
+        moves = (self.clicks + self.points) * POINT_S
+        return self.keys * KEY_S + self.clicks * CLICK_S + moves + self.thoughts * THINK_S
+
+    @contextmanager
+    def on(self, cause: str, frame: int, about: str = "") -> Iterator[None]:
+        """What is done within it is for ``cause``, but for what has a cause of its own there."""
+        before = self.inputs - sum(step.inputs for step in self.spent)
+        yield
+        inputs = self.inputs - sum(step.inputs for step in self.spent) - before
+        self.spent.append(Spent(cause, inputs, frame, about))
+
+
+class Labeller:
+    """Labels a street through the page."""
+
+    def __init__(self, page: Page, annotator: Annotator, street: Street, seed: int) -> None:
+        self.page = page
+        self.annotator = annotator
+        self.street = street
+        self.hand = np.random.default_rng(seed)
+        self.work = Work()
+        self.class_id = 0
+        self.labelled: set[int] = set()
+        """Elements, in any frame."""
+
+    def label(self, frame: int) -> None:
+        """One frame: proposals first, then what is missing; then on to the next."""
+        self.work.thoughts += 1
+        truth = truth_of(self.street, frame)
+        self.settle()
+        self.judge(frame, truth)
+        missing = [element for element in truth.wanted if not self.is_here(frame, truth, element)]
+        for element in missing:
+            self.draw(frame, truth, element, "left")
+        self.settle()
+        if missing:
+            self.judge(frame, truth)
+        for element in truth.wanted:
+            if self.lacking(frame, truth, element) and not self.is_offered(frame, truth, element):
+                self.draw(frame, truth, element, "right")
+        with self.work.on(FRAME, frame):
+            self.key("Control+Enter")
+        self.labelled |= {
+            mark
+            for mark in truth.marks
+            if len(self.lacking(frame, truth, mark)) < len(truth.marks[mark])
+        }
+
+    def judge(self, frame: int, truth: Truth) -> None:
+        """Turns down what is sure but wrong, and accepts what is weak but right."""
+        for offer in self.offers(frame):
+            element = self.meant(offer, truth)
+            if offer.is_confident and element is None:
+                with self.work.on("sure but wrong: " + why_wrong(offer, truth), frame, told(offer)):
+                    self.point_at(offer)
+                    self.key("x")
+            elif (
+                not offer.is_confident
+                and element is not None
+                and self.lacking(frame, truth, element)
+            ):
+                with self.work.on("weak but right", frame, told(offer)):
+                    self.point_at(offer)
+                    self.key(" ")
+
+    def draw(self, frame: int, truth: Truth, element: int, side: Side) -> None:
+        """With snapping where its preview is right, without where it isn't; then corrected."""
+        self.work.thoughts += 1
+        again = element in self.labelled
+        cause = "drawn again: " + self.why_again(frame, truth, element) if again else FIRST
+        about = f"{truth.named(element)}, {side}"
+        before = {row.id for row in self.labels.in_frame(frame, side)}
+        with self.work.on(cause, frame, about):
+            self.set_points(frame, truth, element, side)
+        new = [row for row in self.labels.in_frame(frame, side) if row.id not in before]
+        if not new:
+            raise SystemExit(f"not drawn; the page says {self.page.text_content('#message')!r}")
+        self.correct(truth, element, side, new[0])
+        self.labelled.add(element)
+
+    def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
+        """Class, peak and bottom; or class and middle."""
+        if truth.class_id[element] != self.class_id:
+            self.class_id = truth.class_id[element]
+            self.key(str(self.class_id + 1))
+        marks = truth.marks[element][side]
+        self.click(side, marks[0])
+        if np.isfinite(marks[1]).all():
+            peak_known, bottom_known = truth.known[element][side]
+            with self.work.on("keys for hidden ends", frame):
+                if not peak_known and not self.is_at_border(marks[0]):  # there the page knows
+                    self.key("c")
+                self.hover(side, marks[1])
+                if self.is_bottom_shown() != bottom_known and not self.is_at_border(marks[1]):
+                    self.key("o")
+            self.click(side, marks[1], snapped=self.is_preview_right(truth, element, side))
+        self.saved()
+
+    def why_again(self, frame: int, truth: Truth, element: int) -> str:
+        """What is proposed for an element that has to be drawn all the same."""
+        near = [offer for offer in self.offers(frame) if is_about(offer, truth, element)]
+        if not near:
+            return "not proposed, or turned down"
+        return "weak, " + why_wrong(near[0], truth)
+
+    def is_at_border(self, pixel: np.ndarray) -> bool:
+        camera = self.street.rig.left
+        return bool(
+            (pixel < 2.0).any() or (pixel > [camera.width - 3.0, camera.height - 3.0]).any()
+        )
+
+    def is_preview_right(self, truth: Truth, element: int, side: Side) -> bool:
+        snapped = self.page.evaluate("semviz.state.preview?.snapped ?? null")
+        return snapped is None or truth.is_right(element, side, snapped["anchor"], snapped["end"])
+
+    def is_bottom_shown(self) -> bool:
+        """Whether the page takes the bottom under the pen for one that is seen."""
+        said = "semviz.state.preview?.snapped?.end_known ?? semviz.state.drawing.end_known"
+        return bool(self.page.evaluate(said))
+
+    def correct(self, truth: Truth, element: int, side: Side, row: Observation) -> None:
+        """Zooms in and drags the ends of what was just drawn to where they belong."""
+        marks = truth.marks[element][side]
+        if truth.is_right(element, side, row.anchor_px, row.end_px):
+            return
+        self.work.thoughts += 1
+        ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
+        with self.work.on("drawings corrected", row.frame_index, f"{truth.named(element)}, {side}"):
+            self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
+            self.wheel(-1)
+            for drawn, true in ends:
+                if np.hypot(*np.subtract(true, drawn)) > RIGHT_PX / 2.0:
+                    self.drag(side, np.array(drawn), true)
+            self.whole()
+
+    def point_at(self, offer: ProposalView) -> None:
+        """The pointer over a proposal, so that the keys are for it; where another is on top of it,
+        a click on its row."""
+        self.work.thoughts += 1
+        self.work.points += 1
+        side = "left" if "left" in offer.marks else "right"
+        mark = offer.marks[side]
+        ends = np.array([point for point in (mark.anchor, mark.end) if point is not None])
+        self.page.mouse.move(*self.on_screen(side, ends.mean(axis=0)))
+        if self.page.evaluate("semviz.state.currentProposal?.id") != offer.id:
+            shown = "({ elements, expected, nearby }) => [...elements, ...expected, ...nearby]"
+            ids = self.page.evaluate(f"({shown})(semviz.state).map((one) => one.id)")
+            self.page.locator("#elements .row").nth(ids.index(offer.id)).click()
+            self.work.clicks += 1
+
+    # -- what there is
+
+    def offers(self, frame: int) -> list[ProposalView]:
+        with self.annotator.lock:
+            return self.annotator.session.frame(frame).proposals
+
+    def meant(self, offer: ProposalView, truth: Truth) -> int | None:
+        """The element that a proposal is right for; None where that is not the one it is of."""
+        element = meant(offer, truth)
+        for row in self.labels.of_element(offer.id)[:1]:
+            then = truth_of(self.street, row.frame_index)
+            mark = row.side, row.anchor_px, row.end_px
+            labelled = [name for name in then.marks if then.is_right(name, *mark)]
+            return element if not labelled or element in labelled else None
+        return element
+
+    @property
+    def labels(self) -> Labels:
+        with self.annotator.lock:
+            return self.annotator.session.labels
+
+    def is_here(self, frame: int, truth: Truth, element: int) -> bool:
+        """Labelled in one of the images, or about to be."""
+        return self.is_offered(frame, truth, element) or (
+            len(self.lacking(frame, truth, element)) < len(SIDES)
+        )
+
+    def is_offered(self, frame: int, truth: Truth, element: int) -> bool:
+        """Proposed and sure: the key at the end takes it."""
+        return any(
+            offer.is_confident and self.meant(offer, truth) == element
+            for offer in self.offers(frame)
+        )
+
+    def lacking(self, frame: int, truth: Truth, element: int) -> list[str]:
+        """The images in which an element is to be seen and not labelled."""
+        return [
+            side
+            for side in truth.marks[element]
+            if not any(
+                truth.is_right(element, side, row.anchor_px, row.end_px)
+                for row in self.labels.in_frame(frame, side)
+            )
+        ]
+
+    # -- hands
+
+    def key(self, key: str) -> None:
+        self.work.keys += 1
+        self.work.pressed[key] += 1
+        self.page.keyboard.press("Space" if key == " " else key)
+        self.saved()
+
+    def hover(self, side: Side, pixel: np.ndarray) -> None:
+        """The pointer over a pixel, until the page says what is there."""
+        self.page.mouse.move(*self.on_screen(side, pixel))
+        self.page.wait_for_function("() => !semviz.isPreviewing")
+
+    def click(self, side: Side, pixel: np.ndarray, snapped: bool = True) -> None:
+        self.work.clicks += 1
+        if not snapped:
+            self.key("m")
+        self.page.keyboard.down("Shift")  # draws, even where something is
+        self.page.mouse.click(*self.on_screen(side, pixel, self.hand))
+        self.page.keyboard.up("Shift")
+        if not snapped:
+            self.key("m")
+
+    def wheel(self, turns: int) -> None:
+        """Zooms at the pointer, threefold a turn."""
+        self.work.clicks += 1
+        before = self.zoom()
+        self.page.mouse.wheel(0, turns * np.log(3.0) / 0.002)
+        while self.zoom() == before:
+            self.page.wait_for_timeout(20)
+
+    def whole(self) -> None:
+        """Zooms out."""
+        self.key("0")
+        self.page.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => setTimeout(done, 50)))"
+        )
+
+    def zoom(self) -> str | None:
+        return self.page.get_attribute("#left-image canvas.marks", "data-view")
+
+    def drag(self, side: Side, start: np.ndarray, end: np.ndarray) -> None:
+        self.work.clicks += 2
+        self.page.mouse.move(*self.on_screen(side, start))
+        self.page.mouse.down()
+        self.page.mouse.move(*self.on_screen(side, end, self.hand), steps=4)
+        self.page.mouse.up()
+        self.saved()
+
+    def on_screen(
+        self, side: Side, pixel: np.ndarray, hand: np.random.Generator | None = None
+    ) -> tuple[float, float]:
+        """Where a pixel is; where ``hand`` hits that means it."""
+        canvas = self.page.locator(f"#{side}-image canvas.marks")
+        box = canvas.bounding_box()
+        assert box is not None
+        scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
+        u, v = (pixel + 0.5) * scale + [x, y]
+        if hand is not None:
+            u, v = np.array([u, v]) + hand.normal(0.0, TREMOR_CSS_PX, 2)
+        return box["x"] + u, box["y"] + v
+
+    def saved(self) -> None:
+        self.page.wait_for_function("() => semviz.state.pending.length === 0")
+
+    def settle(self) -> None:
+        """Waits for the images, and until they were asked about everything that is proposed."""
+        self.saved()
+        self.page.wait_for_function(
+            """() => {
+                const { frame, labels } = semviz.state;
+                const shown = [...document.querySelectorAll("canvas.marks")];
+                return shown.every((one) => one.dataset.frame === String(frame))
+                    && labels.frame.index === frame && !labels.frame.is_searching;
+            }"""
+        )
+
+
+def told(offer: ProposalView) -> str:
+    marks = ", ".join(
+        f"{side} {np.round(offer.marks[side].anchor).tolist()} {offer.marks[side].anchor_known:d}"
+        + (
+            f" to {np.round(offer.marks[side].end).tolist()} {offer.marks[side].end_known:d}"
+            if offer.marks[side].end
+            else ""
+        )
+        for side in SIDES
+        if side in offer.marks
+    )
+    return f"{offer.origin}, class {offer.class_id}, score {offer.score or 0.0:.2f}: {marks}"

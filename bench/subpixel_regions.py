@@ -1,0 +1,142 @@
+"""Regions on rendered streets: with the errors of a network, or from a network."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from semviz_core.base.classes import POLE
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.detection.detector import RegionModel
+from semviz_core.detection.regions import Region
+from semviz_core.metrics.detection import ImageGroundTruth, match_detections
+from semviz_core.simulation.ground_truth import RenderedTruth, rendered_truth
+from semviz_core.simulation.street import Street
+from semviz_core.subpixel.sampling import SampledImage
+
+FRAMES = (5, 20, 35, 50)
+_MODEL_SIGMA_PX = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One image, and what is truly to be seen in it."""
+
+    picture: SampledImage
+    truth: ImageGroundTruth
+    whole: RenderedTruth
+    seed: int
+
+
+def shown(seeds: Iterable[int]) -> Iterator[Shown]:
+    """The left images of some frames of each street."""
+    for seed in seeds:
+        street = Street(seed)
+        for index in FRAMES:
+            whole = rendered_truth(street, index, "left")
+            elements = street.truth_map.elements
+            rows = np.searchsorted(elements.id, whole.element_id)
+            away = elements.anchor_m[rows] - street.view(index, "left").center_m
+            truth = ImageGroundTruth.of(whole.elements, np.linalg.norm(away[:, :2], axis=1))
+            yield Shown(SampledImage(street.image(index, "left")), truth, whole, seed)
+
+
+def planted(shown: Shown) -> tuple[list[Region], IntArray]:
+    """What counts in an image as regions that are off as a network's, and whose they are."""
+    rng = np.random.default_rng([shown.seed, len(shown.whole.regions)])
+    rows = np.flatnonzero(shown.truth.counts)
+    size = (shown.picture.image.shape[0], shown.picture.image.shape[1])
+    return [as_found(shown.whole.regions[row], size, rng) for row in rows], rows
+
+
+def found(shown: Shown, model: RegionModel) -> tuple[list[Region], IntArray]:
+    """A model's own regions of what counts in an image, and whose they are."""
+    regions = list(model.find(shown.picture.image))
+    rows = match_detections(_as_elements(regions), shown.truth)
+    return [regions[k] for k in np.flatnonzero(rows >= 0)], rows[rows >= 0]
+
+
+def _as_elements(regions: list[Region]) -> Elements2D:
+    """Regions as the model tells them."""
+    ends = np.full((len(regions), 2, 2), np.nan)
+    for row, region in enumerate(regions):
+        ends[row, 0] = region.center_px
+        if region.class_id == POLE:
+            left, top, right, bottom = region.box_px
+            middle = (left + right) / 2.0
+            box = np.array([[middle, top], [middle, bottom]])
+            ends[row] = box if region.ends_px is None else region.ends_px
+    classes = [-1 if region.class_id is None else region.class_id for region in regions]
+    return Elements2D.from_ends(ends[:, 0], ends[:, 1], classes)
+
+
+def as_found(region: Region, size: tuple[int, int], rng: np.random.Generator) -> Region:
+    """A true region in an image of a size (height, width), off as networks' are: ends and boxes
+    by some px, masks grown, shrunk, coarse or with holes; some without ends, mask or class."""
+    ends, known = None, None
+    if region.ends_px is not None and rng.random() < 0.7:
+        ends, known = _ends(region, rng)
+    mask = _mask(region, size, rng)
+    box, corner = region.box_px, (0, 0)
+    if mask.any():
+        rows, columns = np.nonzero(mask)
+        corner = (int(columns.min()), int(rows.min()))
+        mask = mask[corner[1] : rows.max() + 1, corner[0] : columns.max() + 1]
+        box = np.array([*corner, columns.max(), rows.max()], dtype=np.float64)
+    box = box + np.clip(rng.normal(0.0, 1.5, 4), -4.0, 4.0)
+    box = np.concatenate([np.minimum(box[:2], box[2:]), np.maximum(box[:2], box[2:])])
+    masked = bool(mask.any() and rng.random() < 0.7)
+    class_id = None if region.class_id != POLE and rng.random() < 0.3 else region.class_id
+    return Region(
+        class_id=class_id,
+        score=float(rng.uniform(0.3, 1.0)),
+        box_px=box,
+        mask=mask if masked else None,
+        corner_px=corner if masked else (0, 0),
+        ends_px=ends,
+        ends_known=known,
+    )
+
+
+def _ends(region: Region, rng: np.random.Generator) -> tuple[FloatArray, tuple[bool, bool]]:
+    """Off by little across; along by more, and some by a share of the length."""
+    ends, known = region.ends_px, region.ends_known
+    assert ends is not None
+    assert known is not None
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    along = (ends[1] - ends[0]) / length
+    normal = np.array([along[1], -along[0]])
+    slid = rng.normal(0.0, 1.5 + 0.02 * length, 2)
+    wrong = rng.uniform(-0.15, 0.3, 2) * length * [1.0, -1.0]
+    slid = np.where(rng.random(2) < 0.1, wrong, slid)
+    slid = np.clip(slid, -0.35 * length, 0.35 * length)
+    off = np.clip(rng.normal(0.0, _MODEL_SIGMA_PX, 2), -4.0, 4.0)
+    told = np.array(known) ^ (rng.random(2) < 0.08)
+    return ends + slid[:, None] * along + off[:, None] * normal, (bool(told[0]), bool(told[1]))
+
+
+def _mask(region: Region, size: tuple[int, int], rng: np.random.Generator) -> BoolArray:
+    """(height, width) of the whole image."""
+    assert region.mask is not None
+    mask: NDArray[np.uint8] = np.zeros(size, np.uint8)
+    (left, top), (height, width) = region.corner_px, region.mask.shape
+    mask[top : top + height, left : left + width] = region.mask
+    grown = int(rng.integers(-1, 3))
+    kernel = np.ones((2 * abs(grown) + 1,) * 2, np.uint8)
+    if grown > 0 or min(height, width) > 6:
+        mask = np.asarray((cv2.dilate if grown > 0 else cv2.erode)(mask, kernel), np.uint8)
+    if rng.random() < 0.5:
+        coarse = (-(-size[1] // 4), -(-size[0] // 4))
+        low = cv2.resize(mask.astype(np.float32), coarse, interpolation=cv2.INTER_AREA)
+        mask = np.asarray(cv2.resize(low, size[::-1]) > 0.35, np.uint8)
+    for _ in range(rng.integers(0, 3)):
+        inside = np.argwhere(mask)
+        if len(inside) < 20:
+            break
+        row, column = inside[rng.integers(len(inside))]
+        half = int(rng.integers(2, 7))
+        mask[max(0, row - half) : row + half, max(0, column - half) : column + half] = 0
+    return mask > 0

@@ -1,0 +1,211 @@
+"""Save and load a map as one Parquet file with one row per element.
+
+A file is written completely or not at all. A checksum of all values is stored with them.
+"""
+
+import base64
+import json
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semviz_core.base.classes import ClassSet, ElementClass
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import first_line, open_parquet, parsed_json, shown, unpacked
+
+FORMAT = "semviz-map"
+VERSION = 2
+CHECKSUM = "crc32"
+"""Key of the metadata; missing in maps of earlier versions of semviz, which are not checked."""
+_VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
+_ORIGINS = {
+    "label_ids": "label_ids.list.element",
+    "observation_ids": "observation_ids.list.element",
+}
+"""Columns of texts, and their paths in the file."""
+MOST_BYTES = 2 * 2**30
+MOST_VALUES = 36_000_000
+"""Limits of one map: 1,000,000 elements, each with 36 numbers of covariance."""
+MOST_DECISION_BYTES = 256 * 2**20
+MOST_ID_CHARACTERS = 100
+
+
+def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
+    """Write ``path`` completely or not at all. Raise SemvizError if it cannot be written."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    elements = semantic_map.elements
+    columns: dict[str, Any] = {
+        name: pa.array(getattr(elements, name))
+        for name in ("id", "class_id", "anchor_known", "end_known")
+    }
+    for name, width in _VECTORS.items():
+        flat = np.ascontiguousarray(getattr(elements, name)).reshape(-1)
+        columns[name] = pa.FixedSizeListArray.from_arrays(pa.array(flat), width)
+    provenance = semantic_map.provenance or (Provenance(),) * len(elements)
+    for name in ("label_ids", "observation_ids"):
+        columns[name] = pa.array(
+            [list(getattr(entry, name)) for entry in provenance], pa.list_(pa.string())
+        )
+    table, metadata = pa.table(columns), _metadata(semantic_map)
+    text = json.dumps(metadata | {CHECKSUM: _checksum(table, metadata)})
+    table = table.replace_schema_metadata({FORMAT: text})
+    with replacing(Path(path)) as temporary:
+        pq.write_table(table, temporary, compression="zstd")
+
+
+def load_map(path: Path | str) -> SemanticMap:
+    """Read a map. Raise SemvizError if ``path`` is missing, damaged, not a map, or newer."""
+    import pyarrow as pa
+
+    path = Path(path)
+    if not path.is_file():
+        raise SemvizError(f"{path}: no such map; make one with 'semviz map build'")
+    try:
+        file = open_parquet(path, MOST_BYTES, MOST_VALUES, tuple(_ORIGINS.values()))
+        table = file.read()
+    except pa.ArrowInvalid as error:  # whole, but its columns are not those of a map
+        raise SemvizError(f"{path}: broken map ({first_line(error)}); rebuild it") from None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        cause = first_line(error)
+        raise SemvizError(f"{path}: not a readable Parquet file ({cause}); rebuild it") from None
+    raw = (table.schema.metadata or {}).get(FORMAT.encode())
+    if raw is None:
+        raise SemvizError(f"{path}: a Parquet file, but not a map of semviz")
+    try:
+        metadata = parsed_json(raw)
+        version = int(metadata["version"])
+        if version <= VERSION:
+            semantic_map = _assemble(table, metadata)
+            if metadata.pop(CHECKSUM, None) not in (None, _checksum(table, metadata)):
+                raise SemvizError("it is not as it was written: its checksum differs")
+            return semantic_map
+    except SemvizError as error:
+        raise SemvizError(f"{path}: broken map ({error}); rebuild it") from None
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+        raise SemvizError(f"{path}: broken map ({shown(repr(error))}); rebuild it") from None
+    except pa.ArrowException as error:
+        raise SemvizError(f"{path}: broken map ({first_line(error)}); rebuild it") from None
+    newer = f"map version {version}, this semviz reads up to {VERSION}"
+    raise SemvizError(f"{path}: {newer}; update semviz")
+
+
+def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
+    import pyarrow as pa
+
+    def vectors(name: str) -> FloatArray:
+        column = table[name].combine_chunks()
+        if not pa.types.is_fixed_size_list(column.type):
+            raise ValueError(f"{name} is a column of {column.type}")
+        flat = column.flatten().to_numpy()
+        array: FloatArray = np.asarray(flat).reshape(-1, _VECTORS[name])
+        return array
+
+    elements = Elements3D(
+        id=table["id"].to_numpy(),
+        anchor_m=vectors("anchor_m"),
+        end_m=vectors("end_m"),
+        class_id=table["class_id"].to_numpy(),
+        covariance_m2=vectors("covariance_m2").reshape(-1, 6, 6),
+        anchor_known=table["anchor_known"].to_numpy(),
+        end_known=table["end_known"].to_numpy(),
+    )
+    provenance = tuple(
+        Provenance(tuple(labels), tuple(observations))
+        for labels, observations in zip(
+            _texts(table["label_ids"]), _texts(table["observation_ids"]), strict=True
+        )
+    )
+    frame = metadata["frame"]
+    origin = tuple(frame["origin"]) if frame["origin"] else None
+    return SemanticMap(
+        elements=elements,
+        frame=MapFrame(frame["name"], origin, frame.get("x_heading_deg", 90.0)),
+        classes=ClassSet(tuple(ElementClass(**row) for row in metadata["classes"])),
+        trajectory_m=_decode_points(metadata["trajectory_m"]),
+        provenance=provenance if any(entry.label_ids for entry in provenance) else (),
+        decisions=tuple(_decision(row) for row in _unpacked(metadata.get("decisions"))),
+        made_by=str(metadata["made_by"]),
+        settings=dict(metadata.get("settings", {})),
+        operation=int(metadata["operation"]),
+    )
+
+
+def _texts(column: Any) -> list[list[str]]:
+    """Return the ids in a column of lists, which holds each of them once."""
+    for chunk in column.chunks:
+        ids = chunk.values.dictionary if hasattr(chunk.values, "dictionary") else chunk.values
+        if any(len(text) > MOST_ID_CHARACTERS for text in ids.to_pylist() if text):
+            raise ValueError(f"an id of more than {MOST_ID_CHARACTERS} characters")
+    lists: list[list[str]] = column.to_pylist()
+    return lists
+
+
+def _metadata(semantic_map: SemanticMap) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "m, z up, right-handed",
+        "frame": asdict(semantic_map.frame),
+        "classes": [asdict(class_) for class_ in semantic_map.classes],
+        "trajectory_m": _encode_points(semantic_map.trajectory_m),
+        "decisions": _packed([asdict(decision) for decision in semantic_map.decisions]),
+        "made_by": semantic_map.made_by,
+        "settings": dict(semantic_map.settings),
+        "operation": semantic_map.operation,
+    }
+
+
+def _checksum(table: Any, metadata: dict[str, Any]) -> int:
+    """Return the CRC-32 of the metadata as sorted JSON, then of each column by its name."""
+    import pyarrow as pa
+
+    # What the file holds is JSON, so equal values may differ before: tuples, numbers as keys.
+    plain = json.loads(json.dumps(metadata))
+    checksum = zlib.crc32(json.dumps(plain, sort_keys=True).encode())
+    for name in sorted(table.column_names):
+        column = table[name].combine_chunks()
+        if pa.types.is_fixed_size_list(column.type):
+            column = column.flatten()
+        if pa.types.is_list(column.type):
+            content = json.dumps(column.to_pylist()).encode()
+        else:
+            content = np.ascontiguousarray(column.to_numpy(zero_copy_only=False)).tobytes()
+        checksum = zlib.crc32(f"{name} {len(content)}\n".encode(), checksum)
+        checksum = zlib.crc32(content, checksum)
+    return checksum
+
+
+def _decision(data: dict[str, Any]) -> Decision:
+    lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
+    return Decision(**(data | lists))
+
+
+def _packed(rows: list[dict[str, Any]]) -> str:
+    """Return compressed JSON, since Parquet does not compress its metadata."""
+    return base64.b64encode(zlib.compress(json.dumps(rows).encode())).decode()
+
+
+def _unpacked(text: str | None) -> list[dict[str, Any]]:
+    """Return the rows of ``_packed``; none for a map of version 1."""
+    if text is None:
+        return []
+    packed = base64.b64decode(text, validate=True)
+    rows: list[dict[str, Any]] = parsed_json(unpacked(packed, MOST_DECISION_BYTES))
+    return rows
+
+
+def _encode_points(points: FloatArray) -> str:
+    return base64.b64encode(np.ascontiguousarray(points, dtype="<f8").tobytes()).decode()
+
+
+def _decode_points(text: str) -> FloatArray:
+    return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").reshape(-1, 3)

@@ -1,0 +1,7 @@
+"""General tools for every package, without domain knowledge.
+
+`errors` defines the error that users read. `arrays` validates arrays where they enter the
+program, and `files` writes files atomically. `jit` compiles numerical loops and times them;
+`linalg` solves small linear systems inside that compiled code. Modules here import nothing else
+of semviz.
+"""

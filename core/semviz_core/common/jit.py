@@ -1,0 +1,184 @@
+"""Compile functions to machine code with numba, run them on threads, and time them.
+
+Compiled code is cached on disk, so only the first run waits. Compiled functions release Python's
+global lock. Work on several threads returns its results in the order of the items. A stopwatch
+measures the wall time of a method's stages.
+"""
+
+import hashlib
+import itertools
+import os
+import secrets
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from threading import RLock
+from time import perf_counter
+from typing import IO, Any, TypeVar
+
+import numba
+from numba.core import event
+from numba.core.bytecode import FunctionIdentity
+from platformdirs import user_cache_path
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def name_code_uniquely() -> None:
+    """Count the code that this process compiles from a random number.
+
+    Numba puts the count into the names of machine code, and starts it at 1 in every process. Code
+    loaded from disk then carries the names of other code compiled here, the linker keeps one of
+    the two, and calls reach the wrong function: a wrong result or a crash (numba #10486).
+    """
+    FunctionIdentity._unique_ids = itertools.count(secrets.randbits(64))
+
+
+name_code_uniquely()
+if hasattr(os, "register_at_fork"):  # a fork inherits the count
+    os.register_at_fork(after_in_child=name_code_uniquely)
+
+
+def compiled(function: Function) -> Function:
+    """Return ``function``, compiled on its first call with new types, without Python's lock."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _cache_folder()
+    try:
+        dispatcher: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    dispatcher.compile = _one_process_at_a_time(dispatcher.compile)  # type: ignore[attr-defined]
+    return dispatcher
+
+
+def _one_process_at_a_time(compile_: Callable[..., Any]) -> Callable[..., Any]:
+    """Return ``compile_`` (load from disk, or compile and save) under a lock between processes.
+
+    Numba names code by the order in which its process compiled it. Two processes that compile at
+    the same time into one folder can load each other's code and crash (numba #10128). With the
+    lock, the second process loads what the first one compiled.
+    """
+
+    def compile_locked(*arguments: Any) -> Any:
+        with _compile_lock:
+            return compile_(*arguments)
+
+    return compile_locked
+
+
+class _CompileLock(AbstractContextManager[None]):
+    """A re-entrant lock between processes and threads."""
+
+    def __init__(self) -> None:
+        self._thread = RLock()
+        self._depth = 0
+        self._file: IO[str] | None = None
+
+    def __enter__(self) -> None:
+        self._thread.acquire()
+        self._depth += 1
+        folder = _cache_folder()
+        if self._depth == 1 and fcntl is not None and folder:
+            with suppress(OSError):  # a read-only folder needs no lock
+                self._file = (Path(folder) / "lock").open("w")
+                fcntl.flock(self._file, fcntl.LOCK_EX)
+
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._file is not None:
+            self._file.close()  # releases the lock
+            self._file = None
+        self._thread.release()
+
+
+_compile_lock = _CompileLock()
+
+
+def notify_before_compiling(notify: Callable[[], None]) -> None:
+    """Call ``notify`` once, before the first function is compiled that is not yet on disk."""
+    event.register("numba:compile", _FirstCompileListener(notify))
+
+
+class _FirstCompileListener(event.Listener):  # type: ignore[misc]  # numba's types are not read
+    def __init__(self, notify: Callable[[], None]) -> None:
+        self._notify: Callable[[], None] | None = notify
+
+    def on_start(self, _: object) -> None:
+        if self._notify is not None:
+            self._notify()
+            self._notify = None
+
+    def on_end(self, _: object) -> None:
+        pass
+
+
+@cache
+def _cache_folder() -> str:
+    """Return one folder for each state of the sources, or an empty string without a home.
+
+    Numba itself checks only the file of the called function, not those of the functions it calls.
+    """
+    sources = (path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py")))
+    digest = hashlib.sha256(
+        b"".join(source for source in sources if b"@compiled" in source)
+    ).hexdigest()
+    folder = user_cache_path("semviz") / "compiled" / digest[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # without a home, numba chooses its own folder
+        return ""
+    return str(folder)
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+QUEUED_PER_THREAD = 2
+"""Items that are submitted for each thread before the first result is awaited."""
+
+
+def in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int
+) -> Iterator[Result]:
+    """Yield ``function(item)`` of each item, in the items' order; the first error is raised.
+
+    Items are consumed as needed, so they may be endless.
+    """
+    if threads == 1:
+        yield from map(function, items)
+        return
+    waiting: deque[Future[Result]] = deque()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) == QUEUED_PER_THREAD * threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class Stopwatch:
+    """Wall time of a method's stages."""
+
+    time_ms: dict[str, float] = field(default_factory=dict)
+    """By stage, in order."""
+
+    def time(self, stage: str, action: Callable[[], Result]) -> Result:
+        """Return ``action()`` and store its wall time under ``stage``."""
+        start = perf_counter()
+        result = action()
+        self.time_ms[stage] = (perf_counter() - start) * 1e3
+        return result

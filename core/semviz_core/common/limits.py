@@ -1,0 +1,218 @@
+"""Read files of others within limits: their size, and that of an image, before they are decoded.
+
+A file may be a pipe, a device or endless, and a few kB of it may unpack to gigabytes. What is
+refused here raises SemvizError with the path, in one line.
+"""
+
+import json
+import os
+import re
+import stat
+import struct
+import tomllib
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from semviz_core.common.arrays import ByteImage
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.parquet_footer import unpacked_columns
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+MOST_TEXT_BYTES = 64 * 2**20
+MOST_SETTINGS_BYTES = 2**20
+MOST_IMAGE_BYTES = 256 * 2**20
+MOST_IMAGE_PIXELS = 2**26
+"""About 8192 by 8192; decoded, that takes 200 MB."""
+MOST_TENSOR_BYTES = 4 * 2**30
+"""Of a file of weights, or of a backdrop."""
+_MOST_KEY_PARTS, _TOML_KEY_END = 20, re.compile(r"[,={}\[\]\n]")
+_JPEG_START, _PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+"""Markers of segments that hold a JPEG's size (ITU-T T.81, table B.1)."""
+_JPEG_BARE = {0x01, *range(0xD0, 0xD9)}
+"""Markers without a segment."""
+
+
+def check_file(path: Path, most_bytes: int) -> None:
+    """Raise SemvizError if ``path`` is no ordinary file, or larger than ``most_bytes``."""
+    os.close(_opened(path, most_bytes))
+
+
+def read_limited(path: Path, most_bytes: int, count: int | None = None) -> bytes:
+    """Return a file's content, or its first ``count`` bytes.
+
+    Raise SemvizError if ``check_file`` does, or it cannot be read.
+    """
+    with os.fdopen(_opened(path, most_bytes), "rb") as file:
+        try:
+            content = file.read(most_bytes + 1 if count is None else count)
+        except OSError as error:
+            raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+    if len(content) > most_bytes:  # it has grown meanwhile
+        raise _too_large(path, most_bytes)
+    return content
+
+
+def _opened(path: Path, most_bytes: int) -> int:
+    """Return a descriptor; opening a pipe does not wait for its writer, and is refused."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
+        why = getattr(error, "strerror", None) or "no name of a file"
+        raise SemvizError(f"{shown(path)}: cannot be read ({why})") from None
+    found = os.fstat(descriptor)
+    if stat.S_ISREG(found.st_mode) and found.st_size <= most_bytes:
+        return descriptor
+    os.close(descriptor)
+    if stat.S_ISREG(found.st_mode):
+        raise _too_large(path, most_bytes)
+    raise SemvizError(f"{path}: cannot be read (a folder or a device, not a file)")
+
+
+def _too_large(path: Path, most_bytes: int) -> SemvizError:
+    return SemvizError(
+        f"{path}: more than {most_bytes / 2**20:g} MB; split the file, or make it smaller"
+    )
+
+
+def shown(path: object, most: int = 200) -> str:
+    """Return a name from a file as one printable line, shortened if it is long."""
+    text = str(path)
+    printable = text if text.isprintable() else ascii(text)[1:-1]
+    return printable if len(printable) <= most else f"{printable[:most]} ..."
+
+
+def first_line(error: object, most: int = 200) -> str:
+    """Return the first line of an error's text, printable and shortened."""
+    return shown((str(error).splitlines() or [type(error).__name__])[0], most)
+
+
+def unpacked(data: bytes, most_bytes: int) -> bytes:
+    """Return what ``zlib.compress`` packed. Raise ValueError if it is damaged or larger."""
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(data, most_bytes)
+    except zlib.error as error:
+        raise ValueError(str(error)) from None
+    if not unpacker.eof:
+        raise ValueError(f"compressed data is cut off, or unpacks to more than {most_bytes} bytes")
+    return content
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Return parsed JSON. Raise ValueError if it is invalid, or nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("JSON nested too deeply") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return a file's TOML. Raise SemvizError if it is unreadable, or too large."""
+    try:
+        text = read_limited(path, MOST_SETTINGS_BYTES).decode("utf-8")
+        if any(part.count(".") > _MOST_KEY_PARTS for part in _TOML_KEY_END.split(text)):
+            raise ValueError(f"a key of more than {_MOST_KEY_PARTS} parts")  # quadratic in tomllib
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SemvizError(
+            f"{path}: not readable as TOML ({first_line(error)}); repair it"
+        ) from None
+
+
+def image_size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height from the header of a PNG or JPEG; None if it has no such header."""
+    if data.startswith(_PNG_START):
+        whole = len(data) >= 24 and data[12:16] == b"IHDR"
+        return struct.unpack(">II", data[16:24]) if whole else None
+    return _jpeg_size(data) if data.startswith(_JPEG_START) else None
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    place = 2
+    while place + 9 <= len(data) and data[place] == 0xFF:
+        marker = data[place + 1]
+        if marker == 0xFF or marker in _JPEG_BARE:  # filling, or a marker alone
+            place += 1 if marker == 0xFF else 2
+            continue
+        (length,) = struct.unpack(">H", data[place + 2 : place + 4])
+        if marker in _JPEG_SIZES:
+            height, width = struct.unpack(">HH", data[place + 5 : place + 9])
+            return width, height
+        place += 2 + max(length, 2)
+    return None
+
+
+def check_image_size(data: bytes, where: object) -> tuple[int, int]:
+    """Return width and height of a PNG or JPEG, from its header.
+
+    Raise SemvizError, starting with ``where``, if it is neither, or too large to be decoded.
+    """
+    width, height = image_size(data) or (0, 0)
+    if not width or not height or not _chunks_fit(data):
+        raise SemvizError(f"{where}: not a readable PNG or JPEG image; copy it again")
+    check_pixels(width, height, where)
+    return width, height
+
+
+def check_pixels(width: int, height: int, where: object) -> None:
+    """Raise SemvizError, starting with ``where``, if an image of this size is too large."""
+    if width * height > MOST_IMAGE_PIXELS:
+        raise SemvizError(
+            f"{where}: the image is {width}x{height}; up to {MOST_IMAGE_PIXELS} pixels are read"
+        )
+
+
+def _chunks_fit(data: bytes) -> bool:
+    """Whether no chunk of a PNG states more bytes than there are: OpenCV would reserve them."""
+    if not data.startswith(_PNG_START):
+        return True
+    place = len(_PNG_START)
+    while place + 8 <= len(data):
+        place += 12 + int(struct.unpack(">I", data[place : place + 4])[0])
+    return place == len(data)
+
+
+def decode_image(data: bytes, where: object, reduced: bool = False) -> ByteImage:
+    """Return (height, width, 3) blue first, of a PNG or JPEG; at half the size if ``reduced``.
+
+    Raise SemvizError if ``check_image_size`` does (nothing is decoded then), or it is damaged.
+    """
+    import cv2
+
+    check_image_size(data, where)
+    flags = cv2.IMREAD_REDUCED_COLOR_2 if reduced else cv2.IMREAD_COLOR
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise SemvizError(f"{where}: not a readable PNG or JPEG image; copy it again")
+    return np.asarray(image, np.uint8)
+
+
+def open_parquet(
+    path: Path, most_bytes: int, most_values: int, dictionaries: tuple[str, ...] = ()
+) -> "ParquetFile":
+    """Open a Parquet file that takes at most ``most_bytes``, packed and unpacked.
+
+    No column may have more than ``most_values`` values, which a few bytes can repeat. Texts at the
+    paths ``dictionaries`` are read without copies of repeated ones. Raise SemvizError for others,
+    and pyarrow's errors for damaged ones.
+    """
+    import pyarrow.parquet as pq
+
+    check_file(path, most_bytes)
+    columns = unpacked_columns(path)
+    if sum(column.bytes for column in columns) > most_bytes:
+        raise SemvizError(f"{path}: unpacks to more than {most_bytes // 2**20} MB; not read")
+    if max((column.values for column in columns), default=0) > most_values:
+        raise SemvizError(f"{path}: more than {most_values} values in a column; not read")
+    schema = pq.read_metadata(path).schema
+    paths = {column.path for column in map(schema.column, range(len(schema)))}
+    return pq.ParquetFile(path, read_dictionary=[name for name in dictionaries if name in paths])

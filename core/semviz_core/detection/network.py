@@ -1,0 +1,161 @@
+"""The shipped detector as a model: an image in, regions out.
+
+The network is a small residual network with a feature pyramid (Lin et al. 2017) and outputs at
+stride 4, as in CenterNet (Zhou et al., "Objects as Points", 2019). It must run on one CPU core, so
+it has few channels at high resolution. It takes 8-bit sRGB images.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, pixel_shuffle
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.weights import NetworkWeights, load_trained
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.heatmaps import BORDER, MASKS, Channels, regions_in
+from semviz_core.detection.regions import Region
+
+TASK = "detector"
+SIDES = 32
+"""Stride of the coarsest level: images are padded to multiples of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatmapModel:
+    """The network of ``semviz detect train`` with its weights."""
+
+    network: "DetectorNet"
+    classes: ClassSet
+    threshold: FloatArray
+    """(classes,) least heat of a region."""
+    name: str = "semviz"
+
+    @classmethod
+    def of(cls, network: "DetectorNet", classes: ClassSet) -> "HeatmapModel":
+        """Return the model of a trained network, which is changed for inference."""
+        return cls(network.eval().folded(), classes, network.threshold.double().numpy())
+
+    def find(self, image: ByteImage) -> list[Region]:
+        """Return the regions in an image (height, width, 3) sRGB of any size, best score first."""
+        import torch
+
+        if image.ndim != 3 or image.shape[2] != 3 or not image.size:
+            raise SemvizError(f"an image of shape {image.shape}; give (height, width, 3)")
+        height, width = image.shape[:2]
+        below, beside = -height % SIDES, -width % SIDES
+        padded = np.pad(image, ((0, below), (0, beside), (0, 0)), constant_values=BORDER)
+        with torch.inference_mode():
+            maps = self.network(torch.from_numpy(padded)[None])
+            masks = masks_of(maps, Channels(len(self.classes)))[0]
+        shape = (height, width)
+        return regions_in(maps[0].numpy(), masks.numpy(), self.threshold, self.classes, shape)
+
+
+def load_shipped_model(
+    path: Path | None = None, classes: ClassSet = DEFAULT_CLASSES
+) -> HeatmapModel:
+    """Return the model with the weights at ``path``; default: the shipped weights.
+
+    Raise SemvizError if the weights are missing or for another task, or torch is missing.
+    """
+    return load_trained(TASK, path, classes, _build)
+
+
+def _build(weights: NetworkWeights, classes: ClassSet, path: Path) -> HeatmapModel:
+    network = DetectorNet(len(classes))
+    weights.load_into(network, path)
+    return HeatmapModel.of(network, classes)
+
+
+WIDTHS = (16, 24, 48, 96, 128)
+"""Channels at strides 2, 4, 8, 16 and 32."""
+BLOCKS = (0, 1, 2, 2, 2)
+"""Residual blocks at each stride. At stride 32 the receptive field reaches 300 px up and down: both
+ends of a pole as tall as an image."""
+PYRAMID, HEAD = 32, 48
+RARE = -4.6
+"""Initial logit of heat, since few cells hold a centre."""
+MEAN, SPREAD = 114.0, 64.0
+"""Approximate mean and standard deviation of 8-bit pixels."""
+
+
+class DetectorNet(nn.Module):
+    """Images (b, height, width, 3) 8-bit sRGB, sides multiples of 32, to maps of float32.
+
+    Maps are (b, ``Channels.count``, height / 4, width / 4), masks included as channels;
+    ``Channels`` gives their order.
+    """
+
+    def __init__(self, classes: int) -> None:
+        super().__init__()
+        self.stages = nn.ModuleList(
+            nn.Sequential(_conv(before, width, 2), *(_Residual(width) for _ in range(blocks)))
+            for before, width, blocks in zip((3, *WIDTHS), WIDTHS, BLOCKS, strict=False)
+        )
+        self.lateral = nn.ModuleList(nn.Conv2d(width, PYRAMID, 1) for width in WIDTHS[1:])
+        self.merge = nn.ModuleList(_conv(PYRAMID, PYRAMID) for _ in WIDTHS[2:])
+        self.head = _conv(PYRAMID, HEAD)
+        channels = Channels(classes)
+        self.answer = nn.Conv2d(HEAD, channels.count, 1)
+        bias = torch.zeros(channels.count)
+        bias[channels.heat] = RARE
+        self.answer.bias = nn.Parameter(bias)
+        self.register_buffer("threshold", torch.full((classes,), 0.3))
+        self.threshold: Tensor
+        """(classes,) least heat of a region; chosen after training."""
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # twice as fast
+
+    def forward(self, image: Tensor) -> Tensor:
+        x = (image.permute(0, 3, 1, 2).float() - MEAN) / SPREAD  # channels last, as stored
+        levels: list[Tensor] = []
+        for stage in self.stages:
+            x = stage(x)
+            levels.append(x)
+        y = self.lateral[-1](levels[-1])
+        for number in range(len(self.merge) - 1, -1, -1):
+            y = interpolate(y, scale_factor=2.0, mode="nearest") + self.lateral[number](
+                levels[number + 1]
+            )
+            y = self.merge[number](y)
+        y = self.head(y)
+        with torch.autocast(image.device.type, enabled=False):  # bfloat16 is too coarse for pixels
+            answer: Tensor = self.answer(y.float())
+        return answer
+
+    def folded(self) -> "DetectorNet":
+        """Return self for inference only, with normalization folded into the convolutions."""
+        for block in [module for module in self.modules() if isinstance(module, nn.Sequential)]:
+            convolution, *others = block
+            if isinstance(convolution, nn.Conv2d) and isinstance(others[0], nn.BatchNorm2d):
+                block[0] = fuse_conv_bn_eval(convolution, others[0])
+                block[1] = nn.Identity()
+        return self
+
+
+def masks_of(maps: Tensor, channels: Channels) -> Tensor:
+    """Return (b, 2, 2 h, 2 w) logits of pole and sign pixels from maps (b, channels, h, w)."""
+    return pixel_shuffle(maps[:, channels.mask], MASKS)
+
+
+class _Residual(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.one, self.other = _conv(width, width), _conv(width, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        y: Tensor = x + self.other(self.one(x))
+        return y
+
+
+def _conv(before: int, width: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(before, width, 3, stride, 1, bias=False),
+        nn.BatchNorm2d(width),
+        nn.ReLU(inplace=True),
+    )

@@ -1,0 +1,210 @@
+"""Candidates for a pole's axis: from the model's region and from edges in the image."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_core.common.arrays import FloatArray
+from semviz_core.detection.regions import Region, predicted_sigma_px
+from semviz_core.subpixel import pole_axis
+from semviz_core.subpixel.sampling import SampledImage
+
+SHORTEST_PX = 3.0
+AGREE_SIGMAS, WORSE = 3.0, 2.0
+"""Lines agree within this many sigmas; a line with this many times the sigma is much worse."""
+_REACHES_PX = (1.5, 2.5, 4.0)
+"""Search distances around a first line; the smallest that covers two sigmas is used."""
+_THIN_PX, _DIFFERS = 4.0, 0.35
+"""A thinner pole must differ from both sides in this share of its rows."""
+_WIDTHS_PX = (8.0, 14.0, 24.0, pole_axis.WIDEST_PX)
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A candidate for a pole's axis."""
+
+    kind: str
+    """How it was measured: a key of ``regions.WEIGHTS``."""
+    ends_px: FloatArray
+    """(2, 2) upper end first."""
+    width_px: float
+    """Width of the pole; approximate without edges."""
+    evidence: FloatArray
+    """(k,) of its kind."""
+
+    @property
+    def sigma_px(self) -> float:
+        """Sigma across the line, at its ends."""
+        return predicted_sigma_px(self.kind, self.evidence)
+
+
+def best_line(image: SampledImage, region: Region) -> Line | None:
+    """Return the axis with the least sigma, averaged with candidates that agree.
+
+    None if the region has no length.
+    """
+    lines = first_lines(region)
+    if not lines:
+        return None
+    edges = line_by_edges(image, region, min(lines, key=lambda line: line.sigma_px))
+    candidates = [*lines, *([] if edges is None else [edges])]
+    return _agreed(min(candidates, key=lambda line: line.sigma_px), candidates)
+
+
+def _agreed(best: Line, lines: list[Line]) -> Line:
+    """Return the best line, moved to the mean, weighted by 1 / sigma^2, of all lines that agree.
+
+    Much worse lines are left out: they add little, and their errors are systematic.
+    """
+    total, weights = np.zeros(2), 0.0
+    normal = pole_axis.across(best.ends_px)
+    for line in [line for line in lines if line.sigma_px <= WORSE * best.sigma_px]:
+        gap = line.ends_px[0] - best.ends_px
+        off = (gap @ pole_axis.across(line.ends_px)) / max(
+            float(normal @ pole_axis.across(line.ends_px)), 0.1
+        )
+        if np.abs(off).max() <= AGREE_SIGMAS * np.hypot(line.sigma_px, best.sigma_px):
+            total += off / line.sigma_px**2
+            weights += 1.0 / line.sigma_px**2
+    moved = total / weights
+    return replace(
+        best, ends_px=pole_axis.shift_line(best.ends_px, float(moved[0]), float(moved[1]))
+    )
+
+
+def first_lines(region: Region) -> list[Line]:
+    """Return the model's candidates: by its ends and mask, or else by its box."""
+    candidates = [_by_ends(region), _by_mask(region)]
+    lines = [line for line in candidates if line is not None] or [_by_box(region)]
+    return [line for line in lines if _length_px(line.ends_px) >= SHORTEST_PX]
+
+
+def line_by_edges(image: SampledImage, region: Region, first: Line) -> Line | None:
+    """Return the likeliest pair of parallel edges near a line, to a fraction of a pixel."""
+    sufficient = (reach for reach in _REACHES_PX if reach >= 2.0 * first.sigma_px)
+    reach = next(sufficient, _REACHES_PX[-1])
+    box_px = region.box_px[2:] - region.box_px[:2]
+    most = 1.3 * float(box_px.min()) + 5.0
+    widest = next((width for width in _WIDTHS_PX if width >= most), pole_axis.WIDEST_PX)
+    axes = pole_axis.find_axes(image, first.ends_px, reach, 2, widest)
+    if not axes:
+        return None
+    chosen = next((axis for axis in axes if not _is_step(image, axis)), axes[0])
+    axis = pole_axis.refine_axis(image, chosen)
+    margin = min([5.0, *(chosen.score - other.score for other in axes if other is not chosen)])
+    moved = np.abs((axis.ends_px - first.ends_px) @ pole_axis.across(first.ends_px)).max()
+    evidence = np.array(
+        [
+            *pole_axis.edge_support(image, axis.ends_px, axis.width_px),
+            pole_axis.stripe(image, axis.ends_px, axis.width_px),
+            np.clip(margin, -3.0, 3.0),
+            np.log(moved / first.sigma_px + 0.5),
+            np.log(first.sigma_px),
+            np.log(axis.width_px),
+            np.log(_length_px(axis.ends_px)),
+            abs(np.log((axis.width_px + 1.0) / (first.width_px + 1.0))),
+        ]
+    )
+    return Line("line by edges", axis.ends_px, axis.width_px, evidence)
+
+
+def _is_step(image: SampledImage, axis: pole_axis.Axis) -> bool:
+    """Whether both edges are flanks of one edge: the area between differs from neither side."""
+    thin = axis.width_px < _THIN_PX
+    return bool(thin and pole_axis.stripe(image, axis.ends_px, axis.width_px) < _DIFFERS)
+
+
+def _by_ends(region: Region) -> Line | None:
+    if region.ends_px is None:
+        return None
+    length = np.log(_length_px(region.ends_px) + 1.0)
+    evidence = np.array([length, 1.0 - region.score])
+    return Line("line by ends", region.ends_px, _box_width_px(region), evidence)
+
+
+def _by_box(region: Region) -> Line:
+    left, top, right, bottom = region.box_px
+    middle = (left + right) / 2.0
+    evidence = np.log([right - left + 1.0, bottom - top + 1.0])
+    ends = np.array([[middle, top], [middle, bottom]])
+    return Line("line by box", ends, _box_width_px(region), evidence)
+
+
+def _by_mask(region: Region) -> Line | None:
+    """Return a robust line through the centres of the mask's rows."""
+    points = mask_points(region)
+    if len(points) < 3:
+        return None
+    start, along = _principal(points)
+    for _ in range(2):
+        positions, middles, widths = _slices(points, start, along)
+        if len(positions) < 3:
+            return None
+        first, slope, residual = _robust_line(positions, middles, widths)
+        normal = np.array([along[1], -along[0]])
+        start, along = start + first * normal, along + slope * normal
+        along = along / np.linalg.norm(along)
+    positions = (points - start) @ along
+    extent = np.array([positions.min(), positions.max()])
+    width = float(np.median(widths))
+    evidence = np.array(
+        [np.log(extent[1] - extent[0] + 1.0), np.log(residual + 0.2), np.log(width)]
+    )
+    return Line("line by mask", start + extent[:, None] * along, width, evidence)
+
+
+def mask_points(region: Region) -> FloatArray:
+    """Return (n, 2) centres of the mask's pixels; none without a mask."""
+    if region.mask is None:
+        return np.zeros((0, 2))
+    rows, columns = np.nonzero(region.mask)
+    points = np.stack([columns, rows], axis=1).astype(np.float64)
+    return np.asarray(points + np.asarray(region.corner_px))
+
+
+def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean (2,) of points (n, 2) and their principal direction (2,), downwards."""
+    middle = points.mean(axis=0)
+    centred = points - middle
+    along = np.linalg.eigh(centred.T @ centred)[1][:, 1]
+    return middle, along if along[1] > 0.0 else -along
+
+
+def _slices(
+    points: FloatArray, start: FloatArray, along: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (k,) positions along a line, and the middles and widths of the points there."""
+    places = (points - start) @ along
+    offsets = (points - start) @ np.array([along[1], -along[0]])
+    slot = np.round(places - places.min()).astype(np.int64)
+    low, high = np.full(slot.max() + 1, np.inf), np.full(slot.max() + 1, -np.inf)
+    np.minimum.at(low, slot, offsets)
+    np.maximum.at(high, slot, offsets)
+    rows = np.flatnonzero(low <= high)
+    low, high = low[rows], high[rows]
+    return places.min() + rows.astype(np.float64), (low + high) / 2.0, high - low + 1.0
+
+
+def _robust_line(
+    places: FloatArray, middles: FloatArray, widths: FloatArray
+) -> tuple[float, float, float]:
+    """Return offset, slope and residual of a line; outliers and wide slices get low weights."""
+    usual = np.minimum(1.0, np.median(widths) / widths)
+    weight = usual
+    for _ in range(5):
+        total = float(weight.sum())
+        at, level = float(weight @ places) / total, float(weight @ middles) / total
+        from_at = places - at
+        slope = float(weight @ (from_at * (middles - level))) / float(weight @ from_at**2)
+        off = np.abs(middles - level - slope * from_at)
+        scale = max(1.48 * float(np.median(off)), 0.3)
+        weight = usual / (1.0 + (off / (2.0 * scale)) ** 2)
+    return level - slope * at, slope, scale
+
+
+def _box_width_px(region: Region) -> float:
+    return float(max(1.0, (region.box_px[2:] - region.box_px[:2]).min() + 1.0))
+
+
+def _length_px(ends_px: FloatArray) -> float:
+    return float(np.linalg.norm(ends_px[1] - ends_px[0]))

@@ -1,0 +1,255 @@
+"""Find the visible ends of a pole along its axis, and whether they are the pole's own.
+
+A visible end can also be the edge of an occluding object, or the image border. A sign at the peak
+is treated separately.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.detection.pole_axes import SHORTEST_PX, Line, mask_points
+from semviz_core.detection.regions import Region, known, predicted_sigma_px
+from semviz_core.subpixel.pole_axis import across
+from semviz_core.subpixel.pole_ends import end_by_rows, visible_end
+from semviz_core.subpixel.sampling import SampledImage
+
+_SHORTEST_PX = 6.0
+_MOST_PX = 12.0
+"""Largest sigma of the range in which rows are examined."""
+_REACH_PX = 3.0
+"""Search distance for a visible end from the end by rows."""
+_AT_BORDER_PX = 2.0
+_BESIDE_SIGN_PX = 8.0
+"""A predicted peak at most this far above a sign is at the sign."""
+_BELOW_SIGN = 0.4
+"""A predicted peak at most this share of the sign's height below a sign is at the sign."""
+_ABOVE_SIGN_PX = 6.0
+"""Sigma of the length of the pole above its sign."""
+_STEP = 12.0
+"""Step in grey levels at which the edge of an occluding object has half a vote."""
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """A candidate for the visible end of a pole at its peak (0) or bottom (1)."""
+
+    kind: str
+    """How it was measured: a key of ``regions.WEIGHTS``."""
+    which: int
+    place_px: float
+    """Position along the axis, from the line's midpoint, downwards."""
+    evidence: FloatArray
+    """(k,) of its kind."""
+
+    @property
+    def sigma_px(self) -> float:
+        """Sigma along the axis."""
+        return predicted_sigma_px(self.kind, self.evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """The visible part of a pole."""
+
+    ends_px: FloatArray
+    """(2, 2) upper and lower end."""
+    known: tuple[bool, bool]
+    """Whether the ends are the pole's peak and bottom."""
+    sigma_along_px: float
+    """Root mean square of the known ends' sigmas, or of both if none is known."""
+
+
+def pole_extent(
+    image: SampledImage, region: Region, line: Line, signs: Sequence[Region]
+) -> Extent | None:
+    """Return the extent of a pole on a line; None if it is outside the image.
+
+    ``signs`` are the regions of all signs in the image.
+    """
+    ends = [best_end(image, region, line, signs, which) for which in range(2)]
+    middle, along = midpoint_and_direction(line)
+    ends_px = middle + np.array([[end.place_px] for end in ends]) * along
+    on_border, cut = within_image(image, ends_px)
+    if (on_border[1] - on_border[0]) @ along < SHORTEST_PX:
+        return None
+    ends_known = region.ends_known
+    if ends_known is None:
+        evidence = [end_evidence(image, line, on_border, end) for end in ends]
+        ends_known = known(evidence[0]), known(evidence[1])
+    own_ends = ~cut & ends_known
+    sigmas = np.array([end.sigma_px for end in ends])
+    sigmas_used = sigmas[own_ends] if own_ends.any() else sigmas
+    return Extent(
+        on_border, (bool(own_ends[0]), bool(own_ends[1])), float(np.sqrt((sigmas_used**2).mean()))
+    )
+
+
+def best_end(
+    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
+) -> End:
+    """Return the candidate with the least sigma."""
+    return min(all_ends(image, region, line, signs, which), key=lambda end: end.sigma_px)
+
+
+def all_ends(
+    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
+) -> list[End]:
+    """Return all candidates; for a peak at a sign, only that of the sign."""
+    ends = first_ends(region, line, which)
+    first = min(ends, key=lambda end: end.sigma_px)
+    sign = None if which else _sign_at(line, signs, first)
+    if sign is not None:
+        return [end_at_sign(image, line, sign)]
+    rows = end_in_image(image, line, first)
+    return ends if rows is None else [*ends, rows, *visible_end_near(image, line, first, rows)]
+
+
+def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
+    """Return the sign that hides the predicted peak of a pole; None without one."""
+    middle, along = midpoint_and_direction(line)
+    peak_u, peak_v = middle + first.place_px * along
+    for sign in signs:
+        left, top, right, bottom = sign.box_px
+        above, below = _BESIDE_SIGN_PX, _BELOW_SIGN * (bottom - top)
+        if left <= peak_u <= right and top - above < peak_v < bottom + below:
+            return sign
+    return None
+
+
+def end_at_sign(image: SampledImage, line: Line, sign: Region) -> End:
+    """Return a peak at the top of a sign, or further up if the pole continues above it."""
+    middle, along = midpoint_and_direction(line)
+    _, top, _, bottom = sign.box_px
+    place = float((top - middle[1]) * along[1])
+    start, width = middle + place * along, line.width_px
+    height = np.log(bottom - top + 1.0)
+    rows = end_by_rows(image, line.ends_px[1], start, width, _ABOVE_SIGN_PX, hidden=True)
+    beyond = 0.0 if rows is None else rows.off_px
+    evidence = np.array([height, np.log(width), np.log(beyond + 1.0)])
+    return End("end at sign", 0, place - beyond, evidence)
+
+
+def first_ends(region: Region, line: Line, which: int) -> list[End]:
+    """Return the model's candidates: by its ends and mask, or else by its box."""
+    middle, along = midpoint_and_direction(line)
+    candidates: list[End] = []
+    length = np.log(float(np.linalg.norm(region.box_px[2:] - region.box_px[:2])) + 1.0)
+    slack = np.log(line.sigma_px)
+    if region.ends_px is not None:
+        position = float((region.ends_px[which] - middle) @ along)
+        candidates.append(End("end by model", which, position, np.array([length, slack, which])))
+    points = mask_points(region)
+    if len(points):
+        places = (points - middle) @ along
+        beside = np.abs((points - middle) @ across(line.ends_px)) <= line.width_px / 2.0 + 1.5
+        if beside.any():
+            places = places[beside]
+        position = float(places.max() + 0.5) if which else float(places.min() - 0.5)
+        candidates.append(End("end by mask", which, position, np.array([length, slack, which])))
+    if not candidates:
+        corner = np.array([middle[0], region.box_px[3 if which else 1]])
+        position = float((corner - middle) @ along)
+        candidates.append(End("end by box", which, position, np.array([length, slack, which])))
+    return candidates
+
+
+def end_in_image(image: SampledImage, line: Line, first: End) -> End | None:
+    """Return the end by the rows' evidence for the pole, near the model's end; None if unclear."""
+    other, end = _start_and_end(line, first)
+    if np.linalg.norm(end - other) < _SHORTEST_PX:
+        return None
+    sigma = min(2.0 * first.sigma_px, _MOST_PX)
+    rows = end_by_rows(image, other, end, line.width_px, sigma)
+    if rows is None:
+        return None
+    evidence = np.array(
+        [
+            min(rows.margin, 8.0),
+            np.log(abs(rows.off_px) / first.sigma_px + 0.5),
+            *_line_evidence(line, first),
+        ]
+    )
+    return End("end by rows", first.which, _beyond(first, rows.off_px), evidence)
+
+
+def visible_end_near(image: SampledImage, line: Line, first: End, rows: End) -> list[End]:
+    """Return the end where the pole's colour changes, near the end by rows; empty if unclear."""
+    other, end = _start_and_end(line, rows)
+    if np.linalg.norm(end - other) < _SHORTEST_PX:
+        return []
+    off = visible_end(image, other, end, line.width_px, _REACH_PX)
+    if off is None:
+        return []
+    place = _beyond(rows, off)
+    moved = np.log(abs(place - first.place_px) / first.sigma_px + 0.5)
+    evidence = np.array(
+        [rows.evidence[0], np.log(abs(off) + 0.5), moved, *_line_evidence(line, first)]
+    )
+    return [End("end by edges", first.which, place, evidence)]
+
+
+def _start_and_end(line: Line, end: End) -> tuple[FloatArray, FloatArray]:
+    """Return the line's other end (2,) and this end (2,)."""
+    middle, along = midpoint_and_direction(line)
+    return line.ends_px[1 - end.which], middle + end.place_px * along
+
+
+def _beyond(end: End, off_px: float) -> float:
+    return end.place_px + (off_px if end.which else -off_px)
+
+
+def _line_evidence(line: Line, first: End) -> tuple[float, ...]:
+    sigmas = np.log([first.sigma_px, line.width_px, line.sigma_px])
+    return (*sigmas.tolist(), float(first.which))
+
+
+def within_image(image: SampledImage, ends_px: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return ends (2, 2) clipped to the image along their line, and (2,) which are cut off."""
+    height, width = image.image.shape[:2]
+    low, high = np.array([-0.5, -0.5]), np.array([width - 0.5, height - 0.5])
+    step = ends_px[1] - ends_px[0]
+    level = np.where(np.abs(step) < 1e-9, 1e-9, step)
+    to_low, to_high = (low - ends_px[0]) / level, (high - ends_px[0]) / level
+    enters = np.minimum(to_low, to_high).max()
+    leaves = np.maximum(to_low, to_high).min()
+    near = _AT_BORDER_PX / float(np.linalg.norm(level))
+    cut = np.array([enters + near >= 0.0, leaves - near <= 1.0])
+    share = np.where(cut, [enters, leaves], [0.0, 1.0])
+    return ends_px[0] + share[:, None] * step, cut
+
+
+def end_evidence(image: SampledImage, line: Line, ends_px: FloatArray, end: End) -> FloatArray:
+    """Return (k,) evidence for a visible end being the pole's own, not an occluder's edge."""
+    return np.array(
+        [
+            float(end.kind in ("end by edges", "end by rows")),
+            float(end.kind == "end at sign"),
+            crossing(image, ends_px, line.width_px, end.which),
+            float(end.which),
+        ]
+    )
+
+
+def crossing(image: SampledImage, ends_px: FloatArray, width_px: float, which: int) -> float:
+    """Return the vote (0 to 1) for an occluding edge that continues on both sides of the pole."""
+    along = (ends_px[1] - ends_px[0]) / np.linalg.norm(ends_px[1] - ends_px[0])
+    rows = np.arange(-3.0, 3.5, 1.0)[:, None, None]
+    beside = width_px / 2.0 + np.array([2.0, 3.5, 5.0, 6.5])
+    normal = across(ends_px)
+    votes = []
+    for side in (-1.0, 1.0):
+        columns = (side * beside)[:, None]
+        colors = image.sample(ends_px[which] + rows * along + columns * normal)
+        step = colors[2:] - colors[:-2]
+        slope = np.sqrt((step.mean(axis=1) ** 2).mean(axis=1)).max() / 2.0
+        votes.append(slope**2 / (slope**2 + _STEP**2))
+    return float(min(votes))
+
+
+def midpoint_and_direction(line: Line) -> tuple[FloatArray, FloatArray]:
+    """Return a line's midpoint (2,) and its direction (2,), downwards."""
+    step = line.ends_px[1] - line.ends_px[0]
+    return line.ends_px.mean(axis=0), step / np.linalg.norm(step)

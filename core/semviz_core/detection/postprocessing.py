@@ -1,0 +1,318 @@
+"""Turn the output of external models into regions: boxes (YOLO, DETR) and class maps.
+
+Overlapping boxes are suppressed (NMS), best score first. In a class map each connected component
+of a sign is a region. Arms and crossbars of poles are removed, and pieces along one axis joined.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.model_config import IGNORED, SIGN, ImagePlacement, Maps, ModelClasses
+from semviz_core.detection.regions import Region
+
+MOST_BOXES = 300
+"""Maximum number of boxes kept, by score."""
+Output = NDArray[Any]
+"""A model's output: floats of any width."""
+
+
+class Boxes(NamedTuple):
+    """The n boxes of a model, each with its best class."""
+
+    edges: FloatArray
+    """(n, 4) left, top, right, bottom in pixels of the input, from its corner."""
+    label: IntArray
+    """(n,) index of the model's class."""
+    score: FloatArray
+    """(n,)"""
+
+
+def yolo_boxes(output: Output, labels: int, objectness: bool) -> Boxes:
+    """Return the boxes of (1, n, 5 + labels) with objectness (v5), or (1, 4 + labels, n) (v8 on).
+
+    Rows are centre, width and height in pixels of the input, then scores. Raise SemvizError if the
+    shape differs or the scores are not in [0, 1].
+    """
+    columns = labels + 4 + objectness
+    shown = f"(1, boxes, {columns})" if objectness else f"(1, {columns}, boxes)"
+    if output.ndim != 3 or len(output) != 1 or output.shape[2 if objectness else 1] != columns:
+        raise SemvizError(f"an output of shape {output.shape}; with {labels} labels it is {shown}")
+    rows = (output[0] if objectness else output[0].T).astype(np.float64)
+    scores = rows[:, 4 + objectness :] * (rows[:, 4:5] if objectness else 1.0)
+    if scores.size and not (scores.min() >= -1e-3 and scores.max() <= 1.0 + 1e-3):
+        raise SemvizError("scores are not between 0 and 1: export the model with its last layer")
+    return _best(_edges(rows[:, :4]), np.clip(scores, 0.0, 1.0))
+
+
+def detr_boxes(logits: Output, boxes: Output, labels: int, input_size: tuple[int, int]) -> Boxes:
+    """Return the boxes of logits (1, n, labels [+ 1]) and boxes (1, n, 4), shares of the input.
+
+    With one logit more than labels, for "no object", scores are a softmax, else sigmoids. Raise
+    SemvizError if the shapes differ.
+    """
+    if logits.ndim != 3 or len(logits) != 1 or logits.shape[2] not in (labels, labels + 1):
+        raise SemvizError(
+            f"logits of shape {logits.shape}; with {labels} labels they are (1, boxes, {labels}), "
+            f"or (1, boxes, {labels + 1}) with one for no object"
+        )
+    if boxes.shape != (1, logits.shape[1], 4):
+        raise SemvizError(f"boxes of shape {boxes.shape}; they are (1, {logits.shape[1]}, 4)")
+    values = logits[0].astype(np.float64)
+    alone = values.shape[1] == labels
+    scores = sigmoid(values) if alone else softmax(values, 1)[:, :labels]
+    width, height = input_size
+    return _best(_edges(boxes[0].astype(np.float64)) * [width, height, width, height], scores)
+
+
+def softmax(values: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return probabilities of logits; they sum to 1 along an axis."""
+    powers = np.exp(values - values.max(axis=axis, keepdims=True))
+    return np.asarray(powers / powers.sum(axis=axis, keepdims=True))
+
+
+def sigmoid(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the probability of each logit."""
+    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * values))
+
+
+def box_regions(
+    boxes: Boxes,
+    classes: ModelClasses,
+    placement: ImagePlacement,
+    least_score: float,
+    most_overlap: float = 1.0,
+) -> list[Region]:
+    """Return regions of the boxes above ``least_score``, best first.
+
+    Of two boxes that overlap by more than ``most_overlap`` (IoU), the better is kept. Poles and
+    signs never suppress each other; signs of different shapes do.
+    """
+    target = classes.target[boxes.label]
+    wanted = np.nonzero((target != IGNORED) & (boxes.score >= least_score))[0]
+    best = wanted[np.argsort(-boxes.score[wanted], kind="stable")][:MOST_BOXES]
+    box_px = placement.boxes_px(boxes.edges[best])
+    is_line = np.isin(target[best], list(classes.lines))
+    kept = np.asarray((box_px[:, 2:] > box_px[:, :2]).all(axis=1))
+    for kind in (is_line, ~is_line):
+        rows = np.nonzero(kind & kept)[0]
+        kept[rows] = suppress_overlaps(box_px[rows], most_overlap)
+    return [
+        Region(
+            class_id=None if target[row] == SIGN else int(target[row]),
+            score=float(boxes.score[row]),
+            box_px=box,
+        )
+        for row, box in zip(best[kept], box_px[kept], strict=True)
+    ]
+
+
+def suppress_overlaps(box_px: FloatArray, most_overlap: float) -> NDArray[np.bool_]:
+    """Return (n,) whether each box is kept (NMS): no better one overlaps it by more (IoU).
+
+    Boxes are sorted, best first.
+    """
+    low, high = box_px[:, None, :2], box_px[:, None, 2:]
+    inner = np.minimum(high, box_px[:, 2:]) - np.maximum(low, box_px[:, :2])
+    intersection = np.clip(inner, 0.0, None).prod(axis=2)
+    area = (box_px[:, 2:] - box_px[:, :2]).prod(axis=1)
+    overlaps = intersection > most_overlap * (area[:, None] + area - intersection)
+    kept = np.ones(len(box_px), bool)
+    for row in range(len(box_px)):
+        kept[row] = not (overlaps[row, :row] & kept[:row]).any()
+    return kept
+
+
+def _edges(centred: FloatArray) -> FloatArray:
+    """Convert centre, width and height to left, top, right, bottom."""
+    middle, half = centred[:, :2], np.abs(centred[:, 2:]) / 2.0
+    return np.concatenate([middle - half, middle + half], axis=1)
+
+
+def _best(edges: FloatArray, scores: FloatArray) -> Boxes:
+    label = scores.argmax(axis=1)
+    return Boxes(edges, label.astype(np.int64), np.take_along_axis(scores, label[:, None], 1)[:, 0])
+
+
+_POLE_ROWS, _PIECE_ROWS = 8, 3
+"""Least number of rows of a pole, and of a piece of a partly hidden pole."""
+_SLENDER = 2.0
+"""Least ratio of height to width of a pole."""
+_SIGN_SIDE, _SIGN_PIXELS = 4, 16
+_ASIDE = 1.0
+"""Largest distance, in widths of the pole, between a piece and the axis of its pole."""
+_LEAST_ASIDE_PX = 2.0
+
+
+class _Piece(NamedTuple):
+    """The pixels of one connected component, or of a joined pole."""
+
+    corner: tuple[int, int]
+    """Column and row of the first pixel."""
+    mask: BoolArray
+
+    @property
+    def rows(self) -> tuple[int, int]:
+        """The first row, and the row after the last."""
+        return self.corner[1], self.corner[1] + len(self.mask)
+
+    @property
+    def width(self) -> float:
+        """Median number of pixels in a row."""
+        counts = self.mask.sum(axis=1)
+        return float(np.median(counts[counts > 0]))
+
+
+def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
+    """Return maps (k + 1, h, w) of logits (1, classes, h, w) or of a map (1, h, w) of labels.
+
+    They hold the probability of each of the k ``wanted`` targets, then that of the likeliest
+    ignored class. Raise SemvizError if the shape differs or a label is too high.
+    """
+    labels = len(classes)
+    if output.ndim == 3 and len(output) == 1 and output.dtype.kind in "iu":
+        if output.size and not (output.min() >= 0 and output.max() < labels):
+            raise SemvizError(f"labels from {output.min()} to {output.max()}; it has {labels}")
+        odds = np.equal(output, np.arange(labels)[:, None, None]).astype(np.float32)
+    elif output.ndim == 4 and output.shape[:2] == (1, labels) and output.dtype.kind == "f":
+        odds = softmax(output[0].astype(np.float32), 0)
+    else:
+        raise SemvizError(
+            f"an output of shape {output.shape} and type {output.dtype}; with {labels} labels it "
+            f"is logits (1, {labels}, height, width) or a map (1, height, width) of whole numbers"
+        )
+    wanted = [odds[classes.target == target].sum(axis=0) for target in classes.wanted]
+    ignored = odds[classes.target == IGNORED]
+    rest = ignored.max(axis=0) if len(ignored) else np.zeros(odds.shape[1:], np.float32)
+    return np.stack([*wanted, rest])
+
+
+def mask_regions(
+    maps: Maps, classes: ModelClasses, placement: ImagePlacement, least_score: float
+) -> list[Region]:
+    """Return the regions in ``segmentation_maps``: pixels whose likeliest class is the target.
+
+    Scores are means of the pixels' probabilities. Arms of poles are removed, pieces of one pole
+    joined, specks dropped. Touching signs are one region.
+    """
+    in_image = placement.maps(maps)
+    regions: list[Region] = []
+    for index, target in enumerate(classes.wanted):
+        others = np.delete(in_image, index, axis=0).max(axis=0)
+        mask = in_image[index] > others
+        pieces = _poles(mask) if target in classes.lines else _signs(mask)
+        regions += [_region(piece, target, in_image[index]) for piece in pieces]
+    return [region for region in regions if region.score >= least_score]
+
+
+def _region(piece: _Piece, target: int, odds: NDArray[np.float32]) -> Region:
+    (left, top), (height, width) = piece.corner, piece.mask.shape
+    inside = odds[top : top + height, left : left + width][piece.mask]
+    return Region(
+        class_id=None if target == SIGN else target,
+        score=float(np.clip(inside.mean(), 0.0, 1.0)),
+        box_px=np.array([left, top, left + width - 1, top + height - 1], np.float64),
+        mask=piece.mask,
+        corner_px=piece.corner,
+    )
+
+
+def _signs(mask: BoolArray) -> list[_Piece]:
+    return [
+        component
+        for component in _components(mask)
+        if min(component.mask.shape) >= _SIGN_SIDE and component.mask.sum() >= _SIGN_PIXELS
+    ]
+
+
+def _poles(mask: BoolArray) -> list[_Piece]:
+    """Return upright pieces, longest first, each joined with those that continue its axis."""
+    pieces = [
+        upright
+        for component in _components(mask)
+        if len(component.mask) >= _PIECE_ROWS
+        for upright in _upright(component)
+    ]
+    poles: list[_Piece] = []
+    for piece in sorted(pieces, key=lambda piece: -len(piece.mask)):
+        rows = [row for row, pole in enumerate(poles) if _continues(pole, piece)]
+        if rows:
+            poles[rows[0]] = _joined(poles[rows[0]], piece)
+        else:
+            poles.append(piece)
+    return [piece for piece in poles if len(piece.mask) >= max(_POLE_ROWS, _SLENDER * piece.width)]
+
+
+def _upright(piece: _Piece) -> list[_Piece]:
+    """Remove arms and crossbars, which are about as thick as the pole is wide.
+
+    Columns with runs no higher than twice the width are dropped, so poles that only a bar connects
+    are separated.
+    """
+    import cv2
+
+    whole = piece.mask.astype(np.uint8)
+    length = 2 * int(np.ceil(piece.width)) + 1
+    if length > len(whole):
+        return [piece]
+    opened = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((length, 1), np.uint8))
+    kept = cv2.dilate(opened, np.ones((1, 3), np.uint8)).astype(bool) & piece.mask  # keeps edges
+    left, top = piece.corner
+    return [
+        _Piece((component.corner[0] + left, component.corner[1] + top), component.mask)
+        for component in _components(kept)
+        if len(component.mask) >= _PIECE_ROWS
+    ]
+
+
+def _continues(pole: _Piece, piece: _Piece) -> bool:
+    """Whether a shorter piece continues a pole: on its axis, of similar width, and near."""
+    (top, bottom), (first, end) = pole.rows, piece.rows
+    gap = max(first - bottom, top - end)
+    if not -2 <= gap <= bottom - top or not 0.4 <= piece.width / pole.width <= 2.5:
+        return False
+    slope, column = _axis(pole)
+    row = (first + end - 1) / 2.0
+    offset = abs(float(_centres(piece).mean()) - (column + slope * row))
+    return bool(offset <= max(_LEAST_ASIDE_PX, _ASIDE * pole.width))
+
+
+def _axis(pole: _Piece) -> FloatArray:
+    """Return (2,) slope in columns per row, and the column at row 0 of the image."""
+    rows = np.nonzero(pole.mask.any(axis=1))[0] + pole.corner[1]
+    if len(rows) < _POLE_ROWS:  # too short to tell a slope
+        return np.array([0.0, _centres(pole).mean()])
+    return np.polyfit(rows, _centres(pole), 1)
+
+
+def _centres(piece: _Piece) -> FloatArray:
+    """Return the mean column in the image of each row with pixels."""
+    counts = piece.mask.sum(axis=1)
+    sums = piece.mask @ np.arange(piece.mask.shape[1], dtype=np.float64)
+    return np.asarray(sums[counts > 0] / counts[counts > 0] + piece.corner[0])
+
+
+def _joined(first: _Piece, second: _Piece) -> _Piece:
+    low = np.minimum(first.corner, second.corner)
+    ends = [np.add(piece.corner, piece.mask.shape[::-1]) for piece in (first, second)]
+    width, height = np.maximum(*ends) - low
+    mask = np.zeros((height, width), bool)
+    for piece in (first, second):
+        (left, top), (rows, columns) = np.subtract(piece.corner, low), piece.mask.shape
+        mask[top : top + rows, left : left + columns] |= piece.mask
+    return _Piece((int(low[0]), int(low[1])), mask)
+
+
+def _components(mask: BoolArray) -> list[_Piece]:
+    import cv2
+
+    number, labels, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    pieces = []
+    for label in range(1, number):
+        left, top, width, height = (int(value) for value in boxes[label, :4])
+        inside = labels[top : top + height, left : left + width] == label
+        pieces.append(_Piece((left, top), inside))
+    return pieces

@@ -1,0 +1,201 @@
+"""Regions that a model finds, the elements measured in them, and their predicted sigmas.
+
+Of an element measured twice, the first measurement, by score, is kept. Pixel (0, 0) is the centre
+of the top-left pixel.
+
+The logarithm of sigma is linear in the evidence. The weights maximize the (Gaussian) likelihood of
+the errors on simulated streets. ``python bench/subpixel.py --fit`` fitted them on streets with
+seeds from 20_000; ``python bench/subpixel.py`` shows the calibration on other streets.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import mul
+
+import numpy as np
+
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.arrays import BoolArray, FloatArray, bool_array, float_array
+from semviz_core.common.errors import SemvizError
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """One pole or sign found by a model. Pixel (0, 0) is the centre of the top-left pixel."""
+
+    class_id: int | None
+    """None: a sign of unknown shape."""
+    score: float
+    """The model's confidence in [0, 1]."""
+    box_px: FloatArray
+    """(4,) left, top, right, bottom."""
+    mask: BoolArray | None = None
+    """(height, width) mask of the element's pixels, beginning at ``corner_px``; None without."""
+    corner_px: tuple[int, int] = (0, 0)
+    """Column and row of the mask's first pixel."""
+    ends_px: FloatArray | None = None
+    """(2, 2) peak and bottom of a pole, to a few pixels; None if the model does not give them."""
+    ends_known: tuple[bool, bool] | None = None
+    """Whether peak and bottom are visible, neither hidden nor cut off; None if unknown."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "box_px", float_array(self.box_px, (4,), "box_px"))
+        if (self.box_px[2:] < self.box_px[:2]).any():
+            raise SemvizError(f"box_px {self.box_px.tolist()}: give left, top, right, bottom")
+        if self.mask is not None:
+            object.__setattr__(self, "mask", bool_array(self.mask, (None, None), "mask"))
+        if self.ends_px is not None:
+            object.__setattr__(self, "ends_px", float_array(self.ends_px, (2, 2), "ends_px"))
+        if not 0.0 <= self.score <= 1.0:
+            raise SemvizError(f"score {self.score:g}: give a number from 0 to 1")
+
+    @property
+    def center_px(self) -> FloatArray:
+        """(2,) centre of the box."""
+        return np.asarray((self.box_px[:2] + self.box_px[2:]) / 2.0)
+
+
+_SAME_POLE_PX = 1.5
+"""Poles closer than this plus half a width are the same."""
+_MIN_OVERLAP = 0.5
+"""Share of the shorter length that two measurements of one pole have in common."""
+_SAME_SIGN = 0.5
+"""Share of the smaller half size: signs with closer centres are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredElement:
+    """A measured pole or sign."""
+
+    class_id: int
+    score: float
+    points_px: FloatArray
+    """(2, 2) a pole's ends, or (1, 2) a sign's centre."""
+    sigma_px: tuple[float, float]
+    """Across and along a pole; equal for signs."""
+    known: tuple[bool, bool]
+    """Whether peak (or centre) and bottom are known."""
+    size_px: float
+    """Width of a pole, half the shorter side of a sign."""
+
+
+def elements(measured: Iterable[MeasuredElement]) -> Elements2D:
+    """Return the measured elements as arrays, in the same order."""
+    rows = list(measured)
+    no_end = np.full((1, 2), np.nan)
+    ends = np.array([np.concatenate([row.points_px, no_end])[:2] for row in rows])
+    ends = ends.reshape(-1, 2, 2)
+    return Elements2D(
+        anchor_px=ends[:, 0],
+        end_px=ends[:, 1],
+        class_id=np.array([row.class_id for row in rows], np.int64),
+        score=np.array([row.score for row in rows], np.float64),
+        sigma_px=np.array([row.sigma_px for row in rows], np.float64).reshape(-1, 2),
+        anchor_known=np.array([row.known[0] for row in rows], bool),
+        end_known=np.array([row.known[1] for row in rows], bool),
+    )
+
+
+def suppress_duplicates(measured: Iterable[MeasuredElement]) -> list[MeasuredElement]:
+    """Return each element once; its first measurement is kept."""
+    kept: list[MeasuredElement] = []
+    for element in measured:
+        if not any(_same(element, earlier) for earlier in kept):
+            kept.append(element)
+    return kept
+
+
+def _same(first: MeasuredElement, second: MeasuredElement) -> bool:
+    if len(first.points_px) != len(second.points_px):
+        return False
+    size = min(first.size_px, second.size_px)
+    if len(first.points_px) == 1:
+        apart = np.linalg.norm(first.points_px - second.points_px)
+        return bool(apart < _SAME_SIGN * size)
+    return _same_pole(first.points_px, second.points_px, _SAME_POLE_PX + size / 2.0)
+
+
+def _same_pole(first: FloatArray, second: FloatArray, beside_px: float) -> bool:
+    """Whether two lines (2, 2) coincide over much of the shorter one."""
+    step = first[1] - first[0]
+    length = float(np.linalg.norm(step))
+    along = step / length
+    places = np.sort((second - first[0]) @ along)
+    overlap = min(places[1], length) - max(places[0], 0.0)
+    if overlap < _MIN_OVERLAP * min(length, float(np.linalg.norm(second[1] - second[0]))):
+        return False
+    offsets = (second - first[0]) @ np.array([along[1], -along[0]])
+    return bool(abs(offsets.mean()) < beside_px and np.abs(offsets).max() < 3.0 * beside_px)
+
+
+_LEAST_PX, _MOST_PX = 0.1, 20.0
+
+WEIGHTS: dict[str, tuple[float, ...]] = {
+    "line by ends": (-0.1109, -0.0696, 0.3786),
+    "line by mask": (1.0091, -0.1197, 1.6611, -0.0911),
+    "line by box": (-1.7229, -0.0206, 0.4456),
+    "line by edges": (
+        0.4826,
+        -1.0948,
+        0.7555,
+        0.8464,
+        0.4171,
+        -0.8344,
+        -0.1262,
+        0.5127,
+        0.2309,
+        0.0738,
+        -0.4923,
+        -0.3118,
+    ),
+    "end by model": (-0.3216, 0.4723, 0.3143, -0.1503),
+    "end by mask": (1.7402, 0.0401, 0.5069, -0.1553),
+    "end by box": (0.6107, -0.1042, -0.4913, 0.11),
+    "end by rows": (0.1737, -0.2075, 0.8196, 0.8653, 0.166, 0.1069, -0.2355),
+    "end by edges": (2.2413, -0.2798, 0.7658, 0.5277, -0.3384, 0.4224, 0.4052, 0.1667),
+    "end at sign": (2.6734, -0.8495, 0.3372, 0.4302),
+    "center by box": (0.6093, -0.2213, 0.3221, 0),
+    "center by mask": (-2.9763, 0.7614, 0.9497, 3.0552),
+    "center by outline": (
+        -3.4662,
+        3.768,
+        -3.1183,
+        0.6287,
+        -0.0105,
+        0.0073,
+        -0.0849,
+        -0.2683,
+        0.6684,
+        0.2526,
+        0.5581,
+    ),
+}
+
+CHOSEN = {"across": (0.6232, 1.3036), "along": (0.621, 0.9382), "center": (0.9229, 1.5179)}
+"""The least sigma of several is often the least by chance. Constant and factor of its corrected
+logarithm, fitted last, by ``python bench/subpixel_chosen.py``."""
+KNOWN = (3.4748, 1.3858, 1.2949, -1.8758, -3.6015)
+"""Weights of ``pole_ends.end_evidence`` for a visible end being the pole's own (logistic)."""
+SHAPE = np.array((-0.1859, 0.7102, -0.5243, -3.4111, 4.0103, 3.3384, -0.9434))
+"""Weights of ``sign_centers.shape_evidence`` for a sign's class."""
+PAPER = (1.38, 4.11)
+"""Sigmas (px) across and along of the paper's measurement: its root mean square errors."""
+
+
+def predicted_sigma_px(kind: str, evidence: FloatArray) -> float:
+    """Return the sigma of one coordinate of a measurement; the first weight is the constant."""
+    weights = WEIGHTS[kind]
+    exponent = weights[0] + sum(map(mul, weights[1:], evidence.tolist()))
+    return min(max(math.exp(min(exponent, 10.0)), _LEAST_PX), _MOST_PX)
+
+
+def chosen_sigma_px(what: str, least_px: float) -> float:
+    """Return the sigma of a candidate chosen for the least predicted sigma."""
+    constant, factor = CHOSEN[what]
+    return min(max(math.exp(constant + factor * math.log(least_px)), _LEAST_PX), _MOST_PX)
+
+
+def known(evidence: FloatArray) -> bool:
+    """Whether a visible end is more likely than not the pole's own."""
+    return bool(KNOWN[0] + np.dot(KNOWN[1:], evidence) > 0.0)

@@ -1,1 +1,0 @@
-"""What went wrong in a frame, and over a run, told from the method's own chain."""

@@ -1,1 +1,0 @@
-"""Networks, exact under padding: what fills a batch up changes no answer."""

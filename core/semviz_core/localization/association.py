@@ -1,0 +1,371 @@
+"""Decide which observation is which map element under a pose, and score the pose.
+
+The score is a log-likelihood in nats. It weighs each pair against a false positive, each mapped
+element in view without a pair against a missed detection, and adds the prior. The association
+is one-to-one: two detections never share a map element. Pair constraints force or forbid pairs
+and leave all others free.
+
+Correspondence probabilities combine the modes, each weighted by its likelihood. They are made
+doubly stochastic by matrix scaling (Sinkhorn and Knopp 1967) with a dustbin row and column: in
+P_ij = a_i K_ij b_j each row and column sums to 1 with its dustbin. Uniform marginals without
+dustbins, the paper's eq. 3-4, would force mass onto false pairs wherever n > m.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.localization import Match, Refinement
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, int_array
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.jit import compiled
+from semviz_core.localization.prior_residuals import prior_chi2
+from semviz_core.localization.problem import PoseProblem, PriorRecord, Record
+from semviz_core.localization.residuals import (
+    INLIER_CHI2,
+    bottom_is_given,
+    fill_rows,
+    hidden_odds,
+    new_rows,
+    rows_that_count,
+    transform_point,
+    whiten,
+)
+
+NEAREST_M = 3.0
+"""Elements closer to the camera count as out of view."""
+BEYOND_REACH = 0.02
+"""Chance of detection beyond the detector's reach."""
+LEAST_CHANCE = 1e-200
+"""Products below this go into the logarithm, before they underflow."""
+_NONE = -np.inf
+_LOG_2PI = np.log(2.0 * np.pi)
+
+
+@compiled
+def associate(
+    problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Pair observed and mapped elements one-to-one under a pose.
+
+    Return the mapped row (m,) of each observed element, -1 for none; and the gains (m, n) of every
+    pair: its log-likelihood over that of a false detection (nats), -inf beyond the gate. The gates
+    widen with ``pose_covariance`` (6, 6).
+    """
+    gain = np.full(problem.compatible.shape, _NONE)
+    variance, direction = _directions(problem, R, t, pose_covariance)
+    rows = new_rows()
+    for i in range(len(gain)):
+        for entry in range(problem.seen[i].first, problem.seen[i].last):
+            j = problem.candidate[entry]
+            if _is_near(problem, i, direction[j], variance[j]):
+                gain[i, j] = pair_gain(problem, R, t, i, j, pose_covariance, rows)
+    return one_to_one(gain), gain
+
+
+@compiled
+def one_to_one(gain: FloatArray) -> IntArray:
+    """Pair greedily by positive gain (m, n); return the mapped row (m,), -1 for none."""
+    m, n = gain.shape
+    match, taken = np.full(m, -1), np.zeros(n, dtype=np.bool_)
+    flat = gain.ravel()
+    positive = np.flatnonzero(flat > 0.0)
+    for at in positive[np.argsort(-flat[positive], kind="mergesort")]:
+        i, j = at // n, at % n
+        if match[i] < 0 and not taken[j]:
+            match[i], taken[j] = j, True
+    return match
+
+
+@compiled
+def log_likelihood(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    R: FloatArray,
+    t: FloatArray,
+    match: IntArray,
+    gain: FloatArray,
+) -> float:
+    """Return the score of a pose in nats: gains of its pairs, missed detections, prior."""
+    total = -0.5 * prior_chi2(prior, R, t)
+    paired = np.zeros(len(problem.mapped), dtype=np.bool_)
+    for i in range(len(match)):
+        if match[i] >= 0:
+            total += gain[i, match[i]]
+            paired[match[i]] = True
+    chance = 1.0  # product over all mapped elements; one logarithm in the end
+    for j in range(len(paired)):
+        recall = _recall(problem, R, t, j)
+        # a pair beyond the stated reach of detection is unlikely, not impossible
+        chance *= max(recall, BEYOND_REACH) if paired[j] else 1.0 - recall
+        if chance < LEAST_CHANCE:
+            total += np.log(chance)
+            chance = 1.0
+    return total + np.log(chance)
+
+
+@compiled
+def _directions(
+    problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the variance (n,) in rad^2 and the unit direction (n, 3) of each mapped anchor."""
+    n = len(problem.mapped)
+    position_variance, rotation_variance = (
+        _largest(pose_covariance, 0),
+        _largest(pose_covariance, 3),
+    )
+    variance, direction = np.empty(n), np.empty((n, 3))
+    for j in range(n):
+        x, y, z = transform_point(R, t, problem.mapped[j].anchor_m)
+        square = x * x + y * y + z * z
+        reach = max(np.sqrt(square), 1e-6)
+        direction[j, 0], direction[j, 1], direction[j, 2] = x / reach, y / reach, z / reach
+        spread = position_variance + _largest(problem.mapped[j].covariance_m2, 0)
+        variance[j] = spread / max(square, 1.0) + rotation_variance
+    return variance, direction
+
+
+@compiled
+def _largest(covariance: FloatArray, first: int) -> float:
+    """Return an upper bound of the variance in any direction of three axes (Gershgorin)."""
+    largest = 0.0
+    for row in range(first, first + 3):
+        total = 0.0
+        for column in range(first, first + 3):
+            total += abs(covariance[row, column])
+        largest = max(largest, total)
+    return largest
+
+
+@compiled
+def _is_near(problem: PoseProblem, i: int, direction: FloatArray, variance: float) -> bool:
+    """Return whether a pair is so close in angle that its residual is worth computing."""
+    ray = problem.seen[i].anchor_ray
+    cosine = ray[0] * direction[0] + ray[1] * direction[1] + ray[2] * direction[2]
+    if cosine < 0.5:
+        return False
+    focal = problem.setting.K[0, 0]
+    seen = max(problem.seen[i].variance_px2[0], problem.seen[i].variance_px2[1]) / (focal * focal)
+    gate = 1.5 * INLIER_CHI2[4] * (seen + variance)  # wider than the test that follows
+    if problem.seen[i].is_line:
+        plane = problem.seen[i].plane
+        distance = plane[0] * direction[0] + plane[1] * direction[1] + plane[2] * direction[2]
+        return distance * distance < gate
+    return 2.0 - 2.0 * cosine < gate
+
+
+@compiled
+def pair_gain(
+    problem: PoseProblem,
+    R: FloatArray,
+    t: FloatArray,
+    i: int,
+    j: int,
+    pose_covariance: FloatArray,
+    rows: Record,
+) -> float:
+    """Return the log-likelihood of a pair over that of a false detection; -inf if no inlier."""
+    count = fill_rows(problem, R, t, i, j, rows)
+    if count == 0:
+        return _NONE
+    whiten(problem, i, j, count, pose_covariance, rows)
+    used = rows_that_count(problem, i, j, count, rows)
+    chi2, gain = 0.0, -problem.setting.log_false_detections
+    for row in range(used):
+        chi2 += rows.residual[row] ** 2
+        gain -= (
+            np.log(rows.factor[row, row]) + 0.5 * _LOG_2PI + problem.seen[i].clutter[min(row, 2)]
+        )
+    if not chi2 <= INLIER_CHI2[used]:
+        return _NONE
+    gain -= 0.5 * chi2
+    if problem.setting.hidden_bottoms > 0.0 and bottom_is_given(problem, i, j, count):
+        gain += _bottom_gain(problem, i, count, used, rows)
+    return gain
+
+
+@compiled
+def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Record) -> float:
+    """Return what a bottom that may be hidden adds to the gain of the rows already counted."""
+    e = rows.residual[count - 1]
+    seen = 1.0 - problem.setting.hidden_bottoms
+    hidden = hidden_odds(problem, count, rows)
+    if used == count:  # counted as if surely seen
+        return np.log(seen + hidden * np.exp(0.5 * e * e))
+    density = np.log(rows.factor[count - 1, count - 1]) + 0.5 * _LOG_2PI
+    return np.log(seen * np.exp(-0.5 * e * e) + hidden) - density - problem.seen[i].clutter[2]
+
+
+@compiled
+def _recall(problem: PoseProblem, R: FloatArray, t: FloatArray, j: int) -> float:
+    """Return the chance that a mapped element is detected, 0 out of view."""
+    x, y, z = transform_point(R, t, 0.5 * (problem.mapped[j].anchor_m + problem.mapped[j].end_m))
+    if z <= NEAREST_M:
+        return 0.0
+    u = (problem.setting.K[0, 0] * x + problem.setting.K[0, 1] * y) / z + problem.setting.K[0, 2]
+    v = problem.setting.K[1, 1] * y / z + problem.setting.K[1, 2]
+    if not (0.0 < u < problem.setting.size_px[0] and 0.0 < v < problem.setting.size_px[1]):
+        return 0.0
+    model = problem.setting
+    if z > model.reach_m:
+        return BEYOND_REACH
+    share = min(max((z - model.near_m) / (model.far_m - model.near_m), 0.0), 1.0)
+    return model.recall_near + share * (model.recall_far - model.recall_near)
+
+
+SURELY_REAL_NATS = 200.0
+"""Added to the gain of a forced pair, so that no pose without it can win."""
+
+
+def _no_pairs() -> IntArray:
+    return np.empty((0, 2), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class PairConstraints:
+    """Forced and forbidden pairs, (k, 2) rows of (observed, submap); all others stay free."""
+
+    forced: IntArray = field(default_factory=_no_pairs)
+    """Correspondences, whatever their classes. Neither element can pair with another, and a pose
+    under which a forced pair does not fit is rejected."""
+    forbidden: IntArray = field(default_factory=_no_pairs)
+    """Pairs that are no correspondences."""
+
+    def __post_init__(self) -> None:
+        for name in ("forced", "forbidden"):
+            rows = int_array(getattr(self, name), (None, 2), f"pairing: {name}")
+            object.__setattr__(self, name, rows)
+        for column, side in enumerate(("observed", "submap")):
+            if len(np.unique(self.forced[:, column])) < len(self.forced):
+                raise SemvizError(f"pairing: forced names one row of {side} twice; give it once")
+        if (self.forced[:, None] == self.forbidden).all(axis=2).any():
+            raise SemvizError("pairing: one pair is both forced and forbidden; choose")
+
+    def check(self, observed: Elements2D, submap: Elements3D) -> None:
+        """Raise SemvizError if a row does not exist, or a forced pair joins a pole and a sign."""
+        pairs = np.concatenate([self.forced, self.forbidden])
+        sides = (("observed", len(observed)), ("submap", len(submap)))
+        for (name, count), rows in zip(sides, pairs.T, strict=True):
+            if ((rows < 0) | (rows >= count)).any():
+                raise SemvizError(f"pairing names rows that {name} with {count} elements lacks")
+        i, j = self.forced.T
+        mixed = np.flatnonzero(observed.is_line[i] != submap.is_line[j])
+        if len(mixed):
+            pair = tuple(self.forced[mixed[0]].tolist())
+            raise SemvizError(f"pairing: forced pair {pair} joins a pole and a sign; leave it out")
+
+    def applied(self, problem: PoseProblem) -> PoseProblem:
+        """Return ``problem`` with these constraints."""
+        (i, j), possible = self.forced.T, problem.compatible.copy()
+        possible[i], possible[:, j] = False, False
+        possible[i, j] = True
+        possible[tuple(self.forbidden.T)] = False
+        constrained = problem.only(possible)
+        constrained.seen["clutter"][i, 0] -= SURELY_REAL_NATS
+        return constrained
+
+    def violated(self, fit: Refinement, submap: Elements3D) -> str:
+        """Return which forced pairs do not fit, in one sentence; empty if all of them do."""
+        fitting = {(int(i), int(j)) for i, j in fit.pairs[fit.inlier]}
+        missing = [(i, j) for i, j in self.forced.tolist() if (i, j) not in fitting]
+        if not missing:
+            return ""
+        i, j = missing[0]
+        return (
+            f"{len(missing)} of {len(self.forced)} forced pairs fit no pose that enough others do, "
+            f"first element {i} seen with {submap.id[j]} mapped."
+        )
+
+
+TOLERANCE = 1e-7
+MOST_ITERATIONS = 200
+_LARGEST_NATS = 200.0  # larger log-odds are as good as certain, and would overflow
+
+
+@compiled
+def sinkhorn_with_dustbin(log_kernel: FloatArray) -> FloatArray:
+    """Return the probabilities (m + 1, n + 1) of pairs with log-odds ``log_kernel`` (m, n).
+
+    Odds are against no pair; -inf excludes one. Rows i < m and columns j < n sum to 1; the corner
+    is 0. Both scalings move half way at once: in turns, they converge only as 1/t where a dustbin
+    is weak.
+    """
+    m, n = log_kernel.shape
+    seen, mapped = np.nonzero(log_kernel > -np.inf)  # few: most pairs are impossible
+    kernel = np.empty(len(seen))
+    for k in range(len(seen)):
+        kernel[k] = np.exp(min(log_kernel[seen[k], mapped[k]], _LARGEST_NATS))
+    a, b = np.ones(m), np.ones(n)
+    rows, columns = np.empty(m), np.empty(n)
+    for _ in range(MOST_ITERATIONS):
+        rows[:], columns[:] = a, b
+        for k in range(len(seen)):
+            mass = a[seen[k]] * kernel[k] * b[mapped[k]]
+            rows[seen[k]] += mass
+            columns[mapped[k]] += mass
+        a /= np.sqrt(rows)
+        b /= np.sqrt(columns)
+        if max(np.abs(rows - 1.0).max(), np.abs(columns - 1.0).max()) < TOLERANCE:
+            break
+    return _closed(seen, mapped, kernel, a, b)
+
+
+@compiled
+def _closed(
+    seen: IntArray, mapped: IntArray, kernel: FloatArray, a: FloatArray, b: FloatArray
+) -> FloatArray:
+    """Return the scaled kernel; the dustbins take the remainder, so that sums are exactly 1."""
+    m, n = len(a), len(b)
+    probability = np.zeros((m + 1, n + 1))
+    for k in range(len(seen)):
+        probability[seen[k], mapped[k]] = a[seen[k]] * kernel[k] * b[mapped[k]]
+    for i in range(m):
+        probability[i, :n] /= max(probability[i, :n].sum(), 1.0)
+    for j in range(n):
+        probability[:m, j] /= max(probability[:m, j].sum(), 1.0)
+        probability[m, j] = max(1.0 - probability[:m, j].sum(), 0.0)
+    for i in range(m):
+        probability[i, n] = max(1.0 - probability[i, :n].sum(), 0.0)
+    return probability
+
+
+LEAST_PROBABILITY = 0.01
+"""Less likely pairs are left out of ``Match.order``."""
+_LEAST_ODDS = -30.0  # nats; of a pair beyond every gate
+NEGLIGIBLE_NATS = 20.0
+"""Modes further below the best have no visible effect on the probabilities."""
+
+
+def posterior_match(score: FloatArray, gain: FloatArray, compatible: BoolArray) -> Match:
+    """Return the correspondence probabilities over b poses with log-likelihoods ``score`` (b,).
+
+    ``gain`` (b, m, n) holds each pair's log-odds against no pair under each pose, -inf for
+    impossible ones. The cost is minus the log of the mean odds, capped where classes agree and
+    inf where they do not.
+    """
+    probability, log_odds = _mixed(score, gain)
+    cost = np.where(compatible, -np.maximum(log_odds, _LEAST_ODDS), np.inf)
+    return Match(cost, probability, _order(probability[:-1, :-1]))
+
+
+@compiled
+def _mixed(score: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return probabilities (m + 1, n + 1) and log-odds (m, n), averaged over the poses' weights."""
+    b, m, n = gain.shape
+    weight = np.exp(score - score.max())
+    weight[score < score.max() - NEGLIGIBLE_NATS] = 0.0
+    weight /= weight.sum()
+    probability, odds = np.zeros((m + 1, n + 1)), np.zeros((m, n))
+    for row in range(b):
+        if weight[row] > 0.0:
+            probability += weight[row] * sinkhorn_with_dustbin(gain[row])
+            odds += weight[row] * np.exp(gain[row])
+    return probability, np.log(odds)
+
+
+def _order(probability: FloatArray) -> IntArray:
+    """Return the likely pairs (k, 2), likeliest first."""
+    pairs = np.argwhere(probability >= LEAST_PROBABILITY)
+    likely = probability[pairs[:, 0], pairs[:, 1]]
+    return np.asarray(pairs[np.argsort(-likely, kind="stable")], dtype=np.int64)

@@ -1,0 +1,315 @@
+"""Search upright poses within the prior, and return the modes that explain the image.
+
+Module `heading_votes` proposes candidates. Module `rating` rates them, refines the best and
+rates these again. The best distinct ones are paired one-to-one and fitted, with gates that
+narrow as they converge. The distinct results are the modes, best first.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_core.base.frame import Prior
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.jit import compiled
+from semviz_core.common.linalg import inverse
+from semviz_core.localization.association import associate, log_likelihood, one_to_one
+from semviz_core.localization.heading_votes import DEFAULT_EFFORT, Effort, vote_headings
+from semviz_core.localization.least_squares import fit
+from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.rating import (
+    REFINED_SIGMAS,
+    VOTED_SIGMAS,
+    rate_poses,
+    refine_candidates,
+)
+from semviz_core.localization.residuals import EXACT_POSE
+from semviz_core.localization.upright import UprightView, likely_ups, upright_view
+
+BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
+"""Candidates closer than both converge to the same pose."""
+APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
+"""Poses further apart than either are different modes."""
+REFINED_COVARIANCE: FloatArray = np.diag([0.3**2] * 3 + [np.deg2rad(0.7) ** 2] * 3)
+"""Assumed covariance of a refined candidate."""
+FITTED_COVARIANCE: FloatArray = np.diag([0.1**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
+"""Assumed covariance after the first fit, in addition to that of the fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """b distinct poses, best first, with their pairs."""
+
+    evaluated: int
+    """Positions and headings that the vote proposed."""
+    passed: int
+    """Those of them that were rated."""
+    rotation: FloatArray  # (b, 3, 3)
+    translation: FloatArray  # (b, 3)
+    score: FloatArray  # (b,) nats
+    match: IntArray  # (b, m)
+    gain: FloatArray  # (b, m, n)
+
+    def pairs(self, row: int) -> IntArray:
+        """Return the pairs (k, 2) of a mode, as rows of observed and mapped elements."""
+        seen = np.flatnonzero(self.match[row] >= 0)
+        return np.column_stack([seen, self.match[row, seen]])
+
+
+def pose_distances(
+    rotation: FloatArray, translation: FloatArray, other_rotation: FloatArray, other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the distances (b,) of the camera centres in metres, and the angles (b,) in radians,
+    from a pose to b others."""
+    center = -rotation.T @ translation
+    centers = -np.einsum("bji,bj->bi", other_rotation, other)
+    trace = np.einsum("ij,bij->b", rotation, other_rotation)
+    angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    return np.linalg.norm(centers - center, axis=1), angle
+
+
+class Candidates(NamedTuple):
+    """b poses with their scores."""
+
+    rotation: FloatArray  # (b, 3, 3)
+    translation: FloatArray  # (b, 3)
+    score: FloatArray  # (b,)
+
+
+def search(problem: PoseProblem, prior: Prior, effort: Effort = DEFAULT_EFFORT) -> Modes:
+    """Return the modes of the pose, best first; none if no candidate passes the gates."""
+    record = PriorRecord.of(prior)
+    evaluated = passed = 0
+    parts: list[Candidates] = []
+    ups, up_sigma_rad = likely_ups(problem, record)
+    view_effort = _effort_per_view(effort, len(ups))
+    for up in ups:
+        view = upright_view(problem, up, up_sigma_rad)
+        part, proposed, rated = _view_candidates(problem, view, record, view_effort)
+        evaluated, passed = evaluated + proposed, passed + rated
+        parts.append(part)
+    candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
+
+
+def _effort_per_view(effort: Effort, views: int) -> Effort:
+    """Return the effort per view: the candidates of several views are much the same."""
+    started = max(effort.started // views, min(effort.started, DEFAULT_EFFORT.started))
+    polished = effort.polished * started // effort.started
+    return effort._replace(started=started, polished=polished)
+
+
+def mode_near(problem: PoseProblem, prior: Prior, T_camera_map: Pose) -> Modes:
+    """Return the single mode near a pose, fitted and scored as in ``search``."""
+    R, t = T_camera_map.rotation.copy(), T_camera_map.translation.copy()
+    match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+    R, t, match, gain, score = _fit_until_stable(problem, PriorRecord.of(prior), R, t, match)
+    return Modes(1, 1, R[None], t[None], np.array([score]), match[None], gain[None])
+
+
+@compiled
+def _view_candidates(
+    problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
+) -> tuple[Candidates, int, int]:
+    """Return the best distinct candidates of a view, paired and fitted once, and the numbers of
+    candidates proposed and rated."""
+    voted = vote_headings(problem, view, prior, effort)
+    poses = voted.pose
+    if len(poses) == 0:
+        none = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
+        return none, voted.evaluated, 0
+    evaluated, rated = voted.evaluated, len(poses)
+    rating = rate_poses(problem, view, prior, poses, VOTED_SIGMAS)
+    likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
+    poses = refine_candidates(problem, view, poses[likely], effort.step_m)
+    rating = rate_poses(problem, view, prior, poses, REFINED_SIGMAS)
+    chosen = _distinct_best(poses, rating, effort)
+    b = len(chosen)
+    candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
+    for row in range(b):
+        R, t = camera_pose(view, poses[chosen[row]])
+        match, _ = associate(problem, R, t, REFINED_COVARIANCE)
+        R, t, information, _ = fit(problem, prior, R, t, match, 3)
+        match, gain = associate(problem, R, t, inverse(information) + FITTED_COVARIANCE)
+        candidates.rotation[row], candidates.translation[row] = R, t
+        candidates.score[row] = log_likelihood(problem, prior, R, t, match, gain)
+    return candidates, evaluated, rated
+
+
+@compiled
+def camera_pose(view: UprightView, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rotation (3, 3) and translation (3,) of T_camera_map for an upright pose (6,)."""
+    c, s = pose[3], pose[4]
+    level, raised = np.cos(pose[5]), np.sin(pose[5])
+    nominal, left, up = view.R_level_camera[0], view.R_level_camera[1], view.R_level_camera[2]
+    R, t = np.empty((3, 3)), np.empty(3)
+    for k in range(3):
+        ahead = level * nominal[k] - raised * up[k]
+        R[k, 0], R[k, 1] = ahead * c - left[k] * s, ahead * s + left[k] * c
+        R[k, 2] = level * up[k] + raised * nominal[k]
+        t[k] = -(R[k, 0] * pose[0] + R[k, 1] * pose[1] + R[k, 2] * pose[2])
+    return R, t
+
+
+@compiled
+def _distinct_best(poses: FloatArray, rating: FloatArray, effort: Effort) -> IntArray:
+    """Return the rows of the best ``effort.started`` candidates of which no two are close."""
+    likely = np.flatnonzero(rating > rating.max() - effort.hopeful_nats)
+    order = likely[np.argsort(-rating[likely], kind="mergesort")]
+    kept = np.empty(effort.started, dtype=np.int64)
+    count = 0
+    for row in order:
+        new = True
+        for k in range(count):
+            dx, dy = poses[row, 0] - poses[kept[k], 0], poses[row, 1] - poses[kept[k], 1]
+            if dx * dx + dy * dy < BASIN_M * BASIN_M:
+                turn = poses[row, 3] * poses[kept[k], 3] + poses[row, 4] * poses[kept[k], 4]
+                if turn > np.cos(BASIN_RAD):
+                    new = False
+                    break
+        if new:
+            kept[count] = row
+            count += 1
+            if count == effort.started:
+                break
+    return kept[:count]
+
+
+@compiled
+def _final_modes(
+    problem: PoseProblem, prior: PriorRecord, candidates: Candidates, effort: Effort
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    """Fit candidates until they converge; return the distinct results, best first."""
+    m, n = problem.compatible.shape
+    kept = _near_best(candidates, _distinct(candidates)[: effort.finished], effort)
+    b = len(kept)
+    fitted = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
+    matches, gains = np.empty((b, m), dtype=np.int64), np.empty((b, m, n))
+    for row in range(b):
+        R, t = candidates.rotation[kept[row]].copy(), candidates.translation[kept[row]].copy()
+        match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+        _store(fitted, matches, gains, row, _fit_until_stable(problem, prior, R, t, match))
+    best = _distinct(fitted)
+    for row in _near_best(fitted, best[: effort.improved], effort):
+        start = fitted.rotation[row], fitted.translation[row], matches[row], gains[row]
+        _store(
+            fitted,
+            matches,
+            gains,
+            row,
+            _without_false_pair(problem, prior, *start, fitted.score[row]),
+        )
+    best = _distinct(fitted)
+    return (
+        fitted.rotation[best],
+        fitted.translation[best],
+        fitted.score[best],
+        matches[best],
+        gains[best],
+    )
+
+
+@compiled
+def _store(
+    settled: Candidates,
+    matches: IntArray,
+    gains: FloatArray,
+    row: int,
+    fitted: tuple[FloatArray, FloatArray, IntArray, FloatArray, float],
+) -> None:
+    settled.rotation[row], settled.translation[row] = fitted[0], fitted[1]
+    matches[row], gains[row], settled.score[row] = fitted[2], fitted[3], fitted[4]
+
+
+@compiled
+def _fit_until_stable(
+    problem: PoseProblem, prior: PriorRecord, R: FloatArray, t: FloatArray, match: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
+    """Fit the pose to its pairs until they stay the same; return it, pairs, gains and score."""
+    for _ in range(3):
+        R, t, information, _ = fit(problem, prior, R, t, match, 5)
+        before = match
+        match, _ = associate(problem, R, t, inverse(information))
+        if (match == before).all():
+            break
+    R, t, _, _ = fit(problem, prior, R, t, match, 5)
+    match, gain = associate(problem, R, t, EXACT_POSE)
+    return R, t, match, gain, log_likelihood(problem, prior, R, t, match, gain)
+
+
+@compiled
+def _without_false_pair(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    R: FloatArray,
+    t: FloatArray,
+    match: IntArray,
+    gain: FloatArray,
+    score: float,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
+    """Return the best pose fitted without one of its pairs, or the given one if none is better.
+
+    A false pair, for example with a neighbour or a duplicate of the true element, pulls the pose
+    until other pairs fail the inlier test.
+    """
+    best = R, t, match, gain, score
+    for i in range(len(match)):
+        if match[i] < 0:
+            continue
+        without = match.copy()
+        without[i] = -1
+        free_R, free_t, information, _ = fit(problem, prior, R, t, without, 4)
+        again, others = associate(problem, free_R, free_t, inverse(information))
+        if (again == match).all():
+            continue  # the other pairs confirm this one
+        fitted = _fit_until_stable(problem, prior, free_R, free_t, one_to_one(others))
+        if fitted[4] > best[4]:
+            best = fitted
+    return best
+
+
+@compiled
+def _distinct(candidates: Candidates) -> IntArray:
+    """Return the rows of candidates, best first, without those close to a better one."""
+    order = np.argsort(-candidates.score, kind="mergesort")
+    kept = np.empty(len(order), dtype=np.int64)
+    count = 0
+    for row in order:
+        new = True
+        for k in range(count):
+            distance, angle = _distance(candidates, kept[k], row)
+            if distance <= APART_M and angle <= APART_RAD:
+                new = False
+                break
+        if new:
+            kept[count] = row
+            count += 1
+    return kept[:count]
+
+
+@compiled
+def _near_best(candidates: Candidates, order: IntArray, effort: Effort) -> IntArray:
+    """Return the rows of ``order``, best first, that are not far below the best."""
+    count = 0
+    while count < len(order):
+        if candidates.score[order[count]] < candidates.score[order[0]] - effort.hopeful_nats:
+            break
+        count += 1
+    return order[:count]
+
+
+@compiled
+def _distance(candidates: Candidates, a: int, b: int) -> tuple[float, float]:
+    """Return the distance of the camera centres (m) and the angle (rad) between two poses."""
+    R, t = candidates.rotation[a], candidates.translation[a]
+    other_R, other_t = candidates.rotation[b], candidates.translation[b]
+    square, trace = 0.0, 0.0
+    for column in range(3):
+        off = 0.0
+        for row in range(3):
+            off += other_R[row, column] * other_t[row] - R[row, column] * t[row]
+            trace += other_R[row, column] * R[row, column]
+        square += off * off
+    return np.sqrt(square), np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))

@@ -1,0 +1,242 @@
+"""Express observed and mapped elements as azimuths and slopes, with gravity known.
+
+In the level frame z is up and x is the optical axis projected onto the horizontal plane. So the
+only unknown angle is the heading. An observed element becomes an azimuth and, where an end is
+known, a slope (tangent of elevation). Mapped elements become a position on the ground, heights,
+and the observed elements of their class.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_core.base.frame import Prior
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.jit import compiled
+from semviz_core.localization.problem import PoseProblem, PriorRecord, Record, RecordArray
+
+ASSUMED_UP = np.array([0.0, -1.0, 0.0])
+"""Up in camera coordinates without an IMU: cameras on vehicles look about level."""
+ASSUMED_UP_SIGMA_RAD = float(np.deg2rad(4.0))
+POLE_LEAN_RAD = float(np.deg2rad(1.0))
+"""Standard deviation of the lean of poles; limits the accuracy of gravity derived from them."""
+CAUCHY_SIGMAS = 2.0
+"""Poles that lean by more count less (Cauchy weights)."""
+DOUBTFUL_UP_RAD = float(np.deg2rad(1.5))
+"""If up is less certain than this about an axis, three angles about that axis are searched."""
+TILT_SIGMAS = 1.2
+"""Distance of the outer two of the three angles from the middle one."""
+LEAST_SINE = 0.05
+"""A camera whose axis is closer to the vertical than this (sine) has no heading."""
+
+UPRIGHT_OBSERVATION = np.dtype(
+    [
+        # cosine and sine of the angle anticlockwise from the optical axis; of a pole, at the middle
+        # of its visible part
+        ("azimuth", float, (2,)),
+        ("azimuth_rad", float),
+        ("slope", float, (2,)),  # of anchor and end; only where known
+        ("slope_sigma", float),  # of the detection
+        ("known", np.uint8, (2,)),
+    ],
+    align=True,
+)
+"""An observed element in the level frame."""
+
+
+class UprightView(NamedTuple):
+    """m observed elements in the level frame."""
+
+    R_level_camera: FloatArray
+    """(3, 3)"""
+    up_sigma_rad: float
+    seen: RecordArray
+    """(m,) UPRIGHT_OBSERVATION"""
+
+
+def assumed_upright(prior: Prior) -> Prior:
+    """Return ``prior``, with a camera assumed to look about level if there is no IMU."""
+    if prior.up_camera is not None:
+        return prior
+    return replace(prior, up_camera=ASSUMED_UP, up_sigma_rad=ASSUMED_UP_SIGMA_RAD)
+
+
+@compiled
+def likely_ups(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, float]:
+    """Return directions of up (k, 3) in camera coordinates to search, the estimate first, and the
+    sigma of each (rad). They are several if gravity stays doubtful."""
+    up, covariance = gravity(problem, prior)
+    mean = 0.5 * (covariance[0, 0] + covariance[1, 1])
+    differ = 0.5 * (covariance[0, 0] - covariance[1, 1])
+    radius = np.hypot(differ, covariance[0, 1])
+    sigma = np.sqrt(np.array([max(mean - radius, 0.0), mean + radius]))  # of the principal axes
+    turn = 0.5 * np.arctan2(covariance[0, 1], differ)
+    across = prior.value.across_up
+    major = np.cos(turn) * across[0] + np.sin(turn) * across[1]
+    minor = np.cos(turn) * across[1] - np.sin(turn) * across[0]
+    ups = np.empty((9, 3))
+    ups[0] = up
+    count = 1
+    for k in range(2):
+        if sigma[k] > DOUBTFUL_UP_RAD:
+            lean = TILT_SIGMAS * sigma[k] * (minor if k == 0 else major)
+            for row in range(count):
+                ups[count + 2 * row] = ups[row] - lean
+                ups[count + 2 * row + 1] = ups[row] + lean
+            count *= 3
+    for row in range(count):
+        ups[row] /= np.sqrt((ups[row] ** 2).sum())
+    return ups[:count], min(sigma[1], DOUBTFUL_UP_RAD)
+
+
+@compiled
+def gravity(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, FloatArray]:
+    """Return up (3,) in camera coordinates, and its covariance (2, 2) in rad^2 along ``across_up``.
+
+    This fits the vertical vanishing point, which lies in the plane of every observed pole, and the
+    prior's up by reweighted least squares, since false poles may lean by any angle.
+    """
+    start, across = prior.value.up_camera, prior.value.across_up
+    focal, information = problem.setting.K[0, 0], 1.0 / prior.value.up_sigma_rad**2
+    tilt, covariance = np.zeros(2), np.zeros((2, 2))
+    for _ in range(3):
+        a = d = information
+        b = gradient0 = gradient1 = 0.0
+        for i in range(len(problem.seen)):
+            seen = problem.seen[i]
+            if not seen.is_line:
+                continue
+            length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
+            offset = (seen.plane * start).sum()
+            j0, j1 = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
+            left = offset + j0 * tilt[0] + j1 * tilt[1]
+            variance = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
+            weight = 1.0 / (variance + left * left / CAUCHY_SIGMAS**2)
+            a, b, d = a + weight * j0 * j0, b + weight * j0 * j1, d + weight * j1 * j1
+            gradient0 += weight * j0 * offset
+            gradient1 += weight * j1 * offset
+        determinant = a * d - b * b
+        covariance[0, 0], covariance[1, 1] = d / determinant, a / determinant
+        covariance[0, 1] = covariance[1, 0] = -b / determinant
+        tilt[0] = -(covariance[0, 0] * gradient0 + covariance[0, 1] * gradient1)
+        tilt[1] = -(covariance[1, 0] * gradient0 + covariance[1, 1] * gradient1)
+    up = start + tilt[0] * across[0] + tilt[1] * across[1]
+    return up / np.sqrt((up**2).sum()), covariance
+
+
+@compiled
+def upright_view(problem: PoseProblem, up: FloatArray, up_sigma_rad: float) -> UprightView:
+    """Return the observed elements as azimuths and slopes for ``up`` (3,) in camera coordinates."""
+    R = level_rotation(up)
+    seen = np.zeros(len(problem.seen), UPRIGHT_OBSERVATION)
+    for i in range(len(seen)):
+        seen_element = problem.seen[i]
+        first, last = R @ seen_element.anchor_ray, R @ seen_element.end_ray
+        x, y = first[0] + last[0], first[1] + last[1]
+        length = max(np.hypot(x, y), 1e-9)
+        seen[i].azimuth[0], seen[i].azimuth[1] = x / length, y / length
+        seen[i].azimuth_rad = np.arctan2(y, x)
+        seen[i].slope[0] = first[2] / max(np.hypot(first[0], first[1]), 1e-9)
+        seen[i].slope[1] = last[2] / max(np.hypot(last[0], last[1]), 1e-9)
+        seen[i].known[0] = seen_element.known[0]
+        seen[i].known[1] = seen_element.known[1] and seen_element.is_line
+        seen[i].slope_sigma = np.sqrt(seen_element.variance_px2[1]) / problem.setting.K[0, 0]
+    return UprightView(R, up_sigma_rad, seen)
+
+
+@compiled
+def level_rotation(up_camera: FloatArray) -> FloatArray:
+    """Return R_level_camera (3, 3): z is up, x the horizontal part of the optical axis."""
+    x = np.array([0.0, 0.0, 1.0]) - up_camera * up_camera[2]
+    length = np.sqrt((x**2).sum())
+    if length < LEAST_SINE:
+        x = np.cross(up_camera, np.array([1.0, 0.0, 0.0]))
+        length = np.sqrt((x**2).sum())
+    R = np.empty((3, 3))
+    R[0] = x / length
+    R[1] = np.cross(up_camera, R[0])
+    R[2] = up_camera
+    return R
+
+
+UPRIGHT_ELEMENT = np.dtype(
+    [
+        ("position_m", float, (2,)),
+        ("height_m", float, (2,)),  # of anchor and end
+        ("known", np.uint8, (2,)),
+        ("first", np.int64),  # compatible observed rows: candidate[first:last]
+        ("last", np.int64),
+    ],
+    align=True,
+)
+"""A mapped element; small records lie close together in memory."""
+HIDDEN_CHI2 = 9.0
+"""A bottom observed above the mapped one by more than this (squared sigmas) is hidden."""
+
+
+@compiled
+def upright_elements(problem: PoseProblem) -> tuple[RecordArray, IntArray]:
+    """Return (n,) UPRIGHT_ELEMENT, and the compatible observed rows they refer to."""
+    elements = np.zeros(len(problem.mapped), UPRIGHT_ELEMENT)
+    candidate = np.empty(len(problem.candidate), dtype=np.int64)
+    count = 0
+    for j in range(len(elements)):
+        a, e = problem.mapped[j].anchor_m, problem.mapped[j].end_m
+        elements[j].position_m[0], elements[j].position_m[1] = (
+            0.5 * (a[0] + e[0]),
+            0.5 * (a[1] + e[1]),
+        )
+        elements[j].height_m[0], elements[j].height_m[1] = a[2], e[2]
+        elements[j].known[:] = problem.mapped[j].known
+        elements[j].first = count
+        for i in range(len(problem.seen)):
+            if problem.compatible[i, j]:
+                candidate[count] = i
+                count += 1
+        elements[j].last = count
+    return elements, candidate
+
+
+@compiled
+def compare_slopes(
+    setting: Record,
+    seen: Record,
+    mapped: Record,
+    near: float,
+    camera_height_m: float,
+    up_sigma_rad: float,
+    position_m: float,
+    height_m: float,
+    tilt_rad: float,
+) -> tuple[float, float, float, int]:
+    """Compare the slopes of an observed element with those of one mapped 1 / ``near`` metres away.
+
+    ``position_m``, ``height_m`` and ``up_sigma_rad`` are sigmas of the camera; it looks up by
+    ``tilt_rad`` more than the level frame. Return chi2, the product of its variances, the nats of
+    bottoms being hidden or visible, and the number of slopes.
+    """
+    chi2, product, nats, count = 0.0, 1.0, 0.0, 0
+    own_variance = seen.slope_sigma**2 + up_sigma_rad**2
+    for end in range(2):
+        if not (seen.known[end] and mapped.known[end]):
+            continue
+        slope = tilted_slope(seen, end, tilt_rad)
+        off = (mapped.height_m[end] - camera_height_m) * near - slope
+        slope_variance = own_variance + (height_m**2 + (position_m * slope) ** 2) * near * near
+        if end == 1 and setting.hidden_bottoms > 0.0:
+            if off < 0.0 and off * off > HIDDEN_CHI2 * slope_variance:
+                nats += setting.log_hidden
+                continue
+            nats += setting.log_visible
+        chi2 += off * off / slope_variance
+        product *= slope_variance
+        count += 1
+    return chi2, product, nats, count
+
+
+@compiled
+def tilted_slope(seen: Record, end: int, tilt_rad: float) -> float:
+    """Return the slope of an end if the camera looks up by ``tilt_rad`` more, to first order."""
+    slope = seen.slope[end]
+    return slope + tilt_rad * seen.azimuth[0] * (1.0 + slope * slope)

@@ -1,1 +1,0 @@
-"""Elements seen and mapped to correspondence probabilities."""

@@ -1,0 +1,248 @@
+"""Drives with the poles beside them, the basis of benchmark problems.
+
+``simulated_road`` needs no files; ``kitti_road`` reads a real drive and its surveyed poles. The
+map frame is metres, z up; camera 0 is rotated to z up.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
+from semviz_core.localizability.route import poses_along
+from semviz_core.simulation.map_errors import MAPPED_FROM_M
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+CAMERA_HEIGHT_M = 1.65
+LEAST_OFFSET_M = 1.5
+"""Least distance of a pole from the drive."""
+T_CAM0_VELODYNE = Pose(
+    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, -0.27])
+)
+"""The design of KITTI's car: the laser 0.27 m behind camera 0 (Geiger 2013, fig. 3). It is used
+without a calibration file, and only for horizontal positions."""
+_THINNED_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkRoad:
+    """A drive and the poles beside it. Map frame: metres, z up."""
+
+    name: str
+    T_map_camera: tuple[Pose, ...]
+    """The camera along the drive, in order; at least two."""
+    poles_m: FloatArray
+    """(p, 2) positions of the poles."""
+
+    def __post_init__(self) -> None:
+        if len(self.T_map_camera) < 2:
+            raise SemvizError(f"road {self.name}: {len(self.T_map_camera)} poses; give two or more")
+        object.__setattr__(self, "poles_m", float_array(self.poles_m, (None, 2), "poles_m"))
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.T_map_camera)
+
+    @cached_property
+    def center_m(self) -> FloatArray:
+        """(k, 3) camera centres along the drive."""
+        return np.array([pose.translation for pose in self.T_map_camera])
+
+    @cached_property
+    def thinned_m(self) -> FloatArray:
+        """(t, 3) camera centres at least a metre apart."""
+        kept = [0]
+        for row, center in enumerate(self.center_m):
+            if np.linalg.norm(center - self.center_m[kept[-1]]) >= _THINNED_M:
+                kept.append(row)
+        return self.center_m[kept]
+
+    @cached_property
+    def ground_m(self) -> FloatArray:
+        """(p,) height of the ground at each pole: that of the road at the nearest pose."""
+        return np.asarray(self.center_m[self._nearest(self.poles_m), 2] - CAMERA_HEIGHT_M)
+
+    @cached_property
+    def mapping_view(self) -> FloatArray:
+        """(p, 2) horizontal unit vectors towards each pole from where it was mapped: the pose
+        before the nearest one whose distance is closest to MAPPED_FROM_M."""
+        views = np.empty_like(self.poles_m)
+        for row, (pole, nearest) in enumerate(
+            zip(self.poles_m, self._nearest(self.poles_m), strict=True)
+        ):
+            offset = pole - self.center_m[max(0, nearest - 100) : nearest + 1, :2]
+            distance = np.linalg.norm(offset, axis=1)
+            views[row] = offset[np.abs(distance - MAPPED_FROM_M).argmin()]
+        return np.asarray(views / np.maximum(np.linalg.norm(views, axis=1, keepdims=True), 1e-9))
+
+    def near(self, place_m: FloatArray, radius_m: float) -> FloatArray:
+        """Return thinned camera centres (k, 3) within ``radius_m`` of ``place_m``, horizontally."""
+        offset = self.thinned_m[:, :2] - np.asarray(place_m)[:2]
+        return self.thinned_m[np.hypot(offset[:, 0], offset[:, 1]) <= radius_m]
+
+    def height(self, place_m: FloatArray) -> float:
+        """Return the height of the camera centre nearest to ``place_m``, horizontally."""
+        return float(self.center_m[self._nearest(np.asarray(place_m)[None, :2])[0], 2])
+
+    @cached_property
+    def _index(self) -> "cKDTree":
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.center_m[:, :2])
+
+    def _nearest(self, places_m: FloatArray) -> IntArray:
+        """Return the row (n,) of the pose nearest to each position (n, 2), horizontally."""
+        return np.asarray(self._index.query(places_m)[1], dtype=np.int64)
+
+
+def kitti_road(
+    poses: Path, pole_map: Path, name: str, calibration: Path | None = None
+) -> BenchmarkRoad:
+    """Return a KITTI drive (camera 0, turned to z up) and its surveyed poles.
+
+    ``poses`` is a text file of 3x4 poses. ``pole_map`` is an npz file whose ``poleparams`` (p, 2 or
+    more) are x ahead and y left in the velodyne frame of frame 0. ``calibration`` is a calib.txt
+    with Tr (default: ``T_CAM0_VELODYNE``). Objects within 1.5 m of the drive are dropped: they are
+    no poles. Raise SemvizError if a file is missing or wrong.
+    """
+    drive = []
+    for number, row in enumerate(read_numbers(poses, 12), 1):
+        try:
+            drive.append(T_MAP_WORLD @ Pose.from_matrix(row.reshape(3, 4)))
+        except SemvizError as error:
+            raise SemvizError(f"{poses}, line {number}: {error}") from None
+    T_cam0_velodyne = T_CAM0_VELODYNE if calibration is None else _velodyne(calibration)
+    poles = _read_poles(pole_map)
+    standing = np.column_stack([poles, np.zeros(len(poles))])
+    places = (T_MAP_WORLD @ T_cam0_velodyne).apply(standing)[:, :2]
+    return _without_poles_on_road(BenchmarkRoad(name, tuple(drive), places))
+
+
+def _velodyne(calibration: Path) -> Pose:
+    """Return T_cam0_velodyne from the line ``Tr:``."""
+    for line in read_text(calibration).splitlines():
+        if line.startswith("Tr:"):
+            where = f"{calibration}, Tr"
+            return Pose.from_matrix(parsed_numbers(line[3:], 12, where).reshape(3, 4))
+    raise SemvizError(f"{calibration}: no line 'Tr:' (velodyne to camera 0)")
+
+
+def _read_poles(path: Path) -> FloatArray:
+    """Return ``poleparams`` (p, 2) of an npz file."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            poles = arrays["poleparams"]
+    except FileNotFoundError:
+        raise SemvizError(f"{path}: no such file; give the sequence's pole map") from None
+    except KeyError:
+        raise SemvizError(f"{path}: holds no 'poleparams'; is it a pole map?") from None
+    except Exception as error:  # zipfile, numpy and the system each have their own
+        raise SemvizError(f"{path}: not a readable npz file ({error}); copy it again") from None
+    if poles.ndim != 2 or poles.shape[1] < 2:
+        raise SemvizError(f"{path}: poleparams has shape {poles.shape}, expected (n, 2)")
+    return float_array(poles[:, :2], (None, 2), f"{path}: poleparams")
+
+
+def _without_poles_on_road(road: BenchmarkRoad) -> BenchmarkRoad:
+    """Return the road without the poles that stand on it."""
+    distance, _ = road._index.query(road.poles_m)
+    return BenchmarkRoad(road.name, road.T_map_camera, road.poles_m[distance >= LEAST_OFFSET_M])
+
+
+# --- simulated road ---
+
+_BLOCK_M = (115.0, 145.0)
+_JITTER_M = 10.0
+"""Random shift of the street corners."""
+_BEND_M = 8.0
+"""Distance of bends from the straight line between corners."""
+_LANE_M = 1.6
+"""Distance of the drive from the middle of the street, to the right."""
+_HILL_SLOPE = 0.02
+_BRIDGE_M = 4.5
+_RAMP_M = 120.0
+"""Half a cosine of this length climbs to the bridge: 7 % at its steepest, hills included."""
+_ROUNDING_M = 5.0
+_POLES_PER_M = 0.17
+"""KITTI's surveyed maps have 14 to 20 poles on 100 m of street within 20 m of the drive."""
+_NODES = np.array(
+    [(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (3, 0), (3, -1), (1.5, -1), (1.5, 2), (0, 2), (0, 1)]
+)
+_ROUTE = (0, 1, 2, 3, 4, 1, 2, 5, 6, 7, 8, 9, 10, 4, 3)
+"""Passes 1-2 twice in one direction and 3-4 in both; 7-8 crosses both on a bridge."""
+_BRIDGE = (7, 8)
+
+
+def simulated_road(seed: int) -> BenchmarkRoad:
+    """Return a drive of about 2 km through a small town, a pose each metre; repeatable by seed.
+
+    Streets bend and climb. Two of them are driven twice, one of these in both directions, and a
+    bridge of 4.5 m crosses them. Poles stand irregularly on both sides, as densely as KITTI's.
+    """
+    rng = np.random.default_rng(seed)
+    corners = _NODES * rng.uniform(*_BLOCK_M, 2) + rng.uniform(-_JITTER_M, _JITTER_M, _NODES.shape)
+    middle, on_bridge = _route(corners)
+    warp = rng.uniform(0.0, 2.0 * np.pi, 2)
+    middle = middle + _BEND_M * np.sin(middle[:, ::-1] / 40.0 + warp)
+    turn = rng.uniform(-np.pi, np.pi)
+    c, s = np.cos(turn), np.sin(turn)
+    middle = middle @ np.array([[c, s], [-s, c]])
+    ahead = np.gradient(middle, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    path = middle + _LANE_M * np.column_stack([ahead[:, 1], -ahead[:, 0]])
+    hills = rng.uniform(0.0, 2.0 * np.pi, 2)
+    height = 50.0 * _HILL_SLOPE * np.sin(middle / 50.0 + hills).sum(axis=1) / np.sqrt(2.0)
+    track = np.column_stack([path, height + on_bridge + CAMERA_HEIGHT_M])
+    road = BenchmarkRoad(f"simulated-{seed}", poses_along(track), _poles(track, rng))
+    return _without_poles_on_road(road)
+
+
+def _route(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the street (k, 2) each metre, and its height (k,) above the ground."""
+    from scipy.ndimage import gaussian_filter1d
+
+    points, heights = [], []
+    for begin, end in pairwise(_ROUTE):
+        length = float(np.linalg.norm(corners[end] - corners[begin]))
+        along = np.arange(0.0, length)
+        share = along[:, None] / length
+        points.append(corners[begin] * (1.0 - share) + corners[end] * share)
+        climb = np.clip(np.minimum(along, length - along) / _RAMP_M, 0.0, 1.0)
+        bump = _BRIDGE_M * 0.5 * (1.0 - np.cos(np.pi * climb))
+        heights.append(bump if (begin, end) == _BRIDGE else np.zeros_like(along))
+    path = gaussian_filter1d(np.concatenate(points), _ROUNDING_M, axis=0, mode="nearest")
+    return path, np.concatenate(heights)
+
+
+def _poles(track: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return poles (p, 2) on both sides, where the drive passes for the first time."""
+    fresh = np.flatnonzero(_first_time(track))
+    cells = rng.gamma(2.0, 0.5, (2, len(track) // 40 + 1))  # some stretches have more than others
+    rate = 0.5 * _POLES_PER_M * cells[:, fresh // 40]
+    count = rng.poisson(rate)
+    side, cell = np.nonzero(count)
+    rows = fresh[np.repeat(cell, count[side, cell])]
+    sides = np.repeat(2.0 * side - 1.0, count[side, cell])
+    offset = LEAST_OFFSET_M + rng.gamma(1.8, 3.5, len(rows))
+    ahead = np.gradient(track[:, :2], axis=0)[rows]
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    along = rng.uniform(-0.5, 0.5, len(rows))
+    return np.asarray(track[rows, :2] + along[:, None] * ahead + (sides * offset)[:, None] * left)
+
+
+def _first_time(track: FloatArray) -> BoolArray:
+    """Return (k,) True where no earlier part of the drive is within 6 m at the same height."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(track).query_ball_point(track, 6.0)
+    return np.array([min(rows) > row - 30 for row, rows in enumerate(near)])

@@ -1,0 +1,205 @@
+"""The paper's pipeline for one frame: P, coarse pose, weighted PnPL (sections IV, V).
+
+Eq. 6 runs over all of P. In a simple scene, where classes alone fix the correspondences, P is
+Boolean and eq. 6 becomes eq. 8.
+
+The paper returns a pose whenever P3P-RANSAC finds one. Here its status is ``ok`` only if enough
+elements fit it and the prior does not contradict it, and ``ambiguous`` otherwise.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.localization import Localization, Match, Refinement, Search, Status
+from semviz_core.base.pose import Pose, nearest_rotation
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.jit import Stopwatch
+from semviz_core.localization.association import PairConstraints, associate
+from semviz_core.localization.least_squares import information
+from semviz_core.localization.matched.p3p_ransac import SAMPLE, Points, most_inliers
+from semviz_core.localization.matched.ransac import LEAST_INFORMATION
+from semviz_core.localization.problem import PoseProblem
+from semviz_core.localization.refinement import Failure, PoseEstimate
+from semviz_core.localization.residuals import EXACT_POSE, problem_residuals
+from semviz_core.localization.search import mode_near
+from semviz_core.localization.status import decide_status
+from semviz_core.research.paper import weighted_pnpl
+from semviz_core.research.paper.matcher import Matcher, SoftMatches, load_matcher
+
+
+@dataclass(frozen=True)
+class PaperPipeline:
+    """The paper's method with a trained matcher, one of ``MODELS``."""
+
+    matcher: Matcher
+    seed: int
+
+    def localize(
+        self,
+        work: Localization,
+        problem: PoseProblem,
+        pairing: PairConstraints,
+        start: Pose | None,
+        watch: Stopwatch,
+    ) -> Localization:
+        """Return ``work`` completed: match, search, refinement, pose and status.
+
+        ``problem`` has the constraints of ``pairing`` applied. ``start`` (T_camera_map) replaces
+        RANSAC.
+        """
+        frame = work.observed, work.submap, work.camera, work.prior
+        soft = watch.time("match", lambda: _constrained(self.matcher.match(*frame), pairing))
+        work = replace(work, match=_match(soft, len(work.observed), len(work.submap)))
+        coarse = _Coarse(start, 1)
+        if start is None:
+            coarse = watch.time("search", lambda: _ransac(soft, self.seed))
+        work = replace(work, search=_search_of(work, problem, coarse))
+        if (coarse_pose := coarse.T_camera_map) is None:
+            return replace(work, reason=coarse.reason)
+        pose = watch.time("refine", lambda: _pnpl_pose(soft, coarse_pose))
+        if isinstance(pose, Failure):
+            return replace(work, reason=pose.reason)
+        fit = _refinement(problem, pose)
+        work = replace(work, refinement=fit)
+        if violated := pairing.violated(fit, work.submap):
+            return replace(work, reason=violated)
+        return _completed(work, problem, pose, fit)
+
+
+def load_chain(name: str, weights: Path | None, classes: ClassSet, seed: int) -> PaperPipeline:
+    """Load a method of the paper: an entry point, as LoadMethod of the localizer."""
+    return PaperPipeline(load_matcher(name, weights, classes), seed)
+
+
+@dataclass(frozen=True)
+class _Coarse:
+    """The pose of RANSAC, or the reason for none."""
+
+    T_camera_map: Pose | None
+    hypotheses: int
+    reason: str = ""
+
+
+def _search_of(work: Localization, problem: PoseProblem, coarse: _Coarse) -> Search:
+    """Return the coarse pose as the only mode, scored as in ``search``."""
+    if coarse.T_camera_map is None:
+        no_match = np.zeros((0, len(work.observed)), np.int64)
+        return Search(coarse.hypotheses, (), np.zeros(0), None, no_match)
+    mode = mode_near(problem, work.prior, coarse.T_camera_map)
+    return Search(coarse.hypotheses, (coarse.T_camera_map,), mode.score, None, mode.match)
+
+
+def _constrained(soft: SoftMatches, pairing: PairConstraints) -> SoftMatches:
+    """Return the matches with P of forced pairs at its maximum, and of forbidden pairs at 0."""
+    P, (i, j) = soft.probability.copy(), pairing.forced.T
+    P[i], P[:, j] = 0.0, 0.0
+    P[i, j] = 1.0 / np.maximum(_smaller_side(soft)[i, j], 1)
+    P[tuple(pairing.forbidden.T)] = 0.0
+    return replace(soft, probability=P)
+
+
+def _match(soft: SoftMatches, m: int, n: int) -> Match:
+    """Return P of the frame's elements for display, as shares of what uniform priors allow.
+
+    Its entries are multiplied by the smaller side of their block, so that rows or columns,
+    whichever are fewer, sum to 1. The remainder is in the dustbins, which the paper does not have,
+    and so is the mass of the bottoms of split lines.
+    """
+    share = np.minimum(soft.probability * _smaller_side(soft), 1.0)[:m, :n]
+    probability = np.zeros((m + 1, n + 1))
+    probability[:m, :n] = share
+    probability[:m, n] = np.maximum(1.0 - share.sum(axis=1), 0.0)
+    probability[m, :n] = np.maximum(1.0 - share.sum(axis=0), 0.0)
+    cost = np.where(soft.probability > 0.0, soft.cost, np.inf)[:m, :n]
+    return Match(cost, probability, weighted_pnpl.most_probable_pairs(soft.probability[:m, :n], m))
+
+
+def _smaller_side(soft: SoftMatches) -> IntArray:
+    """Return (m, n) the smaller number of observed or mapped elements in each pair's block."""
+    seen, mapped = soft.possible.sum(axis=0), soft.possible.sum(axis=1)
+    return np.asarray(np.minimum(seen, mapped[:, None]))
+
+
+def _ransac(soft: SoftMatches, seed: int) -> _Coarse:
+    """Return the coarse pose from the most probable pairs (eq. 5)."""
+    sample = soft.sample
+    i, j = weighted_pnpl.most_probable_pairs(soft.probability, len(sample.ray)).T
+    known = sample.seen_known[i] & sample.mapped_known[j]
+    if (count := int(known.sum())) < SAMPLE:
+        return _Coarse(
+            None, 0, f"{count} points of the likeliest pairs are known, {SAMPLE} needed."
+        )
+    rays = np.stack([sample.ray[i], sample.bottom_ray[i]])
+    points_m = np.stack([sample.point_m[j], sample.bottom_m[j]])
+    R, t, inliers, hypotheses = most_inliers(Points.of(i, known, rays, points_m), seed)
+    if inliers < SAMPLE:
+        reason = f"No pose brings {SAMPLE} of the {len(i)} likeliest pairs within the threshold."
+        return _Coarse(None, hypotheses, reason)
+    return _Coarse(_in_map(soft, R, t), hypotheses)
+
+
+def _pnpl_pose(soft: SoftMatches, T_camera_map: Pose) -> Pose | Failure:
+    """Refine the pose by weighted PnPL over all of P (eq. 6)."""
+    sample, R = soft.sample, T_camera_map.rotation
+    ends = sample.ray, sample.bottom_ray, sample.point_m, sample.bottom_m
+    points, lines = weighted_pnpl.points_and_lines(*ends, sample.seen_known, sample.mapped_known)
+    sums = weighted_pnpl.weighted_sums(*(np.ascontiguousarray(end)[None] for end in ends))
+    sums = sums._replace(
+        point_weight=(soft.probability * points)[None], line_weight=(soft.probability * lines)[None]
+    )
+    optimum = weighted_pnpl.minimize_weighted(
+        sums, R[None], T_camera_map.apply(sample.origin_m)[None]
+    )
+    if not optimum.ok[0]:
+        return Failure("Weighted PnPL comes to no minimum: P does not fix the pose.")
+    return _in_map(soft, optimum.rotation[0], optimum.translation[0])
+
+
+def _in_map(soft: SoftMatches, rotation: FloatArray, translation: FloatArray) -> Pose:
+    """Return T_camera_map, given T_camera_local."""
+    R = nearest_rotation(rotation)
+    return Pose(R, translation - R @ soft.sample.origin_m)
+
+
+def _refinement(problem: PoseProblem, T_camera_map: Pose) -> Refinement:
+    """Return the one-to-one pairs under the pose with their residuals."""
+    match, _ = associate(problem, T_camera_map.rotation, T_camera_map.translation, EXACT_POSE)
+    seen = np.flatnonzero(match >= 0)
+    pairs = np.column_stack([seen, match[seen]])
+    residuals = problem_residuals(problem, T_camera_map, pairs)
+    return Refinement(
+        pairs,
+        residuals.residual_px,
+        residuals.chi2,
+        residuals.inlier,
+        np.array([residuals.chi2.sum()]),
+    )
+
+
+def _covariance(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> FloatArray | None:
+    """Return the Cramer-Rao bound of the pairs; None if they fix no pose."""
+    fisher = information(problem, None, T_camera_map, pairs)
+    if np.linalg.eigvalsh(fisher)[0] < LEAST_INFORMATION:
+        return None
+    return np.asarray(np.linalg.inv(fisher), np.float64)
+
+
+def _completed(
+    work: Localization, problem: PoseProblem, T_camera_map: Pose, fit: Refinement
+) -> Localization:
+    """Return ``work`` with the pose, its covariance and status."""
+    covariance = _covariance(problem, T_camera_map, fit.pairs)
+    status: Status = "ambiguous"
+    reason = f"Only {int(fit.inlier.sum())} of {len(work.observed)} elements fit the pose."
+    if covariance is not None:
+        estimate = PoseEstimate(T_camera_map, covariance, fit)
+        mode = mode_near(problem, work.prior, T_camera_map)
+        decision = decide_status(mode, estimate, work.observed, work.submap, work.prior)
+        status = "ok" if decision.status == "ok" else "ambiguous"
+        reason = decision.reason
+    return replace(
+        work, status=status, reason=reason, T_camera_map=T_camera_map, covariance=covariance
+    )

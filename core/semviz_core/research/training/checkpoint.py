@@ -1,0 +1,146 @@
+"""Store a training's state in one file, and its losses as lines of JSON.
+
+The file is complete at any moment, and the training resumes from it exactly. A loss line is a
+mean over some hundred steps.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import parsed_json
+
+WINDOW_STEPS = 200
+Window = dict[str, tuple[float, int]]
+"""Sum and count of each value's finite occurrences."""
+
+
+class LossLog:
+    """A file of lines ``{"samples": 2400, "losses": {...}}`` and ``{..., "held_out": {...}}``."""
+
+    def __init__(self, path: Path, samples: int) -> None:
+        """Drop the lines after ``samples``, which a resumed training writes again."""
+        self.path = path
+        kept = [line for line in read_history(path) if line["samples"] <= samples]
+        with replacing(path) as temporary:
+            temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
+
+    def write(self, samples: int, **facts: Mapping[str, float]) -> None:
+        """Append one line."""
+        with self.path.open("a") as file:
+            file.write(json.dumps({"samples": samples, **facts}) + "\n")
+
+
+def read_history(path: Path) -> list[dict[str, Any]]:
+    """Return the complete lines of the file, none if it does not exist."""
+    if not path.is_file():
+        return []
+    content = path.read_bytes()
+    lines = content[: content.rfind(b"\n") + 1].splitlines()  # the last may be incomplete
+    try:
+        return [{"samples": 0} | json.loads(line) for line in lines]
+    except (ValueError, TypeError):
+        raise SemvizError(f"{path}: not the losses of a training; move it away") from None
+
+
+def add(window: Window, values: Mapping[str, float], weight: int = 1) -> None:
+    """Add values to ``window``, each the mean of ``weight`` occurrences."""
+    for name, value in values.items():
+        if isfinite(value):
+            total, number = window.get(name, (0.0, 0))
+            window[name] = (total + value * weight, number + weight)
+
+
+def means(window: Window) -> dict[str, float]:
+    """Return the mean of each value, to six digits."""
+    return {name: float(f"{total / number:.6g}") for name, (total, number) in window.items()}
+
+
+FORMAT = 1
+_KEY = "semviz training"
+
+
+@dataclass
+class TrainingProgress:
+    """The course of a training so far."""
+
+    samples: int = 0
+    skipped: int = 0
+    """Number of steps not made because a loss or gradient was not finite."""
+    plans: list[tuple[int, int]] = field(default_factory=list)
+    """(sample, total): the planned total from that sample on; several if the plan changed."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time on each machine."""
+    held_out: dict[str, float] = field(default_factory=dict)
+    """The last validation figures."""
+    window: Window = field(default_factory=dict)
+    """Losses since the last line of the loss log."""
+
+    @property
+    def of(self) -> int:
+        """Planned number of samples."""
+        return self.plans[-1][1]
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The state of a training."""
+
+    identity: dict[str, Any]
+    """Settings that must stay the same, as JSON: task, its options, seed, batch."""
+    progress: TrainingProgress
+    tensors: dict[str, Tensor]
+    """``Learner.state()``."""
+
+    def save(self, path: Path) -> None:
+        """Replace ``path``. Raise SemvizError if that fails; the previous file then stays."""
+        header = {"format": FORMAT, "identity": self.identity, "course": asdict(self.progress)}
+        content = safetensors.torch.save(self.tensors, metadata={_KEY: json.dumps(header)})
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+
+    @classmethod
+    def load(cls, path: Path) -> "Checkpoint":
+        """Raise SemvizError if the file is no checkpoint, or of another version of semviz."""
+        try:
+            with safe_open(path, framework="pt") as file:
+                header = parsed_json((file.metadata() or {})[_KEY])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if header["format"] == FORMAT:
+                return cls(header["identity"], TrainingProgress(**header["course"]), tensors)
+        except (OSError, SafetensorError, LookupError, TypeError, ValueError):
+            raise SemvizError(f"{path}: not a checkpoint of semviz, or damaged") from None
+        raise SemvizError(
+            f"{path}: a checkpoint of format {header['format']}; this semviz has {FORMAT}: use the "
+            "version that it was made with, or give another --out"
+        )
+
+    def check(self, identity: dict[str, Any], path: Path) -> None:
+        """Raise SemvizError if the checkpoint belongs to another training."""
+        differing = _differences("", self.identity, json.loads(json.dumps(identity)))
+        if differing:
+            more = f" and {len(differing) - 2} more" if len(differing) > 2 else ""
+            raise SemvizError(
+                f"{path}: of another training ({'; '.join(differing[:2])}{more}): "
+                "give another --out"
+            )
+
+
+def _differences(name: str, was: Any, now: Any) -> list[str]:
+    """Return ``batch was 12, is 24`` for each value that differs."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        return [
+            difference
+            for key in {**was, **now}
+            for difference in _differences(f"{name} {key}".strip(), was.get(key), now.get(key))
+        ]
+    return [] if was == now else [f"{name} was {was}, is {now}"]

@@ -1,1 +1,0 @@
-"""Localizing a drive: odometry and frames together, one belief from frame to frame."""

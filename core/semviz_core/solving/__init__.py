@@ -1,1 +1,0 @@
-"""Correspondences to poses, with honest uncertainty."""

@@ -1,1 +1,0 @@
-"""Images and priors in: real sequences and simulated ones."""

@@ -1,1 +1,0 @@
-"""A simulated street: its layout, its pictures, its detections."""

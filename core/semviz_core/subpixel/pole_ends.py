@@ -1,0 +1,162 @@
+"""Find the visible end of a pole along its axis.
+
+One method finds the change of colour along the axis. The other examines rows across the pole:
+edges on both sides, and the pole's colour between them. Each row near the end is weak evidence
+for or against the pole. The end is where the evidence for the rows before it and against the rows
+beyond it is largest in sum.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_core.common.arrays import FloatArray
+from semviz_core.subpixel.pole_axis import STEP_PX, across, edge_votes
+from semviz_core.subpixel.sampling import SampledImage
+
+_STEP_PX = 0.5
+_BEFORE, _AFTER = 2.0, 3.0
+"""Lengths (px) before and after the end that are compared."""
+_PLAIN_STEP = 14.0
+"""Largest mean deviation (grey levels) before the end from the pole's colour."""
+_LEVELS = 20.0
+"""Least step (grey levels) at the end."""
+
+
+def visible_end(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    reach_px: float,
+) -> float | None:
+    """Return how far beyond ``end_px`` (px; negative: before it) a pole from ``other_px`` ends.
+
+    None without exactly one clear change of colour within ``reach_px``.
+    """
+    length = float(np.linalg.norm(end_px - other_px))
+    most = min(reach_px, 0.3 * length)
+    reach = most + _BEFORE + _AFTER
+    offsets = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
+    along = (end_px - other_px) / length
+    points = end_px + offsets[:, None] * along
+    height, width = image.image.shape[:2]
+    if ((points < 0.0) | (points > [width - 1.0, height - 1.0])).any():
+        return None
+    normal = across(np.stack([other_px, end_px]))
+    half = max(0.0, width_px / 2.0 - 0.75)
+    beside = np.linspace(-half, half, 5)[:, None] * normal
+    colors = image.sample(points[:, None] + beside).mean(axis=1).astype(np.float64)
+    body = end_px + np.linspace(0.05, 0.6, 24)[:, None] * (other_px - end_px)
+    pole = np.median(image.sample(body[:, None] + beside).mean(axis=1), axis=0)
+    place = _color_change(colors, pole, offsets)
+    return place if place is not None and abs(place) <= most else None
+
+
+def _color_change(colors: FloatArray, pole: FloatArray, offsets: FloatArray) -> float | None:
+    """Return the offset (px) where colours (n, 3) at ``offsets`` (n,) leave the pole's colour (3,).
+
+    None without exactly one clear change.
+    """
+    off = np.sqrt(((colors - pole) ** 2).mean(axis=1))
+    inner, outer = int(_BEFORE / _STEP_PX), int(_AFTER / _STEP_PX)
+    sums = np.concatenate([[0.0], np.cumsum(off)])
+    split = np.arange(inner, len(offsets) - outer + 1)  # the end is before this sample
+    before = (sums[split] - sums[split - inner]) / inner
+    after = (sums[split + outer] - sums[split]) / outer
+    step = after - before
+    best = int(np.argmax(step))
+    if before[best] > _PLAIN_STEP or step[best] < _LEVELS:
+        return None
+    second_step = (np.abs(split - split[best]) > outer) & (before < _PLAIN_STEP)
+    if second_step.any() and step[second_step].max() > 0.6 * step[best]:
+        return None
+    first, last = split[best] - inner, split[best] + outer
+    beyond = np.median(colors[split[best] + 1 : last], axis=0) - pole
+    share = np.clip((colors[first:last] - pole) @ beyond / (beyond @ beyond), 0.0, 1.0)
+    return float(offsets[last - 1] + 0.5 * _STEP_PX - share.sum() * _STEP_PX)
+
+
+_SAME_COLOR = 14.0
+"""Difference in grey levels at which a row's colour counts as half the pole's."""
+_APART_PX = 3.0
+"""Ends further apart than this are different."""
+_FEWEST = 4
+_MOST_SHARE = 0.4
+"""Largest distance of the end before its predicted position, as a share of the pole's length."""
+WEIGHTS = np.array([-3.5281, 2.2309, 2.1028, 3.3147])
+"""Log-odds weights of a row of the pole: constant, weaker and stronger edge, colour. Fitted on
+simulated streets with seeds from 20_000 by ``python bench/subpixel.py --fit``."""
+
+
+class RowsEnd(NamedTuple):
+    """The end of a pole by its rows."""
+
+    off_px: float
+    """Distance beyond the predicted end; negative: before it."""
+    margin: float
+    """Log-odds between this end and the best end that is not next to it."""
+
+
+def end_by_rows(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    sigma_px: float,
+    hidden: bool = False,
+) -> RowsEnd | None:
+    """Return the end of a pole from ``other_px`` near ``end_px``, which has ``sigma_px``.
+
+    ``hidden``: the pole is covered before ``end_px``, so only rows beyond count. None if the image
+    has too few rows.
+    """
+    off, evidence = row_evidence(image, other_px, end_px, width_px, 2.5 * sigma_px)
+    if hidden:
+        off, evidence = off[off > 0.0], evidence[off > 0.0]
+    if len(off) < _FEWEST:
+        return None
+    odds = WEIGHTS[0] + evidence @ WEIGHTS[1:]
+    total = np.concatenate([[0.0], np.cumsum(odds)])
+    places = np.append(off - 0.5, off[-1] + 0.5)
+    total = total - 0.5 * (places / sigma_px) ** 2
+    best = int(np.argmax(total))
+    others = total[np.abs(places - places[best]) > _APART_PX]
+    return RowsEnd(float(places[best]), float(total[best] - others.max(initial=-np.inf)))
+
+
+def row_evidence(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    reach_px: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return rows (n,) inside the image, in px beyond the end, and their evidence (n, 3).
+
+    The evidence are the votes of the weaker and the stronger edge, and the likeness to the pole's
+    colour.
+    """
+    length = float(np.linalg.norm(end_px - other_px))
+    along = (end_px - other_px) / length
+    off = np.arange(-round(min(reach_px, _MOST_SHARE * length)), round(reach_px) + 1.0)
+    points = end_px + off[:, None] * along
+    height, width = image.image.shape[:2]
+    inside = ((points > -0.5) & (points < [width - 0.5, height - 0.5])).all(axis=1)
+    off, points = off[inside], points[inside]
+    half = width_px / 2.0 + 4.0
+    beside = np.arange(-half, half + STEP_PX / 2, STEP_PX)
+    normal = across(np.stack([other_px, end_px]))
+    if len(off) < 2:
+        return off, np.zeros((len(off), 3))
+    strip = image.sample(points[:, None] + beside[:, None] * normal)
+    edge = edge_votes(strip)
+    sides = [
+        edge[:, np.abs(beside - at) <= 0.75].max(axis=1) for at in (-width_px / 2, width_px / 2)
+    ]
+    inner = np.abs(beside) <= max(0.3, width_px / 2.0 - 0.75)
+    body = end_px + np.linspace(0.2, 0.7, 16)[:, None] * (other_px - end_px)
+    level = image.sample(body[:, None] + beside[inner][:, None] * normal).mean(axis=1)
+    difference = ((strip[:, inner].mean(axis=1) - np.median(level, axis=0)) ** 2).mean(axis=1)
+    same_color = 1.0 / (1.0 + difference / _SAME_COLOR**2)
+    return off, np.stack([np.minimum(*sides), np.maximum(*sides), same_color], axis=1)

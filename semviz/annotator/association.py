@@ -1,0 +1,192 @@
+"""Decide which element a new drawing belongs to, and list elements to continue nearby.
+
+It is the selected element if that is free in the image and its rays agree, else one expected
+there, else a new one. Elements labelled a few frames away are listed if their position here is
+unknown: too far to be expected, or seen only once.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz.annotator import element_positions
+from semviz.annotator.panes import Cameras
+from semviz.annotator.proposals import LabelProposal
+from semviz_annotation.assist.marked_image import Mark, pixel
+from semviz_annotation.labels.labels import Labels, Observation
+from semviz_annotation.labels.views import PosedView
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.frame import Side
+from semviz_core.common.arrays import FloatArray
+
+NEARBY_FRAMES = 5
+"""An element is listed this many frames before and after one in which it is labelled."""
+
+
+@dataclass(frozen=True)
+class NearbyElement:
+    """An element to continue: too far away to be expected, or seen only once so far."""
+
+    element_id: str
+    labelled_in: int
+    """The nearest frame in which it is labelled."""
+    projections: tuple[element_positions.ProjectedElement, ...]
+    """Vague, from nearly parallel rays. Empty if the element has one view, or a pose is missing."""
+
+
+def nearby_elements(
+    frame_index: int,
+    order: Sequence[int],
+    expected: Iterable[str],
+    labels: Labels,
+    cameras: Cameras,
+    positions: element_positions.ElementPositions,
+) -> tuple[NearbyElement, ...]:
+    """Return elements labelled in near frames that are neither ``expected`` nor labelled here.
+
+    ``order`` holds all frames in order of time. Elements that project outside both images are left
+    out.
+    """
+    known = set(expected)
+    sides: tuple[Side, ...] = ("left",) if cameras.rig.right is None else ("left", "right")
+    views = {side: cameras.view(frame_index, side) for side in sides}
+    is_posed = cameras.T_map_camera[frame_index] is not None
+    nearby = []
+    for element_id, labelled_in in _labelled_near(frame_index, order, labels).items():
+        missing = [side for side in sides if not labels.find(element_id, frame_index, side)]
+        if element_id in known or not missing:
+            continue
+        ends = positions.best_ends(labels, element_id) if is_posed else None
+        projections = () if ends is None else _projections(element_id, missing, views, ends)
+        if projections or (ends is None and labelled_in != frame_index):
+            nearby.append(NearbyElement(element_id, labelled_in, projections))
+    return tuple(nearby)
+
+
+def _labelled_near(frame_index: int, order: Sequence[int], labels: Labels) -> dict[str, int]:
+    """The nearest frame in which each element around here is labelled; nearest elements first."""
+    here = order.index(frame_index)
+    ranks = range(max(0, here - NEARBY_FRAMES), min(len(order), here + NEARBY_FRAMES + 1))
+    nearest: dict[str, int] = {}
+    for rank in sorted(ranks, key=lambda rank: abs(rank - here)):
+        for row in labels.in_frame(order[rank]):
+            nearest.setdefault(row.element_id, order[rank])
+    return nearest
+
+
+def _projections(
+    element_id: str, sides: Iterable[Side], views: Mapping[Side, PosedView], ends: FloatArray
+) -> tuple[element_positions.ProjectedElement, ...]:
+    """The projections of an element with homogeneous ``ends`` (2, 4) that lie in the images."""
+    projections = [_projection(element_id, side, views[side], ends) for side in sides]
+    return tuple(projection for projection in projections if projection is not None)
+
+
+def _projection(
+    element_id: str, side: Side, view: PosedView, ends: FloatArray
+) -> element_positions.ProjectedElement | None:
+    pixels = element_positions.project_homogeneous(view, ends)
+    is_line = not np.isnan(ends[1]).any()
+    behind = np.isnan(pixels[: 1 + is_line]).any()
+    if behind or not view.camera.contains(pixels).any():
+        return None
+    anchor, end = (pixel(point) for point in pixels)
+    return element_positions.ProjectedElement(
+        element_id, side, anchor, end if is_line else None, depth_m=float("inf")
+    )
+
+
+CONSISTENT_PX = 3.0
+"""Largest reprojection error (rms over the views) for a drawing to join the selected element."""
+NEAR_EXPECTED_PX = 12.0
+"""Largest distance of a drawing's ends from an element's expected ends for it to join that."""
+NEAR_CONFIDENT_PX = 3.0
+"""The same for a confident proposal: a drawing further away is another element."""
+
+
+@dataclass(frozen=True)
+class DraftAssociation:
+    """The element that a drawing joins; None starts a new one. ``note`` is shown to the user."""
+
+    element_id: str | None
+    note: str = ""
+
+
+def associate_draft(
+    drawing: Observation,
+    class_id: int,
+    selected_id: str | None,
+    proposals: Iterable[LabelProposal],
+    labels: Labels,
+    positions: element_positions.ElementPositions,
+    classes: ClassSet,
+) -> DraftAssociation:
+    """Return the selected element if it is free in this image and the rays agree, else the nearest
+    one expected here, else None.
+
+    ``proposals`` are those for the image of the drawing.
+    """
+    note = ""
+    if selected_id is not None and _is_free(selected_id, drawing, class_id, labels):
+        error_px = _fit_error_px([*labels.of_element(selected_id), drawing], positions)
+        if error_px <= CONSISTENT_PX:
+            return DraftAssociation(selected_id)
+        element = labels.element(selected_id)
+        name = classes.element_name(element.class_id, element.number)
+        off = f"{error_px:.1f} px off" if np.isfinite(error_px) else "Does not fit"
+        note = f"{off} {name}, so this is a new element. To link: Ctrl click both, then P."
+    near = []
+    for proposal in proposals:
+        if proposal.mark is None or proposal.is_detected or proposal.class_id != class_id:
+            continue
+        distance_px = _distance_px(proposal.mark, drawing)
+        if distance_px <= (NEAR_CONFIDENT_PX if proposal.is_confident else NEAR_EXPECTED_PX):
+            near.append((distance_px, proposal.element_id))
+    return DraftAssociation(min(near)[1]) if near else DraftAssociation(None, note)
+
+
+def _fit_error_px(
+    observations: Sequence[Observation], positions: element_positions.ElementPositions
+) -> float:
+    """Reprojection error of a drawing (the last observation) with the others of its element;
+    infinite without any other."""
+    drawing = observations[-1]
+    if not positions.posed([drawing]):
+        observations = [
+            observation
+            for observation in observations
+            if observation.frame_index == drawing.frame_index
+        ]
+    else:
+        observations = positions.posed(observations)
+    if len(observations) < 2:
+        return float("inf")
+    return element_positions.reprojection_error_px(
+        [positions.view(observation) for observation in observations], observations
+    )
+
+
+def _is_free(element_id: str, drawing: Observation, class_id: int, labels: Labels) -> bool:
+    """Whether an element of the class exists and is not labelled in the drawing's image."""
+    element = labels.elements.get(element_id)
+    return (
+        element is not None
+        and element.class_id == class_id
+        and labels.find(element_id, drawing.frame_index, drawing.side) is None
+    )
+
+
+def _distance_px(expected: Mark, drawing: Observation) -> float:
+    """Distance of sign centers. Poles: across the expected line, and along it at the better end.
+
+    Either end of a pole may be hidden in one of the frames, so one end that agrees is enough.
+    """
+    gaps = [np.subtract(drawing.anchor_px, expected.anchor_px)]
+    if expected.end_px is None or drawing.end_px is None:
+        return float(np.hypot(*gaps[0]))
+    gaps.append(np.subtract(drawing.end_px, expected.end_px))
+    u, v = np.subtract(expected.end_px, expected.anchor_px)
+    along = np.array([u, v]) / max(np.hypot(u, v), 1e-9)
+    across = np.array([-along[1], along[0]])
+    return float(max(*(abs(gap @ across) for gap in gaps), min(abs(gap @ along) for gap in gaps)))

@@ -1,0 +1,130 @@
+"""Read older operations, named states and former frames, and follow the log for updates.
+
+The log may be written by any process. One thread at a time.
+"""
+
+from collections import deque
+from collections.abc import Container
+
+from semviz.annotator import views
+from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.frame_quality import FrameQuality
+from semviz.annotator.panes import Panes
+from semviz.annotator.views import OperationView
+from semviz.web.protocol import Part, RefusedError
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.storage.store import LabelStore, Operation
+from semviz_core.base.classes import ClassSet
+
+PAGE_SIZE = 100
+"""Number of older operations in one answer."""
+
+
+class PastFrame(Part):
+    """A frame as it was after operation number ``operation``; ``done`` describes it, None for 0."""
+
+    operation: int
+    done: OperationView | None
+    frame: LabelledFrameView
+
+
+class HistoryView:
+    """Read access to the history of one label store. One thread at a time."""
+
+    def __init__(
+        self, store: LabelStore, panes: Panes, frames: Container[object], classes: ClassSet
+    ) -> None:
+        self._store = store
+        self._panes = panes
+        self._frames = frames
+        self._classes = classes
+        self._last_read = Labels()
+        """The state read last: people step through its frames."""
+
+    def operations(self, before: int) -> list[OperationView]:
+        """Return up to ``PAGE_SIZE`` operations before number ``before``, newest first."""
+        return self._views(self._store.operations(before=before, limit=PAGE_SIZE))
+
+    def named_states(self) -> list[OperationView]:
+        """Return the operations that named a state, newest first; their text is the name."""
+        named = self._store.named()
+        names = {operation.number: operation.text for operation in named}
+        return [view.model_copy(update={"text": names[view.number]}) for view in self._views(named)]
+
+    def frame(self, operation: int, frame_index: int) -> PastFrame:
+        """Return the labels of a frame after an operation, and that operation (None for 0).
+
+        Raise RefusedError if there is no such operation or frame.
+        """
+        if frame_index not in self._frames:
+            raise RefusedError("not_found", f"frame {frame_index} is not in this sequence")
+        labels = self._labels_at(operation)
+        panes = self._panes.of(frame_index)
+        done = self._store.operations(after=operation - 1, limit=1) if operation else ()
+        frame = LabelledFrameView(
+            index=frame_index,
+            panes=views.pane_views(panes),
+            elements=views.element_views(labels, panes, self._classes),
+            proposals=[],
+            nearby=[],
+            is_searching=False,
+        )
+        return PastFrame(operation=operation, done=next(iter(self._views(done)), None), frame=frame)
+
+    def _labels_at(self, number: int) -> Labels:
+        if self._last_read.operation != number:
+            self._last_read = self._store.labels_at(number)
+        return self._last_read
+
+    def _views(self, operations: tuple[Operation, ...]) -> list[OperationView]:
+        labels = self._store.labels
+        return [
+            views.operation_view(operation, labels, self._classes)
+            for operation in reversed(operations)
+        ]
+
+
+HISTORY = 100
+"""Number of operations that the page lists at first."""
+
+
+class UpdateFeed:
+    """Follows the log of one store, whichever process writes it. One thread at a time."""
+
+    def __init__(self, store: LabelStore, classes: ClassSet, quality: FrameQuality) -> None:
+        self._store = store
+        self._classes = classes
+        self._quality = quality
+        self._changed: set[int] = set()
+        """Changed frames that have not been sent to the pages."""
+        self._start_at(store.last_operation)
+
+    def _start_at(self, operation: int) -> None:
+        self._history: deque[OperationView] = deque(maxlen=HISTORY)
+        """Newest first."""
+        self.operation = max(0, operation - HISTORY)
+        """Number of the last operation in the history."""
+        self._sent = operation
+
+    @property
+    def has_updates(self) -> bool:
+        """Whether there are operations that have not been sent to the pages."""
+        return self._store.last_operation != self._sent
+
+    def history(self, labels: Labels) -> list[OperationView]:
+        """Return the last operations, newest first, described with the names of ``labels``."""
+        if self._store.last_operation < self.operation:  # an older backup was restored
+            self._start_at(self._store.last_operation)
+            self._changed.update(self._quality.forget_all())
+        for operation in self._store.operations(after=self.operation):
+            self._history.appendleft(views.operation_view(operation, labels, self._classes))
+            self._changed.update(views.frames_touched(operation))
+            self._quality.forget(operation, labels)
+            self.operation = operation.number
+        return list(self._history)
+
+    def take_changed_frames(self) -> set[int]:
+        """Return the frames that changed since the last call, to be sent to all pages."""
+        changed, self._changed = self._changed, set()
+        self._sent = self.operation
+        return changed

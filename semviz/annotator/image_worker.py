@@ -1,0 +1,260 @@
+"""Decode images, and search them in threads for proposals and snaps.
+
+Each image is decoded once and cached for a while; so are the results. Thread-safe.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Generic, TypeVar
+
+from semviz.annotator import proposals
+from semviz.annotator.panes import Cameras, Pane
+from semviz_annotation.assist.detection_refinement import RawDetection, refine_detection
+from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
+from semviz_annotation.assist.propagation import ReferenceView, propagate
+from semviz_annotation.assist.snap import Snapped, snap
+from semviz_annotation.assist.stereo_matching import find_correspondence
+from semviz_core.base.classes import ClassSet
+from semviz_core.base.frame import Dataset, Side
+from semviz_core.common.arrays import ByteImage
+from semviz_core.common.errors import SemvizError
+
+CACHED_DECODED = 12
+"""About 17 MB of KITTI's images, around the frame on screen."""
+CACHED_IMAGES = 48
+"""About 40 MB of KITTI's PNGs."""
+CACHED_THUMBNAILS = 4000
+THUMBNAIL_WIDTH_PX = 128
+FAST = 1
+"""PNG compression level: a third larger than level 6, five times as fast."""
+
+Key = tuple[int, str]
+T = TypeVar("T")
+
+
+class Images:
+    """The images of one dataset, cached. Thread-safe; futures raise the errors of the dataset."""
+
+    def __init__(self, source: Dataset) -> None:
+        self._source = source
+        self._order = {frame.index: rank for rank, frame in enumerate(source.frames)}
+        self._decoded: _FutureCache[ByteImage] = _FutureCache(CACHED_DECODED, workers=2)
+        self._images: _FutureCache[bytes] = _FutureCache(CACHED_IMAGES, workers=2)
+        self._thumbnails: _FutureCache[bytes] = _FutureCache(CACHED_THUMBNAILS, workers=1)
+
+    def pixels(self, index: int, side: Side) -> ByteImage:
+        """Return (height, width, 3) sRGB. Raise SemvizError if the image cannot be read."""
+        return self._decoded.get((index, side), lambda: self._source.image(index, side)).result()
+
+    def png(self, index: int, side: Side) -> "Future[bytes]":
+        """Return the image as PNG, lossless: labels are made to a tenth of a pixel."""
+        return self._images.get((index, side), lambda: encode_png(self.pixels(index, side)))
+
+    def thumbnail(self, index: int) -> "Future[bytes]":
+        """Return the left image as a small JPEG."""
+        return self._thumbnails.get((index, "thumbnail"), lambda: self._shrink(index))
+
+    def prefetch(self, index: int) -> None:
+        """Start to encode the images of the frames before and after ``index``."""
+        frames, rank = self._source.frames, self._order[index]
+        for near in (rank + 1, rank - 1):
+            if 0 <= near < len(frames):
+                self.png(frames[near].index, "left")
+                if self._source.rig.right is not None:
+                    self.png(frames[near].index, "right")
+
+    def close(self) -> None:
+        for cache in (self._images, self._thumbnails, self._decoded):
+            cache.close()
+
+    def _shrink(self, index: int) -> bytes:
+        import cv2
+
+        wait(self._images.unfinished())  # thumbnails never delay the frame on screen
+        image = self._source.image(index, "left")  # not cached decoded: there is one per frame
+        height = round(image.shape[0] * THUMBNAIL_WIDTH_PX / image.shape[1])
+        small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+        return _encode(".jpg", small.astype(image.dtype), cv2.IMWRITE_JPEG_QUALITY, 82)
+
+
+class _FutureCache(Generic[T]):
+    """A least-recently-used cache of slow results; each is computed once."""
+
+    def __init__(self, limit: int, workers: int) -> None:
+        self._limit = limit
+        self._futures: OrderedDict[Key, Future[T]] = OrderedDict()
+        self._lock = threading.Lock()
+        self._workers = ThreadPoolExecutor(workers, "semviz-images")
+
+    def get(self, key: Key, make: Callable[[], T]) -> "Future[T]":
+        with self._lock:
+            future = self._futures.get(key)
+            if future is None or (future.done() and future.exception() is not None):
+                future = self._futures[key] = self._workers.submit(make)
+            self._futures.move_to_end(key)
+            while len(self._futures) > self._limit:
+                self._futures.popitem(last=False)
+            return future
+
+    def unfinished(self) -> list["Future[T]"]:
+        with self._lock:
+            return [future for future in self._futures.values() if not future.done()]
+
+    def close(self) -> None:
+        self._workers.shutdown(wait=False, cancel_futures=True)
+
+
+def encode_png(image: ByteImage) -> bytes:
+    """Return an (h, w, 3) sRGB image as PNG."""
+    import cv2
+
+    return _encode(".png", image, cv2.IMWRITE_PNG_COMPRESSION, FAST)
+
+
+def _encode(suffix: str, image: ByteImage, option: int, value: int) -> bytes:
+    import cv2
+
+    _, data = cv2.imencode(suffix, image[..., ::-1], [option, value])
+    return data.tobytes()
+
+
+CACHED_RESULTS = 5000
+CACHED_MARKED_IMAGES = 12
+"""About 23 MB of KITTI's."""
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+_NOT_FOUND = proposals.ImageSearchResult(None)
+
+
+class ImageWorker:
+    """Searches images and caches the results. Thread-safe."""
+
+    def __init__(self, images: Images, cameras: Cameras, classes: ClassSet) -> None:
+        self._images = images
+        self._cameras = cameras
+        self._classes = classes
+        self._results: _Recent[proposals.ImageQuery, Mapping[Pane, proposals.ImageSearchResult]] = (
+            _Recent(CACHED_RESULTS)
+        )
+        self._marked_images: _Recent[Pane, MarkedImage] = _Recent(CACHED_MARKED_IMAGES)
+
+    def with_results(
+        self, candidates: Iterable[proposals.LabelProposal]
+    ) -> list[proposals.LabelProposal]:
+        """Return the proposals with the results of their queries so far, without those that have no
+        mark."""
+        searched = [self._with_result(proposal) for proposal in candidates]
+        return [proposal for proposal in searched if proposal.mark is not None]
+
+    def pending(self, candidates: Iterable[proposals.LabelProposal]) -> list[proposals.ImageQuery]:
+        """Return the queries that have no result yet."""
+        queries = dict.fromkeys(
+            proposal.query for proposal in candidates if proposal.query is not None
+        )
+        return [query for query in queries if self._results.get(query) is None]
+
+    def search(self, query: proposals.ImageQuery) -> None:
+        """Process a query; takes some milliseconds. An unreadable image has no results."""
+        try:
+            results = self._search(query)
+        except SemvizError:  # the page shows the error in place of the image
+            results = {}
+        self._results.put(query, results)
+
+    def best(self, query: proposals.ImageQuery, pane: Pane) -> ProposedMark | None:
+        """Return the best mark in an image; processes the query first if needed."""
+        if self._results.get(query) is None:
+            self.search(query)
+        return (self._results.get(query) or {}).get(pane, _NOT_FOUND).best
+
+    def snap(self, pane: Pane, mark: Mark, class_id: int) -> Snapped | None:
+        """Return ``mark`` snapped to image edges; None if no edge is clear."""
+        try:
+            return snap(self._marked_image(pane), mark, self._classes[class_id])
+        except SemvizError:
+            return None
+
+    def _with_result(self, proposal: proposals.LabelProposal) -> proposals.LabelProposal:
+        results = None if proposal.query is None else self._results.get(proposal.query)
+        if results is None:
+            return proposal
+        return proposal.with_result(results.get(proposal.pane, _NOT_FOUND))
+
+    def _search(self, query: proposals.ImageQuery) -> dict[Pane, proposals.ImageSearchResult]:
+        """The results of a query, by image."""
+        if isinstance(query, proposals.PropagationQuery):
+            return self._propagate(query)
+        if isinstance(query, proposals.RefinementQuery):
+            return self._refine(query)
+        class_ = self._classes[query.class_id]
+        there, here = self._marked_image(query.there), self._marked_image(query.here)
+        matches = find_correspondence(here, there, query.mark, class_, query.element)
+        if matches is None:
+            return {}
+        return {query.there: proposals.ImageSearchResult(matches.best, matches.runner_up)}
+
+    def _propagate(
+        self, query: proposals.PropagationQuery
+    ) -> dict[Pane, proposals.ImageSearchResult]:
+        views = [
+            ReferenceView(
+                self._marked_image(image.there), self._marked_image(image.here), image.mark
+            )
+            for image in query.images
+        ]
+        marks = propagate(views, query.element, self._classes[query.class_id])
+        return {
+            image.there: proposals.ImageSearchResult(mark)
+            for image, mark in zip(query.images, marks, strict=True)
+        }
+
+    def _refine(self, query: proposals.RefinementQuery) -> dict[Pane, proposals.ImageSearchResult]:
+        detections = [
+            RawDetection(
+                self._marked_image(detected.pane),
+                detected.mark,
+                detected.score,
+                detected.sigma_px,
+                detected.sigma_along_px,
+            )
+            for detected in query.detections
+        ]
+        other = None if query.other is None else self._marked_image(query.other)
+        panes = (*(detected.pane for detected in query.detections), query.other)
+        refined = refine_detection(detections, other, self._classes[query.class_id])
+        return {
+            pane: proposals.ImageSearchResult(mark, depth_m=refined.depth_m)
+            for pane, mark in zip(panes, refined.proposed, strict=False)
+            if pane
+        }
+
+    def _marked_image(self, pane: Pane) -> MarkedImage:
+        image = self._marked_images.get(pane)
+        if image is None:
+            pixels = self._images.pixels(pane.frame_index, pane.side)
+            image = MarkedImage.of(self._cameras.view(pane.frame_index, pane.side), pixels)
+            self._marked_images.put(pane, image)
+        return image
+
+
+class _Recent(Generic[K, V]):
+    """A cache of the most recently stored values. Thread-safe."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._values: OrderedDict[K, V] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: K) -> V | None:
+        with self._lock:
+            return self._values.get(key)
+
+    def put(self, key: K, value: V) -> None:
+        with self._lock:
+            self._values[key] = value
+            while len(self._values) > self._limit:
+                self._values.popitem(last=False)

@@ -1,0 +1,226 @@
+"""Read, lint and rebuild the last map of a workspace, and list open decisions and findings.
+
+A map is worked on in a thread of its own and replaced as a whole, so any thread may read it.
+Decisions and findings are listed as open while labels change; an edit affects few of thousands.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from semviz.web.protocol import Part, RefusedError
+from semviz.workspace.map_review import EntryView, entry_key, entry_view
+from semviz.workspace.workspace import MAIN, Workspace
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.decisions import is_open
+from semviz_annotation.mapping.quality.lint_context import Finding
+from semviz_core.base.semantic_map import Decision, SemanticMap
+from semviz_core.common.errors import SemvizError
+
+
+@dataclass(frozen=True, eq=False)
+class LintedMap:
+    """A map with its lint findings."""
+
+    semantic_map: SemanticMap
+    findings: tuple[Finding, ...]
+    """Most severe first."""
+
+
+class MapWork:
+    """Reads and builds the map in a thread of its own. Any thread may read the results: they are
+    replaced whole."""
+
+    def __init__(self, workspace: Workspace, labels: Callable[[], Labels]) -> None:
+        self._workspace = workspace
+        self._labels = labels
+        self._path = workspace.map_path(MAIN)
+        self._pool = ThreadPoolExecutor(1, "semviz-map")
+        self._stamp: tuple[int, int] | None = None
+        self._stopping = False
+        self.built: LintedMap | None = None
+        """None if there is no map yet, or it has not been read."""
+        self.failure = ""
+        """Why the last map could not be read or built."""
+        self.building: str | None = None
+        """The current stage of a build; None while no map is being built."""
+        self.version = 0
+        """Changes whenever one of these changes."""
+
+    def refresh(self) -> None:
+        """Read the map file in the background if it has changed."""
+        stamp = _stamp(self._path)
+        if stamp != self._stamp:
+            self._stamp = stamp
+            self._pool.submit(self._work, self._read)
+
+    def build(self) -> None:
+        """Build the map in the background. Raise RefusedError if a build is running."""
+        if self.building is not None:
+            raise RefusedError("busy", "the map is being built already")
+        self.building, self._stopping = "starting", False
+        self.version += 1
+        self._pool.submit(self._work, self._build)
+
+    def stop(self) -> None:
+        """Cancel the build soon; the present map stays."""
+        self._stopping = True
+
+    def close(self) -> None:
+        """Cancel a build and wait for the thread."""
+        self.stop()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _work(self, do: Callable[[], None]) -> None:
+        try:
+            self.failure = ""
+            do()
+        except SemvizError as error:
+            self.failure = str(error)
+        except Exception as error:  # nothing else reports errors of this thread
+            self.failure = f"the map: {error!r}; please report this"
+        finally:
+            self.version += 1
+
+    def _read(self) -> None:
+        if self._stamp is None:
+            self.built = None
+        else:
+            self._lint(self._workspace.read_map(MAIN))
+
+    def _build(self) -> None:
+        from semviz_annotation.mapping.build import build_map
+        from semviz_core.base.map_file import save_map
+
+        try:
+            built, _ = build_map(
+                self._labels(),
+                self._workspace.source,
+                classes=self._workspace.classes,
+                on_progress=self._on_progress,
+            )
+            save_map(built, self._path)
+            self._stamp = _stamp(self._path)
+            self._lint(built)
+        finally:
+            self.building = None
+
+    def _on_progress(self, stage: str, done: int, total: int) -> None:
+        if self._stopping:
+            raise SemvizError("Stopped: the map is as it was.")
+        self.building = f"{stage}, {100 * done // max(total, 1)} %"
+        self.version += 1
+
+    def _lint(self, semantic_map: SemanticMap) -> None:
+        from semviz_annotation.mapping.quality.lint import lint
+
+        findings = lint(semantic_map, self._labels(), self._workspace.source)
+        self.built = LintedMap(semantic_map, findings)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Time and size, which differ between two versions of a file; None if there is no file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+ReviewList: TypeAlias = Literal["decisions", "findings"]
+
+
+class MapSummary(Part):
+    """The last map, and the number of open decisions and findings."""
+
+    built: int | None
+    """Number of the last operation it contains; None if there is no map."""
+    elements: int
+    decisions: int
+    findings: int
+    building: str | None
+    """The current stage of a build; None while no map is being built."""
+    failure: str
+
+
+class ReviewEntry(Part):
+    """One entry of a list; ``entry`` is None if the list is empty."""
+
+    list_name: ReviewList
+    count: int
+    place: int = 0
+    entry: EntryView | None = None
+
+
+class Reviews:
+    """Open decisions and findings of the last map. One thread at a time."""
+
+    def __init__(self, work: MapWork) -> None:
+        self._work = work
+        self._built: LintedMap | None = None
+        self._open = OpenDecisions(())
+        """Of that map."""
+
+    def summary(self, labels: Labels) -> MapSummary:
+        """Return the state of the last map and of a running build."""
+        built = self._work.built
+        return MapSummary(
+            built=None if built is None else built.semantic_map.operation,
+            elements=0 if built is None else len(built.semantic_map),
+            decisions=len(self._decisions(built, labels)),
+            findings=0 if built is None else len(built.findings),
+            building=self._work.building,
+            failure=self._work.failure,
+        )
+
+    def entry(
+        self, name: ReviewList, key: str | None, place: int, by: Literal[-1, 0, 1], labels: Labels
+    ) -> ReviewEntry:
+        """Return the entry ``by`` places after the one with ``key``.
+
+        If that entry has been decided, the one that followed it is at ``place`` now.
+        """
+        built = self._work.built
+        entries: Sequence[Decision | Finding] = self._decisions(built, labels)
+        if name == "findings" and built is not None:
+            entries = built.findings
+        if not entries or built is None:
+            return ReviewEntry(list_name=name, count=0)
+        keys = [entry_key(entry) for entry in entries]
+        index = keys.index(key) + by if key in keys else place + min(by, 0)
+        index = min(max(index, 0), len(entries) - 1)
+        entry = entry_view(entries[index], built.semantic_map, labels)
+        return ReviewEntry(list_name=name, count=len(entries), place=index, entry=entry)
+
+    def _decisions(self, built: LintedMap | None, labels: Labels) -> tuple[Decision, ...]:
+        if built is not self._built:
+            self._built = built
+            self._open = OpenDecisions(() if built is None else built.semantic_map.decisions)
+        return self._open.of(labels)
+
+
+class OpenDecisions:
+    """Tracks which decisions are open while labels change: an edit affects few of thousands."""
+
+    def __init__(self, decisions: Sequence[Decision]) -> None:
+        self._decisions = decisions
+        self._about: dict[str, list[int]] = {}
+        """Indices of the decisions about each label element."""
+        for index, decision in enumerate(decisions):
+            for element_id in decision.label_ids:
+                self._about.setdefault(element_id, []).append(index)
+        self._labels = Labels()
+        self._open: set[int] = set()
+
+    def of(self, labels: Labels) -> tuple[Decision, ...]:
+        """Return the open decisions in their order."""
+        for element_id in labels.differing(self._labels):
+            for index in self._about.get(element_id, ()):
+                if is_open(self._decisions[index], labels):
+                    self._open.add(index)
+                else:
+                    self._open.discard(index)
+        self._labels = labels
+        return tuple(self._decisions[index] for index in sorted(self._open))

@@ -1,0 +1,326 @@
+"""The messages between the labelling page and its server."""
+
+from typing import Annotated, ClassVar, Literal, TypeAlias
+
+from pydantic import ConfigDict, Field
+
+from semviz.annotator import views
+from semviz.annotator.draft import DraftPreview, DraftState, LabelledFrameView, ShownObservation
+from semviz.annotator.history import PastFrame
+from semviz.annotator.map_review import ReviewEntry, ReviewList
+from semviz.web import protocol
+from semviz_annotation.labels.edits import Edit
+from semviz_annotation.labels.labels import Id, Index, Pixel
+from semviz_annotation.storage.background_check import HealthState
+from semviz_core.base.frame import Side
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class DrawnMark(protocol.Part):
+    """A mark on a pane, of element ``element_id``. With a ``class_id`` it starts that element,
+    unless it fits an existing one."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
+
+    observation_id: Id
+    element_id: Id
+    frame_index: Index
+    side: Side
+    """Side on the page: with one camera, right is another frame."""
+    anchor_px: Pixel
+    end_px: Pixel | None = None
+    anchor_known: bool = True
+    end_known: bool = True
+    class_id: Index | None = None
+
+
+class DrawEdit(DrawnMark):
+    """Draw a mark; it joins the element ``selected_id`` if it fits."""
+
+    kind: Literal["draw"]
+    selected_id: Id | None = None
+    snap: bool = False
+    asks_bottom: bool = False
+    """Whether the server may mark the bottom as hidden."""
+
+
+class AcceptEdit(protocol.Part):
+    """Accept proposals as the page showed them, all or none."""
+
+    kind: Literal["accept"]
+    marks: list[DrawnMark] = Field(min_length=1)
+
+
+class UndoEdit(protocol.Part):
+    """Undo the author's last edit."""
+
+    kind: Literal["undo"]
+
+
+class RedoEdit(protocol.Part):
+    """Redo what the author undid last."""
+
+    kind: Literal["redo"]
+
+
+class NameEdit(protocol.Part):
+    """Name the present state."""
+
+    kind: Literal["name"]
+    name: str
+
+
+class RestoreEdit(protocol.Part):
+    """Restore the state after an operation."""
+
+    kind: Literal["restore"]
+    number: Count
+
+
+PageEdit: TypeAlias = Annotated[
+    DrawEdit | AcceptEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | Edit,
+    Field(discriminator="kind"),
+]
+
+# -- requests
+
+
+class ApplyEditRequest(protocol.Request):
+    """Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once."""
+
+    type: Literal["apply_edit"] = "apply_edit"
+    id: Id
+    edit: PageEdit
+    seen: ShownObservation | None = None
+    """The observation that it changes, as the page showed it."""
+
+
+class GoToFrameRequest(protocol.Request):
+    """Show another frame."""
+
+    type: Literal["go_to_frame"] = "go_to_frame"
+    frame: int
+
+
+class PreviewDraftRequest(protocol.Request):
+    """Request guides and numbers of a draft."""
+
+    type: Literal["preview_draft"] = "preview_draft"
+    draft: DraftState
+
+
+class ShowPastFrameRequest(protocol.Request):
+    """Request a frame as it was after an operation."""
+
+    type: Literal["show_past_frame"] = "show_past_frame"
+    operation: Count
+    frame: int
+
+
+class ListOperationsRequest(protocol.Request):
+    """Request the operations before a number, newest first."""
+
+    type: Literal["list_operations"] = "list_operations"
+    before: Count
+
+
+class ListNamedStatesRequest(protocol.Request):
+    """Request the named states."""
+
+    type: Literal["list_named_states"] = "list_named_states"
+
+
+class ShowReviewRequest(protocol.Request):
+    """Open the entry of a list ``by`` places after the one with ``key``."""
+
+    type: Literal["show_review"] = "show_review"
+    list_name: ReviewList
+    key: str | None = None
+    place: Count = 0
+    by: Literal[-1, 0, 1] = 0
+
+
+class CloseReviewRequest(protocol.Request):
+    """Close the open entry."""
+
+    type: Literal["close_review"] = "close_review"
+
+
+class BuildMapRequest(protocol.Request):
+    """Build the map."""
+
+    type: Literal["build_map"] = "build_map"
+
+
+class StopMapBuildRequest(protocol.Request):
+    """Cancel the map build."""
+
+    type: Literal["stop_map_build"] = "stop_map_build"
+
+
+AnnotatorRequest: TypeAlias = Annotated[
+    ApplyEditRequest
+    | GoToFrameRequest
+    | PreviewDraftRequest
+    | ShowPastFrameRequest
+    | ListOperationsRequest
+    | ListNamedStatesRequest
+    | ShowReviewRequest
+    | CloseReviewRequest
+    | BuildMapRequest
+    | StopMapBuildRequest
+    | protocol.SetThemeRequest
+    | protocol.SetBackdropRequest,
+    Field(discriminator="type"),
+]
+
+# -- events
+
+
+class WorkspaceEvent(protocol.Event):
+    """The workspace and its labels; sent when the page connects."""
+
+    type: Literal["workspace"] = "workspace"
+    workspace: views.WorkspaceView
+    labels: views.LabelsView
+
+
+class LabelFileEvent(protocol.Event):
+    """What is known about the label file; sent when the page connects and when it changes."""
+
+    type: Literal["label_file"] = "label_file"
+    state: HealthState
+    text: str
+    """One line for people; empty while all is well."""
+
+
+class LabelledFrameEvent(protocol.Event):
+    """The frame on screen."""
+
+    type: Literal["frame"] = "frame"
+    frame: LabelledFrameView
+
+
+class FrameListEvent(protocol.Event):
+    """Changed entries of the list of frames."""
+
+    type: Literal["frame_list"] = "frame_list"
+    frames: list[views.FrameSummary]
+
+
+class UpdateEvent(protocol.Event):
+    """The labels have changed, on another page or in another process."""
+
+    type: Literal["update"] = "update"
+    labels: views.LabelsView
+    frame: LabelledFrameView
+
+
+class SavedOperationEvent(protocol.Event):
+    """An edit is on disk; ``edit_saved`` follows."""
+
+    type: Literal["saved_operation"] = "saved_operation"
+    operation: int
+
+
+class EditSavedEvent(protocol.Event):
+    """An edit is on disk, with the labels and the frame on screen after it."""
+
+    type: Literal["edit_saved"] = "edit_saved"
+    labels: views.LabelsView
+    frame: LabelledFrameView
+    element: str | None
+    """The element to which a drawing, link or unlinked view now belongs; None for other edits."""
+    added: int
+    """Number of observations added; negative for removed ones."""
+    note: str
+    """Message for the user; empty for most edits."""
+
+
+class TheirVersion(protocol.Part):
+    """An observation as others changed it, with the fields of a request's ``seen``."""
+
+    element: str
+    frame: int
+    side: Side
+    anchor: Pixel
+    end: Pixel | None
+    anchor_known: bool
+    end_known: bool
+
+
+class ConflictEvent(protocol.ErrorEvent):
+    """Others changed the observation of an edit; ``theirs`` is None if they deleted it."""
+
+    code: Literal["conflict"] = "conflict"
+    theirs: TheirVersion | None
+
+
+class DraftPreviewEvent(protocol.Event):
+    """Guides and numbers of a draft."""
+
+    type: Literal["draft_preview"] = "draft_preview"
+    preview: DraftPreview
+
+
+class PastFrameEvent(protocol.Event):
+    """A frame of an earlier state."""
+
+    type: Literal["past_frame"] = "past_frame"
+    past: PastFrame
+
+
+class OperationsEvent(protocol.Event):
+    """Older operations, newest first."""
+
+    type: Literal["operations"] = "operations"
+    operations: list[views.OperationView]
+
+
+class NamedStatesEvent(protocol.Event):
+    """The named states, newest first."""
+
+    type: Literal["named_states"] = "named_states"
+    states: list[views.OperationView]
+
+
+class ReviewEvent(protocol.Event):
+    """The open decision or finding; None for none."""
+
+    type: Literal["review"] = "review"
+    review: ReviewEntry | None
+
+
+class ElementClickedEvent(protocol.Event):
+    """An element was clicked in the 3D scene."""
+
+    type: Literal["element_clicked"] = "element_clicked"
+    element: str
+
+
+AnnotatorEvent: TypeAlias = (
+    protocol.HelloEvent
+    | WorkspaceEvent
+    | LabelFileEvent
+    | LabelledFrameEvent
+    | FrameListEvent
+    | UpdateEvent
+    | SavedOperationEvent
+    | EditSavedEvent
+    | DraftPreviewEvent
+    | PastFrameEvent
+    | OperationsEvent
+    | NamedStatesEvent
+    | ReviewEvent
+    | protocol.SceneEvent
+    | protocol.BackdropEvent
+    | ElementClickedEvent
+    | protocol.ErrorEvent
+    | ConflictEvent
+)
+
+
+def their_version(row: views.ObservationView, element_id: str) -> TheirVersion:
+    """Return an observation as the start of another page's edit."""
+    return TheirVersion(**row.model_dump(exclude={"id"}), element=element_id)

@@ -1,0 +1,187 @@
+// @ts-check
+// Shows unsaved edits as if they were applied. All functions are pure.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Edit, Entry, LocatedObservation, Observation, Observations, Proposal, ShownAt, ShownElement, Side} from "./values.js" */
+import { SIDES, uuid7 } from "./values.js";
+
+/** The observation that `edit` changes, as shown; null if there is none, or if it is not on disk yet,
+ * so that nobody else can have changed it.
+ *
+ * @param {ShownElement[]} elements
+ * @param {Edit} edit
+ */
+export function startOf(elements, edit) {
+  const start = "observation_id" in edit ? find(elements, edit.observation_id) : null;
+  return start?.observation.frame === undefined ? null : start;
+}
+
+/** The observation in the form that the server compares with its own, to detect conflicts.
+ *
+ * @param {LocatedObservation} start
+ * @returns {annotator.ShownObservation | undefined}
+ */
+export function seen({ element, observation }) {
+  const { anchor, end, anchor_known, end_known, frame, side } = observation;
+  if (frame === undefined || side === undefined) return undefined;
+  return { element: element.id, frame, side, anchor, end, anchor_known, end_known };
+}
+
+/** The drawing that recreates an edited observation which others deleted; null if the edit deletes it.
+ *
+ * @param {Edit} edit
+ * @param {ShownAt} shown
+ * @returns {Edit | null}
+ */
+export function drawnAgain(edit, { frame, side, class: id }) {
+  if (!edit.seen || frame === null) return null;
+  const { element, anchor, end, anchor_known, end_known } = edit.seen;
+  /** @type {Observations} */
+  const observations = { [side]: { id: "", anchor, end, anchor_known, end_known } };
+  change(observations, side, edit);
+  const mark = observations[side];
+  return mark ? {
+    kind: "draw",
+    observation_id: uuid7(),
+    element_id: uuid7(),
+    frame_index: frame,
+    side,
+    class_id: id,
+    anchor_px: mark.anchor,
+    end_px: mark.end,
+    anchor_known: mark.anchor_known,
+    end_known: mark.end_known,
+    selected_id: element,
+    snap: false,
+  } : null;
+}
+
+/** Whether `edit` changes nothing, for example a drag that ends where it began.
+ *
+ * @param {ShownElement[]} elements
+ * @param {Edit} edit
+ */
+export function isIdle(elements, edit) {
+  if (!("observation_id" in edit) || !find(elements, edit.observation_id)) return false;
+  return JSON.stringify(withPending(elements, [{ edit }], null)) === JSON.stringify(elements);
+}
+
+/** Returns `elements` with the `pending` edits of `frame` applied. `proposals` name accepted elements.
+ *
+ * @param {ShownElement[]} elements
+ * @param {{edit: Edit}[]} pending
+ * @param {number | null} frame
+ * @param {Proposal[]} proposals
+ */
+export function withPending(elements, pending, frame, proposals = []) {
+  const result = structuredClone(elements);
+  for (const { edit } of pending) {
+    const marks = edit.kind === "draw" ? [edit] : edit.kind === "accept" ? edit.marks : null;
+    if (marks) {
+      for (const mark of marks) if (mark.frame_index === frame) add(result, mark, proposals);
+      continue;
+    }
+    const target = "observation_id" in edit ? find(result, edit.observation_id) : null;
+    if (target) change(target.element.observations, target.side, edit);
+  }
+  return result.filter(({ observations }) => SIDES.some((side) => observations[side]));
+}
+
+/** Applies an `edit` of one observation to the observation on one side.
+ *
+ * @param {Observations} observations
+ * @param {Side} side
+ * @param {Edit} edit
+ */
+function change(observations, side, edit) {
+  const now = observations[side];
+  if (!now) return;
+  const { anchor, end, anchor_known, end_known } = now;
+  if (edit.kind === "move") {
+    Object.assign(now, { anchor: edit.anchor_px ?? anchor, end: edit.end_px ?? end });
+  } else if (edit.kind === "set known") {
+    Object.assign(now, { anchor_known: edit.anchor_known ?? anchor_known, end_known: edit.end_known ?? end_known });
+  } else if (edit.kind === "swap ends") {
+    Object.assign(now, { anchor: end, end: anchor, anchor_known: end_known, end_known: anchor_known });
+  } else if (edit.kind === "delete") {
+    delete observations[side];
+  }
+}
+
+/** Adds an unsaved mark, to a shown element or a new one.
+ *
+ * @param {ShownElement[]} elements
+ * @param {annotator.DrawnMark} mark
+ * @param {Proposal[]} proposals
+ */
+function add(elements, mark, proposals) {
+  if (find(elements, mark.observation_id)) return;
+  const known = elements.find(({ id }) => id === mark.element_id);
+  if (known) known.observations[mark.side] ??= observed(mark);
+  else elements.push(drawn(mark, proposals.find(({ id }) => id === mark.element_id)));
+}
+
+/** Whether a pending edit accepts or rejects a proposed mark.
+ *
+ * @param {Entry[]} pending
+ * @param {string} id
+ */
+export function isSettled(pending, id) {
+  return pending.some(({ edit }) =>
+    (edit.kind === "dismiss" && edit.dismissals.some((dismissal) => dismissal.id === id)) ||
+    (edit.kind === "accept" && edit.marks.some((mark) => mark.observation_id === id)));
+}
+
+/** Swaps a mark with its runner-up; returns the same mark if there is none.
+ *
+ * @param {annotator.ProposalMark} mark
+ * @returns {annotator.ProposalMark}
+ */
+export function swapped({ runner_up: second, ...mark }) {
+  const { anchor, end, anchor_known, end_known, score } = mark;
+  if (!second || score === null) return { ...mark, runner_up: second };
+  return { ...mark, ...second, runner_up: { anchor, end, anchor_known, end_known, score } };
+}
+
+/**
+ * @param {ShownElement[]} elements
+ * @param {string} id of an observation
+ * @returns {LocatedObservation | null}
+ */
+export function find(elements, id) {
+  for (const element of elements) {
+    for (const side of SIDES) {
+      const observation = element.observations[side];
+      if (observation?.id === id) return { element, side, observation };
+    }
+  }
+  return null;
+}
+
+/**
+ * @param {annotator.DrawnMark} mark
+ * @returns {Observation}
+ */
+function observed(mark) {
+  return {
+    id: mark.observation_id,
+    anchor: mark.anchor_px,
+    end: mark.end_px ?? null,
+    anchor_known: mark.anchor_known ?? true,
+    end_known: mark.end_known ?? true,
+  };
+}
+
+/**
+ * @param {annotator.DrawnMark} mark
+ * @param {Proposal | undefined} proposal
+ * @returns {ShownElement}
+ */
+function drawn(mark, proposal) {
+  return {
+    id: mark.element_id,
+    name: proposal?.name ?? "new",
+    class_id: proposal?.class_id ?? mark.class_id ?? 0,
+    unsaved: true, // not on disk yet
+    observations: { [mark.side]: observed(mark) },
+  };
+}

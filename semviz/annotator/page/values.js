@@ -1,0 +1,69 @@
+// @ts-check
+// Types and small functions shared by the parts of the page.
+/** @import {annotator} from "/static/protocol" */
+
+/** @typedef {"left" | "right"} Side */
+/** @typedef {[number, number]} Point */
+/** @typedef {annotator.ElementClass} ElementClass */
+/** @typedef {annotator.ProposalView} Proposal */
+/** @typedef {annotator.LabelsView & {frame: annotator.LabelledFrameView | null}} PageLabels */
+/** @typedef {annotator.ReviewEntry & {entry: annotator.EntryView}} OpenReview */
+/** @typedef {annotator.ApplyEditRequest["edit"] & {seen?: annotator.ShownObservation}} Edit */
+
+/** A mark as shown; with frame and side if it is on disk.
+ * @typedef {Omit<annotator.ObservationView, "frame" | "side"> & {frame?: number, side?: Side}} Observation */
+/** @typedef {Partial<Record<Side, Observation>>} Observations */
+/** An element as shown; `unsaved`: it is not on disk yet.
+ * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions"> & {
+ *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], unsaved?: boolean}} ShownElement */
+
+/** Where on the page an edit was made.
+ * @typedef {{frame: number | null, side: Side, class: number}} ShownAt */
+/** An observation with its element.
+ * @typedef {{element: ShownElement, side: Side, observation: Observation}} LocatedObservation */
+
+/** An edit that is not on disk yet.
+ * @typedef {{request: string, place: number, edit: Edit, shown: ShownAt | null}} Entry */
+
+/** An unfinished drawing; `box`: two corners of a sign's box.
+ * @typedef {{side: Side, class: number, anchor: Point, end: Point | null, box?: [Point, Point],
+ *   anchor_known: boolean, end_known: boolean, asks_bottom: boolean}} Drawing */
+/** The observation being dragged.
+ * @typedef {{observation: string, anchor: Point, end: Point | null}} Dragged */
+/** The selection; `also`: a second element, to be linked.
+ * @typedef {{element: string, side: Side, also?: string | null}} Selected */
+/** @typedef {{snap: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
+/** @typedef {{brightness: number, contrast: number}} Brightness */
+/** An edit whose observation others changed.
+ * @typedef {{entry: Entry, theirs: annotator.ShownObservation | null, text: string}} Conflict */
+
+/** @type {Side[]} */
+export const SIDES = ["left", "right"];
+/**
+ * @param {Side} side
+ * @returns {Side}
+ */
+export const other = (side) => (side === "left" ? "right" : "left");
+
+/** A UUID of version 7 (RFC 9562, 5.7), which sorts by its time of creation (ms). */
+export function uuid7() {
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  new DataView(bytes.buffer).setUint16(0, Math.floor(Date.now() / 2 ** 32));
+  new DataView(bytes.buffer).setUint32(2, Date.now() % 2 ** 32);
+  bytes[6] = 0x70 | (bytes[6] & 0x0f);
+  bytes[8] = 0x80 | (bytes[8] & 0x3f);
+  const hex = [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  return hex.replace(/(.{8})(.{4})(.{4})(.{4})(.{12})/, "$1-$2-$3-$4-$5");
+}
+
+/** A number with spaces between thousands: "4 213".
+ *
+ * @param {number} number
+ */
+export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+
+/** A score with two decimals, rounded down: 0.798 is below the confident 0.80.
+ *
+ * @param {number} score
+ */
+export const shownScore = (score) => (Math.floor(100 * score) / 100).toFixed(2);

@@ -1,0 +1,391 @@
+"""Select the proposals of a frame: confirmed by the images, distinct, not rejected before.
+
+A proposal in the position of a label or of another proposal is doubtful. A detection there is
+left out, because more is known of the element. A rejected detection is recognized in other
+frames too, so it is rejected once.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from semviz.annotator import detector_proposals, element_positions
+from semviz.annotator.association import NearbyElement, nearby_elements
+from semviz.annotator.detector_proposals import DetectorMatch
+from semviz.annotator.image_worker import ImageWorker
+from semviz.annotator.panes import Cameras, Pane, Panes
+from semviz.annotator.proposals import DETECTED_PX, Expected, ImageQuery, LabelProposal
+from semviz.annotator.proposals import label_proposals as element_proposals
+from semviz_annotation.assist.expected_position import expected_px
+from semviz_annotation.assist.marked_image import Mark, pixel
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.mapping.placement import triangulation
+
+TAKEN_PX = 1.5
+"""A proposal this close to a label of its class duplicates that label. Poles in line with the
+camera may be a little further apart."""
+_ON_LINE_PX = 1.0
+"""A detected pole this close to the line of a proposed pole is the same pole."""
+
+
+def select_distinct(proposals: Sequence[LabelProposal], labels: Labels) -> list[LabelProposal]:
+    """Return searched proposals; score 0 for those on a label or on a better proposal.
+
+    A detection on a known element is left out, but may give that element its position or its peak.
+    Rejected proposals are left out, with all detections in the same position.
+    """
+    known = _distinct_known(
+        [proposal for proposal in proposals if not proposal.is_rejected], labels
+    )
+    rejected = [proposal for proposal in proposals if proposal.is_rejected]
+    detected: dict[str, list[LabelProposal]] = defaultdict(list)
+    for proposal in proposals:
+        if proposal.is_detected and not proposal.is_rejected:
+            detected[proposal.element_id].append(proposal)
+    new: list[LabelProposal] = []
+    for marks in sorted(detected.values(), key=lambda marks: -(marks[0].score or 0.0)):
+        same = {n for n, other in enumerate(known) if any(_is_at(mark, other) for mark in marks)}
+        for n in same:
+            known[n] = _at_detection(known[n], marks)
+        known = _with_detected_peaks(known, marks)
+        labelled = any(_is_labelled(mark, labels, DETECTED_PX) for mark in marks)
+        blocked = any(_is_at(mark, other) for mark in marks for other in [*rejected, *new])
+        if not (same or labelled or blocked):
+            new += marks
+    return [*known, *new]
+
+
+def _distinct_known(proposals: Sequence[LabelProposal], labels: Labels) -> list[LabelProposal]:
+    """Return the proposals of known elements, best first; score 0 for those in a taken position."""
+    distinct: list[LabelProposal] = []
+    for proposal in sorted(proposals, key=lambda proposal: -(proposal.score or 0.0)):
+        if proposal.is_detected:
+            continue
+        labelled = _is_labelled(proposal, labels, TAKEN_PX, proposal.class_id)
+        if labelled or any(_is_duplicate(other, proposal) for other in distinct):
+            proposal = replace(proposal, score=0.0)
+        distinct.append(proposal)
+    return distinct
+
+
+def _at_detection(known: LabelProposal, detection: Sequence[LabelProposal]) -> LabelProposal:
+    """Move a doubtful proposal to a confident detection of its class in the same position."""
+    for mark in detection:
+        if (
+            not known.is_confident
+            and mark.is_confident
+            and mark.class_id == known.class_id
+            and _is_at(mark, known)
+        ):
+            return replace(known, mark=mark.mark, score=mark.score, runner_up=None)
+    return known
+
+
+def _with_detected_peaks(
+    known: list[LabelProposal], detection: Sequence[LabelProposal]
+) -> list[LabelProposal]:
+    """Give confident poles the peaks that only a detector sees.
+
+    The detection must lie on the pole's line in all images, and in more than one: in a single
+    image, another pole may stand behind.
+    """
+    on_line = {
+        n: mark
+        for n, other in enumerate(known)
+        for mark in detection
+        if other.is_confident and mark.is_confident and mark.class_id == other.class_id
+        if mark.pane == other.pane and _is_on_line(mark.mark, other.mark)
+    }
+    images = Counter(known[n].element_id for n in on_line)
+    return [
+        replace(proposal, mark=_with_peak(proposal.mark, on_line[n].mark))
+        if n in on_line and images[proposal.element_id] == len(detection) > 1
+        else proposal
+        for n, proposal in enumerate(known)
+    ]
+
+
+def _is_on_line(first: Mark | None, second: Mark | None) -> bool:
+    return first is not None and second is not None and first.gap_px(second) <= _ON_LINE_PX
+
+
+def _with_peak(mark: Mark | None, detected: Mark | None) -> Mark | None:
+    """Return a pole's mark with its peak, if only ``detected`` knows it. Bottoms are not adopted:
+    the edge of an occluder often looks like the end of a pole."""
+    if mark is None or detected is None or mark.end_px is None:
+        return mark
+    if detected.anchor_known and not mark.anchor_known:
+        return replace(mark, anchor_px=detected.anchor_px, anchor_known=True)
+    return mark
+
+
+def _is_labelled(
+    proposal: LabelProposal, labels: Labels, within_px: float, class_id: int | None = None
+) -> bool:
+    """Whether a label lies on a proposal; with a ``class_id``, a label of that class."""
+    return proposal.mark is not None and any(
+        proposal.mark.gap_px(Mark.of(row)) < within_px
+        for row in labels.in_frame(proposal.pane.frame_index, proposal.pane.side)
+        if class_id in (None, labels.element(row.element_id).class_id)
+    )
+
+
+def _is_at(detection: LabelProposal, other: LabelProposal) -> bool:
+    """Whether a detection and another proposal share a position, whatever their classes."""
+    if detection.mark is None or other.mark is None or detection.pane != other.pane:
+        return False
+    return detection.mark.gap_px(other.mark) < DETECTED_PX
+
+
+def _is_duplicate(first: LabelProposal, second: LabelProposal) -> bool:
+    if first.mark is None or second.mark is None or first.pane != second.pane:
+        return False
+    both_searched = first.score is not None and second.score is not None
+    alike = first.class_id == second.class_id and first.mark.gap_px(second.mark) < TAKEN_PX
+    return both_searched and alike
+
+
+NEAR_M = 40.0
+"""A rejection applies to cameras this close: from further away its position is too uncertain."""
+
+
+class RejectedProposals:
+    """Rejected detections and their positions. One thread at a time."""
+
+    def __init__(
+        self,
+        cameras: Cameras,
+        matches_in: Callable[[int], tuple[DetectorMatch, ...]],
+    ) -> None:
+        """``matches_in`` returns the detector matches of a frame."""
+        self._cameras = cameras
+        self._matches_in = matches_in
+        self._positions: dict[str, triangulation.Triangulated | None] = {}
+        self._labels = Labels()
+        self._rejected_ids: dict[int, set[str]] = {}
+        """Rejected proposals in these labels, by frame."""
+        self._rejected: dict[int, tuple[DetectorMatch, ...]] = {}
+        """Rejected and unlabelled matches, by frame; filled on request."""
+
+    def rejected_elsewhere(
+        self, frame_index: int, matches: Iterable[DetectorMatch], labels: Labels
+    ) -> set[str]:
+        """Return the element ids of the frame's ``matches`` that were rejected in another frame.
+
+        Such a match lies on the projection of the rejected position in all of its images.
+        """
+        near = self._near(frame_index, labels)
+        candidates = [
+            self._position(match) for other in near for match in self._rejected_in(other, labels)
+        ]
+        positions = [position for position in candidates if position is not None]
+        return {
+            match.element_id
+            for match in matches
+            if any(
+                all(self._is_at(detection, position) for detection in match.proposals)
+                for position in positions
+            )
+        }
+
+    def _near(self, frame_index: int, labels: Labels) -> list[int]:
+        """Other frames with rejections whose cameras are within ``NEAR_M``."""
+        if labels is not self._labels:
+            self._labels, self._rejected_ids = labels, _rejected_ids(labels)
+            self._rejected.clear()
+        poses = self._cameras.T_map_camera
+        here = poses[frame_index]
+        if here is None:
+            return []
+        return [
+            other
+            for other in self._rejected_ids
+            if other != frame_index
+            and (there := poses.get(other)) is not None
+            and np.linalg.norm(there.translation - here.translation) < NEAR_M
+        ]
+
+    def _rejected_in(self, frame_index: int, labels: Labels) -> tuple[DetectorMatch, ...]:
+        """The rejected matches of a frame that nobody has labelled instead."""
+        if frame_index not in self._rejected:
+            rejected = self._rejected_ids[frame_index]
+            self._rejected[frame_index] = tuple(
+                match
+                for match in self._matches_in(frame_index)
+                if any(detection.id in rejected for detection in match.proposals)
+                and not detector_proposals.labelled_ids(match.proposals, labels)
+            )
+        return self._rejected[frame_index]
+
+    def _position(self, match: DetectorMatch) -> triangulation.Triangulated | None:
+        """Position in the map frame; None for a detection in a single image."""
+        if match.element_id not in self._positions:
+            self._positions[match.element_id] = self._triangulated(match.proposals)
+        return self._positions[match.element_id]
+
+    def _triangulated(self, detections: tuple[Proposal, ...]) -> triangulation.Triangulated | None:
+        if len(detections) < 2:
+            return None
+        views = [self._cameras.view(row.frame_index, row.side) for row in detections]
+        rows = [detector_proposals.mark_of(row).at(row.frame_index, row.side) for row in detections]
+        position = triangulation.triangulate(views, rows, min_angle_rad=0.0)
+        return None if isinstance(position, triangulation.TriangulationFailure) else position
+
+    def _is_at(self, detection: Proposal, position: triangulation.Triangulated) -> bool:
+        if (detection.end_px is not None) != position.is_line:
+            return False
+        ends = expected_px(position, self._cameras.view(detection.frame_index, detection.side))
+        if ends is None:
+            return False
+        expected = Mark(pixel(ends[0]), pixel(ends[1]) if position.is_line else None)
+        return expected.gap_px(detector_proposals.mark_of(detection)) < DETECTED_PX
+
+
+def _rejected_ids(labels: Labels) -> dict[int, set[str]]:
+    """Ids of rejected detections, by frame; an occluded element is not rejected."""
+    ids: dict[int, set[str]] = defaultdict(set)
+    for dismissal in labels.dismissals.values():
+        if dismissal.element_id is None and dismissal.why != "occluded":
+            ids[dismissal.frame_index].add(dismissal.id)
+    return ids
+
+
+CACHED_FRAMES = 256
+"""Frames whose detector matches are cached."""
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """The proposals of a frame before any image search."""
+
+    proposals: tuple[LabelProposal, ...]
+    projections: tuple[element_positions.ProjectedElement, ...]
+    """Mapped elements that are not labelled."""
+    nearby: tuple[NearbyElement, ...]
+
+
+class ProposalSelection:
+    """Proposes observations for the images of a frame. One thread at a time."""
+
+    def __init__(
+        self,
+        cameras: Cameras,
+        panes: Panes,
+        positions: element_positions.ElementPositions,
+        image_worker: ImageWorker,
+        detected: Proposals,
+    ) -> None:
+        self._cameras = cameras
+        self._panes = panes
+        self._positions = positions
+        self._image_worker = image_worker
+        self._order = tuple(cameras.T_map_camera)
+        self._rank = {index: rank for rank, index in enumerate(self._order)}
+        self._detected = detected
+        self._labels = Labels()
+        self._geometries: dict[int, _Geometry] = {}
+        """By frame, for these labels."""
+        self._matches = lru_cache(CACHED_FRAMES)(self._matches_in)
+        self._rejected = RejectedProposals(cameras, self._matches)
+
+    def proposals(self, frame_index: int, labels: Labels) -> list[LabelProposal]:
+        """Return the frame's proposals, as far as the images have been searched."""
+        proposals = self._geometry(frame_index, labels).proposals
+        return select_distinct(self._image_worker.with_results(proposals), labels)
+
+    def pending_queries(self, frame_index: int, labels: Labels) -> list[ImageQuery]:
+        """Return the frame's queries that the image worker has not processed."""
+        return self._image_worker.pending(self._geometry(frame_index, labels).proposals)
+
+    def nearby(self, frame_index: int, labels: Labels) -> tuple[NearbyElement, ...]:
+        """Return elements that are labelled in near frames, but have no position yet."""
+        return self._geometry(frame_index, labels).nearby
+
+    def survey(
+        self, frame_index: int, labels: Labels
+    ) -> tuple[int, detector_proposals.Disagreement | None]:
+        """Return the number of elements proposed by geometry or detector, and the disagreement of
+        detector and labels; None if no detector processed the frame."""
+        geometry = self._computed(frame_index, labels)
+        proposals = [proposal for proposal in geometry.proposals if not proposal.is_rejected]
+        count = len({proposal.element_id for proposal in proposals if proposal.origin != "match"})
+        shown = [
+            pane for pane in self._panes.of(frame_index).values() if pane.frame_index == frame_index
+        ]
+        processed = detector_proposals.processed_panes(shown, self._detected)
+        if not processed:
+            return count, None
+        contents = detector_proposals.labelled_content(
+            processed, geometry.projections, labels, self._depth_m(frame_index, labels)
+        )
+        matches = self._matches(frame_index)
+        return count, detector_proposals.disagreement(processed, matches, contents, labels)
+
+    def _depth_m(self, frame_index: int, labels: Labels) -> Callable[[str], float]:
+        """The depth of mapped elements in a frame's left camera; 0 if it is unknown."""
+        T_camera_map = self._cameras.T_camera_map(frame_index)
+        near = self._positions.near(labels, frame_index)
+
+        def depth_m(element_id: str) -> float:
+            position = near.get(element_id)
+            if position is None or T_camera_map is None:
+                return 0.0
+            return float(T_camera_map.apply(position.anchor_m[None])[0, 2])
+
+        return depth_m
+
+    def projections(self, pane: Pane, labels: Labels) -> list[element_positions.ProjectedElement]:
+        """Return mapped elements that should be visible in an image and are not labelled there."""
+        T_camera_map = self._cameras.T_camera_map(pane.frame_index)
+        if T_camera_map is None:
+            return []
+        near = self._positions.near(labels, pane.frame_index)
+        return list(
+            element_positions.projected_elements(
+                pane.frame_index, pane.side, T_camera_map, self._cameras.rig, labels, near
+            )
+        )
+
+    def _matches_in(self, frame_index: int) -> tuple[DetectorMatch, ...]:
+        panes = self._panes.of(frame_index)
+        return detector_proposals.detector_matches(panes, self._detected, self._cameras)
+
+    def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
+        """As ``_computed``, cached: each edit asks for it several times."""
+        if labels is not self._labels:
+            self._labels = labels
+            self._geometries.clear()
+        if frame_index not in self._geometries:
+            self._geometries[frame_index] = self._computed(frame_index, labels)
+        return self._geometries[frame_index]
+
+    def _computed(self, frame_index: int, labels: Labels) -> _Geometry:
+        panes = self._panes.of(frame_index)
+        expected = [
+            Expected(
+                pane,
+                projection,
+                self._positions.near(labels, pane.frame_index)[projection.element_id],
+            )
+            for pane in panes.values()
+            for projection in self.projections(pane, labels)
+        ]
+        projections = tuple(element.projection for element in expected)
+        known = {projection.element_id for projection in projections}
+        nearby = nearby_elements(
+            frame_index, self._order, known, labels, self._cameras, self._positions
+        )
+        expected += [
+            Expected(Pane(frame_index, projection.side), projection, None)
+            for element in nearby
+            for projection in element.projections
+        ]
+        proposals = element_proposals(panes, expected, labels, self._rank)
+        matches = self._matches(frame_index)
+        rejected = self._rejected.rejected_elsewhere(frame_index, matches, labels)
+        proposals += detector_proposals.match_proposals(matches, panes, labels, rejected)
+        return _Geometry(tuple(proposals), projections, nearby)

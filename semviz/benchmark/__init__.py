@@ -1,1 +1,0 @@
-"""The benchmark: methods compared on the same problems."""

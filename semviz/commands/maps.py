@@ -1,0 +1,354 @@
+"""The commands map build, check, diff, export, import and localizability."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from semviz.workspace.workspace import Workspace
+    from semviz_annotation.mapping.build import BuildOptions
+    from semviz_annotation.mapping.paper_baseline import PaperOptions
+    from semviz_core.base.frame import Frame
+    from semviz_core.base.semantic_map import SemanticMap
+    from semviz_core.localizability.route import Conditions
+
+_METHOD_OPTIONS = {
+    "joint": ("min_frames", "pose_sigma_m", "refine_poses"),
+    "paper": ("eps_m", "min_points"),
+}
+"""Options that apply to one method only."""
+
+
+@dataclass(frozen=True)
+class MapBuildCommand:
+    """Build a map from labels: triangulate, associate elements of one landmark, reject outliers."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    name: str = "main"
+    """Name of the map in the workspace."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: use only these frames."""
+    method: Literal["joint", "paper"] = "joint"
+    """joint: all labels together; paper: each stereo pair alone, then DBSCAN, as a baseline."""
+    sigma_px: float = 1.0
+    """Standard deviation of labels: 1 for people, 2 to 4 for detectors."""
+    min_frames: parsing.OptionalInt = None
+    """Leave out landmarks seen in fewer frames (default: 1); for detectors, 2 or 3."""
+    pose_sigma_m: parsing.OptionalFloat = None
+    """Pose error from one pass to the next (default: 0.05)."""
+    refine_poses: bool = False
+    """Bundle adjustment: also move the poses, by about --pose-sigma-m (default: 0.01)."""
+    eps_m: parsing.OptionalFloat = None
+    """Method paper: radius of DBSCAN (default: 1.0)."""
+    min_points: parsing.OptionalInt = None
+    """Method paper: core size of DBSCAN, in stereo pairs (default: 1)."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        from semviz.presentation.progress import Steps
+        from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz_annotation.mapping.build import build_map
+        from semviz_core.base.map_file import save_map
+
+        options = self._options()
+        workspace = parsing.open_workspace(self.workspace)
+        labels, path = workspace.read_labels(), workspace.map_path(self.name)
+        check_outputs(path, PARQUET, can_force=False, purpose="map")
+        with Steps() as steps:
+            built, report = build_map(
+                labels,
+                workspace.source,
+                options,
+                parsing.parse_frames(self.frames),
+                on_progress=steps.show,
+            )
+        save_map(built, path)
+        if self.json:
+            print(json.dumps({"map": str(path), **report.as_dict()}))
+        else:
+            print(report)
+            print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
+        return 0
+
+    def _options(self) -> "BuildOptions | PaperOptions":
+        from semviz_annotation.mapping.build import BuildOptions
+        from semviz_annotation.mapping.paper_baseline import PaperOptions
+        from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
+
+        for method, names in _METHOD_OPTIONS.items():
+            for name in names:
+                if method != self.method and getattr(self, name) not in (None, False):
+                    option = name.replace("_", "-")
+                    raise SemvizError(f"--{option} is for --method {method}; leave it out")
+        values = {name: getattr(self, name) for name in _METHOD_OPTIONS[self.method]}
+        given = {name: value for name, value in values.items() if value is not None}
+        if self.method == "paper":
+            return PaperOptions(sigma_px=self.sigma_px, **given)
+        if given.pop("refine_poses"):
+            prior = RefineOptions()
+            sigma_m = given.get("pose_sigma_m", prior.pose_sigma_m)
+            given["refine"] = replace(prior, pose_sigma_m=sigma_m)
+        return BuildOptions(sigma_px=self.sigma_px, **given)
+
+
+@dataclass(frozen=True)
+class MapCheckCommand:
+    """Check a map: its errors against the labels per class, the labels that agree least with the
+    others, and the findings of lint."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    map: str = "main"
+    """Name of the map."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: measure only in these frames."""
+    gate: bool = False
+    """Exit with status 1, and a line per class, if the map exceeds a limit."""
+    max_rmse_px: float = 1.0
+    """With --gate: signs' RMSE and poles' lateral RMSE must be below this."""
+    max_angle_deg: float = 1.0
+    """With --gate: poles' angular RMSE must be below this."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        import sys
+
+        from semviz_annotation.mapping.quality.check import Gate, check_map
+
+        workspace = parsing.open_workspace(self.workspace)
+        check = check_map(
+            workspace.read_map(self.map),
+            workspace.read_labels(),
+            workspace.source,
+            parsing.parse_frames(self.frames),
+        )
+        print(json.dumps(check.as_dict()) if self.json else check.as_text())
+        if check.is_old:
+            print(
+                f"the map is older than its labels (operation {check.semantic_map.operation}, "
+                f"labels {check.labels_operation}): rebuild it",
+                file=sys.stderr,
+            )
+        if not self.gate:
+            return 0
+        failures = Gate(self.max_rmse_px, self.max_angle_deg).failures(check.accuracy)
+        for line in failures:
+            print(f"limit exceeded: {line}", file=sys.stderr)
+        return 1 if failures else 0
+
+
+@dataclass(frozen=True)
+class MapDiffCommand:
+    """List the differences of two maps: elements moved, new, gone, merged, split, renumbered."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    base: Annotated[Positional[str], arg(metavar="BASE")]
+    """Name of a map in the workspace, or a file (.parquet)."""
+    other: Annotated[Positional[str], arg(metavar="OTHER")]
+    """Map to compare with BASE: a name or a file."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        from semviz_annotation.mapping.quality.diff import diff_maps
+
+        workspace = parsing.open_workspace(self.workspace)
+        diff = diff_maps(_read(workspace, self.base), _read(workspace, self.other))
+        print(json.dumps(diff.as_dict()) if self.json else diff.as_text())
+        return 0
+
+
+def _read(workspace: "Workspace", name: str) -> "SemanticMap":
+    from semviz_core.base.map_file import load_map
+
+    return load_map(name) if name.endswith(".parquet") else workspace.read_map(name)
+
+
+ExportFormat: TypeAlias = Annotated[
+    Literal["geojson", "lanelet2", "colmap", "ply", "glb", "csv"] | None,
+    arg(metavar="{geojson,lanelet2,colmap,ply,glb,csv}", help_behavior_hint=""),
+]
+
+
+_MARKS = {
+    "geojson": (b'{"type": "FeatureCollection", "semviz": {',),
+    "lanelet2": (b'<osm version="0.6" generator="semviz"',),
+    "ply": (b"ply\n", b"comment semviz\n"),
+    "glb": (b"glTF", b'"generator":"semviz"'),
+    "csv": (b"id,class,frame,anchor_x_m,anchor_y_m,anchor_z_m,end_x_m,",),
+}
+"""What the start of an exported map contains, in this order, by format."""
+
+
+@dataclass(frozen=True)
+class MapExportCommand:
+    """Export a map for other tools, and list the losses of the format."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    file: Positional[Path]
+    """File to write; for colmap a new folder."""
+    map: str = "main"
+    """Name of the map."""
+    format: ExportFormat = None
+    """Default by ending: .geojson, .osm (lanelet2), .ply, .glb, .csv."""
+    anchor: parsing.OptionalText = None
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), for geojson and lanelet2."""
+    anchor_heading: parsing.OptionalFloat = None
+    """Compass direction of the map's x axis at the anchor, in degrees; default: 90 (east)."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of lines: counts, dropped items, assumed values."""
+
+    def run(self) -> int:
+        from semviz.workspace import outputs
+        from semviz_annotation.map_formats.exchange import check_export, export_colmap, export_map
+
+        anchor = parsing.parse_anchor(self.anchor, self.anchor_heading)
+        workspace = parsing.open_workspace(self.workspace)
+        semantic_map = workspace.read_map(self.map)
+        if self.format == "colmap":
+            outputs.check_new_folder(self.file, [self.workspace])
+            if anchor is not None:
+                raise SemvizError("--anchor: colmap models keep the map frame; leave it out")
+            labels = workspace.read_labels()
+            report = export_colmap(semantic_map, labels, workspace.source, self.file)
+        else:
+            form = check_export(semantic_map, self.file, self.format, anchor)
+            ours = outputs.contains(*_MARKS[form])
+            outputs.check_outputs(self.file, ours, force=self.force, reads=[self.workspace])
+            report = export_map(semantic_map, self.file, form, anchor)
+        print(json.dumps(report.as_dict()) if self.json else report.as_text())
+        return 0
+
+
+ImportFormat: TypeAlias = Annotated[
+    Literal["geojson", "lanelet2", "opendrive", "csv"] | None,
+    arg(metavar="{geojson,lanelet2,opendrive,csv}", help_behavior_hint=""),
+]
+
+
+@dataclass(frozen=True)
+class MapImportCommand:
+    """Import a map from a file of another tool."""
+
+    workspace: Positional[Path]
+    """Workspace; the map will be in the map frame of its poses."""
+    file: Positional[Path]
+    """File to read."""
+    name: parsing.OptionalText = None
+    """Name of the map in the workspace; default: the file's name without its ending."""
+    format: ImportFormat = None
+    """Default by ending: .geojson, .osm (lanelet2), .xodr (opendrive), .csv."""
+    class_map: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    anchor: parsing.OptionalText = None
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), if the file does not contain it."""
+    anchor_heading: parsing.OptionalFloat = None
+    """Compass direction of the map's x axis at the anchor, in degrees; default: 90 (east)."""
+    replace: bool = False
+    """Replace an existing map of this name."""
+    json: bool = False
+    """Print one JSON object instead of lines: counts, dropped items, assumed values."""
+
+    def run(self) -> int:
+        from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz_annotation.label_formats.reading import parse_class_map
+        from semviz_annotation.map_formats.exchange import import_map
+        from semviz_annotation.map_formats.reading import MapImportContext
+        from semviz_core.base.map_file import save_map
+
+        anchor = parsing.parse_anchor(self.anchor, self.anchor_heading)
+        class_map = parse_class_map(self.class_map)
+        workspace = parsing.open_workspace(self.workspace)
+        path = workspace.map_path(self.file.stem if self.name is None else self.name)
+        if path.exists() and not self.replace:
+            raise SemvizError(f"{path}: exists already; choose another --name or use --replace")
+        check_outputs(path, PARQUET, can_force=False, reads=[self.file], purpose="map")
+        frame = workspace.source.map_frame
+        context = MapImportContext(frame, workspace.classes, class_map, anchor)
+        semantic_map, report = import_map(self.file, context, self.format)
+        save_map(semantic_map, path)
+        if self.json:
+            print(json.dumps(report.as_dict() | {"map": str(path)}))
+        else:
+            print(report.as_text())
+            print(f"{path}: {len(semantic_map)} elements in the frame {frame.name}")
+        return 0
+
+
+@dataclass(frozen=True)
+class MapLocalizabilityCommand:
+    """Predict localization from the map alone: expected error along the route, ambiguous stretches,
+    and the new elements that help most."""
+
+    workspace: Positional[Path]
+    """Workspace: its camera, and the route by its poses (without poses, by the map)."""
+    map: str = "main"
+    """Name of the map."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: along these frames."""
+    plot: parsing.OptionalPath = None
+    """Also write a plot along the route to this PNG file."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object with every position instead of a table."""
+
+    def run(self) -> int:
+        from semviz.presentation.progress import announce_compiling, track
+        from semviz.workspace import localizability, localize, outputs
+        from semviz_core.localizability.predict import predict
+
+        if self.plot is not None:
+            localizability.check_plot_path(self.plot)
+            outputs.check_outputs(self.plot, outputs.PNG, force=self.force, reads=[self.workspace])
+        workspace = parsing.open_workspace(self.workspace)
+        semantic_map, source = workspace.read_map(self.map), workspace.source
+        localize.check_map_frame(semantic_map, source)
+        frames = localize.select_frames(source, parsing.parse_frames(self.frames))
+        conditions = _conditions(workspace, semantic_map, frames)
+        announce_compiling()
+        poses = localizability.positions(frames, semantic_map)
+        predicted = predict(semantic_map, source.rig.left, poses, conditions, track)
+        described = predicted, semantic_map.classes, conditions.detector
+        if self.json:
+            print(json.dumps(localizability.localizability_json(*described)))
+        else:
+            print(localizability.localizability_text(*described))
+        if self.plot is not None:
+            localizability.draw_localizability(predicted, self.plot)
+        return 0
+
+
+def _conditions(
+    workspace: "Workspace", semantic_map: "SemanticMap", frames: "Sequence[Frame]"
+) -> "Conditions":
+    """Return the conditions of ``semviz localize``, with the recall of the labels if there are
+    any."""
+    from semviz.workspace.localizability import conditions_of, with_measured_recall
+    from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions
+    from semviz.workspace.observations import observe_labels
+
+    kind = workspace.default_observations
+    assumed = conditions_of(LocalizeOptions(observations=kind, crop_radius_m=CROP_RADIUS_M[kind]))
+    if kind != "labels":
+        return assumed
+    observe = observe_labels(workspace, semantic_map)
+    observed = [
+        (frame.T_map_camera, observe(frame)[1])
+        for frame in frames
+        if frame.T_map_camera is not None
+    ]
+    return with_measured_recall(assumed, semantic_map, workspace.source.rig.left, observed)

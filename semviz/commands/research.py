@@ -1,0 +1,187 @@
+"""The commands benchmark, train and weights."""
+
+import json
+import os
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError, require_extra
+
+if TYPE_CHECKING:
+    from semviz_core.research.training.task import SampleSource
+
+
+RESULTS = "results.jsonl"
+_STARTS = {
+    RESULTS: b'{"semviz": "',
+    "table.md": b"# Benchmark\n\nMade with ",
+    "table.json": b'{\n "settings": {',
+}
+"""The files of a benchmark besides its plots, and how they start."""
+
+
+@dataclass(frozen=True)
+class BenchmarkCommand:
+    """Compare methods on the same problems: error, lower bound, calibration and runtime."""
+
+    methods: parsing.OptionalText = None
+    """Comma-separated, for example search,direct; default: all available methods, or those of the
+    paper's table for the suite paper. A wrong name lists the known ones."""
+    noise: Literal["paper", "low", "both"] = "both"
+    """Noise of the detections: the paper's table, 1 px and 0.3 deg, or both."""
+    frames: int = 200
+    """Number of frames per suite and noise."""
+    seed: int = 1000
+    """Seed of the first frame; frame i uses seed + i. Seeds below 1000 are for tuning."""
+    suite: str = "frames"
+    """Comma-separated, for example frames,matched; hard: all hard sets; all: everything; paper: the
+    paper's table with its printed figures. A wrong name lists the known ones."""
+    kitti_poses: parsing.OptionalPath = None
+    """Folder with KITTI poses (09.txt); default: simulated roads."""
+    pole_maps: parsing.OptionalPath = None
+    """Folder with pole maps (kitti_09.npz); required with --kitti-poses."""
+    sequences: str = "09,10"
+    """KITTI sequences, comma-separated."""
+    jobs: int = 1
+    """Number of processes; several slow each other down, so their times are marked."""
+    out: Path = Path("benchmark")
+    """Folder for results, tables and plots. The same command resumes an interrupted benchmark."""
+    plots: bool = True
+    """Also write plots into the folder."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        os.environ |= parsing.ONE_THREAD
+
+        from semviz.research.benchmark.paper_table import METHODS, SUITE
+        from semviz.research.benchmark.report import BenchmarkReport, draw_benchmark_plots
+        from semviz.research.benchmark.runner import BenchmarkPlan, complete
+        from semviz.research.benchmark.suites import Roads, choose_methods, choose_suites
+        from semviz_core.research.evaluation.outcomes import rows
+
+        for number, option, minimum in (
+            (self.frames, "--frames", 1), (self.seed, "--seed", 0), (self.jobs, "--jobs", 1),
+        ):  # fmt: skip
+            if number < minimum:
+                raise SemvizError(f"{option} {number}: give {minimum} or more")
+        suites = choose_suites(self.suite)
+        methods = self.methods or (",".join(METHODS) if self.suite == SUITE else None)
+        chosen = choose_methods(methods, {suite.kind for suite in suites})
+        plan = BenchmarkPlan(
+            suites,
+            noises=("paper", "low") if self.noise == "both" else (self.noise,),
+            methods=chosen.by_kind,
+            seeds=range(self.seed, self.seed + self.frames),
+            roads=Roads(self.kitti_poses, self.pole_maps, tuple(self.sequences.split(","))),
+        )
+        notes = [*chosen.notes(), *plan.notes()]
+        for note in notes:
+            print(f"semviz: {note}", file=sys.stderr)
+        self._check_files()
+        outcomes = complete(plan, self.out / RESULTS, self.jobs)
+        report = BenchmarkReport(plan.settings(), tuple(notes), tuple(rows(outcomes)))
+        report.write(self.out)
+        if self.plots:
+            draw_benchmark_plots(outcomes, report.rows, self.out)
+        print(json.dumps(report.as_json()) if self.json else report.as_text())
+        return 0
+
+    def _check_files(self) -> None:
+        from semviz.workspace.outputs import PNG, check_outputs, starts_with
+
+        for name, start in _STARTS.items():
+            # Results are appended to, so another file cannot be one.
+            force = self.force and name != RESULTS
+            check_outputs(self.out / name, starts_with(start), force=force)
+        check_outputs(sorted(self.out.glob("*.png")), PNG, force=self.force)
+
+
+@dataclass(frozen=True)
+class TrainCommand:
+    """Train a learned method.
+
+    Run the same command again to resume. A checkpoint is written every minute, at the end, on
+    ctrl-C and on SIGTERM. Several processes: torchrun --nproc-per-node 2 --no-python semviz
+    train ..."""
+
+    model: Annotated[Positional[str], arg(metavar="MODEL")]
+    """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher or verifier."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Training folder: checkpoint, losses as JSON lines and as a plot."""
+    samples: parsing.OptionalInt = None
+    """Total number of samples; default: as planned before, or by the model's schedule."""
+    batch: int = 12
+    """Samples per step, over all processes."""
+    seed: int = 0
+    """Seed of the initial weights and of the samples."""
+    workers: int = 1
+    """Processes that make samples, per training process."""
+    workspace: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="WORKSPACE")] = ()
+    """Train on the labels and map of this workspace; may be repeated."""
+    kitti_poses: parsing.OptionalPath = None
+    """Folder with KITTI poses (00.txt); default: simulated roads."""
+    pole_maps: parsing.OptionalPath = None
+    """Folder with pole maps (kitti_00.npz); required with --kitti-poses."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """bf16: half precision, on a GPU or a processor with AMX."""
+    held_out: int = 240
+    """Size of the validation set, evaluated at most 40 times per training."""
+    stop_after_s: parsing.OptionalFloat = None
+    """Save and stop after this many seconds."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        require_extra("semviz train", "torch", "train")
+        from semviz.presentation.progress import announce_compiling
+        from semviz.research.training_run import check_training_folder, make_training_task, train
+
+        check_training_folder(self.out, self.force, self.workspace)
+        announce_compiling()
+        task = make_training_task(self.model, self._source(), self.seed)
+        return train(task, self, self.held_out, [f"semviz weights {self.out} --out FOLDER"])
+
+    def _source(self) -> "SampleSource":
+        """Return the task's simulated samples, on KITTI's roads if given, or labelled ones."""
+        from semviz.research.training_run import training_samples
+        from semviz_core.research.training.simulated_samples import KittiFiles
+
+        simulated = training_samples(self.model)
+        if (self.kitti_poses is None) != (self.pole_maps is None):
+            raise SemvizError("--kitti-poses and --pole-maps belong together; give both")
+        if self.kitti_poses is not None and self.pole_maps is not None:
+            if self.workspace:
+                raise SemvizError("--workspace and --kitti-poses: give one of them")
+            return replace(simulated, kitti=KittiFiles(self.kitti_poses, self.pole_maps))
+        if self.workspace:
+            from semviz.research.matcher_data import workspace_samples
+
+            workspaces = [parsing.open_workspace(path) for path in self.workspace]
+            return workspace_samples(workspaces, shift_m=simulated.shift_m)
+        return simulated
+
+
+@dataclass(frozen=True)
+class WeightsCommand:
+    """Export the weights of a training with a model card, for 'semviz localize --weights' and
+    'semviz detect --model'."""
+
+    training: Annotated[Positional[Path], arg(metavar="TRAINING")]
+    """Folder given as --out to 'semviz train' or 'semviz detect train'."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder for MODEL.safetensors and the model card, MODEL.json."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        require_extra("semviz weights", "torch", "train")
+        from semviz.research.training_run import write_weights
+
+        path = write_weights(self.training, self.out, force=self.force)
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, card {path.with_suffix('.json')}")
+        return 0

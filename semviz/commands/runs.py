@@ -1,0 +1,327 @@
+"""The commands localize, evaluate, compare, report, repair and trajectory."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from semviz.runs.run import Run
+    from semviz_annotation.map_formats.writing import ConversionTally
+    from semviz_core.base.frame import Frame
+
+
+@dataclass(frozen=True)
+class LocalizeCommand:
+    """Localize the frames of a workspace in its map, and record the run."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    out: parsing.OptionalPath = None
+    """Run to write; default: runs/METHOD.rrd in the workspace, or runs/track.rrd with --track."""
+    map: str = "main"
+    """Name of the map."""
+    method: str = "search"
+    """search (prior-guided upright search); wide (more effort, for a fix 30 m off or clutter);
+    learned (wide, with poses rated by a network); direct (matches by class alone); paper,
+    paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
+    weights: parsing.OptionalPath = None
+    """Weights of a learned method, written by 'semviz weights'; default: the shipped weights."""
+    track: bool = False
+    """Track the camera with odometry (simulated, 1 %), also through frames with few elements.
+    --method applies while the pose is unknown."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP], END excluded; default: all frames."""
+    observations: Annotated[
+        Literal["labels", "detected", "simulated"] | None,
+        arg(metavar="labels|detected|simulated", help_behavior_hint=""),
+    ] = None
+    """labels: the workspace's labels; detected: detections of 'semviz detect'; simulated: the
+    street's simulated detector. Default: labels, if there are any."""
+    least_score: float = 0.0
+    """Minimum score of a detection."""
+    noise: Literal["paper", "low"] = "low"
+    """Noise of the simulated detector: the paper's table, or 1 px and 0.3 deg."""
+    prior_distance: str = "5:10"
+    """LOW:HIGH: error of the simulated GPS fix, in metres."""
+    heading_sigma_deg: parsing.OptionalFloat = None
+    """Standard deviation of a simulated compass; default: heading unknown."""
+    crop_radius: parsing.OptionalFloat = None
+    """Radius of the submap around the GPS fix, in metres; default: 50 for the simulated detector
+    (range 40 m), 120 for labels and detections (unlimited range)."""
+    seed: int = 0
+    """Seed of the simulated priors and detections."""
+    force: parsing.Force = False
+    images: Literal["embedded", "both", "reference", "none"] = "embedded"
+    """embedded: the left images in the run (about 130 kB per frame); both: the right ones too;
+    reference: their file names; none."""
+
+    def run(self) -> int:
+        from semviz.runs.run import TRACK
+        from semviz.workspace import localize, outputs
+
+        workspace = parsing.open_workspace(self.workspace)
+        observations = self.observations or workspace.default_observations
+        crop_radius = self.crop_radius
+        if crop_radius is None:
+            crop_radius = localize.CROP_RADIUS_M[observations]
+        options = localize.LocalizeOptions(
+            method=self.method,
+            weights=None if self.weights is None else str(self.weights.resolve()),
+            track=self.track,
+            observations=observations,
+            noise=self.noise,
+            least_score=self.least_score,
+            prior_distance_m=parsing.parse_interval(self.prior_distance, "--prior-distance"),
+            heading_sigma_deg=self.heading_sigma_deg,
+            crop_radius_m=crop_radius,
+            seed=self.seed,
+        )
+        frames = parsing.parse_frames(self.frames)
+        path = self.out or workspace.run_path(TRACK if self.track else self.method)
+        outputs.check_outputs(
+            path, outputs.RUN, force=self.force, reads=[self.workspace], purpose="run"
+        )
+        localization = localize.localize_workspace(workspace, self.map, options, frames)
+        counts = localize.record(
+            localization,
+            path,
+            workspace=str(self.workspace),
+            map_name=self.map,
+            images=self.images,
+        )
+        print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
+        print(f"next: semviz evaluate {path}; semviz serve {path}")
+        return 0
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Evaluate runs against ground truth: translation and rotation errors, status, runtime."""
+
+    runs: Positional[tuple[Path, ...]]
+    """Runs (.rrd)."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+    csv: parsing.OptionalPath = None
+    """Also write one row per frame to this file."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        from semviz.runs.metrics import summarize_run, write_csv
+        from semviz.runs.reader import load_run
+        from semviz.workspace.outputs import check_outputs, starts_with
+
+        if not self.runs:
+            raise SemvizError("name at least one run, for example town/runs/first.rrd")
+        if self.csv is not None:
+            ours = starts_with(b"run,frame,time_s,status,rte_m")
+            check_outputs(self.csv, ours, force=self.force, reads=self.runs)
+        loaded = [load_run(path) for path in self.runs]
+        summaries = [summarize_run(run) for run in loaded]
+        if self.csv is not None:
+            write_csv(loaded, self.csv)
+        if self.json:
+            rows = [
+                {"run": str(path), **summary.as_json()}
+                for path, summary in zip(self.runs, summaries, strict=True)
+            ]
+            print(json.dumps(rows[0] if len(rows) == 1 else {"runs": rows}))
+        else:
+            for path, run, summary in zip(self.runs, loaded, summaries, strict=True):
+                print(f"{path}  {run.note}\n{summary.as_text()}\n")
+        return 0
+
+
+@dataclass(frozen=True)
+class CompareCommand:
+    """Compare two runs of one sequence: fixed and broken frames, metrics, and different settings.
+
+    As a gate for scripts, exit with status 1 if a condition of --fail-if holds."""
+
+    base: Annotated[Positional[Path], arg(metavar="BASE")]
+    """Reference run (.rrd)."""
+    other: Annotated[Positional[Path], arg(metavar="OTHER")]
+    """Run (.rrd) to compare with the reference."""
+    fail_if: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="CONDITION")] = ()
+    """For example 'median_rte_m > 1.05*base'; may be repeated. A wrong name lists all metrics."""
+    json: bool = False
+    """Print one JSON object, with every frame, instead of text."""
+
+    def run(self) -> int:
+        from semviz.runs.comparison import compare_runs, comparison_text
+        from semviz.runs.gates import check_complete, parse_condition
+        from semviz.runs.reader import load_run
+
+        conditions = [parse_condition(text) for text in self.fail_if]
+        base, other = load_run(self.base), load_run(self.other)
+        for path, run in ((self.base, base), (self.other, other)):
+            if conditions:
+                check_complete(run, str(path))
+        comparison = compare_runs(base, other)
+        failed = [condition for condition in conditions if condition.holds(*comparison.measured)]
+        if self.json:
+            sides = {"base": str(self.base), "other": str(self.other)}
+            failures = {"failed": [condition.text for condition in failed]}
+            print(json.dumps({**sides, **comparison.as_dict(), **failures}))
+        else:
+            print(f"base: {self.base}\nother: {self.other}\n{comparison_text(comparison)}")
+            for condition in failed:
+                print(f"failed: {condition.as_text(*comparison.measured)}")
+        return 1 if failed else 0
+
+
+Format = Literal["html", "md", "latex"]
+_MARKS: dict[Format, tuple[bytes, ...]] = {
+    "html": (b"<!DOCTYPE html>", b"<title>semviz report: "),
+    "md": (b"# ", b"\n## RTE (m) and RRE (deg)\n"),
+    "latex": (b"\\begin{table}", b"\\caption{RTE (m) and RRE (deg)}"),
+}
+"""What the start of a report contains, in this order."""
+FORMATS: dict[str, Format] = {".html": "html", ".htm": "html", ".md": "md", ".tex": "latex"}
+
+
+@dataclass(frozen=True)
+class ReportCommand:
+    """Write a report of runs: settings, metrics, diagnoses and worst frames, as one page without
+    network requests, or as tables."""
+
+    runs: Positional[tuple[Path, ...]]
+    """Runs (.rrd), side by side; the first is the reference."""
+    out: Path = Path("report.html")
+    """File to write; its ending (.html, .md, .tex) selects the format."""
+    format: Literal["by ending", "html", "md", "latex"] = "by ending"
+    """html: the whole report; md, latex: its tables."""
+    pictures: int = 6
+    """Maximum number of frame images per run: the worst frame of each diagnosis."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        from semviz.reports.run_data import load_reports
+        from semviz.reports.run_report import as_latex, as_markdown, run_report_html
+        from semviz.workspace.outputs import check_outputs, contains
+        from semviz_core.common.files import replacing
+
+        if not self.runs:
+            raise SemvizError("name at least one run, for example town/runs/first.rrd")
+        if self.pictures < 0:
+            raise SemvizError(f"--pictures {self.pictures}: give 0 or more")
+        kind = self._format()
+        ours = contains(*_MARKS[kind])
+        check_outputs(self.out, ours, force=self.force, reads=self.runs)
+        reports = load_reports(self.runs)
+        if kind == "html":
+            text = run_report_html(reports, self.pictures)
+        else:
+            text = as_markdown(reports) if kind == "md" else as_latex(reports)
+        with replacing(self.out) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+        print(f"{self.out}: {len(text.encode()) / 1000:.0f} kB")
+        return 0
+
+    def _format(self) -> Format:
+        if self.format != "by ending":
+            return self.format
+        if self.out.suffix not in FORMATS:
+            raise SemvizError(
+                f"{self.out}: unknown ending; use {', '.join(FORMATS)}, or choose --format"
+            )
+        return FORMATS[self.out.suffix]
+
+
+@dataclass(frozen=True)
+class RepairCommand:
+    """Write a new file from the sound frames of a run that was killed, copied in part, or damaged.
+
+    Every frame is compared with its checksum."""
+
+    run_file: Positional[Path]
+    """Run (.rrd)."""
+    out: parsing.OptionalPath = None
+    """File to write; default: replace the run."""
+    force: parsing.Force = False
+
+    def run(self) -> int:
+        from semviz.runs.writer import repair
+        from semviz.workspace import outputs
+
+        out = self.out or self.run_file
+        outputs.check_outputs(out, outputs.RUN, force=self.force, purpose="run")
+        run = repair(self.run_file, out)
+        unchecked = "; they had no checksums, so damage would not have been found"
+        state = run.note or f"{len(run.frames)} frames, complete"
+        print(f"{out}: {state}{'' if run.checked else unchecked}")
+        return 0
+
+
+@dataclass(frozen=True)
+class TrajectoryCommand:
+    """Export the poses of a run or a workspace in a format that evo reads."""
+
+    source: Positional[Path]
+    """Run (.rrd): its estimates; or workspace: its true poses."""
+    file: Positional[Path]
+    """File to write."""
+    format: Literal["tum", "kitti"] = "tum"
+    """tum: time and pose, in the map frame, z up; kitti: one pose per line, in KITTI's axes."""
+    truth: bool = False
+    """Export the true poses of a run instead of the estimates."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of lines: counts, dropped items, assumed values."""
+
+    def run(self) -> int:
+        from semviz.workspace import outputs
+        from semviz_annotation.map_formats.writing import ConversionTally, ExchangeReport
+        from semviz_core.datasets.trajectory import save_trajectory
+
+        # Files of poses have no place for a mark, and a sequence's own may have any name.
+        outputs.check_outputs(self.file, outputs.never, force=self.force, reads=[self.source])
+        tally = ConversionTally()
+        frames = self._frames(tally)
+        save_trajectory(frames, self.file, self.format)
+        _note_losses(frames, self.format, tally)
+        posed = sum(frame.T_map_camera is not None for frame in frames)
+        report = ExchangeReport.of(self.file, self.format, {"poses": posed}, tally)
+        print(json.dumps(report.as_dict()) if self.json else report.as_text())
+        return 0
+
+    def _frames(self, tally: "ConversionTally") -> "Sequence[Frame]":
+        """Return the frames with the poses to write."""
+        if self.source.suffix != ".rrd":
+            if self.truth:
+                raise SemvizError("--truth is for runs: a workspace has true poses only")
+            return parsing.open_workspace(self.source).source.frames
+        from semviz.runs.reader import load_run
+
+        run = load_run(self.source)
+        return [frame.frame for frame in run.frames] if self.truth else _estimates(run, tally)
+
+
+def _estimates(run: "Run", tally: "ConversionTally") -> "list[Frame]":
+    """Return the frames of a run with its estimated poses."""
+    estimates = [localization.T_camera_map for localization in run.localizations]
+    statuses = Counter(localization.status for localization in run.localizations)
+    tally.drop("covariances", sum(estimate is not None for estimate in estimates))
+    tally.drop("the word 'ambiguous': such poses are written like others", statuses["ambiguous"])
+    return [
+        replace(record.frame, T_map_camera=None if pose is None else pose.inverse())
+        for record, pose in zip(run.frames, estimates, strict=True)
+    ]
+
+
+def _note_losses(frames: "Sequence[Frame]", format_: str, tally: "ConversionTally") -> None:
+    missing = [str(frame.index) for frame in frames if frame.T_map_camera is None]
+    more = ", ..." if len(missing) > 10 else ""
+    tally.drop(f"frames without a pose: {', '.join(missing[:10])}{more}", len(missing))
+    if format_ == "kitti":
+        tally.drop("times", len(frames))
+        if [frame.index for frame in frames] != list(range(len(frames))):
+            tally.drop("frame numbers: line n is the n-th frame, not frame n", len(frames))

@@ -1,0 +1,157 @@
+"""The commands new, annotate, serve and open."""
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import FlagCreatePairsOff, Positional
+
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from semviz.web.tool import Tool
+
+TOKEN_VARIABLE = "SEMVIZ_TOKEN"
+
+
+@dataclass(frozen=True)
+class NewCommand:
+    """Create a workspace from KITTI odometry data or a simulated street."""
+
+    folder: Positional[Path]
+    """Folder to create."""
+    kitti: parsing.OptionalPath = None
+    """Root of a KITTI odometry dataset, with sequences/ and poses/."""
+    sequence: str = "02"
+    """Sequence of the KITTI dataset."""
+    cameras: str = "2,3"
+    """Left and right camera, or one camera: 2,3 is the colour pair, 0,1 the grey pair."""
+    simulate: parsing.OptionalInt = None
+    """Seed of a simulated street, instead of --kitti."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP], END excluded; default: all frames (KITTI) or 60 (street)."""
+    poses: parsing.OptionalPath = None
+    """Poses to use instead of KITTI's, for example of a SLAM system: TUM's or KITTI's format, for
+    the left camera."""
+    trust_poses: bool = False
+    """Accept poses that jump, or that go backwards all the way."""
+
+    def run(self) -> int:
+        from semviz.workspace.outputs import check_new_folder
+        from semviz.workspace.workspace import Workspace
+
+        check_new_folder(self.folder)
+        frames = parsing.parse_frames(self.frames)
+        if (self.kitti is None) == (self.simulate is None):
+            raise SemvizError("give either --kitti ROOT or --simulate SEED: the source of images")
+        if self.kitti is not None:
+            cameras = parsing.parse_cameras(self.cameras)
+            workspace = Workspace.create_kitti(
+                self.folder,
+                self.kitti,
+                self.sequence,
+                cameras,
+                frames,
+                self.trust_poses,
+                self.poses,
+            )
+        else:
+            assert self.simulate is not None
+            if self.poses is not None:
+                raise SemvizError("--poses needs --kitti ROOT: a simulated street has its own")
+            workspace = Workspace.create_street(self.folder, self.simulate, frames)
+        source = workspace.source
+        print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
+        print(f"next: semviz annotate {self.folder}")
+        return 0
+
+
+@dataclass(frozen=True)
+class AnnotateCommand:
+    """Label poles and signs in the left and right images of a workspace, in the browser."""
+
+    workspace: Positional[parsing.OptionalPath] = None
+    """Workspace; default: the built-in demo."""
+    author: parsing.OptionalText = None
+    """Author of the edits in the history; default: your login name."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 127.0.0.1 is this machine, 0.0.0.0 all machines."""
+    port: int = 8081
+    """Port to listen on; 0 selects a free one."""
+    token: parsing.OptionalText = None
+    """Access token; default: the environment variable SEMVIZ_TOKEN, or else a random one. Other
+    users of this machine can read the command line."""
+    no_token: FlagCreatePairsOff[bool] = False
+    """Serve without a token: all users of this machine can open the page. Loopback only."""
+    open: bool = True
+    """Open the page in the browser."""
+
+    def run(self) -> int:
+        from semviz.annotator.server import Annotator
+        from semviz.workspace.demo import ensure_demo
+
+        folder = self.workspace if self.workspace is not None else ensure_demo()
+        tool = Annotator(parsing.open_workspace(folder), author=self.author)
+        _serve(tool, self)
+        return 0
+
+
+@dataclass(frozen=True)
+class ServeCommand:
+    """Inspect runs in the browser: map, cameras, images, correspondences, errors and diagnosis."""
+
+    paths: Positional[tuple[Path, ...]] = ()
+    """Workspaces or runs (.rrd); default: the built-in demo."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 127.0.0.1 is this machine, 0.0.0.0 all machines."""
+    port: int = 8080
+    """Port to listen on; 0 selects a free one."""
+    token: parsing.OptionalText = None
+    """Access token; default: the environment variable SEMVIZ_TOKEN, or else a random one. Other
+    users of this machine can read the command line."""
+    no_token: FlagCreatePairsOff[bool] = False
+    """Serve without a token: all users of this machine can open the page. Loopback only."""
+    open: bool = True
+    """Open the page in the browser."""
+
+    def run(self) -> int:
+        from contextlib import closing
+
+        from semviz.inspector.server import Inspector
+        from semviz.presentation.progress import announce_compiling
+        from semviz.workspace.demo import ensure_demo
+        from semviz.workspace.workspace import find_runs
+
+        announce_compiling()
+        with closing(Inspector(find_runs(self.paths or (ensure_demo(),)))) as tool:
+            _serve(tool, self)
+        return 0
+
+
+def _serve(tool: "Tool", command: AnnotateCommand | ServeCommand) -> None:
+    from semviz.web.gateway import Gateway
+
+    token = command.token
+    if token is None and not command.no_token:
+        token = os.environ.get(TOKEN_VARIABLE) or None
+    gateway = Gateway(tool, command.host, command.port, token, with_token=not command.no_token)
+    gateway.run(open_browser=command.open)
+
+
+@dataclass(frozen=True)
+class OpenRunCommand:
+    """Open a run in rerun's viewer."""
+
+    run_file: Positional[Path]
+    """Run (.rrd)."""
+
+    def run(self) -> int:
+        from semviz.runs.reader import check_run_file
+
+        check_run_file(self.run_file)
+        viewer = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1"]
+        return subprocess.call([*viewer, str(self.run_file)])

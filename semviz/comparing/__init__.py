@@ -1,1 +1,0 @@
-"""Two runs of one drive compared, and gates on the outcome."""

@@ -1,0 +1,296 @@
+"""The context of an open page (state, run, 3D scene, connection) and the base class of its panels.
+
+Request handlers and panel hooks hold the context's lock. A panel's own threads take it before
+they touch the context. Long work runs once, in a background thread.
+"""
+
+import logging
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from semviz.inspector import views
+from semviz.inspector.run_library import RunLibrary
+from semviz.inspector.scene_view import InspectorScene
+from semviz.inspector.state import State
+from semviz.runs.run import Run
+from semviz.web.protocol import Event, SceneEvent
+from semviz.web.sessions import Send
+from semviz.web.tool import InnerTools
+from semviz.web.viser_servers import ViserServers
+from semviz.workspace.workspace import Workspace
+from semviz_core.common.errors import SemvizError
+
+
+class Panel:
+    """A part of the page. Its handlers (``handles``) and hooks run under the context's lock."""
+
+    def __init__(self, context: "PageContext") -> None:
+        self.context = context
+
+    def on_run(self) -> None:
+        """Another run was opened."""
+
+    def on_theme(self) -> None:
+        """The theme changed, and the 3D map was drawn again."""
+
+    def on_frame(self) -> None:
+        """The page shows another frame."""
+
+    def on_state(self) -> None:
+        """The selection or the display settings changed."""
+
+    def on_drawn(self) -> None:
+        """The frame was drawn in 3D."""
+
+
+class EmbeddedAnnotators:
+    """The annotators of all workspaces whose labels were opened. Thread-safe.
+
+    Each is a tool inside the inspector: same port, same access policy.
+    """
+
+    def __init__(self) -> None:
+        self.tools = InnerTools("annotate")
+        """Part of the inspector's routes."""
+        self._lock = threading.Lock()
+        self._open = ExitStack()
+        self._names: dict[Path, str] = {}
+        """Names by workspace folder."""
+
+    def open(self, workspace: Workspace) -> str:
+        """Start the annotator of a workspace on first use. Return NAME of ``/annotate/NAME/``.
+
+        Raise SemvizError if the labels cannot be opened.
+        """
+        from semviz.annotator.server import Annotator
+
+        folder = workspace.path.resolve()
+        with self._lock:
+            if folder not in self._names:
+                annotator = Annotator(workspace)
+                self._open.callback(annotator.close)
+                self._open.callback(annotator.scenes.close_all)
+                name = str(len(self._names) + 1)
+                self.tools.add(name, annotator)
+                self._names[folder] = name
+            return self._names[folder]
+
+    def close(self) -> None:
+        with self._lock:
+            self.tools.clear()
+            self._open.close()
+            self._names.clear()
+
+
+Cached = TypeVar("Cached")
+
+
+class PageContext:
+    """What the panels of one page share. Its methods notify the page and the panels."""
+
+    def __init__(
+        self,
+        session_id: str,
+        library: RunLibrary,
+        annotators: EmbeddedAnnotators,
+        scenes: ViserServers,
+        send: Send,
+    ) -> None:
+        self.library = library
+        self.annotators = annotators
+        self.state = State()
+        self.panels: Sequence[Panel] = ()
+        self.lock = threading.RLock()
+        """Held in every handler and hook; a panel's own threads take it first."""
+        self._session_id = session_id
+        self._scenes = scenes
+        self._send = send
+        self._run: Run | None = None
+        self._scene: InspectorScene | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a run is open."""
+        return self._run is not None
+
+    @property
+    def run(self) -> Run:
+        """The open run. Raise SemvizError if no run is open."""
+        if self._run is None:
+            raise SemvizError("no run is open; choose one at the top left")
+        return self._run
+
+    @property
+    def has_scene(self) -> bool:
+        """Whether the 3D pane was used."""
+        return self._scene is not None
+
+    @property
+    def scene(self) -> InspectorScene:
+        """The 3D pane, created on first use: importing viser takes a second."""
+        if self._scene is None:
+            self._scene = InspectorScene(
+                self._scenes.scene(self._session_id), self._clicked, self.library.path
+            )
+            self.send(SceneEvent())
+        return self._scene
+
+    def cached(self, make: Callable[[Run, Path], Cached]) -> Cached:
+        """Return ``make(run, path)`` of the open run, computed once for all pages."""
+        return self.library.cached(self.state.run, make)
+
+    def open(self, name: str, frame: int | None) -> None:
+        """Show another run at the frame with number ``frame``, or at its first frame."""
+        run = self.library.run(name)
+        self.state = self.state.opened(name, run, frame)
+        self._run = run
+        self.send_run()
+        self.draw_run()
+        for panel in self.panels:
+            panel.on_run()
+
+    def select(self, observed: int | None, element: int | None) -> None:
+        """Select a detection (row), a map element (id), a pair of them, or nothing."""
+        self.state = self.state.with_selection(observed, element, self.run)
+        self.send_state()
+        self.scene.select(self.run, self.state)
+
+    def draw_run(self) -> None:
+        """Draw map and frame in 3D from scratch."""
+        self.scene.show_run(self.run, self.state)
+        self._drawn()
+
+    def draw_frame(self) -> None:
+        """Draw the frame in 3D."""
+        self.scene.show_frame(self.run, self.state)
+        self._drawn()
+
+    def send(self, event: Event) -> None:
+        """Send an event to the page."""
+        self._send(event)
+
+    def send_runs(self) -> None:
+        """Send the names of the runs that can be opened."""
+        self.send(views.RunsEvent(names=self.library.names))
+
+    def send_run(self) -> None:
+        """Send the run and its frame."""
+        self.send(views.RunEvent(run=views.run_view(self.state.run, self.run)))
+        self.send_frame()
+
+    def send_frame(self) -> None:
+        """Send the frame and the state, and notify the panels."""
+        frame = views.frame_view(self.run, self.state.position)
+        self.send(views.FrameEvent(frame=frame, state=views.state_view(self.state)))
+        for panel in self.panels:
+            panel.on_frame()
+
+    def send_state(self) -> None:
+        """Send the state, and notify the panels."""
+        self.send(views.StateEvent(state=views.state_view(self.state)))
+        for panel in self.panels:
+            panel.on_state()
+
+    def close(self) -> None:
+        self._scenes.close(self._session_id)
+
+    def _drawn(self) -> None:
+        for panel in self.panels:
+            panel.on_drawn()
+
+    def _clicked(self, kind: str, number: int) -> None:
+        """Called in a viser thread. ``number`` is an element's id or a frame's position."""
+        with self.lock:
+            if kind == "frame":
+                self.state = self.state.at(number, self.run)
+                self.send_frame()
+                self.draw_frame()
+            else:
+                self.select(None, number)
+
+
+REPORTS = 20
+"""Progress reports of one pass."""
+Listener = Callable[[], None]
+Item = TypeVar("Item")
+Value = TypeVar("Value")
+
+
+class Background(ABC, Generic[Value]):
+    """Work in a background thread, started on first request. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listeners: list[Listener] = []
+        self._stopped = threading.Event()
+        self._started = False
+        self.progress = "waiting to start"
+        """How far the work is, or why it failed."""
+        self.value: Value | None = None
+        """The result; None until the work is done."""
+        self.is_over = False
+        """Whether the work is done or failed."""
+
+    @abstractmethod
+    def work(self) -> Value:
+        """Compute the value, passing loops through ``watch``. Raise SemvizError if impossible."""
+
+    def start(self, listener: Listener) -> None:
+        """Start the work if needed. Call ``listener`` now, on progress, and at the end."""
+        with self._lock:
+            if not self.is_over:
+                self._listeners.append(listener)
+            is_first, self._started = not self._started, True
+        if is_first:
+            threading.Thread(target=self._complete, daemon=True).start()
+        listener()
+
+    def stop(self) -> None:
+        """Stop soon: ``watch`` yields no more items."""
+        self._stopped.set()
+
+    @property
+    def is_stopped(self) -> bool:
+        return self._stopped.is_set()
+
+    def watch(self, items: Iterable[Item], step: str, total: int) -> Iterator[Item]:
+        """Yield the items and report how many are done; ``step`` names the work."""
+        interval = max(total // REPORTS, 1)
+        for number, item in enumerate(items):
+            if self.is_stopped:
+                return
+            if number % interval == 0:
+                hint = "" if number else "; on a new machine it compiles first, up to a minute"
+                self.report(f"{step}: {number} of {total}{hint}")
+            yield item
+
+    def report(self, text: str) -> None:
+        """Report how far the work is."""
+        self.progress = text
+        self._notify()
+
+    def _complete(self) -> None:
+        try:
+            self.value = self.work()
+        except SemvizError as error:
+            self.progress = str(error)
+        except Exception as error:  # a bug must be seen, not leave the page waiting
+            logging.getLogger(__name__).exception("work in the background failed")
+            self.progress = (
+                f"Internal error: {type(error).__name__}: {error}. The terminal has more."
+            )
+        with self._lock:
+            self.is_over = True
+        self._notify()
+        with self._lock:
+            self._listeners.clear()
+
+    def _notify(self) -> None:
+        with self._lock:
+            listeners = tuple(self._listeners)
+        for listener in listeners:
+            listener()

@@ -1,1 +1,0 @@
-"""The image pane, and pictures of what a page shows."""

@@ -1,0 +1,231 @@
+"""Edit the labels behind a run's map, and rebuild the map and the run on request.
+
+The new run is stored beside the old one.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from semviz.inspector import messages
+from semviz.inspector.context import Background, Panel
+from semviz.inspector.element_card import Origins
+from semviz.inspector.views_run import LabelEditsEvent, LabelPageEvent, MapSavedEvent, RebuildView
+from semviz.runs.comparison import frame_change
+from semviz.runs.diagnosis import frame_diagnosis, implicated_elements
+from semviz.runs.run import FrameRecord, Run
+from semviz.web.protocol import handles
+from semviz.what_if.solve import describe_sweep, free_path
+from semviz.workspace.rebuild import rebuild_run
+from semviz.workspace.workspace import Workspace, login_name
+from semviz_annotation.labels.edits import DecideElements, Edit, Link
+from semviz_annotation.labels.rows import review_decision
+from semviz_core.base.map_file import save_map
+from semviz_core.common.errors import SemvizError
+
+
+class Rebuild(Background[Path]):
+    """Rebuilds map and run. Its value is the file of the new run."""
+
+    def __init__(self, run: Run, path: Path, workspace: Workspace) -> None:
+        super().__init__()
+        self._run = run
+        self._path = path
+        self._workspace = workspace
+        self.summary = ""
+        """The result in words; empty until it is complete."""
+
+    def work(self) -> Path:
+        path = free_path(self._path, "mended")
+        rebuilt = rebuild_run(self._run, path, self._workspace, self._on_progress)
+        frames = zip(self._run.frames, rebuilt.frames, strict=True)
+        self.summary = describe_sweep([frame_change(before, after) for before, after in frames])
+        return path
+
+    def _on_progress(self, step: str, done: int, total: int) -> None:
+        if self.is_stopped:
+            raise SemvizError("Stopped; nothing was changed.")
+        self.report(f"{step}: {done} of {total}")
+
+
+class LabelEdits(NamedTuple):
+    """Counts of the label edits that are newer than the map, and of those undoable here."""
+
+    workspace: str
+    """Empty if the labels are not found."""
+    edits: int
+    undoable: int
+
+
+class RunLabels:
+    """The labels of one run's map, for all pages."""
+
+    def __init__(self, run: Run, path: Path) -> None:
+        """``path`` is the file of the run."""
+        self._run = run
+        self.origins = Origins(run, path)
+        """The label elements behind the map's elements."""
+        self._done: list[int] = []
+        """Numbers of the operations that were made here and not undone."""
+
+    @property
+    def workspace(self) -> Workspace:
+        """The workspace with the labels. Raise SemvizError if they are not found."""
+        if self.origins.workspace is None:
+            workspace = self._run.info.workspace or "WORKSPACE"
+            raise SemvizError(f"the labels were not found; open them: semviz annotate {workspace}")
+        return self.origins.workspace
+
+    def view(self) -> LabelEdits:
+        """Count the label edits."""
+        workspace = self.origins.workspace
+        if workspace is None:
+            return LabelEdits("", 0, 0)
+        edits = max(0, self.origins.operation - self._run.semantic_map.operation)
+        return LabelEdits(workspace.name, edits, len(self._done))
+
+    def place(self, element_id: int, frame: int) -> tuple[str, int]:
+        """Return the label element behind a map element whose observation is nearest to ``frame``,
+        by name, and the number of that observation's frame."""
+        observations = [
+            (abs(row.frame_index - frame), row.frame_index, origin.element.number, origin.element)
+            for origin in self.origins.of(element_id)
+            for row in origin.used
+        ]
+        if not observations:
+            raise SemvizError(self.origins.why_none(element_id))
+        _, index, number, element = min(observations, key=lambda row: row[:3])
+        return self.workspace.classes.element_name(element.class_id, number), index
+
+    def merge(self, element_ids: tuple[int, ...]) -> None:
+        """Link the labels of map elements as one landmark."""
+        self._apply(Link(self._label_ids(element_ids)))
+
+    def exclude(self, element_id: int) -> None:
+        """Exclude the labels of a map element from maps."""
+        self._apply(
+            DecideElements(
+                tuple(review_decision(id, "leave out") for id in self._label_ids((element_id,)))
+            )
+        )
+
+    def undo(self) -> None:
+        """Undo the last edit that was made here."""
+        if not self._done:
+            raise SemvizError("nothing was changed here; 'semviz annotate' can undo other edits")
+        with self.workspace.open_labels() as store:
+            store.undo(login_name(), number=self._done[-1])
+        self._done.pop()
+
+    def _label_ids(self, element_ids: tuple[int, ...]) -> tuple[str, ...]:
+        """Return the UUIDs of the label elements behind map elements."""
+        label_ids = []
+        for id_ in element_ids:
+            origins = self.origins.of(id_)
+            if not origins:
+                raise SemvizError(self.origins.why_none(id_))
+            label_ids += [origin.element.id for origin in origins]
+        return tuple(label_ids)
+
+    def _apply(self, edit: Edit) -> None:
+        with self.workspace.open_labels() as store:
+            self._done.append(store.apply(edit, login_name()).number)
+
+
+class LabelRepairPanel(Panel):
+    """Opens labels, edits them, and rebuilds the run, each on request."""
+
+    _rebuild: Rebuild | None = None
+
+    def on_run(self) -> None:
+        self._send()
+
+    @property
+    def _labels(self) -> RunLabels:
+        return self.context.cached(RunLabels)
+
+    @property
+    def _record(self) -> FrameRecord:
+        return self.context.run.frames[self.context.state.position]
+
+    @handles(messages.GetLabelEditsRequest)
+    def _get(self, _: messages.GetLabelEditsRequest) -> None:
+        self._send()
+
+    @handles(messages.OpenLabelRequest)
+    def _open_label(self, request: messages.OpenLabelRequest) -> None:
+        context, element = self.context, request.element
+        implicated = implicated_elements(context.run, self._record)
+        if element is None and not implicated:
+            raise SemvizError("no element is selected; select one to open its label")
+        element = implicated[0] if element is None else element
+        index = self._record.frame.index
+        workspace = self._labels.workspace
+        name, frame = self._labels.place(element, index)
+        annotator = context.annotators.open(workspace)
+        context.send(LabelPageEvent(address=f"annotate/{annotator}/?frame={frame}&element={name}"))
+
+    @handles(messages.MergeDuplicatesRequest)
+    def _merge(self, _: messages.MergeDuplicatesRequest) -> None:
+        fault = frame_diagnosis(self.context.run, self._record).fault
+        if fault.kind != "twice in the map":
+            raise SemvizError("the diagnosis of this frame names no duplicates")
+        self._edit(lambda: self._labels.merge(fault.elements))
+
+    @handles(messages.ExcludeElementRequest)
+    def _exclude(self, request: messages.ExcludeElementRequest) -> None:
+        self._edit(lambda: self._labels.exclude(request.element))
+
+    @handles(messages.UndoLabelEditRequest)
+    def _undo(self, _: messages.UndoLabelEditRequest) -> None:
+        self._edit(self._labels.undo)
+
+    def _edit(self, edit: Callable[[], None]) -> None:
+        edit()
+        self._send()
+
+    @handles(messages.RebuildMapRequest)
+    def _start(self, _: messages.RebuildMapRequest) -> None:
+        context = self.context
+        path = context.library.path(context.state.run)
+        rebuild = self._rebuild = Rebuild(context.run, path, self._labels.workspace)
+        rebuild.start(lambda: self._on_progress(rebuild))
+
+    @handles(messages.StopRebuildRequest)
+    def _stop(self, _: messages.StopRebuildRequest) -> None:
+        if self._rebuild is not None:
+            self._rebuild.stop()
+
+    def _on_progress(self, rebuild: Rebuild) -> None:
+        """Called in the background thread; another rebuild may have started by then."""
+        with self.context.lock:
+            if rebuild is self._rebuild:
+                if rebuild.value is not None:
+                    self.context.library.add(rebuild.value)
+                    self.context.send_runs()
+                self._send()
+
+    @handles(messages.KeepMapRequest)
+    def _keep_map(self, _: messages.KeepMapRequest) -> None:
+        if self._rebuild is None or self._rebuild.value is None:
+            raise SemvizError("there is no new map; build it first")
+        library = self.context.library
+        run = library.run(library.add(self._rebuild.value))
+        path = self._labels.workspace.map_path(run.info.map_name)
+        save_map(run.semantic_map, path)
+        self.context.send(MapSavedEvent(text=f"Saved as {path}."))
+
+    def _send(self) -> None:
+        view = self._labels.view()
+        self.context.send(LabelEditsEvent(**view._asdict(), rebuild=self._rebuild_view()))
+
+    def _rebuild_view(self) -> RebuildView | None:
+        rebuild = self._rebuild
+        if rebuild is None:
+            return None
+        path = rebuild.value
+        return RebuildView(
+            is_over=rebuild.is_over,
+            progress=rebuild.summary if path is not None else rebuild.progress,
+            run=None if path is None else self.context.library.add(path),
+        )

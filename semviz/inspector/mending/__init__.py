@@ -1,1 +1,0 @@
-"""From error to label: opened, mended, and the run made again."""

@@ -1,1 +1,0 @@
-"""What the 3D pane draws, part by part."""

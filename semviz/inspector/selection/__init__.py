@@ -1,1 +1,0 @@
-"""What is selected: in the matrix, in the run, in the labels."""

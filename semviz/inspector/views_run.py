@@ -1,0 +1,160 @@
+"""Messages about a run as a whole: map elements, forecast, decisions, label edits."""
+
+from typing import Literal
+
+from semviz.web.protocol import Event, Part
+
+
+class RunFaultView(Part):
+    """A fault of the map or the camera, with the frame that shows it best."""
+
+    kind: str
+    sentence: str
+    evidence: tuple[tuple[str, str], ...]
+    frames: tuple[int, ...]
+    element: int | None
+    observed: int | None
+    position: int
+
+
+class ElementRow(Part):
+    """A map element over the run: positions of frames, and its effect on the error."""
+
+    id: int
+    name: str
+    class_id: int
+    in_view: int
+    seen: tuple[int, ...]
+    used: tuple[int, ...]
+    outlier: tuple[int, ...]
+    share: float | None
+    median_px: float | None
+    cost_m: float | None
+    position: int | None
+    """The frame that shows it best."""
+
+
+class RunFindings(Part):
+    """The diagnosis of a run; ``compared`` counts the frames that it is based on."""
+
+    compared: int
+    faults: tuple[RunFaultView, ...]
+    rows: tuple[ElementRow, ...]
+
+
+class ElementsEvent(Event):
+    """The diagnosis of the run, or its progress."""
+
+    type: Literal["elements"] = "elements"
+    progress: str
+    found: RunFindings | None
+
+
+class ElementFramesEvent(Event):
+    """Positions of the frames that detect an element, or whose estimate uses it."""
+
+    type: Literal["element_frames"] = "element_frames"
+    element: int
+    name: str
+    positions: tuple[int, ...]
+
+
+class SuggestedElement(Part):
+    """A landmark worth adding to the map, and the first frame that it improves."""
+
+    position: int | None
+    text: str
+
+
+class ForecastView(Part):
+    """Expected error of each frame (m), limits of its levels, and landmarks to add."""
+
+    limits: tuple[float, ...]
+    expected_m: tuple[float | None, ...]
+    mean_m: float
+    suggested: tuple[SuggestedElement, ...]
+
+
+class ForecastEvent(Event):
+    """The expected error along the route, or the progress of its computation."""
+
+    type: Literal["forecast"] = "forecast"
+    progress: str
+    found: ForecastView | None
+
+
+class EvidenceLine(Part):
+    """A value of the evidence, as text."""
+
+    name: str
+    value: str
+
+
+class DecidedElement(Part):
+    """An element of a decision; ``map_id`` is null if it is not in the map."""
+
+    name: str
+    class_id: int | None
+    map_id: int | None
+
+
+class AnswerOption(Part):
+    """A possible answer to a decision."""
+
+    name: str
+    title: str
+
+
+class DecisionView(Part):
+    """A decision of map building (``by``) or a finding of lint (``severity``)."""
+
+    key: str
+    kind: str
+    by: str | None
+    severity: str | None
+    reason: str
+    evidence: tuple[EvidenceLine, ...]
+    elements: tuple[DecidedElement, ...]
+    answers: tuple[AnswerOption, ...]
+    undo: bool
+    """Whether it was answered here, so that the answer can be undone."""
+
+
+class DecisionsEvent(Event):
+    """Decisions and findings of the map, and where answers are saved."""
+
+    type: Literal["decisions"] = "decisions"
+    entries: tuple[DecisionView, ...]
+    note: str
+
+
+class RebuildView(Part):
+    """The map being built again; ``run`` names the new run."""
+
+    is_over: bool
+    progress: str
+    run: str | None
+
+
+class LabelEditsEvent(Event):
+    """Label edits newer than the map; ``workspace`` is empty if the labels are not found."""
+
+    type: Literal["label_edits"] = "label_edits"
+    workspace: str
+    edits: int
+    undoable: int
+    rebuild: RebuildView | None
+
+
+class LabelPageEvent(Event):
+    """The address of the page that shows a label, relative to this page."""
+
+    type: Literal["label_page"] = "label_page"
+    address: str
+
+
+class MapSavedEvent(Event):
+    """The new map was saved as the map of the workspace."""
+
+    type: Literal["map_saved"] = "map_saved"
+    text: str

@@ -1,1 +1,0 @@
-"""What-if on the inspector's page."""

@@ -1,1 +1,0 @@
-"""Runs as rerun recordings: writing, reading, blueprint."""

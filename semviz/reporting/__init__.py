@@ -1,1 +1,0 @@
-"""Reports: what runs were, how good they are, and where they failed, as one file."""

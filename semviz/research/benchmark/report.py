@@ -1,0 +1,245 @@
+"""Report a benchmark as aligned text, Markdown, JSON and plots."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from semviz.presentation import plots
+from semviz.presentation.tables import Table, figure, percent
+from semviz.research.benchmark import paper_table
+from semviz_core.common.files import replacing
+from semviz_core.metrics.pose_errors import Outcome
+from semviz_core.research.evaluation.outcomes import ALL, STRATA, Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Columns = tuple[tuple[str, Callable[[Row], str]], ...]
+"""Headers, each with the function that gives a row's cell."""
+
+
+@dataclass(frozen=True)
+class BenchmarkReport:
+    """The results of a benchmark."""
+
+    settings: dict[str, Any]
+    notes: tuple[str, ...]
+    """Caveats of the numbers."""
+    rows: tuple[Row, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object that ``semviz benchmark --json`` prints."""
+        rows = [row.as_json() for row in self.rows]
+        return {"settings": self.settings, "notes": list(self.notes), "rows": rows}
+
+    def as_text(self) -> str:
+        """Return the report for terminals of 120 columns."""
+        notes = [fill(difference, 118) for difference in self._differences()]
+        return "\n\n".join([*notes, *(table.as_text() for table in self._tables())])
+
+    def as_markdown(self) -> str:
+        made = ", ".join(f"{name} {value}" for name, value in self.settings.items())
+        notes = [f"Note: {note}." for note in self.notes]
+        tables = (table.as_markdown() for table in self._tables())
+        parts = ["# Benchmark", f"Made with {made}.", *notes, *self._differences(), *tables]
+        return "\n\n".join(parts) + "\n"
+
+    def write(self, folder: Path) -> None:
+        """Write ``table.md`` and ``table.json``."""
+        for name, text in (
+            ("table.md", self.as_markdown()),
+            ("table.json", json.dumps(self.as_json(), indent=1) + "\n"),
+        ):
+            with replacing(folder / name) as path:
+                path.write_text(text)
+
+    def _tables(self) -> list[Table]:
+        """Return the paper's table, then those of each suite and noise."""
+        groups: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            groups.setdefault((row.suite, row.noise), []).append(row)
+        papers = [group for (suite, _), group in groups.items() if suite == paper_table.SUITE]
+        tables = [table for group in groups.values() for table in _tables_of(group)]
+        return [*map(paper_table.beside_printed, papers), *tables]
+
+    def _differences(self) -> tuple[str, ...]:
+        """Return the differences from the paper's table, if it is shown."""
+        has_paper_suite = any(row.suite == paper_table.SUITE for row in self.rows)
+        return paper_table.DIFFERENCES if has_paper_suite else ()
+
+
+def _tables_of(group: list[Row]) -> list[Table]:
+    """Return the tables of a suite with one noise."""
+    where = f"{group[0].suite}, noise {group[0].noise}"
+    return [
+        _table(f"{where}: RTE (m) and RRE (deg)", group, _ERRORS),
+        _table(f"{where}: trust", group, _TRUST),
+        _times_table(f"{where}: time (ms)", [row for row in group if row.stratum == ALL]),
+    ]
+
+
+def _table(title: str, group: list[Row], columns: Columns) -> Table:
+    cells = tuple(tuple(cell(row) for _, cell in columns) for row in group)
+    return Table(title, tuple(header for header, _ in columns), cells, words=2)
+
+
+def _times_table(title: str, group: list[Row]) -> Table:
+    cells = []
+    for row in group:
+        cells.append((row.method, "first call", _milliseconds(row, row.first_call_ms), "-"))
+        for stage, time in {"whole": row.time_ms, **row.stages_ms}.items():
+            spread = (_milliseconds(row, time.median), _milliseconds(row, time.p95))
+            cells.append((row.method, stage, *spread))
+    if not all(row.timed_alone for row in group):
+        title += "; * too long: other processes were at work"
+    return Table(title, ("method", "stage", "median", "p95"), tuple(cells), words=2)
+
+
+def _milliseconds(row: Row, value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}" + ("" if row.timed_alone else "*")
+
+
+_WHO: Columns = (
+    ("method", lambda row: row.method),
+    ("stratum", lambda row: row.stratum),
+    ("frames", lambda row: str(row.accuracy.frames)),
+)
+_ERRORS: Columns = (
+    *_WHO,
+    ("RTE", lambda row: figure(row.accuracy.rte_m.mean)),
+    ("Q1", lambda row: figure(row.accuracy.rte_m.q1)),
+    ("Q2", lambda row: figure(row.accuracy.rte_m.q2)),
+    ("Q3", lambda row: figure(row.accuracy.rte_m.q3)),
+    ("<1 m", lambda row: percent(row.accuracy.share_below_1m)),
+    ("RRE", lambda row: figure(row.accuracy.rre_deg.mean)),
+    ("Q1", lambda row: figure(row.accuracy.rre_deg.q1)),
+    ("Q2", lambda row: figure(row.accuracy.rre_deg.q2)),
+    ("Q3", lambda row: figure(row.accuracy.rre_deg.q3)),
+    ("<1 deg", lambda row: percent(row.accuracy.share_below_1deg)),
+    ("/bound", lambda row: figure(row.bound_ratio_median)),
+)
+_TRUST: Columns = (
+    *_WHO,
+    ("ok", lambda row: percent(row.coverage)),
+    ("ambig.", lambda row: percent(row.ambiguous)),
+    ("cannot", lambda row: percent(row.cannot)),
+    ("sure+wrong", lambda row: percent(row.confident_wrong)),
+    ("ok >1 m", lambda row: percent(row.ok_above_1m)),
+    ("NEES", lambda row: figure(row.nees_mean)),
+    ("both <1", lambda row: percent(row.success)),
+    ("RMS/bound", lambda row: figure(row.rms_over_bound)),
+)
+
+
+MARKERS = {"ok": ("o", plots.COLORS[0]), "ambiguous": ("x", plots.COLORS[1])}
+
+
+def draw_benchmark_plots(outcomes: Iterable[Outcome], rows: Sequence[Row], folder: Path) -> None:
+    """Write the plots of each suite and noise to ``folder``.
+
+    Raise SemvizError if matplotlib is not installed.
+    """
+    for (suite, noise), groups in _grouped(outcomes).items():
+        title = f"{suite}, noise {noise}"
+        timed = [row for row in rows if (row.suite, row.noise, row.stratum) == (suite, noise, ALL)]
+        figures = {"cumulative": plots.cumulative(title, groups), "time": times(title, timed)}
+        if groups:
+            figures["histogram"] = plots.histograms(groups, title)
+        facts = [outcome.facts for group in groups.values() for outcome in group]
+        if any(fact.bound_m is not None for fact in facts):
+            figures["bound"] = against_bound(title, groups)
+        if any(fact.recall is not None for fact in facts):
+            figures["recall"] = plots.against_recall(title, groups)
+        for name, plot in figures.items():
+            plots.save_png(plot, folder / f"{_file_name(suite)}-{noise}-{name}.png", dpi=120)
+
+
+def against_bound(title: str, groups: plots.Groups) -> "Figure":
+    """Plot the RTE of each frame over the median error of its Cramer-Rao bound, up to 100 m."""
+    columns = max(min(len(groups), 3), 1)
+    rows = max(-(-len(groups) // columns), 1)
+    figure = plots.new_figure(3.4 * columns + 0.6, 3.2 * rows + 0.8, title)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    bounds = plots.finite(outcome.facts.bound_m for group in groups.values() for outcome in group)
+    both = [bounds.min(initial=1.0), bounds.max(initial=1.0)]
+    for axis, (method, group) in zip(axes, groups.items(), strict=False):
+        for status, (marker, color) in MARKERS.items():
+            points = plots.finite_rows(
+                (outcome.facts.bound_m, outcome.rte_m)
+                for outcome in group
+                if outcome.status == status
+            )
+            bound, rte = np.minimum(points, plots.FARTHEST_M).T
+            axis.scatter(
+                bound,
+                rte,
+                s=12,
+                marker=marker,
+                color=color,
+                alpha=0.6,
+                linewidths=0.8,
+                label=status,
+            )
+        axis.plot(both, both, color="0.3", linewidth=1.0, label="1:1", zorder=0)
+        axis.set(xscale="log", yscale="log")
+        axis.tick_params(labelbottom=True)
+        axis.set_title(method, fontsize="medium")
+        plots.plain_numbers(axis.xaxis, axis.yaxis)
+        plots.add_grid(axis)
+    for axis in axes[len(groups) :]:
+        axis.remove()
+    figure.supxlabel("median error of an efficient estimator on the frame (m)", fontsize="medium")
+    figure.supylabel("RTE (m)", fontsize="medium")
+    axes[0].legend(loc="lower right", fontsize="small")
+    return figure
+
+
+def times(title: str, rows: Sequence[Row]) -> "Figure":
+    """Plot median (bar) and 95th percentile (tick) of each stage and of the whole frame."""
+    bars = [
+        (f"{row.method}: {stage}" if stage else f"{row.method}, whole", stage, time)
+        for row in rows
+        for stage, time in [*row.stages_ms.items(), ("", row.time_ms)]
+    ]
+    figure = plots.new_figure(8.0, 0.26 * len(bars) + 1.4, title)
+    axis = figure.subplots()
+    for place, (_, stage, time) in enumerate(bars):
+        if time.median is None or time.p95 is None:
+            continue
+        color = plots.COLORS[4] if stage else plots.COLORS[0]
+        axis.barh(place, time.median, color=color, height=0.7)
+        axis.plot([time.median, time.p95], [place, place], color="0.2", linewidth=1.0)
+        axis.plot(time.p95, place, "|", color="0.2", markersize=9)
+    axis.set(xscale="log", xlabel="time (ms): bar to the median, tick at the 95th percentile")
+    plots.plain_numbers(axis.xaxis)
+    axis.set_yticks(range(len(bars)), [name for name, _, _ in bars])
+    axis.invert_yaxis()
+    plots.add_grid(axis)
+    return figure
+
+
+def _grouped(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], plots.Groups]:
+    by_suite: dict[tuple[str, str], plots.Groups] = {}
+    for outcome in outcomes:
+        if not STRATA[ALL](outcome.facts):
+            continue
+        by_suite.setdefault((outcome.suite, outcome.noise), {}).setdefault(
+            outcome.method, []
+        ).append(outcome)
+    return {
+        key: {
+            method: group
+            for method, group in groups.items()
+            if any(outcome.rte_m is not None for outcome in group)
+        }
+        for key, groups in by_suite.items()
+    }
+
+
+def _file_name(suite: str) -> str:
+    return suite.replace(" ", "-").replace("%", "percent")

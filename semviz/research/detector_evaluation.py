@@ -1,0 +1,270 @@
+"""Evaluate a detector on images with known content: rendered streets or labelled workspaces.
+
+Streets are ones that nothing was trained or tuned on. Images are made or read on demand.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from semviz.annotator import element_positions
+from semviz.annotator.panes import Cameras
+from semviz.presentation.progress import track
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import Labels, Observation, proposal_id
+from semviz_annotation.mapping.placement.triangulation import Triangulated
+from semviz_annotation.mapping.quality.label_links import observe
+from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.elements import Elements2D, joined
+from semviz_core.base.frame import Side
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.detector import Detector
+from semviz_core.metrics import detection_summary
+from semviz_core.metrics.detection import HELD_OUT_SEED, REACH_M, ImageGroundTruth
+from semviz_core.simulation.ground_truth import street_truth
+from semviz_core.simulation.street import Street
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationImage:
+    """An image and its ground truth, rendered or read on demand."""
+
+    place: str
+    """The street or workspace."""
+    frame_index: int
+    side: Side
+    read: Callable[[], ByteImage]
+    """Raise SemvizError if the image cannot be read."""
+    truth: Callable[[], ImageGroundTruth]
+    is_complete: bool = True
+    """Whether the ground truth is believed to hold all elements."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.place}, frame {self.frame_index}, {self.side}"
+
+
+def street_images(
+    streets: int, frames_a_street: int, sides: Sequence[Side], reach_m: float = REACH_M
+) -> tuple[EvaluationImage, ...]:
+    """Return evenly spread images of the first ``streets`` streets kept for evaluation."""
+    return tuple(
+        EvaluationImage(
+            street.map_frame.name,
+            index,
+            side,
+            partial(street.image, index, side),
+            partial(street_truth, street, index, side, reach_m),
+        )
+        for street in map(Street, range(HELD_OUT_SEED, HELD_OUT_SEED + streets))
+        for index in _spread(len(street.frames), frames_a_street)
+        for side in sides
+    )
+
+
+def _spread(count: int, chosen: int) -> list[int]:
+    """Return ``chosen`` of ``count`` indices, or all, spread evenly."""
+    few = min(count, chosen)
+    return [int((number + 0.5) * count / few) for number in range(few)]
+
+
+def labelled_images(
+    workspace: Workspace,
+    frames: range | None,
+    sides: Sequence[Side],
+    reach_m: float = REACH_M,
+) -> tuple[EvaluationImage, ...]:
+    """Return the images of a workspace that people labelled or reviewed.
+
+    Unlabelled elements that should be visible do not count, unless a person dismissed them; nor do
+    elements to be left out of maps. Raise SemvizError if there are no images.
+    """
+    labelled = _LabelledWorkspace(workspace, reach_m)
+    images = tuple(labelled.images(frames, sides))
+    if not images:
+        selection = "" if frames is None else f" in frames {frames.start}:{frames.stop}"
+        raise SemvizError(
+            f"{workspace.path}: nothing is labelled{selection}; label images with "
+            f"'semviz annotate {workspace.path}'"
+        )
+    return images
+
+
+class _LabelledWorkspace:
+    """The labels of a workspace with the positions of their elements."""
+
+    def __init__(self, workspace: Workspace, reach_m: float) -> None:
+        self._reach_m = reach_m
+        self._name, self._source = workspace.name, workspace.source
+        self._labels: Labels = workspace.read_labels()
+        self._cameras = Cameras(self._source.rig, self._source.frames)
+        self._places = element_positions.ElementPositions(self._cameras)
+
+    def images(self, frames: range | None, sides: Sequence[Side]) -> Iterator[EvaluationImage]:
+        """Yield the images in order of time."""
+        if self._source.rig.right is None:
+            sides = ("left",)
+        for frame in self._source.frames:
+            index = frame.index
+            state = self._labels.review(index)
+            for side in sides if frames is None or index in frames else ():
+                if self._labels.in_frame(index, side) or state == "reviewed, empty":
+                    yield EvaluationImage(
+                        self._name,
+                        index,
+                        side,
+                        partial(self._source.image, index, side),
+                        partial(self._truth, index, side),
+                        is_complete=state != "in work",
+                    )
+
+    def _truth(self, index: int, side: Side) -> ImageGroundTruth:
+        rows = self._labels.in_frame(index, side)
+        labelled, _ = observe(self._labels, index, side)
+        unlabelled = self._unlabelled(index, side)
+        left_out = [self._is_left_out(row) for row in rows] + [True] * len(unlabelled)
+        distance = [self._distance_m(row) for row in rows]
+        return ImageGroundTruth.of(
+            joined(labelled, unlabelled),
+            distance_m=np.array(distance + [np.nan] * len(unlabelled)),
+            ignored=np.array(left_out, dtype=bool),
+            reach_m=self._reach_m,
+        )
+
+    def _is_left_out(self, row: Observation) -> bool:
+        decisions = self._labels.decisions_of(row.element_id)
+        return any(decision.verdict == "leave out" for decision in decisions)
+
+    def _distance_m(self, row: Observation) -> float:
+        """Return the horizontal distance from the left camera; NaN if a position is unknown."""
+        place = self._places.of_element(self._labels, row.element_id)
+        pose = self._cameras.T_map_camera[row.frame_index]
+        if pose is None or not isinstance(place, Triangulated):
+            return float("nan")
+        return float(np.linalg.norm((place.anchor_m - pose.translation)[:2]))
+
+    def _unlabelled(self, index: int, side: Side) -> Elements2D:
+        """Return mapped elements that should be visible, but are neither labelled nor dismissed."""
+        T_camera_map = self._cameras.T_camera_map(index)
+        if T_camera_map is None or self._labels.review(index) == "reviewed, empty":
+            return Elements2D.from_ends([], [], [])
+        near = self._places.near(self._labels, index)
+        projected = element_positions.projected_elements(
+            index, side, T_camera_map, self._cameras.rig, self._labels, near
+        )
+        kept = [element for element in projected if not self._is_dismissed(element, index)]
+        return Elements2D.from_ends(
+            _points(element.anchor_px for element in kept),
+            _points(element.end_px or (np.nan, np.nan) for element in kept),
+            [self._labels.element(element.element_id).class_id for element in kept],
+        )
+
+    def _is_dismissed(self, element: element_positions.ProjectedElement, index: int) -> bool:
+        """Return whether a person stated that the element is not visible. Occluded ones may be, in
+        part."""
+        dismissal = self._labels.dismissals.get(
+            proposal_id(element.element_id, index, element.side)
+        )
+        return dismissal is not None and dismissal.why != "occluded"
+
+
+def _points(pixels: Iterator[tuple[float, float]]) -> FloatArray:
+    return np.array(list(pixels), dtype=np.float64).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The evaluation of a detector."""
+
+    settings: dict[str, str]
+    """What was measured and how, for display."""
+    notes: tuple[str, ...]
+    """Caveats of the figures."""
+    images: tuple[EvaluationImage, ...]
+    evaluations: tuple[detection_summary.ImageEvaluation, ...]
+    """All detections of each image."""
+    figures: detection_summary.DetectionFigures
+
+    @cached_property
+    def above(self) -> tuple[detection_summary.ImageEvaluation, ...]:
+        """Each image with the detections above the threshold."""
+        return tuple(image.above(self.figures.threshold) for image in self.evaluations)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object that ``semviz detect evaluate --json`` prints."""
+        return {
+            "settings": self.settings,
+            "notes": list(self.notes),
+            "figures": self.figures.as_dict(),
+        }
+
+
+def evaluate(
+    detector: Detector,
+    measuring: str,
+    images: Sequence[EvaluationImage],
+    least_score: float | None = None,
+    extra_settings: Mapping[str, str] | None = None,
+) -> Evaluation:
+    """Evaluate ``detector`` on at least one image.
+
+    ``least_score`` is the threshold of ``detection_figures``. ``measuring`` and ``extra_settings``
+    are added to the settings. Times are CPU times; a first call is not counted.
+    """
+    detector.detect(images[0].read())
+    evaluations = tuple(
+        _evaluate_image(detector, image) for image in track(images, "looking", len(images))
+    )
+    figures = detection_summary.detection_figures(evaluations, DEFAULT_CLASSES, least_score)
+    settings = {
+        "model": detector.model.name,
+        "measuring": measuring,
+        "images": _where(images),
+        "threshold": _threshold(figures.threshold, least_score),
+        **(extra_settings or {}),
+    }
+    return Evaluation(settings, tuple(_notes(images)), tuple(images), evaluations, figures)
+
+
+def _evaluate_image(
+    detector: Detector, image: EvaluationImage
+) -> detection_summary.ImageEvaluation:
+    pixels, truth = image.read(), image.truth()
+    start_s = process_time()
+    try:
+        detections = detector.detect(pixels)
+    except SemvizError as error:
+        raise SemvizError(f"{image.name}: {error}") from None
+    return detection_summary.ImageEvaluation(detections, truth, process_time() - start_s)
+
+
+def _threshold(threshold: float, given: float | None) -> str:
+    if given is not None:
+        return f"{given:g}, as given"
+    if threshold == 0.0:
+        limit = detection_summary.FALSE_A_FRAME
+        return f"none, what the model tells is within {limit:g} false a frame"
+    return f"{threshold:.3f}, chosen on these images"
+
+
+def _where(images: Sequence[EvaluationImage]) -> str:
+    """Return for example ``100 of 20 places, street-30000 to street-30019``."""
+    places = list(dict.fromkeys(image.place for image in images))
+    if len(places) == 1:
+        return f"{len(images)} of {places[0]}"
+    return f"{len(images)} of {len(places)} places, {places[0]} to {places[-1]}"
+
+
+def _notes(images: Sequence[EvaluationImage]) -> list[str]:
+    partial = sum(not image.is_complete for image in images)
+    if not partial:
+        return []
+    return [
+        f"{partial} of {len(images)} images are labelled but not reviewed; what is not labelled "
+        "in them counts as false"
+    ]

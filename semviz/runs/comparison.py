@@ -1,0 +1,272 @@
+"""Compare two runs frame by frame: fixed, broken, and changed frames, with the metrics.
+
+Frames are matched by number, and all figures are of the frames that both runs have. A frame is
+good if it is ``ok`` and less than 1 m off; unless both runs have its true pose, ``ok`` is enough.
+A fixed frame is good only in the other run, a broken one only in the base.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from semviz.presentation.tables import Table
+from semviz.runs.metrics import Errors, Metrics, errors_of, metrics_of, settings_of
+from semviz.runs.run import FrameRecord, Run
+from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps
+from semviz_core.base.localization import Status
+from semviz_core.common.errors import SemvizError
+
+GOOD_BELOW_M = 1.0
+SAME_TRUTH_M = 1e-3
+"""Larger differences of the true poses are noted."""
+OTHER_SEQUENCE_M = 1.0
+"""If the true poses differ by more than this (median), the runs are of two sequences."""
+Change = Literal["fixed", "broken", "same"]
+
+
+class Difference(NamedTuple):
+    """A setting in which the runs differ, as texts."""
+
+    what: str
+    base: str
+    other: str
+
+
+@dataclass(frozen=True)
+class FrameChange:
+    """One frame in both runs."""
+
+    index: int
+    status: tuple[Status, Status]
+    """In base and other."""
+    errors: tuple[Errors | None, Errors | None]
+    """None without a pose or a true one."""
+    change: Change
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The other run compared with the base, over the frames that both have."""
+
+    frames: tuple[FrameChange, ...]
+    """Sorted by number."""
+    base: Metrics
+    other: Metrics
+    only_base: tuple[int, ...]
+    """Numbers of the frames that the other run does not have."""
+    only_other: tuple[int, ...]
+    differences: tuple[Difference, ...]
+    maps: MapDiff | None
+    """None if both used the same map."""
+    notes: tuple[str, ...]
+    """Limits of the comparison, for its readers."""
+
+    def of(self, change: Change) -> tuple[FrameChange, ...]:
+        """Return the frames that are ``fixed``, ``broken`` or ``same``, by number."""
+        return tuple(frame for frame in self.frames if frame.change == change)
+
+    @property
+    def counts(self) -> Metrics:
+        """Metrics of the other run that only a comparison has."""
+        return {
+            "fixed": float(len(self.of("fixed"))),
+            "broken": float(len(self.of("broken"))),
+            "same": float(len(self.of("same"))),
+            "missing": float(len(self.only_base)),
+        }
+
+    @property
+    def measured(self) -> tuple[Metrics, Metrics]:
+        """Metrics for conditions: those of the base, and those of the other run with the counts."""
+        return self.base, {**self.other, **self.counts}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values, without the names of the runs."""
+        return {
+            "frames": len(self.frames),
+            "fixed": [frame.index for frame in self.of("fixed")],
+            "broken": [frame.index for frame in self.of("broken")],
+            "same": len(self.of("same")),
+            "only_base": list(self.only_base),
+            "only_other": list(self.only_other),
+            "metrics": {
+                name: {"base": self.base[name], "other": value}
+                for name, value in self.other.items()
+            },
+            "each": [_frame_as_dict(frame) for frame in self.frames],
+            "differences": [difference._asdict() for difference in self.differences],
+            "map": None if self.maps is None else self.maps.as_dict(),
+            "notes": list(self.notes),
+        }
+
+
+def compare_runs(base: Run, other: Run) -> Comparison:
+    """Compare two runs. Raise SemvizError if they are of different sequences or share no frame."""
+    names = [run.semantic_map.frame.name for run in (base, other)]
+    if names[0] != names[1]:
+        raise SemvizError(
+            f"the runs are of '{names[0]}' and of '{names[1]}'; compare runs of one sequence"
+        )
+    numbers = [{frame.frame.index for frame in run.frames} for run in (base, other)]
+    common = numbers[0] & numbers[1]
+    if not common:
+        raise SemvizError(f"the runs have no frame in common: {_spans(base)}; {_spans(other)}")
+    common_base, common_other = (_only(run, common) for run in (base, other))
+    pairs = list(zip(common_base.frames, common_other.frames, strict=True))
+    notes = list(_truth_notes(pairs))  # first, because it rejects runs of different sequences
+    same_map = base.semantic_map.digest == other.semantic_map.digest
+    return Comparison(
+        frames=tuple(frame_change(*pair) for pair in pairs),
+        base=metrics_of(common_base),
+        other=metrics_of(common_other),
+        only_base=tuple(sorted(numbers[0] - common)),
+        only_other=tuple(sorted(numbers[1] - common)),
+        differences=tuple(_setting_differences(base, other)),
+        maps=None if same_map else diff_maps(base.semantic_map, other.semantic_map),
+        notes=(
+            *(f"{name}: {run.note}" for name, run in _named(base, other) if run.note),
+            *_left_out(numbers[0] - common, "base"),
+            *_left_out(numbers[1] - common, "other run"),
+            *notes,
+        ),
+    )
+
+
+def _named(base: Run, other: Run) -> tuple[tuple[str, Run], ...]:
+    return ("base", base), ("other run", other)
+
+
+def _only(run: Run, numbers: set[int]) -> Run:
+    return replace(run, frames=tuple(frame for frame in run.frames if frame.frame.index in numbers))
+
+
+def _spans(run: Run) -> str:
+    if not run.frames:
+        return "no frames"
+    first, last = run.frames[0].frame.index, run.frames[-1].frame.index
+    return f"{len(run.frames)} from {first} to {last}"
+
+
+def _left_out(numbers: set[int], where: str) -> Iterator[str]:
+    if numbers:
+        some = "frame is" if len(numbers) == 1 else "frames are"
+        yield f"{len(numbers)} {some} only in the {where}, and left out"
+
+
+def _truth_notes(pairs: list[tuple[FrameRecord, FrameRecord]]) -> Iterator[str]:
+    """Yield notes on the true poses. Raise SemvizError if they are of two sequences."""
+    poses = [(a.frame.T_map_camera, b.frame.T_map_camera) for a, b in pairs]
+    apart_m = [float(np.linalg.norm(a.translation - b.translation)) for a, b in poses if a and b]
+    if apart_m and np.median(apart_m) > OTHER_SEQUENCE_M:
+        raise SemvizError(
+            f"true poses of the same frames are {np.median(apart_m):.1f} m apart (median): "
+            "the runs are of two drives; compare runs of one"
+        )
+    if apart_m and max(apart_m) > SAME_TRUTH_M:
+        yield f"the true poses of the runs differ, by up to {max(apart_m):.3f} m"
+    if len(apart_m) < len(pairs):
+        unknown = len(pairs) - len(apart_m)
+        yield f"{unknown} of {len(pairs)} frames have no true pose: compared by status alone"
+
+
+def frame_change(base: FrameRecord, other: FrameRecord) -> FrameChange:
+    """Compare one frame of both runs."""
+    errors = errors_of(base), errors_of(other)
+    known = base.frame.T_map_camera is not None and other.frame.T_map_camera is not None
+    good = [
+        record.localization.status == "ok"
+        and (not known or (error is not None and error.distance_m < GOOD_BELOW_M))
+        for record, error in zip((base, other), errors, strict=True)
+    ]
+    change: Change = "same" if good[0] == good[1] else "fixed" if good[1] else "broken"
+    status = base.localization.status, other.localization.status
+    return FrameChange(base.frame.index, status, errors, change)
+
+
+def _setting_differences(base: Run, other: Run) -> Iterator[Difference]:
+    settings = [settings_of(run) for run in (base, other)]
+    for name in dict.fromkeys([*settings[0], *settings[1]]):
+        values = [setting.get(name, "-") for setting in settings]
+        if values[0] != values[1]:
+            yield Difference(name, *values)
+
+
+def _frame_as_dict(frame: FrameChange) -> dict[str, Any]:
+    sides = {
+        side: {
+            "status": status,
+            "rte_m": None if errors is None else errors.distance_m,
+            "rre_deg": None if errors is None else errors.angle_deg,
+        }
+        for side, status, errors in zip(("base", "other"), frame.status, frame.errors, strict=True)
+    }
+    return {"frame": frame.index, "change": frame.change, **sides}
+
+
+LISTED = 10
+"""Maximum number of fixed, and of broken, frames in the text."""
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return settings that differ, counts, metrics side by side, and changed frames as text."""
+    parts = [
+        "\n".join(comparison.notes),
+        "\n".join(_difference_lines(comparison)),
+        _counts(comparison),
+        metrics_table(comparison).as_text(),
+        *(_frames(comparison, change) for change in ("broken", "fixed")),
+    ]
+    if comparison.maps is not None:
+        parts.append(f"maps, base to other:\n{comparison.maps.as_text()}")
+    return "\n\n".join(part for part in parts if part)
+
+
+def metrics_table(comparison: Comparison) -> Table:
+    """Return every metric of both runs, and its change."""
+    rows = []
+    for name, other in comparison.other.items():
+        base = comparison.base[name]
+        change = None if base is None or other is None else other - base
+        rows.append((name, _number(base), _number(other), "-" if not change else f"{change:+.4g}"))
+    return Table("", ("metric", "base", "other", "change"), tuple(rows), words=1)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _difference_lines(comparison: Comparison) -> Iterator[str]:
+    for difference in comparison.differences:
+        yield f"{difference.what}: {difference.base} -> {difference.other}"
+    if not comparison.differences:
+        yield "same settings and map"
+
+
+def _counts(comparison: Comparison) -> str:
+    counts = {name: int(value or 0) for name, value in comparison.counts.items()}
+    return (
+        f"{len(comparison.frames)} frames in both: {counts['fixed']} fixed, "
+        f"{counts['broken']} broken, {counts['same']} same"
+    )
+
+
+def _frames(comparison: Comparison, change: Change) -> str:
+    frames = comparison.of(change)
+    lines = [f"{change}:", *(f"  {_frame(frame)}" for frame in frames[:LISTED])]
+    if len(frames) > LISTED:
+        lines.append(f"  {len(frames) - LISTED} more; --json lists all")
+    return "\n".join(lines) if frames else ""
+
+
+def _frame(frame: FrameChange) -> str:
+    base, other = (
+        f"{status}{_error(errors)}"
+        for status, errors in zip(frame.status, frame.errors, strict=True)
+    )
+    return f"frame {frame.index}: {base} -> {other}"
+
+
+def _error(errors: Errors | None) -> str:
+    return "" if errors is None else f" {errors.distance_m:.2f} m"

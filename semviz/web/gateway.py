@@ -1,0 +1,155 @@
+"""Serve one web tool on one port, and open its address in a browser."""
+
+import asyncio
+import contextlib
+import errno
+import os
+import secrets
+import signal
+import socket
+import threading
+from collections.abc import Iterator
+from urllib.parse import quote
+
+from aiohttp import web
+
+from semviz.web import browser
+from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback
+from semviz.web.sessions import close_sockets
+from semviz.web.tool import Tool, tool_application
+from semviz_core.common.errors import SemvizError
+
+CLOSING_S = 5.0
+"""Longest time for closing after Ctrl-C."""
+
+
+class Gateway:
+    """Serves one tool on one port.
+
+    ``port`` 0 chooses a free port. ``token`` None generates one; ``with_token`` False serves
+    without, on loopback only. Raise SemvizError for a busy port or an impossible host.
+    """
+
+    def __init__(
+        self,
+        tool: Tool,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        token: str | None = None,
+        with_token: bool = True,
+    ) -> None:
+        if token == "":
+            raise SemvizError("the token is empty; omit --token to generate one")
+        if not with_token and token is not None:
+            raise SemvizError("give either --token or --no-token")
+        if not with_token and not is_loopback(host):
+            raise SemvizError(f"--no-token needs a loopback address; others reach --host {host}")
+        self._tool = tool
+        self._host = host
+        self._port = port
+        self._token = (token or secrets.token_urlsafe(16)) if with_token else None
+
+    def run(self, open_browser: bool = True) -> None:
+        """Serve until Ctrl-C or SIGTERM; print the address and open it in a browser."""
+        with self.running() as url, _stop_signal() as stopped:
+            print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
+            with browser.opened(url) if open_browser else contextlib.nullcontext():
+                stopped.recv(1)
+            _end_within(CLOSING_S)
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[str]:
+        """Serve in a thread while the block runs; yield the address, with the token."""
+        with _bound(self._host, self._port) as listener:
+            port = int(listener.getsockname()[1])
+            loop = asyncio.new_event_loop()
+            thread = threading.Thread(target=loop.run_forever, name="semviz-gateway", daemon=True)
+            thread.start()
+            runner = web.AppRunner(
+                self._app(port), access_log=None, shutdown_timeout=1.0, logger=http_log()
+            )
+            try:
+                asyncio.run_coroutine_threadsafe(_serve(runner, listener), loop).result()
+                yield self._url(port)
+            finally:
+                asyncio.run_coroutine_threadsafe(_end(runner), loop).result(timeout=10)
+                loop.call_soon_threadsafe(loop.stop)
+                thread.join(timeout=5)
+                loop.close()
+                self._tool.scenes.close_all()
+
+    def _app(self, port: int) -> web.Application:
+        policy = AccessPolicy(is_loopback(self._host), self._token, port)
+        app = tool_application(self._tool, middlewares=[policy.middleware()])
+        app.on_response_prepare.append(add_headers)
+        app.on_shutdown.append(close_sockets)
+        return app
+
+    def _url(self, port: int) -> str:
+        name = socket.gethostname() if self._host in ("0.0.0.0", "::", "") else self._host
+        shown = f"[{name}]" if ":" in name else name
+        token = f"?token={quote(self._token, safe='')}" if self._token else ""
+        return f"http://{shown}:{port}/{token}"
+
+
+async def _serve(runner: web.AppRunner, listener: socket.socket) -> None:
+    await runner.setup()
+    await web.SockSite(runner, listener).start()
+
+
+async def _end(runner: web.AppRunner) -> None:
+    """Close the port and all connections, and stop waiting for disconnected pages."""
+    await runner.cleanup()
+    waiting = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in waiting:
+        task.cancel()
+    await asyncio.gather(*waiting, return_exceptions=True)
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    """Return a listening socket. Raise SemvizError if the address cannot be bound."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OverflowError:
+        raise SemvizError(f"port {port} does not exist; choose one from 1 to 65535") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            advice = "choose another with --port or stop the other one"
+            raise SemvizError(f"port {port} is in use; {advice}") from None
+        if error.errno == errno.EACCES:
+            raise SemvizError(f"port {port} is reserved; choose one above 1023") from None
+        raise SemvizError(f"cannot serve on {host}:{port}: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _stop_signal() -> Iterator[socket.socket]:
+    """Yield a socket that receives a byte on Ctrl-C or SIGTERM; restore the handlers at the end.
+
+    Python's own handlers run in the main thread, and only between two bytecodes: a main thread that
+    waits for a lock misses a signal that came just before, or to another thread. The byte is
+    written by the signal itself and stays until it is read.
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    receiver, sender = socket.socketpair()
+    with receiver, sender:
+        sender.setblocking(False)
+        handlers = [signal.signal(number, lambda *_: None) for number in numbers]
+        wakeup_before = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+        try:
+            yield receiver
+        finally:
+            signal.set_wakeup_fd(wakeup_before)
+            for number, handler in zip(numbers, handlers, strict=True):
+                signal.signal(number, handler)
+
+
+def _end_within(seconds: float) -> None:
+    """End the process if closing takes longer.
+
+    viser's threads can wait for a browser that has disconnected. Nothing is lost: every edit that a
+    page shows as saved is on disk.
+    """
+    timer = threading.Timer(seconds, os._exit, args=(0,))
+    timer.daemon = True
+    timer.start()

@@ -1,0 +1,1901 @@
+// Written by `python -m semviz.web.protocol --jsdoc` from the messages of both tools.
+// Change those, not this file.
+
+/** A refused request, or a failure in the server; ``text`` is shown to the user. */
+export interface ErrorEvent {
+  type: "error";
+  reply_to: string | null;
+  code: "not_saved" | "conflict" | "invalid" | "not_found" | "busy" | "internal";
+  text: string;
+  retry: boolean;
+}
+
+/** The first event on every connection. */
+export interface HelloEvent {
+  type: "hello";
+  reply_to: string | null;
+  protocol: 2;
+  session: string;
+}
+
+export namespace annotator {
+/** Accept proposals as the page showed them, all or none. */
+export interface AcceptEdit {
+  kind: "accept";
+  marks: Array<DrawnMark>;
+}
+
+/** Add several observations, all or none. An observation of an element that an earlier one creates has ``class_id`` None. */
+export interface AddMany {
+  observations: Array<AddObservation>;
+  kind: "add many";
+}
+
+/** Add an observation of an existing element or, if ``class_id`` is set, of a new one. */
+export interface AddObservation {
+  observation_id: string;
+  element_id: string;
+  frame_index: number;
+  side: "left" | "right";
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
+  anchor_known?: boolean;
+  end_known?: boolean;
+  class_id?: number | null;
+  kind: "add";
+}
+
+/** A possible review decision, and its edit. */
+export interface AnswerView {
+  name: string;
+  title: string;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+}
+
+/** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
+export interface ApplyEditRequest {
+  type: "apply_edit";
+  id: string;
+  edit: DrawEdit | AcceptEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  seen?: ShownObservation | null;
+}
+
+/** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
+export interface BackdropEvent {
+  type: "backdrop";
+  reply_to: string | null;
+  available: boolean;
+  note: string;
+}
+
+/** Build the map. */
+export interface BuildMapRequest {
+  type: "build_map";
+  id: string;
+}
+
+/** The numbers of one element; None for unknown ones. */
+export interface Card {
+  views: number;
+  reason: string | null;
+  depth_m: number | null;
+  depth_sigma_m: number | null;
+  angle_deg: number | null;
+  is_thin: boolean;
+  rms_px: number | null;
+  height_m: number | null;
+  height_sigma_m: number | null;
+  length_px: Partial<Record<"left" | "right", number>>;
+  epipolar_px: number | null;
+}
+
+/** Close the open entry. */
+export interface CloseReviewRequest {
+  type: "close_review";
+  id: string;
+}
+
+/** Others changed the observation of an edit; ``theirs`` is None if they deleted it. */
+export interface ConflictEvent {
+  type: "error";
+  reply_to: string | null;
+  code: "conflict";
+  text: string;
+  retry: boolean;
+  theirs: TheirVersion | null;
+}
+
+/** Add review decisions, all or none; every later map build follows them. */
+export interface DecideElements {
+  judgements: Array<ReviewDecision>;
+  kind: "judge";
+}
+
+/** Delete an element with its observations, dismissals and decisions. */
+export interface DeleteElement {
+  element_id: string;
+  kind: "delete element";
+}
+
+/** Delete several observations, all or none, each like ``DeleteObservation``. */
+export interface DeleteMany {
+  observation_ids: Array<string>;
+  kind: "delete many";
+}
+
+/** Delete one observation; deleting the last one deletes its element. */
+export interface DeleteObservation {
+  observation_id: string;
+  kind: "delete";
+}
+
+/** How far a detector and the labels of one frame disagree. */
+export interface Disagreement {
+  new: number;
+  missed: number;
+  weight: number;
+  worst_id: string | null;
+}
+
+/** Dismiss proposals, all or none. */
+export interface Dismiss {
+  dismissals: Array<Dismissal>;
+  kind: "dismiss";
+}
+
+/** A proposal that a person rejected in one image. */
+export interface Dismissal {
+  id: string;
+  frame_index: number;
+  side: "left" | "right";
+  why: "rejected" | "occluded" | "absent";
+  element_id: string | null;
+}
+
+/** Guides and numbers of a draft. */
+export interface DraftPreview {
+  guides: Partial<Record<"left" | "right", Array<Guide>>>;
+  card: Card | null;
+  snapped: SnappedMark | null;
+  joins: string | null;
+}
+
+/** Guides and numbers of a draft. */
+export interface DraftPreviewEvent {
+  type: "draft_preview";
+  reply_to: string | null;
+  preview: DraftPreview;
+}
+
+/** The selected or drawn element, for which the page requests guides and numbers. */
+export interface DraftState {
+  frame_index: number;
+  selected_id?: string | null;
+  side?: "left" | "right";
+  drawing?: ElementDraft | null;
+  moved?: Record<string, [[number, number], [number, number] | null]>;
+}
+
+/** Draw a mark; it joins the element ``selected_id`` if it fits. */
+export interface DrawEdit {
+  observation_id: string;
+  element_id: string;
+  frame_index: number;
+  side: "left" | "right";
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
+  anchor_known?: boolean;
+  end_known?: boolean;
+  class_id?: number | null;
+  kind: "draw";
+  selected_id?: string | null;
+  snap?: boolean;
+  asks_bottom?: boolean;
+}
+
+/** A mark on a pane, of element ``element_id``. With a ``class_id`` it starts that element, unless it fits an existing one. */
+export interface DrawnMark {
+  observation_id: string;
+  element_id: string;
+  frame_index: number;
+  side: "left" | "right";
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
+  anchor_known?: boolean;
+  end_known?: boolean;
+  class_id?: number | null;
+}
+
+/** An edit is on disk, with the labels and the frame on screen after it. */
+export interface EditSavedEvent {
+  type: "edit_saved";
+  reply_to: string | null;
+  labels: LabelsView;
+  frame: LabelledFrameView;
+  element: string | null;
+  added: number;
+  note: string;
+}
+
+/** One class of element. ``id`` is stored in files and never reused. ``letter`` starts the names that people read (``P-04``). ``shape`` is the glyph, which shows the class without colour. ``color`` is sRGB hex for dark backgrounds and images, ``color_light`` for light backgrounds. */
+export interface ElementClass {
+  id: number;
+  name: string;
+  kind: "line" | "point";
+  letter: string;
+  shape: "line" | "triangle" | "square" | "circle" | "diamond" | "pentagon";
+  color: string;
+  color_light: string;
+}
+
+/** An element was clicked in the 3D scene. */
+export interface ElementClickedEvent {
+  type: "element_clicked";
+  reply_to: string | null;
+  element: string;
+}
+
+/** An unsaved drawing. */
+export interface ElementDraft {
+  side: "left" | "right";
+  class_id: number;
+  anchor_px: [number, number];
+  end_px: [number, number] | null;
+  anchor_known?: boolean;
+  end_known?: boolean;
+  snap?: boolean;
+  asks_bottom?: boolean;
+}
+
+/** An element labelled in the images on the page, with its observations there. */
+export interface ElementView {
+  id: string;
+  name: string;
+  class_id: number;
+  observations: Partial<Record<"left" | "right", ObservationView>>;
+  views: number;
+  review_decisions: Array<ReviewDecisionView>;
+}
+
+/** An element that a decision or finding is about, from labels or map. */
+export interface EntryElement {
+  id: string | null;
+  number: number;
+  name: string;
+  class_id: number | null;
+  map_id: number | null;
+  frames: Array<number>;
+}
+
+/** A decision of the map, or a finding in it. */
+export interface EntryView {
+  key: string;
+  kind: string;
+  by: string | null;
+  severity: string | null;
+  reason: string;
+  evidence: Array<FigureView>;
+  elements: Array<EntryElement>;
+  about: Array<number>;
+  answers: Array<AnswerView>;
+  frame: number | null;
+}
+
+/** One piece of evidence: ``Distance``, ``0.43 m``. */
+export interface FigureView {
+  name: string;
+  value: string;
+}
+
+/** Changed entries of the list of frames. */
+export interface FrameListEvent {
+  type: "frame_list";
+  reply_to: string | null;
+  frames: Array<FrameSummary>;
+}
+
+/** A frame in the list of frames: its review state and its quality. */
+export interface FrameSummary {
+  index: number;
+  state: "unseen" | "in work" | "reviewed" | "reviewed, empty";
+  elements: number;
+  worst: WorstLabel | null;
+  proposed: number | null;
+  disagreement: Disagreement | null;
+}
+
+/** Show another frame. */
+export interface GoToFrameRequest {
+  type: "go_to_frame";
+  id: string;
+  frame: number;
+}
+
+/** An epipolar line as a polyline: in the whole image, and at plausible depths only. */
+export interface Guide {
+  line: Array<[number, number]>;
+  plausible: Array<[number, number]>;
+}
+
+/** Size of a camera's images, px. */
+export interface ImageSize {
+  width: number;
+  height: number;
+}
+
+/** What is known about the label file; sent when the page connects and when it changes. */
+export interface LabelFileEvent {
+  type: "label_file";
+  reply_to: string | null;
+  state: "checking" | "sound" | "damaged" | "missing";
+  text: string;
+}
+
+/** The frame on screen. */
+export interface LabelledFrameEvent {
+  type: "frame";
+  reply_to: string | null;
+  frame: LabelledFrameView;
+}
+
+/** The labels and proposals of one frame, and the elements that may continue in it. */
+export interface LabelledFrameView {
+  index: number;
+  panes: Partial<Record<"left" | "right", PaneView>>;
+  elements: Array<ElementView>;
+  proposals: Array<ProposalView>;
+  nearby: Array<NearbyView>;
+  is_searching: boolean;
+}
+
+/** The state of the labels and all frames, without the marks of a frame. */
+export interface LabelsView {
+  operation: number;
+  counts: Record<string, number>;
+  mapped: number;
+  can_undo: boolean;
+  can_redo: boolean;
+  history: Array<OperationView>;
+  map: MapSummary;
+  frames: Array<FrameSummary>;
+}
+
+/** State that label elements are one landmark: the smallest number keeps all observations. Decisions about the others pass to the element that is kept, unless it has its own. A decision that two of them are apart is revoked. */
+export interface Link {
+  element_ids: Array<string>;
+  kind: "link";
+}
+
+/** Request the named states. */
+export interface ListNamedStatesRequest {
+  type: "list_named_states";
+  id: string;
+}
+
+/** Request the operations before a number, newest first. */
+export interface ListOperationsRequest {
+  type: "list_operations";
+  id: string;
+  before: number;
+}
+
+/** The last map, and the number of open decisions and findings. */
+export interface MapSummary {
+  built: number | null;
+  elements: number;
+  decisions: number;
+  findings: number;
+  building: string | null;
+  failure: string;
+}
+
+/** Move the anchor, the end or both; None leaves a point unchanged. */
+export interface MoveObservation {
+  observation_id: string;
+  anchor_px?: [number, number] | null;
+  end_px?: [number, number] | null;
+  kind: "move";
+}
+
+/** Name the present state. */
+export interface NameEdit {
+  kind: "name";
+  name: string;
+}
+
+/** The named states, newest first. */
+export interface NamedStatesEvent {
+  type: "named_states";
+  reply_to: string | null;
+  states: Array<OperationView>;
+}
+
+/** An element to continue, with the nearest frame in which it is labelled. */
+export interface NearbyView {
+  id: string;
+  name: string;
+  class_id: number;
+  labelled_in: number;
+}
+
+/** A label in one image. */
+export interface ObservationView {
+  id: string;
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  frame: number;
+  side: "left" | "right";
+}
+
+/** One line of the history, and the frame it changed. */
+export interface OperationView {
+  number: number;
+  text: string;
+  author: string;
+  time: string;
+  kind: string;
+  frame: number | null;
+}
+
+/** Older operations, newest first. */
+export interface OperationsEvent {
+  type: "operations";
+  reply_to: string | null;
+  operations: Array<OperationView>;
+}
+
+/** An image on the page. */
+export interface PaneView {
+  frame: number;
+  side: "left" | "right";
+}
+
+/** A frame as it was after operation number ``operation``; ``done`` describes it, None for 0. */
+export interface PastFrame {
+  operation: number;
+  done: OperationView | null;
+  frame: LabelledFrameView;
+}
+
+/** A frame of an earlier state. */
+export interface PastFrameEvent {
+  type: "past_frame";
+  reply_to: string | null;
+  past: PastFrame;
+}
+
+/** Request guides and numbers of a draft. */
+export interface PreviewDraftRequest {
+  type: "preview_draft";
+  id: string;
+  draft: DraftState;
+}
+
+/** The proposed mark of an element in one image. */
+export interface ProposalMark {
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  score: number | null;
+  runner_up: RunnerUp | null;
+}
+
+/** The proposal of one element, with its marks in the images on the page. */
+export interface ProposalView {
+  id: string;
+  name: string;
+  class_id: number;
+  origin: "map" | "match" | "detector";
+  depth_m: number | null;
+  rejected_elsewhere: boolean;
+  is_confident: boolean;
+  score: number | null;
+  marks: Partial<Record<"left" | "right", ProposalMark>>;
+}
+
+/** Redo what the author undid last. */
+export interface RedoEdit {
+  kind: "redo";
+}
+
+/** Restore the state after an operation. */
+export interface RestoreEdit {
+  kind: "restore";
+  number: number;
+}
+
+/** A person's decision about one or two label elements; every map build follows it. */
+export interface ReviewDecision {
+  id: string;
+  verdict: "apart" | "keep" | "leave out";
+  element_id: string;
+  other_id: string | null;
+}
+
+/** A person's decision about an element, applied in every map build. */
+export interface ReviewDecisionView {
+  id: string;
+  text: string;
+}
+
+/** One entry of a list; ``entry`` is None if the list is empty. */
+export interface ReviewEntry {
+  list_name: "decisions" | "findings";
+  count: number;
+  place: number;
+  entry: EntryView | null;
+}
+
+/** The open decision or finding; None for none. */
+export interface ReviewEvent {
+  type: "review";
+  reply_to: string | null;
+  review: ReviewEntry | null;
+}
+
+/** Set a frame's review state; ``unseen`` removes the review. */
+export interface ReviewFrame {
+  frame_index: number;
+  state: "unseen" | "in work" | "reviewed" | "reviewed, empty";
+  kind: "review";
+}
+
+/** Remove a review decision, so that map building decides again. */
+export interface RevokeDecision {
+  judgement_id: string;
+  kind: "take back";
+}
+
+/** The second best mark. */
+export interface RunnerUp {
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  score: number;
+}
+
+/** An edit is on disk; ``edit_saved`` follows. */
+export interface SavedOperationEvent {
+  type: "saved_operation";
+  reply_to: string | null;
+  operation: number;
+}
+
+/** The 3D scene can be opened. */
+export interface SceneEvent {
+  type: "scene";
+  reply_to: string | null;
+}
+
+/** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
+export interface SetBackdropRequest {
+  type: "set_backdrop";
+  id: string;
+  shown: boolean;
+}
+
+/** Change the class of an element, within its kind: a sign stays a sign. */
+export interface SetClass {
+  element_id: string;
+  class_id: number;
+  kind: "set class";
+}
+
+/** Set whether the ends of a pole are visible, not cut off or hidden; None: unchanged. */
+export interface SetKnown {
+  observation_id: string;
+  anchor_known?: boolean | null;
+  end_known?: boolean | null;
+  kind: "set known";
+}
+
+/** Use dark or light colours. */
+export interface SetThemeRequest {
+  type: "set_theme";
+  id: string;
+  theme: "dark" | "light";
+}
+
+/** Request a frame as it was after an operation. */
+export interface ShowPastFrameRequest {
+  type: "show_past_frame";
+  id: string;
+  operation: number;
+  frame: number;
+}
+
+/** Open the entry of a list ``by`` places after the one with ``key``. */
+export interface ShowReviewRequest {
+  type: "show_review";
+  id: string;
+  list_name: "decisions" | "findings";
+  key?: string | null;
+  place?: number;
+  by?: -1 | 0 | 1;
+}
+
+/** An observation as the page showed it when it was edited. */
+export interface ShownObservation {
+  element: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+}
+
+/** A drawing snapped to edges; its ends move by ``by_px`` at most. */
+export interface SnappedMark {
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  by_px: number;
+}
+
+/** Cancel the map build. */
+export interface StopMapBuildRequest {
+  type: "stop_map_build";
+  id: string;
+}
+
+/** Swap the peak and the bottom of a pole. */
+export interface SwapEnds {
+  observation_id: string;
+  kind: "swap ends";
+}
+
+/** An observation as others changed it, with the fields of a request's ``seen``. */
+export interface TheirVersion {
+  element: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+}
+
+/** Undo the author's last edit. */
+export interface UndoEdit {
+  kind: "undo";
+}
+
+/** State that observations of an element show another landmark: a new element, kept apart. */
+export interface Unlink {
+  observation_ids: Array<string>;
+  new_element_id: string;
+  kind: "unlink";
+}
+
+/** The labels have changed, on another page or in another process. */
+export interface UpdateEvent {
+  type: "update";
+  reply_to: string | null;
+  labels: LabelsView;
+  frame: LabelledFrameView;
+}
+
+/** The workspace and its labels; sent when the page connects. */
+export interface WorkspaceEvent {
+  type: "workspace";
+  reply_to: string | null;
+  workspace: WorkspaceView;
+  labels: LabelsView;
+}
+
+/** What does not change while the page is open. */
+export interface WorkspaceView {
+  name: string;
+  key: string;
+  source: string;
+  author: string;
+  classes: Array<ElementClass>;
+  images: Partial<Record<"left" | "right", ImageSize>>;
+  has_right: boolean;
+}
+
+/** The label furthest from the projection of its element. */
+export interface WorstLabel {
+  px: number;
+  element: string | null;
+}
+
+export interface Requests {
+  apply_edit: ApplyEditRequest;
+  build_map: BuildMapRequest;
+  close_review: CloseReviewRequest;
+  go_to_frame: GoToFrameRequest;
+  list_named_states: ListNamedStatesRequest;
+  list_operations: ListOperationsRequest;
+  preview_draft: PreviewDraftRequest;
+  set_backdrop: SetBackdropRequest;
+  set_theme: SetThemeRequest;
+  show_past_frame: ShowPastFrameRequest;
+  show_review: ShowReviewRequest;
+  stop_map_build: StopMapBuildRequest;
+}
+
+export interface Events {
+  backdrop: BackdropEvent;
+  draft_preview: DraftPreviewEvent;
+  edit_saved: EditSavedEvent;
+  element_clicked: ElementClickedEvent;
+  error: ConflictEvent | ErrorEvent;
+  frame: LabelledFrameEvent;
+  frame_list: FrameListEvent;
+  hello: HelloEvent;
+  label_file: LabelFileEvent;
+  named_states: NamedStatesEvent;
+  operations: OperationsEvent;
+  past_frame: PastFrameEvent;
+  review: ReviewEvent;
+  saved_operation: SavedOperationEvent;
+  scene: SceneEvent;
+  update: UpdateEvent;
+  workspace: WorkspaceEvent;
+}
+
+}
+
+export namespace inspector {
+/** Store a review decision in the labels. */
+export interface AnswerDecisionRequest {
+  type: "answer_decision";
+  id: string;
+  key: string;
+  name: string;
+}
+
+/** A possible answer to a decision. */
+export interface AnswerOption {
+  name: string;
+  title: string;
+}
+
+/** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
+export interface BackdropEvent {
+  type: "backdrop";
+  reply_to: string | null;
+  available: boolean;
+  note: string;
+}
+
+/** The frame numbered ``index`` in A; null where A does not have it. */
+export interface BaseFrameEvent {
+  type: "base_frame";
+  reply_to: string | null;
+  index: number;
+  base: BaseFrameView | null;
+}
+
+/** A frame as A has it, and the submap in its right image. */
+export interface BaseFrameView {
+  frame: FrameView;
+  right: Array<RightMapped> | null;
+}
+
+/** A frame that a sweep fixed or broke. */
+export interface ChangedFrame {
+  index: number;
+  change: "fixed" | "broken";
+}
+
+/** Check conditions of ``semviz compare --fail-if``. */
+export interface CheckGatesRequest {
+  type: "check_gates";
+  id: string;
+  conditions: Array<string>;
+}
+
+/** The field ``name`` of a change, as a list to choose from. */
+export interface ChoiceField {
+  name: string;
+  options: Array<OptionValue>;
+}
+
+/** Compare with the run ``base``, side by side or not. Empty: no comparison. */
+export interface CompareRunsRequest {
+  type: "compare_runs";
+  id: string;
+  base: string;
+  side_by_side: boolean;
+}
+
+/** The result of one run for a frame. */
+export interface ComparedAnswer {
+  status: "ok" | "ambiguous" | "cannot";
+  error_m: number | null;
+  error_deg: number | null;
+  overconfident: boolean;
+}
+
+/** A frame of both runs; ``position`` is that in B. */
+export interface ComparedFrame {
+  index: number;
+  position: number;
+  change: "fixed" | "broken" | "same";
+  a: ComparedAnswer;
+  b: ComparedAnswer;
+}
+
+/** The two runs were compared. */
+export interface ComparisonEvent {
+  type: "comparison";
+  reply_to: string | null;
+  comparison: ComparisonView;
+}
+
+/** Everything about two runs that does not depend on the frame shown. */
+export interface ComparisonView {
+  other: string;
+  base: RunHead;
+  frames: Array<ComparedFrame>;
+  only_base: Array<number>;
+  only_other: Array<number>;
+  metrics: Array<MetricRow>;
+  names: Array<string>;
+  setups: Array<SetupRow>;
+  notes: Array<string>;
+  same_map: boolean;
+  unchanged: number;
+  changes: Array<MapChangeView>;
+  more_changes: number;
+  base_ids: Record<string, number>;
+  command: string;
+}
+
+/** An element of a decision; ``map_id`` is null if it is not in the map. */
+export interface DecidedElement {
+  name: string;
+  class_id: number | null;
+  map_id: number | null;
+}
+
+/** A decision of map building (``by``) or a finding of lint (``severity``). */
+export interface DecisionView {
+  key: string;
+  kind: string;
+  by: string | null;
+  severity: string | null;
+  reason: string;
+  evidence: Array<EvidenceLine>;
+  elements: Array<DecidedElement>;
+  answers: Array<AnswerOption>;
+  undo: boolean;
+}
+
+/** Decisions and findings of the map, and where answers are saved. */
+export interface DecisionsEvent {
+  type: "decisions";
+  reply_to: string | null;
+  entries: Array<DecisionView>;
+  note: string;
+}
+
+/** The diagnosis of a frame as people read it. */
+export interface DiagnosisCard {
+  title: string;
+  sentence: string;
+  confidence: number | null;
+  implicated: Array<string>;
+  rows: Array<[string, string]>;
+  alternatives: Array<OtherPose>;
+  more_alternatives: number;
+  times_ms: Array<[string, number]>;
+  poses_tried: number | null;
+}
+
+/** Draw the frame in 3D. The page sends no request for frames that it skips. */
+export interface DrawFrameRequest {
+  type: "draw_frame";
+  id: string;
+}
+
+/** Drop the change. */
+export interface DropWhatIfRequest {
+  type: "drop_what_if";
+  id: string;
+}
+
+/** A map element, from the camera of one frame. */
+export interface ElementCard {
+  name: string;
+  class_id: number;
+  place: Array<EndView>;
+  meaning: string;
+  in_run: Array<[string, string]>;
+  decisions: Array<MapDecision>;
+}
+
+/** A class of elements, with its colours in both themes. */
+export interface ElementClassView {
+  id: number;
+  name: string;
+  letter: string;
+  shape: "line" | "triangle" | "square" | "circle" | "diamond" | "pentagon";
+  color: string;
+  color_light: string;
+}
+
+/** Positions of the frames that detect an element, or whose estimate uses it. */
+export interface ElementFramesEvent {
+  type: "element_frames";
+  reply_to: string | null;
+  element: number;
+  name: string;
+  positions: Array<number>;
+}
+
+/** A map element over the run: positions of frames, and its effect on the error. */
+export interface ElementRow {
+  id: number;
+  name: string;
+  class_id: number;
+  in_view: number;
+  seen: Array<number>;
+  used: Array<number>;
+  outlier: Array<number>;
+  share: number | null;
+  median_px: number | null;
+  cost_m: number | null;
+  position: number | null;
+}
+
+/** The diagnosis of the run, or its progress. */
+export interface ElementsEvent {
+  type: "elements";
+  reply_to: string | null;
+  progress: string;
+  found: RunFindings | null;
+}
+
+/** An end of an element: distance from the camera, and 1 sigma across, along, up (m). */
+export interface EndView {
+  end: string;
+  known: boolean;
+  distance_m: number;
+  sigma_m: [number, number, number];
+}
+
+/** A value of the evidence, as text. */
+export interface EvidenceLine {
+  name: string;
+  value: string;
+}
+
+/** Edit the labels of an element so that maps leave it out. */
+export interface ExcludeElementRequest {
+  type: "exclude_element";
+  id: string;
+  element: number;
+}
+
+/** Find the frames that detect an element, or whose estimate uses it. */
+export interface FindFramesRequest {
+  type: "find_frames";
+  id: string;
+  element: number;
+}
+
+/** The expected error along the route, or the progress of its computation. */
+export interface ForecastEvent {
+  type: "forecast";
+  reply_to: string | null;
+  progress: string;
+  found: ForecastView | null;
+}
+
+/** Expected error of each frame (m), limits of its levels, and landmarks to add. */
+export interface ForecastView {
+  limits: Array<number>;
+  expected_m: Array<number | null>;
+  mean_m: number;
+  suggested: Array<SuggestedElement>;
+}
+
+/** Drop a kept change, by its index. */
+export interface ForgetWhatIfRequest {
+  type: "forget_what_if";
+  id: string;
+  number: number;
+}
+
+/** Another frame is shown. */
+export interface FrameEvent {
+  type: "frame";
+  reply_to: string | null;
+  frame: FrameView;
+  state: StateView;
+}
+
+/** A frame in lists. Errors are null without a pose or ground truth. */
+export interface FrameRow {
+  index: number;
+  status: "ok" | "ambiguous" | "cannot";
+  reason: string;
+  diagnosis: string;
+  overconfident: boolean;
+  error_m: number | null;
+  error_deg: number | null;
+  ms: number;
+}
+
+/** A frame with all that the page draws of it. */
+export interface FrameView {
+  index: number;
+  status: "ok" | "ambiguous" | "cannot";
+  reason: string;
+  diagnosis: string;
+  overconfident: boolean;
+  error_m: number | null;
+  error_deg: number | null;
+  ms: number;
+  position: number;
+  has_truth: boolean;
+  observed: Array<ObservedView>;
+  mapped: Array<MappedView>;
+  pairs: Array<PairView>;
+  true_pairs: Array<PairView>;
+  matrix: MatrixView | null;
+  missed_detections: Array<number>;
+  false_positives: Array<number>;
+  card: DiagnosisCard;
+}
+
+/** A condition, its values as text, and whether it fails; null if that is unknown. */
+export interface GateView {
+  text: string;
+  fails: boolean | null;
+  values: string;
+}
+
+/** The conditions that the page sent. */
+export interface GatesEvent {
+  type: "gates";
+  reply_to: string | null;
+  gates: Array<GateView>;
+}
+
+/** List the decisions of map building and, on request, the findings of lint (slower). */
+export interface GetDecisionsRequest {
+  type: "get_decisions";
+  id: string;
+  findings?: boolean;
+}
+
+/** Diagnose the whole run, with statistics of each map element. */
+export interface GetElementsRequest {
+  type: "get_elements";
+  id: string;
+}
+
+/** Count the label edits that are newer than the map of this run. */
+export interface GetLabelEditsRequest {
+  type: "get_label_edits";
+  id: string;
+}
+
+/** Read the labels behind the selected element. */
+export interface GetOriginsRequest {
+  type: "get_origins";
+  id: string;
+}
+
+/** Request the solver's stages for this frame. */
+export interface GetSolverRequest {
+  type: "get_solver";
+  id: string;
+}
+
+/** Request the user's viewpoint in 3D. */
+export interface GetViewpointRequest {
+  type: "get_viewpoint";
+  id: string;
+}
+
+/** List the changes that fit the selection and the frame. */
+export interface GetWhatIfOptionsRequest {
+  type: "get_what_if_options";
+  id: string;
+}
+
+/** Select the element of a decision in a frame that shows it. */
+export interface GoToDecisionRequest {
+  type: "go_to_decision";
+  id: string;
+  key: string;
+}
+
+/** Show the frame at a position of the run. */
+export interface GoToPositionRequest {
+  type: "go_to_position";
+  id: string;
+  position: number;
+}
+
+/** Look from ``eye`` to ``target``, metres in the map frame. */
+export interface GoToViewpointRequest {
+  type: "go_to_viewpoint";
+  id: string;
+  eye: [number, number, number];
+  target: [number, number, number];
+}
+
+/** Size of a camera's images, px. */
+export interface ImageSize {
+  width: number;
+  height: number;
+}
+
+/** Save the new map as the map of the workspace. */
+export interface KeepMapRequest {
+  type: "keep_map";
+  id: string;
+}
+
+/** Keep the change for all frames. */
+export interface KeepWhatIfRequest {
+  type: "keep_what_if";
+  id: string;
+}
+
+/** Label edits newer than the map; ``workspace`` is empty if the labels are not found. */
+export interface LabelEditsEvent {
+  type: "label_edits";
+  reply_to: string | null;
+  workspace: string;
+  edits: number;
+  undoable: number;
+  rebuild: RebuildView | null;
+}
+
+/** The address of the page that shows a label, relative to this page. */
+export interface LabelPageEvent {
+  type: "label_page";
+  reply_to: string | null;
+  address: string;
+}
+
+/** A difference between the maps, with the broken and fixed frames that have it in view. */
+export interface MapChangeView {
+  kind: "added" | "removed" | "merged" | "split" | "class changed" | "moved";
+  names: Array<string>;
+  was: Array<string>;
+  moved_m: number | null;
+  element: number | null;
+  base_element: number | null;
+  broken: Array<number>;
+  fixed: Array<number>;
+}
+
+/** A colour of the map: its line, its name, and how many elements have it. */
+export interface MapColorLevel {
+  color: string;
+  width: number;
+  name: string;
+  elements: number;
+}
+
+/** The legend of the map in 3D; ``magnified`` is the scale of ellipsoids, if they are shown. */
+export interface MapColorsEvent {
+  type: "map_colors";
+  reply_to: string | null;
+  legend: MapLegend;
+  magnified: number | null;
+}
+
+/** A decision of map building about the label elements behind a map element. */
+export interface MapDecision {
+  kind: string;
+  by: string;
+  reason: string;
+  names: Array<string>;
+}
+
+/** The meaning of the map's colours; without levels they show the classes. */
+export interface MapLegend {
+  by: "class" | "residual" | "times";
+  levels: Array<MapColorLevel>;
+}
+
+/** The new map was saved as the map of the workspace. */
+export interface MapSavedEvent {
+  type: "map_saved";
+  reply_to: string | null;
+  text: string;
+}
+
+/** An element of the submap in the image under the new pose. */
+export interface MappedElement {
+  class_id: number;
+  place: [[number, number], [number, number] | null];
+}
+
+/** An element of the submap, projected with the estimated and the true pose. */
+export interface MappedView {
+  id: number;
+  name: string;
+  class_id: number;
+  estimate: [[number, number], [number, number] | null] | null;
+  truth: [[number, number], [number, number] | null] | null;
+  behind: boolean;
+}
+
+/** A cell of the probability matrix; a null row or column is the dustbin. */
+export interface MatrixCell {
+  name: string;
+  observed: number | null;
+  element: number | null;
+  probability: number;
+  rank: number;
+  is_true: boolean;
+}
+
+/** Match probabilities (m + 1, n + 1), and the order of rows and columns by class. */
+export interface MatrixView {
+  probability: Array<Array<number>>;
+  rows: Array<number>;
+  columns: Array<number>;
+}
+
+/** Link the labels that the diagnosis of this frame calls duplicates. */
+export interface MergeDuplicatesRequest {
+  type: "merge_duplicates";
+  id: string;
+}
+
+/** A metric of both runs, as text. */
+export interface MetricRow {
+  name: string;
+  label: string;
+  a: string;
+  b: string;
+  trend: "better" | "worse" | "same";
+}
+
+/** A neighbouring frame, with the selected element as detected and as mapped. */
+export interface NeighbourView {
+  position: number;
+  seen: PlacedElement | null;
+  mapped: PlacedElement | null;
+}
+
+/** The neighbouring frames. */
+export interface NeighboursEvent {
+  type: "neighbours";
+  reply_to: string | null;
+  frames: Array<NeighbourView>;
+}
+
+/** The field ``name`` of a change, as a number to enter. */
+export interface NumberField {
+  name: string;
+  label: string;
+  value: number;
+  unit: string;
+}
+
+/** A detection; ``truth`` is the row of its true element in ``mapped``. */
+export interface ObservedView {
+  class_id: number;
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  truth: number | null;
+}
+
+/** Open the label of an element. Default: the element that the diagnosis names. */
+export interface OpenLabelRequest {
+  type: "open_label";
+  id: string;
+  element?: number | null;
+}
+
+/** Show a run at the frame with this number. Default: the first run, its first frame. */
+export interface OpenRunRequest {
+  type: "open_run";
+  id: string;
+  run?: string | null;
+  frame?: number | null;
+  theme?: "dark" | "light";
+}
+
+/** A value to choose for a field of a change. */
+export interface OptionValue {
+  value: number | string;
+  text: string;
+}
+
+/** A label element behind a map element. */
+export interface OriginView {
+  name: string;
+  class_id: number;
+  left: number;
+  right: number;
+  frames: Array<[number, string]>;
+  others: number;
+  writer: WriterView | null;
+  is_newer: boolean;
+}
+
+/** The labels behind an element, or the reason why there are none. */
+export interface OriginsEvent {
+  type: "origins";
+  reply_to: string | null;
+  element: number;
+  reason: string;
+  entries: Array<OriginView>;
+}
+
+/** An alternative pose: its distance from the estimate, and its log-likelihood below it. */
+export interface OtherPose {
+  name: string;
+  distance_m: number;
+  angle_deg: number;
+  gap_nats: number | null;
+}
+
+/** Rows of a detection and an element, and the residual vector from ``start`` (px). */
+export interface PairView {
+  observed: number;
+  mapped: number;
+  inlier: boolean;
+  residual_px: number | null;
+  start: [number | null, number | null];
+  vector: [number | null, number | null];
+}
+
+/** An element in an image. */
+export interface PlacedElement {
+  class_id: number;
+  place: [[number, number], [number, number] | null];
+}
+
+/** The difference between two poses. */
+export interface PoseDifference {
+  m: number;
+  deg: number;
+}
+
+/** Build the map from the labels again and localize the run in it. */
+export interface RebuildMapRequest {
+  type: "rebuild_map";
+  id: string;
+}
+
+/** The map being built again; ``run`` names the new run. */
+export interface RebuildView {
+  is_over: boolean;
+  progress: string;
+  run: string | null;
+}
+
+/** Render the 3D pane as an image of this size (px). */
+export interface RenderSceneRequest {
+  type: "render_scene";
+  id: string;
+  width: number;
+  height: number;
+}
+
+/** The residual of ``pair`` at the estimate or the true pose, or the reason for its absence. */
+export interface ResidualView {
+  pair: string;
+  at: "estimate" | "truth";
+  reason: string;
+  px: number | null;
+  across_px: number | null;
+  along_px: number | null;
+  chi2: number | null;
+  limit: number | null;
+  fits: boolean;
+}
+
+/** The submap in the right image of a frame. */
+export interface RightImageEvent {
+  type: "right_image";
+  reply_to: string | null;
+  position: number;
+  mapped: Array<RightMapped>;
+}
+
+/** An element of the submap in the right image. */
+export interface RightMapped {
+  estimate: [[number, number], [number, number] | null] | null;
+  truth: [[number, number], [number, number] | null] | null;
+}
+
+/** Another run was opened. */
+export interface RunEvent {
+  type: "run";
+  reply_to: string | null;
+  run: RunView;
+}
+
+/** A fault of the map or the camera, with the frame that shows it best. */
+export interface RunFaultView {
+  kind: string;
+  sentence: string;
+  evidence: Array<[string, string]>;
+  frames: Array<number>;
+  element: number | null;
+  observed: number | null;
+  position: number;
+}
+
+/** The diagnosis of a run; ``compared`` counts the frames that it is based on. */
+export interface RunFindings {
+  compared: number;
+  faults: Array<RunFaultView>;
+  rows: Array<ElementRow>;
+}
+
+/** Method, map, classes and image sizes of a run. */
+export interface RunHead {
+  name: string;
+  method: string;
+  map: string;
+  map_frame: string;
+  created: string;
+  elements: number;
+  image: ImageSize;
+  image_right: ImageSize | null;
+  classes: Array<ElementClassView>;
+}
+
+/** Everything about a run that does not depend on the frame shown. */
+export interface RunView {
+  name: string;
+  method: string;
+  map: string;
+  map_frame: string;
+  created: string;
+  elements: number;
+  image: ImageSize;
+  image_right: ImageSize | null;
+  classes: Array<ElementClassView>;
+  note: string;
+  frames: Array<FrameRow>;
+  median_m: number | null;
+  ok_share: number;
+}
+
+/** The runs that can be opened. */
+export interface RunsEvent {
+  type: "runs";
+  reply_to: string | null;
+  names: Array<string>;
+}
+
+/** Save the frames of a finished sweep as a run. */
+export interface SaveSweepRequest {
+  type: "save_sweep";
+  id: string;
+}
+
+/** The 3D scene can be opened. */
+export interface SceneEvent {
+  type: "scene";
+  reply_to: string | null;
+}
+
+/** The 3D pane as a PNG file, base64. */
+export interface SceneImageEvent {
+  type: "scene_image";
+  reply_to: string | null;
+  png: string;
+}
+
+/** A candidate pose of the search; ``score`` and ``behind`` (the best) in nats. */
+export interface SearchPoseView {
+  letter: string;
+  score: number | null;
+  behind: number | null;
+  share: number;
+  pairs: number | null;
+  from_answer: PoseDifference | null;
+  from_truth: PoseDifference | null;
+}
+
+/** Numbers of poses evaluated and consistent with the prior, and the best poses. */
+export interface SearchView {
+  tried: number;
+  passed: number | null;
+  poses: Array<SearchPoseView>;
+}
+
+/** Select a detection, a map element, a pair of them, or nothing. */
+export interface SelectRequest {
+  type: "select";
+  id: string;
+  observed?: number | null;
+  element?: number | null;
+}
+
+/** The selected detection, element or pair. */
+export interface SelectionCard {
+  observed: number | null;
+  element: number | null;
+  name: string;
+  class_id: number;
+  summary: Array<string>;
+  residuals: Array<ResidualView>;
+  of_row: Array<MatrixCell>;
+  of_column: Array<MatrixCell>;
+  mapped: ElementCard | null;
+}
+
+/** The selection; null where nothing is selected. */
+export interface SelectionEvent {
+  type: "selection";
+  reply_to: string | null;
+  card: SelectionCard | null;
+}
+
+/** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
+export interface SetBackdropRequest {
+  type: "set_backdrop";
+  id: string;
+  shown: boolean;
+}
+
+/** Choose the image and what is drawn on it. Null: leave as it is. */
+export interface SetImageRequest {
+  type: "set_image";
+  id: string;
+  mode?: "estimate" | "truth" | "pairs" | "error" | null;
+  side?: "left" | "right" | null;
+  neighbours?: boolean | null;
+}
+
+/** Colour the 3D map. Null: leave as it is. */
+export interface SetMapColorsRequest {
+  type: "set_map_colors";
+  id: string;
+  colors?: "class" | "residual" | "times" | null;
+  ellipsoids?: boolean | null;
+}
+
+/** Use dark or light colours. */
+export interface SetThemeRequest {
+  type: "set_theme";
+  id: string;
+  theme: "dark" | "light";
+}
+
+/** Look from a named viewpoint in 3D. */
+export interface SetViewRequest {
+  type: "set_view";
+  id: string;
+  view: "behind" | "above" | "camera" | "free";
+}
+
+/** A setting or input of both runs. */
+export interface SetupRow {
+  what: string;
+  base: string;
+  other: string;
+}
+
+/** Show or hide the alternative poses. */
+export interface ShowAlternativesRequest {
+  type: "show_alternatives";
+  id: string;
+  shown: boolean;
+}
+
+/** Show or hide the expected error along the route. */
+export interface ShowForecastRequest {
+  type: "show_forecast";
+  id: string;
+  shown: boolean;
+}
+
+/** Show a candidate pose of the search in 3D. Null: hide it. */
+export interface ShowSearchPoseRequest {
+  type: "show_search_pose";
+  id: string;
+  row: number | null;
+}
+
+/** A result of the solver; errors are null without a pose or ground truth. */
+export interface SolutionView {
+  status: "ok" | "ambiguous" | "cannot";
+  error_m: number | null;
+  error_deg: number | null;
+  inliers: number;
+  detections: number;
+}
+
+/** Solve the frame with the suggested change. */
+export interface SolveSuggestionRequest {
+  type: "solve_suggestion";
+  id: string;
+}
+
+/** Solve the frame with a change, in addition to the kept changes. */
+export interface SolveWhatIfRequest {
+  type: "solve_what_if";
+  id: string;
+  change: Record<string, number | string>;
+}
+
+/** A pair of the estimate. */
+export interface SolvedPair {
+  observed: number;
+  element: number;
+  name: string;
+  class_id: number;
+  inlier: boolean;
+  is_true: boolean | null;
+  residual_px: number | null;
+  chi2: number | null;
+  support_nats: number | null;
+  open_m: number | null;
+}
+
+/** How a frame was solved; stages that the method lacks are null. */
+export interface SolverEvent {
+  type: "solver";
+  reply_to: string | null;
+  position: number;
+  stages: Array<[string, number]>;
+  search: SearchView | null;
+  pairs: Array<SolvedPair> | null;
+  trace: TraceView | null;
+  notes: Array<string>;
+  shown: number | null;
+}
+
+/** The selection or the display settings changed. */
+export interface StateEvent {
+  type: "state";
+  reply_to: string | null;
+  state: StateView;
+}
+
+/** The selection and the display settings. */
+export interface StateView {
+  observed: number | null;
+  element: number | null;
+  view: "behind" | "above" | "camera" | "free";
+  alternatives: boolean;
+  forecast: boolean;
+  colors: "class" | "residual" | "times";
+  ellipsoids: boolean;
+  backdrop: boolean;
+  base: string;
+  comparing: boolean;
+  mode: "estimate" | "truth" | "pairs" | "error";
+  side: "left" | "right";
+  neighbours: boolean;
+}
+
+/** Stop rebuilding. */
+export interface StopRebuildRequest {
+  type: "stop_rebuild";
+  id: string;
+}
+
+/** Stop the sweep; the frames solved so far count. */
+export interface StopSweepRequest {
+  type: "stop_sweep";
+  id: string;
+}
+
+/** Find the change most likely to explain the failure of this frame. */
+export interface SuggestWhatIfRequest {
+  type: "suggest_what_if";
+  id: string;
+}
+
+/** A landmark worth adding to the map, and the first frame that it improves. */
+export interface SuggestedElement {
+  position: number | null;
+  text: string;
+}
+
+/** The change most likely to explain the failure of a frame, and its result. */
+export interface SuggestionEvent {
+  type: "suggestion";
+  reply_to: string | null;
+  position: number;
+  text: string;
+  before: SolutionView;
+  after: SolutionView;
+}
+
+/** Why no suggestion was solved; empty where one was. */
+export interface SuggestionStatusEvent {
+  type: "suggestion_status";
+  reply_to: string | null;
+  text: string;
+}
+
+/** Progress of a sweep, or its result. */
+export interface SweepView {
+  is_over: boolean;
+  can_save: boolean;
+  text: string;
+  changed: Array<ChangedFrame>;
+}
+
+/** Solve all frames that the kept changes affect. */
+export interface SweepWhatIfRequest {
+  type: "sweep_what_if";
+  id: string;
+}
+
+/** Cost and step of each iteration, and the distance from the best pose of the search. */
+export interface TraceView {
+  cost: Array<number | null>;
+  steps: Array<PoseDifference>;
+  moved: PoseDifference | null;
+}
+
+/** Undo a review decision that was made here. */
+export interface UndoAnswerRequest {
+  type: "undo_answer";
+  id: string;
+  key: string;
+}
+
+/** Undo the last label edit that was made here. */
+export interface UndoLabelEditRequest {
+  type: "undo_label_edit";
+  id: string;
+}
+
+/** The user's viewpoint in 3D, metres in the map frame. */
+export interface ViewpointEvent {
+  type: "viewpoint";
+  reply_to: string | null;
+  eye: [number, number, number];
+  target: [number, number, number];
+}
+
+/** The pending change, the kept changes, and their result. */
+export interface WhatIfEvent {
+  type: "what_if";
+  reply_to: string | null;
+  change: string;
+  kept: Array<string>;
+  file: string;
+  solving: boolean;
+  failure: string;
+  result: WhatIfResult | null;
+  sweep: SweepView | null;
+  saved: string;
+}
+
+/** Changes of one subject, for example the selected element. */
+export interface WhatIfGroup {
+  title: string;
+  options: Array<WhatIfOption>;
+}
+
+/** A change: a button, a choice, or numbers to enter. */
+export interface WhatIfOption {
+  text: string;
+  change: Record<string, number | string>;
+  choice: ChoiceField | null;
+  fields: Array<NumberField>;
+}
+
+/** The changes that fit the selection and the frame. */
+export interface WhatIfOptionsEvent {
+  type: "what_if_options";
+  reply_to: string | null;
+  groups: Array<WhatIfGroup>;
+}
+
+/** A frame before and after the changes. */
+export interface WhatIfResult {
+  position: number;
+  has_effect: boolean;
+  before: SolutionView;
+  after: SolutionView;
+  reason: string;
+  ms: number;
+  mapped: Array<MappedElement>;
+}
+
+/** The label operation that last changed a label element. */
+export interface WriterView {
+  author: string;
+  origin: string;
+  time: string;
+  number: number;
+  kind: string;
+}
+
+export interface Requests {
+  answer_decision: AnswerDecisionRequest;
+  check_gates: CheckGatesRequest;
+  compare_runs: CompareRunsRequest;
+  draw_frame: DrawFrameRequest;
+  drop_what_if: DropWhatIfRequest;
+  exclude_element: ExcludeElementRequest;
+  find_frames: FindFramesRequest;
+  forget_what_if: ForgetWhatIfRequest;
+  get_decisions: GetDecisionsRequest;
+  get_elements: GetElementsRequest;
+  get_label_edits: GetLabelEditsRequest;
+  get_origins: GetOriginsRequest;
+  get_solver: GetSolverRequest;
+  get_viewpoint: GetViewpointRequest;
+  get_what_if_options: GetWhatIfOptionsRequest;
+  go_to_decision: GoToDecisionRequest;
+  go_to_position: GoToPositionRequest;
+  go_to_viewpoint: GoToViewpointRequest;
+  keep_map: KeepMapRequest;
+  keep_what_if: KeepWhatIfRequest;
+  merge_duplicates: MergeDuplicatesRequest;
+  open_label: OpenLabelRequest;
+  open_run: OpenRunRequest;
+  rebuild_map: RebuildMapRequest;
+  render_scene: RenderSceneRequest;
+  save_sweep: SaveSweepRequest;
+  select: SelectRequest;
+  set_backdrop: SetBackdropRequest;
+  set_image: SetImageRequest;
+  set_map_colors: SetMapColorsRequest;
+  set_theme: SetThemeRequest;
+  set_view: SetViewRequest;
+  show_alternatives: ShowAlternativesRequest;
+  show_forecast: ShowForecastRequest;
+  show_search_pose: ShowSearchPoseRequest;
+  solve_suggestion: SolveSuggestionRequest;
+  solve_what_if: SolveWhatIfRequest;
+  stop_rebuild: StopRebuildRequest;
+  stop_sweep: StopSweepRequest;
+  suggest_what_if: SuggestWhatIfRequest;
+  sweep_what_if: SweepWhatIfRequest;
+  undo_answer: UndoAnswerRequest;
+  undo_label_edit: UndoLabelEditRequest;
+}
+
+export interface Events {
+  backdrop: BackdropEvent;
+  base_frame: BaseFrameEvent;
+  comparison: ComparisonEvent;
+  decisions: DecisionsEvent;
+  element_frames: ElementFramesEvent;
+  elements: ElementsEvent;
+  error: ErrorEvent;
+  forecast: ForecastEvent;
+  frame: FrameEvent;
+  gates: GatesEvent;
+  hello: HelloEvent;
+  label_edits: LabelEditsEvent;
+  label_page: LabelPageEvent;
+  map_colors: MapColorsEvent;
+  map_saved: MapSavedEvent;
+  neighbours: NeighboursEvent;
+  origins: OriginsEvent;
+  right_image: RightImageEvent;
+  run: RunEvent;
+  runs: RunsEvent;
+  scene: SceneEvent;
+  scene_image: SceneImageEvent;
+  selection: SelectionEvent;
+  solver: SolverEvent;
+  state: StateEvent;
+  suggestion: SuggestionEvent;
+  suggestion_status: SuggestionStatusEvent;
+  viewpoint: ViewpointEvent;
+  what_if: WhatIfEvent;
+  what_if_options: WhatIfOptionsEvent;
+}
+
+}

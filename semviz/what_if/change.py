@@ -1,0 +1,162 @@
+"""A change to a recorded frame, and the request that the localizer then solves.
+
+Changes apply in the order of their stages, not in the order they are listed in. A change to a
+detection names the frame's number.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from semviz.runs.diagnosis import detector_of
+from semviz.runs.run import FrameRecord, Run
+from semviz.workspace.localize import ROAD_RADIUS_M
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Prior
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import IntArray
+from semviz_core.localization.localizer import Localizer, known_methods
+from semviz_core.localization.matched import MatchedMethodName
+
+NamedPair = tuple[int, int]
+"""The recorded row of a detection and the id of a map element."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRequest:
+    """The input of the localizer for one frame."""
+
+    record: FrameRecord
+    """The frame as recorded."""
+    semantic_map: SemanticMap
+    observed: Elements2D
+    row: IntArray
+    """(m,) recorded row of each detection."""
+    element_id: IntArray
+    """(m,) as in ``FrameRecord``."""
+    submap: Elements3D
+    radius_m: float
+    """Radius of the submap around the prior."""
+    prior: Prior
+    localizer: Localizer
+    matched: MatchedMethodName | None = None
+    """Solve from the recorded matches by this method, not by the localizer."""
+    start: Pose | None = None
+    """T_camera_map; the refinement starts here, and there is no search."""
+    forced: tuple[NamedPair, ...] = ()
+    forbidden: tuple[NamedPair, ...] = ()
+
+    @classmethod
+    def of(cls, run: Run, record: FrameRecord) -> "FrameRequest":
+        """The recorded request. A frame of a tracked run becomes a request without its history."""
+        recorded, info = record.localization, run.info
+        is_single = info.method in known_methods()
+        method = info.method if is_single else "search"
+        weights = info.options.get("weights") if is_single else None
+        localizer = Localizer(
+            method,
+            info.seed,
+            run.semantic_map.classes,
+            detector_of(run),
+            Path(weights) if weights else None,
+        )
+        return cls(
+            record,
+            run.semantic_map,
+            recorded.observed,
+            np.arange(len(recorded.observed)),
+            record.element_id,
+            recorded.submap,
+            float(info.options.get("crop_radius_m") or _extent_m(recorded.submap, recorded.prior)),
+            recorded.prior,
+            localizer,
+        )
+
+    @property
+    def method(self) -> str:
+        """Name of the method that solves it."""
+        return self.matched or self.localizer.method
+
+    @property
+    def truth(self) -> Pose | None:
+        """True T_map_camera; None if unknown."""
+        return self.record.frame.T_map_camera
+
+    @cached_property
+    def reference_pose(self) -> Pose | None:
+        """T_map_camera: the true pose, or else the recorded estimate."""
+        estimate = self.record.localization.T_camera_map
+        return self.truth or (None if estimate is None else estimate.inverse())
+
+    def with_rows(self, rows: IntArray) -> "FrameRequest":
+        """Keep these rows of the detections only."""
+        return replace(
+            self,
+            observed=self.observed[rows],
+            row=self.row[rows],
+            element_id=self.element_id[rows],
+        )
+
+    def with_prior(self, prior: Prior, radius_m: float) -> "FrameRequest":
+        """Replace prior and radius, and crop submap and road from the map again."""
+        road_m = self.semantic_map.road_near(prior.position_m, ROAD_RADIUS_M)
+        return replace(
+            self,
+            prior=replace(prior, road_m=None if prior.road_m is None else road_m),
+            radius_m=radius_m,
+            submap=self.semantic_map.crop(prior.position_m, radius_m),
+        )
+
+
+def _extent_m(submap: Elements3D, prior: Prior) -> float:
+    """Horizontal distance from the prior to the farthest element of the submap."""
+    offset_m = submap.anchor_m[:, :2] - prior.position_m[:2]
+    return float(np.linalg.norm(offset_m, axis=1).max(initial=1.0))
+
+
+class Stage(IntEnum):
+    """Changes apply in this order."""
+
+    MAP = 0
+    PRIOR = 1
+    SUBMAP = 2
+    DETECTIONS = 3
+    PAIRS = 4
+    SOLVER = 5
+
+
+@dataclass(frozen=True)
+class WhatIfChange(ABC):
+    """A change to a request. Fields are JSON values; ``frame`` is the number of a frame."""
+
+    stage: ClassVar[Stage]
+
+    @abstractmethod
+    def describe(self, semantic_map: SemanticMap) -> str:
+        """Return the change in words, for example ``without R-052``."""
+
+    def affects(self, request: FrameRequest) -> bool:
+        """Whether the change alters this request."""
+        return True
+
+    @abstractmethod
+    def applied(self, request: FrameRequest) -> FrameRequest:
+        """Return the request with the change, which must affect it."""
+
+    def applied_to_map(self, elements: Elements3D) -> Elements3D:
+        """Return the map's elements with the change. Most changes leave the map as it is."""
+        return elements
+
+
+def map_element_name(semantic_map: SemanticMap, element: int) -> str:
+    """Return a name, for example R-052; ``element 52`` if the map has no such element."""
+    elements = semantic_map.elements
+    for class_id in elements.class_id[elements.id == element].tolist():
+        return semantic_map.classes.element_name(class_id, element)
+    return f"element {element}"

@@ -1,0 +1,165 @@
+"""Collect the observations of a workspace's frames, and identify their map elements.
+
+Observations are labels, proposals, or a simulated detector's output. In a map made from labels,
+the labels of a frame give a detection's true element; on a simulated street, the street does.
+Elsewhere elements are identified by the map itself, seen from the true pose: a map fault then
+looks like a detector fault.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz.runs.images import project_elements
+from semviz.workspace.workspace import StreetSettings, Workspace
+from semviz_annotation.mapping.quality.label_links import observe
+from semviz_core.base.detector_model import NoiseName
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.frame import Frame
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import BoolArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
+from semviz_core.metrics.detection import ImageGroundTruth, match_confused_classes, match_detections
+
+if TYPE_CHECKING:
+    from semviz_annotation.labels.proposals import Proposals
+    from semviz_core.simulation.street import Street
+
+Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
+"""Return the observations (m) of a frame's left image, and the true map element (m,) of each: -1
+for a false positive or a label without map element, -2 for a detection of unknown truth."""
+
+
+def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
+    """Observe the labels of the left image."""
+    from semviz_annotation.mapping.quality.label_links import observe
+
+    labels = workspace.read_labels()
+    return lambda frame: observe(labels, frame.index, "left", semantic_map)
+
+
+def read_detections(workspace: Workspace, frames: Iterable[Frame]) -> "Proposals":
+    """Return the detections of ``semviz detect``, or imported proposals if it was never run.
+
+    Raise SemvizError if there are none, or if the left image of one of ``frames`` was not
+    processed.
+    """
+    from semviz_annotation.labels.proposals import Proposals, load_proposals
+
+    proposals = load_proposals(workspace.proposals_path, workspace.classes)
+    processed = proposals.processed
+    if processed is None and not len(proposals):
+        raise SemvizError(
+            f"{workspace.path}: no detections yet; run 'semviz detect {workspace.path}'"
+        )
+    for frame in frames:
+        if processed is not None and (frame.index, "left") not in processed.images:
+            raise SemvizError(
+                f"{workspace.path}: frame {frame.index} was not processed; run 'semviz detect "
+                f"{workspace.path}' again, or leave it out with --frames"
+            )
+    return Proposals.of(proposals.detections, processed)
+
+
+def observe_detected(
+    workspace: Workspace,
+    semantic_map: SemanticMap,
+    detections: "Proposals",
+    least_score: float = 0.0,
+) -> Observe:
+    """Observe the detections in the left image with at least ``least_score``."""
+    from semviz_annotation.labels.detections import as_elements
+
+    identify = identify_detections(workspace, semantic_map)
+
+    def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
+        rows = detections.in_frame(frame.index, "left")
+        elements = as_elements([row for row in rows if row.score >= least_score])
+        return elements, identify(frame, elements)
+
+    return observe
+
+
+def observe_simulated(workspace: Workspace, noise: NoiseName, seed: int) -> Observe:
+    """Observe a simulated street with a simulated detector of the given noise."""
+    from semviz_core.simulation.detector import SimulatedDetector
+
+    detector = SimulatedDetector(workspace.street, noise, seed)
+
+    def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
+        detection = detector.detect(frame.index)
+        return detection.observed, detection.element_id
+
+    return observe
+
+
+Identify = Callable[[Frame, Elements2D], IntArray]
+"""Return the map element (m,) of each detection in a frame's left image, or ``FALSE_POSITIVE``, or
+``UNKNOWN_ID``."""
+FAR_M = 120.0
+"""Map elements farther from the camera are ignored."""
+
+_Visible = tuple[Elements2D, IntArray]
+"""Elements (n) visible in an image, and the map id (n,) of each, or ``UNKNOWN_ID``."""
+
+
+def identify_detections(workspace: Workspace, semantic_map: SemanticMap) -> Identify:
+    """Return the function that identifies detections in a workspace's images."""
+    is_street = isinstance(workspace.settings.source, StreetSettings)
+    street = workspace.street if is_street else None
+    labels = workspace.read_labels()
+    from_labels = bool(semantic_map.provenance)
+
+    def visible(frame: Frame) -> _Visible:
+        if from_labels and labels.in_frame(frame.index, "left"):
+            elements, ids = observe(labels, frame.index, "left", semantic_map)
+            return elements, np.where(ids < 0, UNKNOWN_ID, ids)
+        if street is not None and not from_labels:
+            return _on_street(street, frame.index)
+        return _mapped(workspace, semantic_map, frame)
+
+    def identify(frame: Frame, detections: Elements2D) -> IntArray:
+        elements, ids = visible(frame)
+        rows = _matched_rows(detections, elements)
+        element_id = np.where(rows < 0, UNKNOWN_ID, np.append(ids, UNKNOWN_ID)[rows])
+        if street is None:
+            return element_id
+        is_real = _matched_rows(detections, _on_street(street, frame.index)[0]) >= 0
+        return np.where((element_id == UNKNOWN_ID) & ~is_real, FALSE_POSITIVE, element_id)
+
+    return identify
+
+
+def _matched_rows(detections: Elements2D, elements: Elements2D) -> IntArray:
+    """(m,) row of the element that each detection matches as in detector evaluation, else -1.
+
+    Classes may differ, and elements at any distance count.
+    """
+    everything: BoolArray = np.ones(len(elements), dtype=bool)
+    truth = replace(ImageGroundTruth.of(elements), counts=everything)
+    rows = match_detections(detections, truth)
+    return np.where(rows < 0, match_confused_classes(detections, truth, rows), rows)
+
+
+def _on_street(street: "Street", index: int) -> _Visible:
+    from semviz_core.simulation.ground_truth import street_truth
+
+    elements, ids = street_truth(street, index, "left").elements, street.labels(index, "left")[1]
+    return elements, np.append(ids, np.full(len(elements) - len(ids), UNKNOWN_ID))
+
+
+def _mapped(workspace: Workspace, semantic_map: SemanticMap, frame: Frame) -> _Visible:
+    """Return the map elements visible from the frame's true pose; none if the pose is unknown."""
+    camera, pose = workspace.source.rig.left, frame.T_map_camera
+    if pose is None:
+        return Elements2D.from_ends([], [], []), np.zeros(0, dtype=np.int64)
+    nearby = semantic_map.crop(pose.translation, FAR_M)
+    projected = project_elements(nearby, pose.inverse(), camera)
+    rows = np.flatnonzero(projected.shown & np.isfinite(projected.anchor_px).all(axis=1))
+    elements = Elements2D.from_ends(
+        projected.anchor_px[rows], projected.end_px[rows], nearby.class_id[rows]
+    )
+    return elements, nearby.id[rows]

@@ -1,0 +1,101 @@
+"""Rebuild a run's map from its present labels, and localize the run in it again.
+
+The map is built with the recorded options; frames, observations and priors stay the same. If the
+run observed labels, the present ones are read. A stopped rebuild leaves nothing behind.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from semviz.runs.run import FrameRecord, Run, RunInfo, detector_model, observations_of
+from semviz.runs.writer import write_run
+from semviz.workspace.localizability import options_of
+from semviz.workspace.localize import SequenceLocalization
+from semviz.workspace.observations import Observe, observe_labels
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.mapping.build import rebuild_map
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.frame import Frame
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.arrays import IntArray
+from semviz_core.localization.localizer import Localizer
+
+OnProgress = Callable[[str, int, int], None]
+"""Called with the name of the step, its steps done, and their number."""
+
+
+def rebuild_run(
+    run: Run, path: Path, workspace: Workspace, on_progress: OnProgress = lambda step, i, n: None
+) -> Run:
+    """Write a new run to ``path``, with the map built again from the present labels.
+
+    Observations and priors are those of ``run``, but observed labels are read again.
+    ``on_progress`` may raise to stop it; nothing is left then.
+
+    Raise SemvizError if the map was not built from labels, or cannot be built any more.
+    """
+    labels = workspace.read_labels()
+    semantic_map, _ = rebuild_map(run.semantic_map, labels, workspace.source, on_progress)
+    info = _info(run, path, workspace)
+    frames: list[FrameRecord] = []
+
+    def records() -> Iterator[FrameRecord]:
+        for done, record in enumerate(_localized(run, semantic_map, workspace)):
+            on_progress("localizing", done, len(run.frames))
+            frames.append(record)
+            yield record
+
+    try:
+        write_run(records(), path, info, semantic_map)
+    finally:
+        with suppress(OSError):
+            path.with_name(f"{path.stem}.partial.rrd").unlink()
+    return Run(info, semantic_map, tuple(frames))
+
+
+def _info(run: Run, path: Path, workspace: Workspace) -> RunInfo:
+    return replace(
+        run.info,
+        name=path.stem,
+        workspace=run.info.workspace or str(workspace.path),
+        version=version("semviz"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Iterable[FrameRecord]:
+    """Localize the run's frames in another map; images are those of the run."""
+    options = options_of(run.info.options)
+    observations = observations_of(run.info.observations)
+    recorded = {frame.frame.index: frame for frame in run.frames}
+    from_labels = observations == "labels"
+    observe = observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded)
+    detector = detector_model(observations)
+    localization = SequenceLocalization(
+        workspace.source,
+        semantic_map,
+        tuple(frame.frame for frame in run.frames),
+        observe,
+        lambda frame: recorded[frame.index].localization.prior,
+        Localizer(
+            options.method, run.info.seed, semantic_map.classes, detector, options.weights_path
+        ),
+        options,
+    )
+    for record in localization:
+        old = recorded[record.frame.index]
+        yield replace(old, localization=record.localization, element_id=record.element_id)
+
+
+def _recorded(recorded: dict[int, FrameRecord]) -> Observe:
+    """Observe what was recorded."""
+
+    def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
+        record = recorded[frame.index]
+        return record.localization.observed, record.element_id
+
+    return observe

@@ -1,0 +1,441 @@
+"""The workspace: one folder that can be copied, with labels, proposals, maps and runs.
+
+    semviz.toml          settings: where the images come from
+    labels.db            labels and their history
+    proposals.parquet    detector proposals, if any
+    kept/                keys that other labelling tools wrote, if any
+    backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
+    maps/NAME.parquet
+    runs/NAME.rrd
+
+The author of stored operations defaults to the login name.
+"""
+
+import getpass
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from semviz_core.base.camera import Rig
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.frame import Dataset
+from semviz_core.base.map_file import load_map, save_map
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import first_line, read_toml
+from semviz_core.datasets.validation import Calibration
+from semviz_core.simulation.objects import SectionKind
+
+if TYPE_CHECKING:
+    from semviz_annotation.labels.labels import Labels
+    from semviz_annotation.storage.store import LabelStore
+    from semviz_core.simulation.layout import Section
+    from semviz_core.simulation.street import Street
+
+VERSION: Final = 1
+SETTINGS = "semviz.toml"
+STREET_FRAMES = 60
+MOST_NAME_BYTES = 200
+"""File systems allow 255, with the ending and a temporary suffix."""
+MAIN = "main"
+"""Default name of the map to build and use."""
+TRUTH = "truth"
+"""Name of the true map of a simulated street."""
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FrameRange(_Model):
+    """Frame numbers from ``first`` to ``end``, which is excluded."""
+
+    first: int = Field(ge=0)
+    end: int = Field(gt=0)
+    step: int = Field(default=1, gt=0)
+
+    @classmethod
+    def of(cls, frames: range) -> "FrameRange":
+        if not frames or frames.start < 0 or frames.step < 0:
+            raise SemvizError(f"frames {frames}: expected numbers from 0, going up")
+        return cls(first=frames.start, end=frames.stop, step=frames.step)
+
+    def as_range(self) -> range:
+        return range(self.first, self.end, self.step)
+
+
+class KittiSettings(_Model):
+    """A KITTI odometry sequence."""
+
+    kind: Literal["kitti"] = "kitti"
+    root: str
+    """Folder that holds ``sequences``, absolute or relative to the workspace."""
+    sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
+    frames: FrameRange | None = None
+    poses: str | None = None
+    """A pose file to use instead of KITTI's, absolute or relative to the workspace."""
+
+
+class SectionSettings(_Model):
+    """A stretch of a simulated street; see ``semviz_core.simulation.layout.Section``."""
+
+    kind: SectionKind
+    length_m: float = Field(gt=0, le=10_000)
+
+
+class StreetSettings(_Model):
+    """A simulated street: its seed, number of frames, and sections."""
+
+    kind: Literal["street"] = "street"
+    seed: int = Field(ge=0)
+    frames: int = Field(default=STREET_FRAMES, gt=0, le=10_000)
+    spacing_m: float = Field(default=1.0, gt=0, le=20)
+    sections: tuple[SectionSettings, ...] = ()
+
+
+class Settings(_Model):
+    """The content of ``semviz.toml``."""
+
+    version: Literal[1]
+    name: str
+    trust_poses: bool = False
+    """Accept poses that jump or go backwards."""
+    source: Annotated[KittiSettings | StreetSettings, Field(discriminator="kind")]
+    calibration: Calibration | None = None
+    """Calibration of the labels; None in a workspace of an older version."""
+
+
+class Workspace:
+    """A workspace folder; get one from ``open`` or ``create_...``, which raise SemvizError.
+
+    Opening reads ``semviz.toml`` only; ``source`` looks for the images on first use.
+    """
+
+    def __init__(self, path: Path, settings: Settings) -> None:
+        self.path = path
+        self.settings = settings
+
+    @classmethod
+    def open(cls, path: Path | str) -> "Workspace":
+        """Return the workspace in folder ``path``."""
+        path = Path(path)
+        if not path.is_dir():
+            raise SemvizError(
+                f"{path}: no such workspace; make one with "
+                f"'semviz new {path} --kitti ROOT' or 'semviz new {path} --simulate SEED'"
+            )
+        return cls(path, read_settings(path))
+
+    @classmethod
+    def create_kitti(
+        cls,
+        path: Path,
+        root: Path,
+        sequence: str,
+        cameras: tuple[int, ...] = (2, 3),
+        frames: range | None = None,
+        trust_poses: bool = False,
+        poses: Path | None = None,
+    ) -> "Workspace":
+        """Create a workspace for a KITTI sequence; ``frames`` None takes all.
+
+        ``trust_poses`` accepts poses that jump or go backwards. ``poses`` is a file in TUM's or
+        KITTI's format to use instead of the sequence's own.
+        """
+        from semviz_core.datasets.kitti import KittiSequence
+
+        dataset = KittiSequence(root, sequence, cameras, frames, poses)
+        _check_dataset(dataset, trust_poses)  # before a folder is made
+        source = {
+            "kind": "kitti",
+            "root": os.path.relpath(root.resolve(), path.resolve()),
+            "sequence": sequence,
+            "cameras": cameras,
+            "frames": None if frames is None else FrameRange.of(frames),
+            "poses": None if poses is None else os.path.relpath(poses.resolve(), path.resolve()),
+        }
+        settings = _new_settings(path, source, trust_poses)
+        return cls._create(path, settings, dataset.rig)
+
+    @classmethod
+    def create_street(
+        cls,
+        path: Path,
+        seed: int,
+        frames: range | None = None,
+        spacing_m: float = 1.0,
+        sections: Iterable["Section"] = (),
+    ) -> "Workspace":
+        """Create a workspace for the simulated street of ``seed``; ``frames`` None makes 60.
+
+        Without ``sections`` the street is an ordinary one. Its true map is saved as ``truth``.
+        """
+        if seed < 0:
+            raise SemvizError(f"seed {seed}: give 0 or more")
+        if frames is not None and (not frames or frames.start != 0 or frames.step != 1):
+            raise SemvizError("frames of a simulated street start at 0: write 0:END")
+        source = {
+            "kind": "street",
+            "seed": seed,
+            "frames": STREET_FRAMES if frames is None else frames.stop,
+            "spacing_m": spacing_m,
+            "sections": [
+                {"kind": section.kind, "length_m": section.length_m} for section in sections
+            ],
+        }
+        settings = _new_settings(path, source)
+        street = cls(path, settings).street  # may fail, so before a folder is made
+        workspace = cls._create(path, settings, street.rig)
+        save_map(street.truth_map, workspace.map_path(TRUTH))
+        return workspace
+
+    @classmethod
+    def _create(cls, path: Path, settings: Settings, rig: Rig) -> "Workspace":
+        settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
+        if path.is_file() or (path.is_dir() and any(path.iterdir())):
+            raise SemvizError(f"{path}: exists and is not empty; choose another name")
+        text = tomli_w.dumps(settings.model_dump(exclude_none=True))
+        with replacing(path / SETTINGS) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        (path / "maps").mkdir(exist_ok=True)
+        (path / "runs").mkdir(exist_ok=True)
+        return cls(path, settings)
+
+    @property
+    def name(self) -> str:
+        return self.settings.name
+
+    @property
+    def classes(self) -> ClassSet:
+        return DEFAULT_CLASSES
+
+    @cached_property
+    def source(self) -> Dataset:
+        """Images and poses.
+
+        Raise SemvizError if they are missing or implausible, or if the calibration is not that of
+        the labels.
+        """
+        settings = self.settings.source
+        if isinstance(settings, StreetSettings):
+            source = self._open_street(settings)
+            self._check_calibration(source.rig)
+        else:
+            source = self._open_kitti(settings)
+            self._check_calibration(source.rig)
+            _check_dataset(source, self.settings.trust_poses)
+        return source
+
+    @property
+    def street(self) -> "Street":
+        """The simulated street; raise SemvizError if the source is another one."""
+        from semviz_core.simulation.street import Street
+
+        if not isinstance(self.source, Street):
+            raise SemvizError(f"{self.path}: only a simulated street has ground truth for this")
+        return self.source
+
+    @property
+    def labels_path(self) -> Path:
+        return self.path / "labels.db"
+
+    @property
+    def proposals_path(self) -> Path:
+        """Proposals of 'semviz detect' and 'semviz labels propose'."""
+        return self.path / "proposals.parquet"
+
+    def map_path(self, name: str) -> Path:
+        """Path of the map ``name``, which need not exist."""
+        return self.path / "maps" / f"{_checked_name(name)}.parquet"
+
+    def run_path(self, name: str) -> Path:
+        """Path of the run ``name``, which need not exist."""
+        return self.path / "runs" / f"{_checked_name(name)}.rrd"
+
+    def maps(self) -> tuple[str, ...]:
+        """Names of the maps, oldest first."""
+        return _names(self.path / "maps", ".parquet")
+
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs, oldest first."""
+        return _names(self.path / "runs", ".rrd")
+
+    def read_map(self, name: str) -> SemanticMap:
+        """Return the map ``name``. Raise SemvizError if it is missing or broken."""
+        path = self.map_path(name)
+        if not path.is_file():
+            names = ", ".join(self.maps())
+            raise SemvizError(
+                f"{path}: no such map; "
+                + (f"choose from {names}" if names else f"run 'semviz map build {self.path}'")
+            )
+        return load_map(path)
+
+    def open_labels(self) -> "LabelStore":
+        """Open the label file; create it if it is missing. Close it, or use ``with``."""
+        from semviz_annotation.storage.store import LabelStore
+
+        rig = self.source.rig
+        store = LabelStore.open(self.labels_path, self.classes, rig)
+        if self.settings.calibration is None:
+            self._keep_calibration(rig)
+        return store
+
+    def read_labels(self) -> "Labels":
+        """Return the present labels, empty if there is no label file. Needs no images."""
+        from semviz_annotation.labels.labels import Labels
+        from semviz_annotation.storage.store import LabelStore
+
+        if not self.labels_path.exists():
+            return Labels()
+        with LabelStore.open(self.labels_path, self.classes) as store:
+            return store.labels
+
+    @property
+    def default_observations(self) -> Literal["labels", "simulated"]:
+        """Default observations of a run: labels, or for a street without labels its detector."""
+        is_street = isinstance(self.settings.source, StreetSettings)
+        return "simulated" if is_street and not self.read_labels().observations else "labels"
+
+    def _check_calibration(self, rig: Rig) -> None:
+        known, now = self.settings.calibration, Calibration.of(rig)
+        if known is None or known.hash == now.hash:
+            return
+        changed = ", ".join(known.differences(now)) or "its hash in the settings"
+        raise SemvizError(
+            f"{self.path}: the calibration is not the one of its labels: {changed}. Nothing was "
+            f"loaded; restore the old one or, if the new one is right for these images, delete "
+            f"[calibration] in {self.path / SETTINGS} (labels stay as they are)"
+        )
+
+    def _keep_calibration(self, rig: Rig) -> None:
+        """Append the calibration to settings of an older version, and keep people's edits."""
+        calibration = Calibration.of(rig)
+        file = self.path / SETTINGS
+        text = file.read_text(encoding="utf-8").rstrip()
+        table = {name: value for name, value in asdict(calibration).items() if value is not None}
+        with replacing(file) as temporary:
+            temporary.write_text(f"{text}\n\n{tomli_w.dumps({'calibration': table})}", "utf-8")
+        self.settings = self.settings.model_copy(update={"calibration": calibration})
+
+    def _open_kitti(self, settings: KittiSettings) -> Dataset:
+        from semviz_core.datasets.kitti import KittiSequence
+
+        root = (self.path.resolve() / settings.root).resolve()
+        if not root.is_dir():
+            raise SemvizError(
+                f"{root}: images of workspace '{self.name}' not found; "
+                f"edit 'root' in {self.path / SETTINGS}"
+            )
+        frames = None if settings.frames is None else settings.frames.as_range()
+        poses = None if settings.poses is None else (self.path.resolve() / settings.poses).resolve()
+        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
+
+    def _open_street(self, settings: StreetSettings) -> Dataset:
+        from semviz_core.simulation.layout import Section, StreetOptions
+        from semviz_core.simulation.street import Street
+
+        sections = tuple(Section(section.kind, section.length_m) for section in settings.sections)
+        options = StreetOptions(settings.frames, settings.spacing_m)
+        return Street(settings.seed, replace(options, sections=sections) if sections else options)
+
+
+def _check_dataset(source: Dataset, trust_poses: bool) -> None:
+    """Raise SemvizError if image sizes, sides or poses of a recorded sequence are implausible."""
+    from semviz_core.datasets.validation import check_poses, check_sides, check_sizes
+
+    name = source.map_frame.name
+    try:
+        check_sizes(source.rig)
+        check_sides(source)
+    except SemvizError as error:
+        raise SemvizError(f"{name}: {error}") from None
+    try:
+        if not trust_poses:
+            check_poses(source.frames)
+    except SemvizError as error:
+        raise SemvizError(
+            f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "
+            f"or set trust_poses = true at the top of {SETTINGS}"
+        ) from None
+
+
+def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """Return the runs in ``paths``: .rrd files, and all runs of workspaces, oldest first.
+
+    Raise SemvizError if a path is neither, or a workspace has no runs.
+    """
+    from semviz.runs.reader import check_run_file
+
+    runs: list[Path] = []
+    for path in paths:
+        if path.is_file() or path.suffix == ".rrd":
+            check_run_file(path)
+            runs.append(path)
+        else:
+            workspace = Workspace.open(path)
+            if not workspace.runs():
+                raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
+            runs += [workspace.run_path(name) for name in workspace.runs()]
+    return tuple(runs)
+
+
+def read_settings(path: Path) -> Settings:
+    file = path / SETTINGS
+    if not file.is_file():
+        raise SemvizError(f"{path}: not a workspace (no {SETTINGS}); make one with 'semviz new'")
+    raw = read_toml(file)
+    version = raw.get("version")
+    if isinstance(version, int) and version > VERSION:
+        raise SemvizError(
+            f"{file}: workspace version {version}; this semviz reads up to {VERSION}: update semviz"
+        )
+    try:
+        return Settings.model_validate(raw)
+    except ValidationError as error:
+        raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
+
+
+def _new_settings(path: Path, source: Mapping[str, object], trust_poses: bool = False) -> Settings:
+    name = path.resolve().name
+    try:
+        return Settings.model_validate(
+            {"version": VERSION, "name": name, "trust_poses": trust_poses, "source": source}
+        )
+    except ValidationError as error:
+        raise SemvizError(f"{path}: {_first_fault(error)}; choose another value") from None
+
+
+def _first_fault(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "file"
+    return first_line(f"{where}: {first['msg']}")
+
+
+def _checked_name(name: str) -> str:
+    fits = 0 < len(name.encode()) <= MOST_NAME_BYTES and name.isprintable()
+    if not fits or name.startswith(".") or set(name) & set('/\\:*?"<>|'):
+        raise SemvizError(f"{name!r} cannot be a file name; use letters, digits, '-' and '_'")
+    return name
+
+
+def _names(folder: Path, suffix: str) -> tuple[str, ...]:
+    files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
+    ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
+    return tuple(file.stem for file in ordered)
+
+
+def login_name() -> str:
+    """Return the user's login name, the default author of edits."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"

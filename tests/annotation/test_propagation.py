@@ -1,0 +1,280 @@
+"""Correspondences and propagation, in small known scenes and on a simulated street."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from semviz_annotation.assist import (
+    Mark,
+    MarkedImage,
+    ReferenceView,
+    find_correspondence,
+    propagate,
+)
+from semviz_annotation.labels.labels import Observation
+from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ROUNDED
+from semviz_core.base.frame import Side
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.simulation.street import Street
+
+K = np.array([[500.0, 0.0, 240.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
+RAW = Camera(480, 320, K, np.array([-0.28, 0.09, 0.001, -0.0006]))
+RECTIFIED = Camera(480, 320, K)
+TURNED = Pose.from_rotvec([0.004, 0.012, -0.006], [-0.5, 0.01, 0.02])
+Box = tuple[FloatArray, tuple[int, int, int]]
+"""Corners (4, 3) m in the left camera's frame, and a colour; nearer ones last."""
+
+
+def upright(x: float, z: float, width: float, top: float, bottom: float) -> FloatArray:
+    half = width / 2.0
+    return np.array(
+        [[x - half, top, z], [x + half, top, z], [x + half, bottom, z], [x - half, bottom, z]]
+    )
+
+
+def scenery(seed: int) -> list[Box]:
+    """Patches of colour far away."""
+    rng = np.random.default_rng(seed)
+    boxes = []
+    for _ in range(160):
+        z = rng.uniform(30, 60)
+        x, y = rng.uniform(-0.6, 0.6) * z, rng.uniform(-0.4, 0.4) * z
+        color = tuple(int(integer) for integer in rng.integers(90, 230, 3))
+        boxes.append((upright(x, z, rng.uniform(1, 8), y, y + rng.uniform(1, 6)), color))
+    return sorted(boxes, key=lambda box: -float(box[0][0, 2]))
+
+
+def shot_of(camera: Camera, pose: Pose, boxes: list[Box]) -> MarkedImage:
+    view = PosedView(camera, pose)
+    picture = np.full((320 * 4, 480 * 4, 3), 170, np.uint8)
+    for corners, color in boxes:
+        edge = np.concatenate(
+            [
+                a + np.linspace(0, 1, 12)[:-1, None] * (b - a)
+                for a, b in pairwise([*corners, corners[0]])
+            ]
+        )
+        points = view.project(edge)
+        if np.isfinite(points).all():
+            fine = np.round(((points + 0.5) * 4 - 0.5) * 16).astype(np.int32)
+            cv2.fillPoly(picture, [fine], color, cv2.LINE_AA, 4)
+    return MarkedImage.of(view, cv2.resize(picture, (480, 320), interpolation=cv2.INTER_AREA))
+
+
+def line_of(view: PosedView, x: float, z: float, top: float, bottom: float) -> Mark:
+    (a, b), (c, d) = view.project(np.array([[x, top, z], [x, bottom, z]])).tolist()
+    return Mark((a, b), (c, d))
+
+
+def error_px(mark: Mark, truth: Mark) -> float:
+    return float(np.linalg.norm(mark.ends_px - truth.ends_px, axis=1).max())
+
+
+POLES = [(-1.2, 9.0, 0.14), (0.4, 14.0, 0.12), (2.6, 18.0, 0.2)]
+
+
+@pytest.mark.parametrize("camera", [RAW, RECTIFIED])
+@pytest.mark.parametrize("pole", POLES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_poles_correspondence_is_found_in_raw_and_in_rectified_pairs(
+    camera: Camera, pole: tuple[float, float, float], seed: int
+) -> None:
+    x, z, width = pole
+    boxes = [*scenery(seed), (upright(x, z, width, -2.0, 1.2), (60, 64, 70))]
+    here, there = (shot_of(camera, pose, boxes) for pose in (Pose.identity(), TURNED))
+    found = find_correspondence(
+        here, there, line_of(here.view, x, z, -2.0, 1.2), DEFAULT_CLASSES[POLE]
+    )
+    assert found is not None
+    assert error_px(found.best.mark, line_of(there.view, x, z, -2.0, 1.2)) < 1.0
+    assert found.best.sure
+
+
+def test_two_poles_that_look_alike_give_a_runner_up() -> None:
+    boxes = [
+        (upright(0.0, 40.0, 80.0, -30.0, 30.0), (150, 170, 190)),
+        (upright(-0.45, 12.0, 0.14, -2.0, 1.2), (60, 64, 70)),
+        (upright(0.05, 12.0, 0.14, -2.0, 1.2), (60, 64, 70)),
+    ]
+    here, there = (shot_of(RECTIFIED, pose, boxes) for pose in (Pose.identity(), TURNED))
+    found = find_correspondence(
+        here, there, line_of(here.view, 0.05, 12.0, -2.0, 1.2), DEFAULT_CLASSES[POLE]
+    )
+    assert found is not None
+    assert found.runner_up is not None
+    both = [line_of(there.view, x, 12.0, -2.0, 1.2).ends_px[0, 0] for x in (-0.45, 0.05)]
+    places = [proposal.mark.ends_px[0, 0] for proposal in (found.best, found.runner_up)]
+    assert sorted(places) == pytest.approx(both, abs=1.5)
+
+
+def test_a_mark_that_the_other_camera_cannot_see_has_no_correspondence() -> None:
+    away = Pose.from_rotvec([0.0, np.pi, 0.0], [0.0, 0.0, 0.0])
+    here, there = (shot_of(RECTIFIED, pose, scenery(1)) for pose in (Pose.identity(), away))
+    assert find_correspondence(here, there, Mark((200.0, 100.0)), DEFAULT_CLASSES[ROUNDED]) is None
+
+
+# the map frame has z up, the camera's y down
+T_CAMERA_MAP = Pose(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
+
+
+def moved_by(x: float, z: float) -> Pose:
+    return Pose(np.eye(3), np.array([-x, 0.0, -z])) @ T_CAMERA_MAP
+
+
+def mapped(shots: list[MarkedImage], marks: list[Mark]) -> Triangulated:
+    rows = [
+        Observation("", "", 0, "left", mark.anchor_px, mark.end_px, True, mark.end_px is not None)
+        for mark in marks
+    ]
+    found = triangulate([shot.view for shot in shots], rows, 0.5)
+    assert isinstance(found, Triangulated)
+    return found
+
+
+def in_map(corners: FloatArray) -> FloatArray:
+    return T_CAMERA_MAP.inverse().apply(corners)
+
+
+def pole_scene(hidden: bool) -> tuple[list[MarkedImage], list[Mark], MarkedImage, Mark]:
+    """A pole in two images, and one 2 m further on; there a lorry may stand before it."""
+    x, z = 1.5, 14.0
+    boxes = [*scenery(3), (upright(x, z, 0.16, -2.0, 1.2), (60, 64, 70))]
+    lorry = (upright(1.4, 6.0, 2.2, -2.5, 2.0), (200, 205, 210))
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0), moved_by(0.1, 2.0)]
+    shots = [
+        shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in (*boxes, *extra)])
+        for pose, extra in zip(poses, ([], [], [lorry] if hidden else []), strict=True)
+    ]
+    ends = in_map(np.array([[x, -2.0, z], [x, 1.2, z]]))
+    marks = [Mark(*map(tuple, shot.view.project(ends).tolist())) for shot in shots]
+    return shots[:2], marks[:2], shots[2], marks[2]
+
+
+def test_a_mapped_pole_is_found_in_another_frame_though_its_pose_is_off() -> None:
+    shots, marks, there, truth = pole_scene(hidden=False)
+    off = Pose.from_rotvec([0.002, 0.003, 0.0], [0.0, 0.0, 0.0])
+    wrong = MarkedImage(there.image, PosedView(RECTIFIED, off @ there.view.T_camera_map))
+    sight = ReferenceView(wrong, shots[0], marks[0])
+    (found,) = propagate([sight], mapped(shots, marks), DEFAULT_CLASSES[POLE])
+    assert found is not None
+    assert found.sure
+    assert error_px(found.mark, truth) < 1.5
+
+
+def test_a_pole_behind_a_lorry_is_not_sure() -> None:
+    shots, marks, there, _ = pole_scene(hidden=True)
+    sight = ReferenceView(there, shots[0], marks[0])
+    (found,) = propagate([sight], mapped(shots, marks), DEFAULT_CLASSES[POLE])
+    assert found is not None
+    assert not found.sure
+
+
+def test_of_two_poles_side_by_side_the_one_at_the_right_depth_is_taken() -> None:
+    """A pose that is off by 4 px puts the far pole where a near one of the same look is; the other
+    image tells that the near one is too near."""
+    near, far = 7.0, 14.0
+    x = 1.5
+    beside = (x - 0.4) * (near - 2.0) / (far - 2.0) + 0.4 + 4.0 / 500.0 * (near - 2.0)
+    boxes = [
+        *scenery(3),
+        (upright(x, far, 0.072, -2.0, 1.2), (60, 64, 70)),
+        (upright(beside, near, 0.03, -2.0, 1.2), (60, 64, 70)),
+    ]
+    poses = [moved_by(*at) for at in ((0.0, 0.0), (0.5, 0.0), (0.4, 2.0), (0.9, 2.0))]
+    shots = [shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in boxes]) for pose in poses]
+    ends = in_map(np.array([[x, -2.0, far], [x, 1.2, far]]))
+    marks = [Mark(*map(tuple, shot.view.project(ends).tolist())) for shot in shots]
+    off = Pose.from_rotvec([0.0, 0.008, 0.0], [0.0, 0.0, 0.0])
+    sights = [
+        ReferenceView(
+            MarkedImage(there.image, PosedView(RECTIFIED, off @ there.view.T_camera_map)),
+            here,
+            mark,
+        )
+        for there, here, mark in zip(shots[2:], shots[:2], marks[:2], strict=True)
+    ]
+    pole = mapped(shots[:2], marks[:2])
+    (alone,) = propagate(sights[:1], pole, DEFAULT_CLASSES[POLE])
+    together = propagate(sights, pole, DEFAULT_CLASSES[POLE])
+    assert alone is not None
+    assert error_px(alone.mark, marks[2]) > 2.0, "the near one lies in wait"
+    for found, truth in zip(together, marks[2:], strict=True):
+        assert found is not None
+        assert error_px(found.mark, truth) < 1.5
+
+
+def test_a_bottom_that_a_car_hides_now_is_said_to_be_hidden() -> None:
+    x, z = 1.5, 14.0
+    boxes = [*scenery(3), (upright(x, z, 0.16, -2.0, 1.2), (60, 64, 70))]
+    car = (upright(x, 9.0, 2.2, 0.2, 1.6), (200, 30, 30))
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0), moved_by(0.1, 1.0)]
+    shots = [
+        shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in (*boxes, *extra)])
+        for pose, extra in zip(poses, ([], [], [car]), strict=True)
+    ]
+    ends = in_map(np.array([[x, -2.0, z], [x, 1.2, z]]))
+    marks = [Mark(*map(tuple, shot.view.project(ends).tolist())) for shot in shots]
+    roof = shots[2].view.project(in_map(np.array([[x, 0.2, 9.0]])))[0, 1]
+    pole = mapped(shots[:2], marks[:2])
+    (found,) = propagate([ReferenceView(shots[2], shots[0], marks[0])], pole, DEFAULT_CLASSES[POLE])
+    assert found is not None
+    assert found.mark.anchor_known
+    assert not found.mark.end_known
+    assert found.mark.end_px is not None
+    assert abs(found.mark.end_px[1] - roof) < 8.0
+
+
+def test_what_is_out_of_the_image_is_not_proposed() -> None:
+    shots, marks, there, _ = pole_scene(hidden=False)
+    behind = MarkedImage(there.image, PosedView(RECTIFIED, moved_by(0.0, 40.0)))
+    pole = mapped(shots, marks)
+    sights = [ReferenceView(side, shots[0], marks[0]) for side in (behind, there)]
+    out_of_it, seen = propagate(sights, pole, DEFAULT_CLASSES[POLE])
+    assert out_of_it is None
+    assert seen is not None
+
+
+def test_on_a_street() -> None:
+    """Nine of ten correspondences within a pixel; what is sure is right."""
+    street = Street(1101)
+    elements = street.truth_map.elements
+    errors, wrong, sure = [], 0, 0
+    for index in (10, 32):
+        pose = street.frames[index].T_map_camera
+        assert pose is not None
+        shots: dict[Side, MarkedImage] = {}
+        for side in ("left", "right"):
+            shots[side] = MarkedImage.of(
+                rig_view(street.rig, side, pose.inverse()), street.image(index, side)
+            )
+        seen, ids = street.labels(index, "left")
+        visible = street.labels(index, "right")[1]
+        for k, element_id in enumerate(ids):
+            row = int(np.searchsorted(elements.id, element_id))
+            depth = float(shots["left"].view.depth_m(elements.anchor_m[row][None])[0])
+            whole = seen.anchor_known[k] and (seen.end_known[k] or not seen.is_line[k])
+            if element_id not in visible or depth > 40.0 or not whole:
+                continue
+            ends = np.stack([elements.anchor_m[row], elements.end_m[row]])[
+                : 1 + bool(seen.is_line[k])
+            ]
+            mark = Mark(*map(tuple, shots["left"].view.project(ends).tolist()))
+            found = find_correspondence(
+                shots["left"], shots["right"], mark, DEFAULT_CLASSES[int(seen.class_id[k])]
+            )
+            truth = Mark(*map(tuple, shots["right"].view.project(ends).tolist()))
+            error = np.inf if found is None else error_px(found.best.mark, truth)
+            errors.append(error)
+            if found is not None and found.best.sure:
+                sure += 1
+                wrong += error > 2.0
+    assert len(errors) > 12
+    assert np.mean(np.array(errors) < 1.0) >= 0.9
+    assert sure > 0.7 * len(errors)
+    assert wrong == 0

@@ -1,0 +1,233 @@
+"""Association of drawings: with the element in the other image, a mapped one, or a new one."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from annotator_page import SIDES
+from drawn_marks import BOTTOM, PEAK, do, draw, pixel, pole, sign
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from streets import street_workspace
+
+from semviz.annotator.association import CONSISTENT_PX
+from semviz.annotator.element_positions import reprojection_error_px
+from semviz.annotator.session import LabelSession
+from semviz_annotation.labels.labels import Observation
+from semviz_annotation.labels.views import rig_view
+from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.frame import Side
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[LabelSession]:
+    workspace = street_workspace(tmp_path / "street", 7, 6)
+    session = LabelSession(workspace, "tester")
+    yield session
+    session.close()
+
+
+@pytest.fixture(scope="module")
+def shared_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabelSession]:
+    """For many examples; each leaves it without elements."""
+    folder = tmp_path_factory.mktemp("shared")
+    session = LabelSession(street_workspace(folder / "street", 7, 6), "tester")
+    yield session
+    session.close()
+
+
+def test_left_then_right_become_one_element_in_its_true_place(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    second = draw(session, pole(session, 0, "right", selected=first))
+    assert second == first
+    place, T_map_camera = session.position(first), session.frames[0].T_map_camera
+    assert place is not None
+    assert T_map_camera is not None
+    np.testing.assert_allclose(place.anchor_m, T_map_camera.apply(PEAK)[0], atol=1e-6)
+    np.testing.assert_allclose(place.end_m, T_map_camera.apply(BOTTOM)[0], atol=1e-6)
+
+
+def test_a_drawing_off_the_epipolar_line_starts_a_new_element_and_says_so(
+    session: LabelSession,
+) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    done = do(session, pole(session, 0, "right", first, shift_px=(0.0, 14.0)))
+    assert done.element_id != first
+    assert "px off P-01, so this is a new element" in done.note
+
+
+def test_another_class_never_pairs(session: LabelSession) -> None:
+    first = draw(session, sign(0, "left", (700.0, 120.0)))
+    right = sign(0, "right", (680.0, 120.0), selected_id=first, class_id=TRIANGULAR)
+    assert draw(session, right) != first
+
+
+def test_a_hidden_bottom_does_not_hinder_pairing(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    u, v = pixel(session, BOTTOM, 0, "right")
+    short = pole(session, 0, "right", first, end_px=[u, v - 20.0], end_known=False)
+    assert draw(session, short) == first
+
+
+@pytest.mark.parametrize(("aside_px", "joins"), [(0.5, True), (20.0, False)])
+def test_a_pole_without_ends_joins_the_selected_one_only_on_its_line(
+    session: LabelSession, aside_px: float, joins: bool
+) -> None:
+    """Its ends say nothing; the selected one's are known in both images of another frame."""
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    hidden = {"anchor_known": False, "end_known": False}
+    first_pole = pole(session, 1, "left", first, shift_px=(aside_px, 0.0), **hidden)
+    assert (draw(session, first_pole) == first) == joins
+
+
+@pytest.mark.parametrize("frames", [3, 5])
+def test_however_many_frames_show_a_pole_another_beside_it_does_not_fit_it(
+    session: LabelSession, frames: int
+) -> None:
+    """Many that agree must not hide that the last one does not."""
+    shown: list[tuple[int, Side]] = [(frame, side) for frame in range(frames) for side in SIDES]
+    for aside_px in (0.0, 8.0):
+        shifts = [0.0] * len(shown) + [aside_px]
+        rows = [
+            seen_as(pole(session, frame, side, shift_px=(shift, 0.0)))
+            for (frame, side), shift in zip([*shown, (frames, "left")], shifts, strict=True)
+        ]
+        poses = [session.frames[row.frame_index].T_map_camera for row in rows]
+        views = [
+            rig_view(session.rig, row.side, None if pose is None else pose.inverse())
+            for row, pose in zip(rows, poses, strict=True)
+        ]
+        assert (reprojection_error_px(views, rows) <= CONSISTENT_PX) == (aside_px == 0.0)
+
+
+def seen_as(drawn: dict[str, Any]) -> Observation:
+    return Observation(
+        "", "", drawn["frame_index"], drawn["side"], tuple(drawn["anchor_px"]),
+        tuple(drawn["end_px"]), True, True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("shift", "joins"), [((4.0, -3.0), True), ((40.0, 0.0), False)])
+def test_drawing_near_a_proposal_continues_its_element(
+    session: LabelSession, shift: tuple[float, float], joins: bool
+) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    assert (draw(session, pole(session, 2, "left", shift_px=shift)) == first) is joins
+
+
+def test_one_camera_and_two_frames_make_an_element(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    assert session.position(first) is None
+    assert draw(session, pole(session, 5, "left", selected=first)) == first
+    place, T_map_camera = session.position(first), session.frames[0].T_map_camera
+    assert place is not None
+    assert T_map_camera is not None
+    np.testing.assert_allclose(place.anchor_m, T_map_camera.apply(PEAK)[0], atol=1e-4)
+
+
+def far_pole(
+    session: LabelSession,
+    frame: int,
+    side: str,
+    depth_m: float,
+    selected: str | None = None,
+    noise_px: np.ndarray | None = None,
+    **more: Any,
+) -> dict[str, Any]:
+    """A pole of 2 m a little left of the first camera's axis, with ``noise_px`` (2, 2) added."""
+    top, bottom = np.array([[-1.0, -0.8, depth_m]]), np.array([[-1.0, 1.2, depth_m]])
+    exact = np.array([pixel(session, point, frame, side) for point in (top, bottom)])
+    noisy = exact + (0.0 if noise_px is None else noise_px)
+    return pole(session, frame, side, selected, **more) | {
+        "anchor_px": noisy[0].tolist(),
+        "end_px": noisy[1].tolist(),
+    }
+
+
+OFFSET_PX = np.array([0.45, 0.0])
+"""What KITTI's rectification leaves in its right images."""
+KNOWN = st.sampled_from([(True, True), (False, True), (True, False)])
+
+
+@given(
+    depth_m=st.floats(5.0, 500.0),
+    seed=st.integers(0, 2**32 - 1),
+    known=st.tuples(KNOWN, KNOWN),
+)
+@settings(max_examples=60, deadline=None)
+@example(depth_m=500.0, seed=2, known=((True, True), (True, True)))
+@example(depth_m=500.0, seed=2, known=((False, True), (True, False)))
+def test_left_and_right_of_one_pole_pair_however_far(
+    shared_session: LabelSession,
+    depth_m: float,
+    seed: int,
+    known: tuple[tuple[bool, bool], tuple[bool, bool]],
+) -> None:
+    session = shared_session
+    noise = np.random.default_rng(seed).uniform(-0.5, 0.5, (2, 2, 2))
+    flags = [dict(zip(("anchor_known", "end_known"), flags_of, strict=True)) for flags_of in known]
+    left = far_pole(session, 0, "left", depth_m, noise_px=noise[0], **flags[0])
+    first = draw(session, left)
+    right = far_pole(session, 0, "right", depth_m, first, noise[1] + OFFSET_PX, **flags[1])
+    done = do(session, right)
+    assert done.element_id == first, done.note
+    do(session, {"kind": "delete element", "element_id": first})
+
+
+@given(
+    depth_m=st.floats(10.0, 500.0),
+    off=st.sampled_from([20.0, -20.0]),
+    frames=st.integers(0, 2),
+)
+@settings(max_examples=30, deadline=None)
+def test_twenty_pixels_off_the_line_never_pair(
+    shared_session: LabelSession, depth_m: float, off: float, frames: int
+) -> None:
+    """Neither with one view nor with an element seen in ``frames`` whole pairs before."""
+    session, first = shared_session, None
+    for frame in range(frames):
+        for side in ("left", "right"):
+            first = draw(session, far_pole(session, frame, side, depth_m, first))
+    first = draw(session, far_pole(session, frames, "left", depth_m, first))
+    shift = np.array([0.0, off])
+    done = do(session, far_pole(session, frames, "right", depth_m, first, shift))
+    assert done.element_id != first
+    assert "px off P-" in done.note
+    for element_id in (first, done.element_id):
+        do(session, {"kind": "delete element", "element_id": element_id})
+
+
+def test_a_wrong_disparity_does_not_pass_for_a_far_pole(session: LabelSession) -> None:
+    """Rays that meet behind the cameras by more than noise are of two elements."""
+    first = draw(session, far_pole(session, 0, "left", 100.0))
+    shift = np.array([30.0, 0.0])
+    done = do(session, far_pole(session, 0, "right", 100.0, first, shift))
+    assert done.element_id != first
+    disparity = session.rig.left.K[0, 0] * session.rig.baseline_m / 100.0
+    assert done.note.startswith(f"{(30.0 - disparity) / 2.0:.1f} px off P-01")
+
+
+def test_an_element_too_far_to_triangulate_is_listed_as_nearby_and_continued(
+    session: LabelSession,
+) -> None:
+    first = draw(session, far_pole(session, 0, "left", 300.0))
+    (nearby,) = session.frame(3).nearby
+    assert (nearby.id, nearby.labelled_in) == (first, 0)
+    assert session.frame(3).proposals == []  # one view tells no place
+    draw(session, far_pole(session, 0, "right", 300.0, first))
+    assert session.position(first) is None
+    seen = session.frame(3)
+    (proposed,) = seen.proposals
+    assert (proposed.id, proposed.is_confident, proposed.depth_m) == (first, False, None)
+    for side in ("left", "right"):
+        true = far_pole(session, 3, side, 300.0)
+        np.testing.assert_allclose(proposed.marks[side].anchor, true["anchor_px"], atol=0.5)
+        np.testing.assert_allclose(proposed.marks[side].end, true["end_px"], atol=0.5)
+    assert draw(session, far_pole(session, 3, "left", 300.0, first)) == first
+    assert session.frame(4).nearby[0].labelled_in == 3
+    draw(session, far_pole(session, 3, "right", 300.0, first))
+    assert session.frame(3).nearby == []

@@ -1,0 +1,255 @@
+"""Diagnoses: a fault planted is the fault named; what is healthy stays healthy."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from itertools import count
+from typing import get_args
+
+import numpy as np
+import pytest
+from support.planted_faults import PLANTED, WHOLE, Given, Planted, plant
+from support.planted_runs import PlantedRun, plant_in_run
+
+from semviz_core.base.localization import Localization
+from semviz_core.diagnosis import reference
+from semviz_core.diagnosis.fault import (
+    UNKNOWN_ID,
+    Fault,
+    FaultKind,
+    FrameDiagnosis,
+    GroundTruth,
+    GroundTruthLevel,
+)
+from semviz_core.diagnosis.frame import CONFIDENCE, diagnose_frame
+from semviz_core.diagnosis.reference import is_healthy
+from semviz_core.diagnosis.run import RunDiagnosis, UnmatchedRays, diagnose_run, intersect_rays
+from semviz_core.research.evaluation.problems import (
+    DETECTOR,
+    default_road,
+    make_problem,
+    mapped_elements,
+)
+
+UNDECIDED: tuple[FaultKind, ...] = ("false or not mapped", "moved in the map")
+"""Kinds that one frame gives to an unmatched detection without known ids."""
+
+
+@lru_cache
+def planted(fault: FaultKind) -> tuple[Planted, ...]:
+    """Four frames with the fault, from the seeds of the published figures."""
+    found = (plant(fault, seed) for seed in count(1000))
+    return tuple(case for case, _ in zip(filter(None, found), range(4), strict=False))
+
+
+@lru_cache
+def planted_run(fault: FaultKind) -> PlantedRun:
+    found = (plant_in_run(fault, seed, default_road()) for seed in count())
+    return next(filter(None, found))
+
+
+def diagnosed(case: Planted, truth: GroundTruth | None) -> FrameDiagnosis:
+    return diagnose_frame(case.localization, case.semantic_map, truth, DETECTOR)
+
+
+def first(diagnosis: FrameDiagnosis) -> Fault:
+    """The main fault, or the first secondary fault of a healthy frame."""
+    healthy = diagnosis.kind == "healthy"
+    return (
+        diagnosis.secondary_faults[0] if healthy and diagnosis.secondary_faults else diagnosis.fault
+    )
+
+
+def ids_unknown(truth: GroundTruth) -> GroundTruth:
+    return replace(truth, element_id=None)
+
+
+@pytest.mark.parametrize("fault", ["healthy", *PLANTED])
+def test_a_planted_fault_is_named_with_what_it_is_about(fault: FaultKind) -> None:
+    for labels in planted(fault):
+        found = first(diagnosed(labels, labels.truth))
+        assert found.kind == fault, found.sentence
+        assert not labels.elements or set(labels.elements) & set(found.elements)
+        assert not labels.rows or set(found.rows) == set(labels.rows)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="a false pair spoils the fit at the best start; it settles elsewhere"
+)
+def test_the_search_finds_the_pose_in_spite_of_the_false_detection_of_the_first_seed() -> None:
+    case = next(filter(None, (plant("false detection", seed) for seed in count())))
+    assert first(diagnosed(case, case.truth)).kind == "false detection"
+
+
+@pytest.mark.parametrize("fault", ["healthy", *PLANTED])
+def test_the_true_pose_alone_tells_all_but_the_kind_of_unmatched_detections(
+    fault: FaultKind,
+) -> None:
+    unmatched = ("false detection", "moved in the map", "missing in the map")
+    for case in planted(fault):
+        found = first(diagnosed(case, ids_unknown(case.truth)))
+        # an unmatched detection outside the inliers does not explain a failed frame
+        undecided = UNDECIDED if case.is_healthy else (*UNDECIDED, "ambiguous geometry")
+        assert found.kind in (undecided if fault in unmatched else (fault,)), found.sentence
+
+
+@pytest.mark.parametrize(
+    "fault", ["wrong class", "twice in the map", "refinement diverged", "ambiguous geometry"]
+)
+def test_some_faults_show_without_any_truth(fault: FaultKind) -> None:
+    named = [first(diagnosed(case, None)).kind for case in planted(fault)]
+    assert named.count(fault) >= len(named) - 1
+
+
+def test_every_diagnosis_has_a_sentence_numbers_and_a_share() -> None:
+    for kind in ("healthy", *PLANTED):
+        diagnosis = diagnosed(planted(kind)[0], planted(kind)[0].truth)
+        for fault in (diagnosis.fault, *diagnosis.secondary_faults):
+            assert fault.sentence.endswith(".")
+            assert "\n" not in fault.sentence
+            assert all(isinstance(number.value, int | float) for number in fault.evidence)
+        assert 0.5 < diagnosis.confidence < 1.0
+
+
+def test_shares_are_given_for_every_kind_and_knowledge() -> None:
+    for knowledge in get_args(GroundTruthLevel):
+        assert set(CONFIDENCE[knowledge]) == set(get_args(FaultKind))
+        assert all(0.0 <= share < 1.0 for share in CONFIDENCE[knowledge].values())
+
+
+def permuted(given: Given, order: np.ndarray) -> tuple[Localization, GroundTruth]:
+    changed = given.seen(order)
+    return changed.localized(), GroundTruth(given.T_camera_map, changed.ids)
+
+
+def test_healthy_stays_healthy_whatever_the_order_of_rows() -> None:
+    elements = mapped_elements(default_road(), 3, WHOLE)
+    rng = np.random.default_rng(0)
+    checked = 0
+    for index in range(0, 400, 20):
+        given = Given.of(make_problem(3, WHOLE, index=index), elements)
+        localized = given.localized()
+        if not is_healthy(localized, given.T_camera_map):
+            continue
+        again, truth = permuted(given, rng.permutation(len(given.ids)))
+        diagnosis = diagnose_frame(again, given.semantic_map, truth, DETECTOR)
+        assert (diagnosis.kind, diagnosis.secondary_faults) == ("healthy", ())
+        checked += 1
+    assert checked >= 5
+
+
+def test_rows_of_other_order_are_named_by_their_new_numbers() -> None:
+    for record in planted("wrong class"):
+        seen, ids = record.localization.observed, record.truth.element_id
+        assert ids is not None
+        order = np.arange(len(seen))[::-1]
+        turned = replace(record.localization, observed=seen[order], refinement=None, match=None)
+        diagnosis = diagnose_frame(
+            turned, record.semantic_map, replace(record.truth, element_id=ids[order])
+        )
+        (row,) = record.rows
+        assert (len(seen) - 1 - row,) in [fault.rows for fault in diagnosis.secondary_faults]
+
+
+def test_the_same_frame_is_told_the_same() -> None:
+    for fault in PLANTED:
+        case = planted(fault)[0]
+        for truth in (case.truth, None):
+            assert diagnosed(case, truth) == diagnosed(case, truth)
+
+
+def test_a_row_of_which_nothing_is_known_is_not_called_false() -> None:
+    case = planted("false detection")[0]
+    ids = case.truth.element_id
+    assert ids is not None
+    unknown = replace(case.truth, element_id=np.where(ids < 0, UNKNOWN_ID, ids))
+    assert first(diagnosed(case, unknown)).kind in UNDECIDED
+
+
+def test_what_is_seen_far_away_is_not_missing_in_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """People label further than a detector sees."""
+    monkeypatch.setattr(reference, "NEARBY_M", 10.0)
+    for case in planted("healthy"):
+        assert diagnosed(case, case.truth).secondary_faults == ()
+
+
+def test_what_a_detector_missed_is_named() -> None:
+    for case in planted("missed detection"):
+        seen = case.truth.element_id
+        assert seen is not None
+        sentence = first(diagnosed(case, case.truth)).sentence
+        names = re.findall(r"[A-Z]-(\d+)", sentence.split("Not detected: ")[1])
+        assert 0 < len(names) <= 3
+        assert not {int(name) for name in names} & set(seen.tolist())
+        assert {int(name) for name in names} <= set(case.semantic_map.elements.id.tolist())
+
+
+# --- runs ---
+
+
+Blind = Callable[[GroundTruth], GroundTruth | None]
+
+
+def diagnosed_run(run: PlantedRun, blind: Blind = lambda truth: truth) -> RunDiagnosis:
+    frames = [(frame, blind(truth)) for frame, truth in run.frames]
+    return diagnose_run(frames, run.semantic_map, DETECTOR)
+
+
+@pytest.mark.parametrize("fault", ["moved in the map", "missing in the map", "twice in the map"])
+@pytest.mark.parametrize("blind", [lambda truth: truth, ids_unknown])
+def test_a_run_names_the_element_that_is_wrong_in_its_map(fault: FaultKind, blind: Blind) -> None:
+    run = planted_run(fault)
+    diagnosis = diagnosed_run(run, blind)
+    assert diagnosis.calibration is None
+    assert [element.kind for element in diagnosis.elements] == [fault]
+    elements = diagnosis.elements[0].elements
+    assert set(elements) & set(run.elements) or (fault == "missing in the map" and not elements)
+    assert diagnosis.elements[0].evidence[0].value >= 3
+    rays = list(zip(diagnosis.elements[0].frames, diagnosis.elements[0].rows, strict=True))
+    assert len({frame for frame, _ in rays}) == diagnosis.elements[0].evidence[0].value
+    seen = {int(run.frames[frame][1].element_id[row]) for frame, row in rays}
+    assert seen & {*run.elements, *elements}
+
+
+def test_a_run_in_which_nothing_is_wrong_names_nothing() -> None:
+    for blind in (lambda truth: truth, ids_unknown, lambda truth: None):
+        diagnosis = diagnosed_run(planted_run("healthy"), blind)
+        assert diagnosis.calibration is None
+        assert diagnosis.elements == ()
+
+
+@pytest.mark.parametrize("percent", [-4.0, 3.0])
+def test_a_focal_length_that_is_wrong_is_told_with_its_amount(percent: float) -> None:
+    elements = mapped_elements(default_road(), 5, WHOLE)
+    frames = []
+    for index in range(0, 40, 4):
+        given = Given.of(make_problem(5, WHOLE, index=index, driving=True), elements)
+        K = given.camera.K.copy()
+        K[[0, 1], [0, 1]] *= 1.0 + percent / 100.0
+        given = replace(given, camera=replace(given.camera, K=K))
+        frames.append((given.localized(), GroundTruth(given.T_camera_map)))
+    diagnosis = diagnose_run(frames, given.semantic_map, DETECTOR)
+    assert diagnosis.calibration is not None
+    assert "focal length" in diagnosis.calibration.sentence
+    # what the camera lacks: stated 3 % too long, it must become 3 % shorter
+    assert diagnosis.calibration.evidence[0].value == pytest.approx(-percent, abs=0.5)
+
+
+def test_a_run_of_no_frames_says_nothing() -> None:
+    run = planted_run("healthy")
+    assert diagnose_run([], run.semantic_map) == RunDiagnosis(None, (), 0)
+
+
+def test_rays_of_three_frames_meet_where_the_element_stands() -> None:
+    centers = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 0.0]])
+    ways = np.array([[20.0, 6.0], [20.0, 6.0], [20.0, 6.0], [30.0, -9.0]]) - centers
+    toward = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    rays = UnmatchedRays(
+        np.array([0, 1, 2, 2]), np.zeros(4, int), np.zeros(4, int), centers, toward
+    )
+    (point,) = intersect_rays(rays)
+    np.testing.assert_allclose(point.at_m, [20.0, 6.0], atol=1e-9)
+    assert point.rays.tolist() == [0, 1, 2]
+    other_class = replace(rays, class_id=np.array([0, 0, 1, 0]))
+    assert intersect_rays(other_class) == []

@@ -1,0 +1,111 @@
+"""Short drives with one fault planted in the map or in the camera, to see whether it is named.
+
+Frames a few metres apart share a world and its map. The element that is moved, missing or mapped
+twice is the one most frames see, four or more.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.diagnosis.fault import FaultKind, GroundTruth
+from semviz_core.research.evaluation.problems import make_problem, mapped_elements
+from semviz_core.research.evaluation.roads import BenchmarkRoad
+from support.planted_faults import WHOLE, Given, aside, copied, shifted
+
+FRAMES = 10
+STEP = 3
+"""Poses of the road from frame to frame: metres."""
+LEAST_SEEN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class PlantedRun:
+    """One run, and what is wrong with it."""
+
+    fault: FaultKind
+    frames: tuple[tuple[Localization, GroundTruth], ...]
+    semantic_map: SemanticMap
+    elements: tuple[int, ...] = ()
+    """Ids of which one must be named with the fault; empty where it has none."""
+
+
+def plant_in_run(
+    fault: FaultKind, seed: int, road: BenchmarkRoad, count: int = FRAMES
+) -> PlantedRun | None:
+    """A run of ``count`` frames with the fault; None where no element is seen often enough."""
+    rng = np.random.default_rng([seed, 9])
+    first = int(rng.integers(len(road) - count * STEP))
+    elements = mapped_elements(road, seed, WHOLE)
+    frames = [
+        Given.of(make_problem(seed, WHOLE, road, first + k * STEP, driving=True), elements)
+        for k in range(count)
+    ]
+    ids, times = np.unique(np.concatenate([frame.ids for frame in frames]), return_counts=True)
+    if not len(ids) or times.max() < LEAST_SEEN:
+        return None
+    element = int(ids[np.argmax(times)])
+    if fault == "healthy":
+        return _localized(fault, frames)
+    if fault == "wrong calibration":
+        return _localized(fault, _other_camera(frames, rng))
+    changed, named = _FAULTS[fault](elements, element, rng)
+    return _localized(fault, [replace(frame, elements=changed) for frame in frames], (named,))
+
+
+def _localized(fault: FaultKind, frames: list[Given], elements: tuple[int, ...] = ()) -> PlantedRun:
+    found = tuple(
+        (frame.localized(), GroundTruth(frame.T_camera_map, frame.ids)) for frame in frames
+    )
+    return PlantedRun(fault, found, frames[0].semantic_map, elements)
+
+
+def _moved(elements: Elements3D, element: int, rng: np.random.Generator) -> tuple[Elements3D, int]:
+    return shifted(elements, element, aside(rng, 1.0, 8.0)), element
+
+
+def _missing(
+    elements: Elements3D, element: int, rng: np.random.Generator
+) -> tuple[Elements3D, int]:
+    return elements[elements.id != element], element
+
+
+def _twice(elements: Elements3D, element: int, rng: np.random.Generator) -> tuple[Elements3D, int]:
+    return copied(elements, element, aside(rng, 0.2, 0.8))
+
+
+_FAULTS: dict[
+    FaultKind, Callable[[Elements3D, int, np.random.Generator], tuple[Elements3D, int]]
+] = {
+    "moved in the map": _moved,
+    "missing in the map": _missing,
+    "twice in the map": _twice,
+}
+
+
+def _other_camera(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """A focal length 2 to 5 % off, a principal point 6 to 20 px, or a mounting rolled by 1 to 3
+    deg, the same in all frames."""
+    pattern, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+    if pattern == 2:
+        roll = np.array([0.0, 0.0, sign * np.deg2rad(rng.uniform(1.0, 3.0))])
+        return [_rolled(frame, Pose.from_rotvec(roll, np.zeros(3))) for frame in frames]
+    K = frames[0].camera.K.copy()
+    if pattern == 0:
+        K[[0, 1], [0, 1]] *= 1.0 + sign * rng.uniform(0.02, 0.05)
+    else:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        K[:2, 2] += rng.uniform(6.0, 20.0) * np.array([np.cos(angle), np.sin(angle)])
+    return [replace(frame, camera=replace(frame.camera, K=K)) for frame in frames]
+
+
+def _rolled(given: Given, T_stated_camera: Pose) -> Given:
+    """As a camera that is said to be mounted otherwise: pose and gravity are told for that one."""
+    up = given.prior.up_camera
+    prior = replace(given.prior, up_camera=None if up is None else T_stated_camera.rotation @ up)
+    return replace(given, T_camera_map=T_stated_camera @ given.T_camera_map, prior=prior)
