@@ -49,7 +49,10 @@ class Images:
         return self._decoded.get((index, side), lambda: self._source.image(index, side)).result()
 
     def png(self, index: int, side: Side) -> "Future[bytes]":
-        """Return the image as PNG, lossless: labels are made to a tenth of a pixel."""
+        """Return the image as PNG, lossless: labels are made to a tenth of a pixel.
+
+        It is cancelled if many others are wanted before its turn comes.
+        """
         return self._images.get((index, side), lambda: encode_png(self.pixels(index, side)))
 
     def thumbnail(self, index: int) -> "Future[bytes]":
@@ -80,7 +83,10 @@ class Images:
 
 
 class _FutureCache(Generic[T]):
-    """A least-recently-used cache of slow results; each is computed once."""
+    """A least-recently-used cache of slow results; each is computed once.
+
+    What leaves it before its turn is cancelled: many frames passed quickly delay no later one.
+    """
 
     def __init__(self, limit: int, workers: int) -> None:
         self._limit = limit
@@ -95,7 +101,7 @@ class _FutureCache(Generic[T]):
                 future = self._futures[key] = self._workers.submit(make)
             self._futures.move_to_end(key)
             while len(self._futures) > self._limit:
-                self._futures.popitem(last=False)
+                self._futures.popitem(last=False)[1].cancel()
             return future
 
     def unfinished(self) -> list["Future[T]"]:

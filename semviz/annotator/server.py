@@ -5,6 +5,7 @@ import contextlib
 import sqlite3
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -126,17 +127,28 @@ class Annotator:
 
     async def _image(self, request: web.Request) -> web.Response:
         side: Side = "left" if request.match_info["side"] == "left" else "right"
-        future = self.session.images.png(int(request.match_info["frame"]), side)
-        return await _picture(future, "image/png")
+        frame = int(request.match_info["frame"])
+        return await _picture(lambda: self.session.images.png(frame, side), "image/png")
 
     async def _thumbnail(self, request: web.Request) -> web.Response:
-        future = self.session.images.thumbnail(int(request.match_info["frame"]))
-        return await _picture(future, "image/jpeg")
+        frame = int(request.match_info["frame"])
+        return await _picture(lambda: self.session.images.thumbnail(frame), "image/jpeg")
 
 
-async def _picture(future: "Future[bytes]", kind: str) -> web.Response:
+async def _picture(encoded: Callable[[], "Future[bytes]"], kind: str) -> web.Response:
     try:
-        data = await asyncio.shield(asyncio.wrap_future(future))  # others may await it too
+        data = await _uncancelled(encoded)
     except SemvizError as error:
         raise web.HTTPNotFound(text=str(error)) from None
     return web.Response(body=data, content_type=kind, headers={"Cache-Control": KEEP_IMAGE})
+
+
+async def _uncancelled(encoded: Callable[[], "Future[bytes]"]) -> bytes:
+    """Return an encoded image; ask again if it was cancelled in favour of others."""
+    while True:
+        future = encoded()
+        try:
+            return await asyncio.shield(asyncio.wrap_future(future))  # others may await it too
+        except asyncio.CancelledError:
+            if not future.cancelled():
+                raise
