@@ -153,7 +153,8 @@ def test_who_stops_it_keeps_what_was_there(
     Workspace.create_street(folder, 7, range(60))
     before = sorted(one.name for one in folder.iterdir())
     script = (
-        "import sys; from semviz.presentation.progress import Steps; show = Steps.show\n"
+        "import signal, sys; from semviz.presentation.progress import Steps; show = Steps.show\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a background shell ignores it
         "def said(self, *what):\n"
         "    print(*what, flush=True); show(self, *what)\n"
         "Steps.show = said\n"
