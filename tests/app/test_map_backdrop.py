@@ -154,7 +154,7 @@ def test_who_stops_it_keeps_what_was_there(
     before = sorted(one.name for one in folder.iterdir())
     script = (
         "import signal, sys; from semviz.presentation.progress import Steps; show = Steps.show\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a background shell ignores it
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # shells may ignore it
         "def said(self, *what):\n"
         "    print(*what, flush=True); show(self, *what)\n"
         "Steps.show = said\n"
