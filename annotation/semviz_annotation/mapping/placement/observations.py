@@ -179,9 +179,20 @@ def collect_observations(
     Raise SemvizError if a labelled frame is not in the source or has no pose, or no element is
     labelled in two images.
     """
+    gathered = gather_observations(labels, source, frames, sigma_ratio)
+    _check_twice(gathered.label_rows)
+    return gathered
+
+
+def gather_observations(
+    labels: Labels,
+    source: Dataset,
+    frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> LabelObservations:
+    """Return the same as ``collect_observations``, even if no element is labelled twice."""
     posed = _posed(labels, source, frames)
     rows = [row for index in posed for row in labels.in_frame(index)]
-    _check_twice(rows)
     by_number = {labels.element(row.element_id).number: row.element_id for row in rows}
     elements = tuple(labels.element(by_number[number]) for number in sorted(by_number))
     landmark_of = {element.id: landmark for landmark, element in enumerate(elements)}
