@@ -326,7 +326,7 @@ def _join(
 ) -> JoinedDetections:
     if isinstance(options, PaperOptions):
         raise SemvizError("the paper's method takes labels only; leave out the detections")
-    return detection_labels(
+    joined = detection_labels(
         labels,
         detections,
         source,
@@ -335,6 +335,17 @@ def _join(
         frames,
         lambda done, of: on_progress("tracking detections", done, of),
     )
+    if not joined.labels.elements:
+        raise SemvizError(
+            f"none of {joined.counts.detections} detections show a landmark often enough; detect "
+            "in more frames, or allow fewer (--min-frames)"
+        )
+    return joined
+
+
+def uses_detections(semantic_map: SemanticMap) -> bool:
+    """Return whether a map was built from detections, too."""
+    return _TRACKING in semantic_map.settings
 
 
 def rebuild_map(

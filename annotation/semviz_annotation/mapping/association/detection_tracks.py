@@ -29,6 +29,7 @@ from semviz_annotation.mapping.placement.observations import ObservationArray
 from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
 from semviz_core.base.frame import Dataset
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,12 @@ class TrackOptions:
     """Detections with a lower score are not used."""
     min_frames: int = SearchOptions.min_frames
     """Least number of frames, at positions of their own, that detect a landmark."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.least_score <= 1.0:
+            raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
+        if self.min_frames < 2:
+            raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 frames or more")
 
 
 @dataclass(frozen=True)
@@ -184,8 +191,7 @@ def _placed(
 ) -> tuple[ObservationArray, Landmarks, AgreedEnds]:
     """Return the observations of the tracks, with the ends that agree, and their landmarks."""
     observations = drive.gathered.observations
-    known = np.stack([observations.anchor_known, observations.end_known], axis=1)
-    ends = agreed_ends(drive.rays, known, tracks.owner, tracks.at_m)
+    ends = agreed_ends(drive.rays, tracks.owner, tracks.at_m)
     agreed = replace(observations, anchor_known=ends.known[:, 0], end_known=ends.known[:, 1])
     grouped = agreed.regrouped(np.maximum(tracks.owner, -1), len(tracks.at_m))
     place = replace(drive.link.place, min_angle_rad=0.0)
@@ -268,8 +274,6 @@ def _counts(
     drive: DetectedDrive, tracks: _Tracks, ends: AgreedEnds, log_odds: dict[str, float]
 ) -> DetectionCounts:
     owner = tracks.owner[drive.is_detection]
-    observations = drive.gathered.observations
-    known = np.stack([observations.anchor_known, observations.end_known], axis=1)
     return DetectionCounts(
         detections=len(owner),
         labelled=int((owner == LABELLED).sum()),
@@ -277,5 +281,5 @@ def _counts(
         tracked=int((owner >= 0).sum()),
         alone=int((owner == FREE).sum()),
         tracks=len(log_odds),
-        unknown_ends=int((known & ~ends.known).sum()),
+        unknown_ends=int((drive.rays.known & ~ends.known).sum()),
     )

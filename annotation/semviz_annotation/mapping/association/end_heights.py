@@ -27,17 +27,15 @@ class AgreedEnds(NamedTuple):
     """(k,) by how much the ends scatter more than their sigma says, 1 or more"""
 
 
-def agreed_ends(
-    rays: GroundRays, known: BoolArray, track: IntArray, at_m: FloatArray
-) -> AgreedEnds:
-    """Return the ends of poles that agree in height; ``known`` is (k, 2), ``track`` (k,) a row of
-    ``at_m`` (n, 2), or -1. Ends of signs, and those outside all tracks, stay as they are."""
-    result, spread = known.copy(), np.ones(len(track))
+def agreed_ends(rays: GroundRays, track: IntArray, at_m: FloatArray) -> AgreedEnds:
+    """Return the ends of poles that agree in height; ``track`` (k,) is a row of ``at_m`` (n, 2), or
+    negative. Ends of signs, and those outside all tracks, stay as they are."""
+    result, spread = rays.known.copy(), np.ones(len(track))
     on_pole = (track >= 0) & np.isfinite(rays.slope[:, 1])
     n = len(at_m)
     worst = np.ones(n)
     for which in range(2):
-        rows = np.flatnonzero(on_pole & known[:, which])
+        rows = np.flatnonzero(on_pole & rays.known[:, which])
         of = track[rows]
         distance = np.linalg.norm(at_m[of] - rays.origin_m[rows, :2], axis=1)
         height = rays.origin_m[rows, 2] + rays.slope[rows, which] * distance

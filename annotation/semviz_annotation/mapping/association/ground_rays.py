@@ -33,6 +33,8 @@ class GroundRays:
     sign"""
     slope_sigma: FloatArray
     """(k,) of the slopes"""
+    known: BoolArray
+    """(k, 2) whether anchor and end are known"""
     sound: BoolArray
     """(k,) False for a line in the image that is no upright pole"""
 
@@ -60,6 +62,7 @@ class GroundRays:
             sigma_rad=px_rad[:, 0] * cosine**2 * np.hypot(share, 1.0 - share),
             slope=slope,
             slope_sigma=px_rad[:, 1] * cosine,
+            known=np.stack([observations.anchor_known, observations.end_known], axis=1),
             sound=sound & np.isfinite(slope[:, 0]),
         )
 

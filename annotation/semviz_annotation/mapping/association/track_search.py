@@ -9,32 +9,23 @@ of that rating, and the search is repeated on the rest. A false detection finds 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
+from semviz_annotation.mapping.association.ray_votes import (
+    RayScene,
+    claimed,
+    refined,
+    voted_ranges,
+)
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.common.errors import SemvizError
-from semviz_core.common.jit import compiled
 
-NEAREST_M, FURTHEST_M = 2.0, 90.0
-_CELLS = 256
-"""Cells of a ray, evenly spaced in inverse range."""
 _WINDOW_M = 60.0
 """Images farther than this before or after a detection along the drive are not searched: a second
 pass makes a track of its own, and tracks are merged afterwards."""
-_VOTE_SIGMAS = 2.0
-_GATES_SIGMAS = np.array([6.0, 4.0, 3.0, 3.0])
-"""Within these a ray belongs to a landmark, one after the other in its refinement."""
-_BEARING_RAD = 5e-4
-"""Error of the camera's heading from frame to frame, 0.03 deg."""
-_MOST_ROUNDS = 20
-_BIN_M = 10.0
-ASSUMED_RECALL = np.array([0.5, 0.5, 0.5, 0.5, 0.3, 0.2, 0.1, 0.1, 0.1])
-"""Assumed share of detected landmarks, by range in bins of 10 m."""
-PRIOR_LOG_ODDS = -float(np.log(_CELLS))
-"""Of a landmark in a ray's best cell: one of its cells is the best in any case."""
 _AT_ONCE = 2000
 """Number of rays searched at once, between two reports of progress."""
 
@@ -47,14 +38,10 @@ class SearchOptions:
     """Least number of positions of the camera from which it is detected."""
     pose_sigma_m: float = 0.02
     """Error of poses in each direction from frame to frame."""
-    least_log_odds: float = 2.0
+    least_log_odds: float = 3.0
     """Least log-odds that it exists."""
-    most_sigma_m: float = 3.0
+    most_sigma_m: float = 10.0
     """Largest standard deviation of its position, in the worst direction."""
-
-    def __post_init__(self) -> None:
-        if self.min_frames < 2:
-            raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 or more")
 
 
 class FoundTracks(NamedTuple):
@@ -66,29 +53,6 @@ class FoundTracks(NamedTuple):
     """(n, 2) where they stand"""
     log_odds: FloatArray
     """(n,) that they exist"""
-
-
-class _Scene(NamedTuple):
-    """k rays of one class by image, and v images, as compiled code takes them."""
-
-    origin: FloatArray
-    direction: FloatArray
-    sigma: FloatArray
-    slope: FloatArray
-    """(k,) of signs; NaN for poles, whose ends do not matter here"""
-    slope_sigma: FloatArray
-    image: IntArray
-    begin: IntArray
-    """(v + 1,) first ray of each image"""
-    path: FloatArray
-    center: FloatArray
-    forward: FloatArray
-    edges: FloatArray
-    area: FloatArray
-    """(v,) of the image: radians of bearing (poles), or also times slope (signs)"""
-    keyframe: IntArray
-    expected: BoolArray
-    """(v,) whether a landmark in view is expected to be detected"""
 
 
 def search_tracks(
@@ -105,17 +69,16 @@ def search_tracks(
     ``expected`` (v,) tells images that a detector has processed. Rays that are not sound, and those
     from where a frame was taken before, have no track. ``on_progress`` counts rays.
     """
-    track, places, odds = np.full(len(image), -1), [np.zeros((0, 2))], [np.zeros(0)]
+    track = np.full(len(image), -1)
+    places: list[FloatArray] = [np.zeros((0, 2))]
+    odds: list[FloatArray] = [np.zeros(0)]
     usable = rays.sound & images.is_key[image]
-    done, count = 0, 0
+    total, done, count = int(usable.sum()), 0, 0
     for class_id in np.unique(kind[usable]).tolist():
         rows = np.flatnonzero(usable & (kind == class_id))
         rows = rows[np.argsort(image[rows], kind="stable")]
         scene = _scene(rays, rows, image[rows], images, expected & images.is_key)
-        search = _Search(
-            scene, options, lambda some, before=done: on_progress(before + some, int(usable.sum()))
-        )
-        found = search.run()
+        found = _Search(scene, options).run(partial(_show, on_progress, done, total))
         some = found.track >= 0
         track[rows[some]] = found.track[some] + count
         places.append(found.at_m)
@@ -124,99 +87,129 @@ def search_tracks(
     return FoundTracks(track, np.concatenate(places), np.concatenate(odds))
 
 
+def _show(on_progress: Callable[[int, int], None], before: int, total: int, done: int) -> None:
+    on_progress(before + done, total)
+
+
 def _scene(
     rays: GroundRays, rows: IntArray, image: IntArray, images: DriveImages, expected: BoolArray
-) -> _Scene:
+) -> RayScene:
     v = len(images.path_m)
     counts = np.bincount(image, minlength=v)
     is_line = np.isfinite(rays.slope[rows, 1])
     width = np.arctan(images.edges[:, 1]) - np.arctan(images.edges[:, 0])
     height = images.size_px[:, 1] / images.focal_px
     area = width if is_line.all() else width * height
-    return _Scene(
+    return RayScene(
         origin=np.ascontiguousarray(rays.origin_m[rows]),
         direction=np.ascontiguousarray(rays.direction[rows]),
         sigma=rays.sigma_rad[rows],
         slope=np.where(is_line, np.nan, rays.slope[rows, 0]),
         slope_sigma=rays.slope_sigma[rows],
+        ends=np.where(is_line[:, None] & rays.known[rows], rays.slope[rows], np.nan),
         image=image,
         begin=np.concatenate([[0], np.cumsum(counts)]),
         path=images.path_m,
         center=images.center_m,
         forward=images.forward,
         edges=images.edges,
+        span=float(np.median(height)),
         area=area,
         keyframe=images.keyframe,
         expected=expected,
     )
 
 
-class _Search:
-    """The search in one class; each ray starts a candidate on itself."""
+class Candidates(NamedTuple):
+    """s candidates, each the best one on its ray."""
 
-    def __init__(
-        self, scene: _Scene, options: SearchOptions, on_progress: Callable[[int], None]
-    ) -> None:
-        self._scene, self._options, self._on_progress = scene, options, on_progress
+    start: IntArray
+    """(s,) the ray"""
+    at_m: FloatArray
+    """(s, 2)"""
+    height_m: FloatArray
+    """(s,) of signs"""
+    log_odds: FloatArray
+    """(s,)"""
+    frames: IntArray
+    """(s,) number of camera positions that detect it"""
+
+    def where(self, rows: BoolArray) -> "Candidates":
+        return Candidates(
+            self.start[rows],
+            self.at_m[rows],
+            self.height_m[rows],
+            self.log_odds[rows],
+            self.frames[rows],
+        )
+
+
+class _Search:
+    """The search for landmarks of one class."""
+
+    def __init__(self, scene: RayScene, options: SearchOptions) -> None:
+        self._scene, self._options = scene, options
         self._free = np.ones(len(scene.image), dtype=np.bool_)
         self._window = _windows(scene.path)
 
-    def run(self) -> FoundTracks:
-        k = len(self._scene.image)
-        track, places, odds = np.full(k, -1), [np.zeros((0, 2))], [np.zeros(0)]
-        starts, count = np.arange(k), 0
-        for _ in range(_MOST_ROUNDS):
-            at, height, score, frames = self._candidates(starts)
-            good = (score >= self._options.least_log_odds) & (frames >= self._options.min_frames)
-            starts, at, height, score = (values[good] for values in (starts, at, height, score))
-            order = np.argsort(-score, kind="stable")
-            chosen = _claimed(
+    def run(self, on_progress: Callable[[int], None]) -> FoundTracks:
+        """Search until no candidate is left that exists; ``on_progress`` gets the number of rays
+        that need no more search, about."""
+        track = np.full(len(self._free), -1)
+        places: list[FloatArray] = [np.zeros((0, 2))]
+        odds: list[FloatArray] = [np.zeros(0)]
+        starts, count = np.arange(len(track)), 0
+        while len(starts):
+            candidates = self._candidates(starts, on_progress)
+            exists = candidates.log_odds >= self._options.least_log_odds
+            candidates = candidates.where(exists & (candidates.frames >= self._options.min_frames))
+            chosen = self._claim(candidates, track, count)
+            if not len(chosen):
+                break
+            places.append(candidates.at_m[chosen])
+            odds.append(candidates.log_odds[chosen])
+            count += len(chosen)
+            starts = candidates.start[self._free[candidates.start]]
+        return FoundTracks(track, np.concatenate(places), np.concatenate(odds))
+
+    def _candidates(self, starts: IntArray, on_progress: Callable[[int], None]) -> Candidates:
+        scene, options, parts = self._scene, self._options, []
+        free = np.bincount(scene.image[self._free], minlength=len(scene.path))
+        clutter = np.asarray(np.maximum(free, 1), dtype=np.float64)
+        for first in range(0, len(starts), _AT_ONCE):
+            some = starts[first : first + _AT_ONCE]
+            ranges = voted_ranges(scene, self._window, options.pose_sigma_m, some, self._free)
+            values = refined(
+                scene,
+                self._window,
+                options.pose_sigma_m,
+                options.most_sigma_m,
+                some,
+                ranges,
+                self._free,
+                clutter,
+            )
+            parts.append(Candidates(some, *values))
+            on_progress(len(self._free) - len(starts) + first + len(some))
+        return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def _claim(self, candidates: Candidates, track: IntArray, count: int) -> IntArray:
+        """Let candidates claim their rays, the best first; see ``claimed``."""
+        order = np.argsort(-candidates.log_odds, kind="stable")
+        return np.asarray(
+            claimed(
                 self._scene,
                 self._window,
                 self._options.pose_sigma_m,
                 order,
-                starts,
-                at,
-                height,
+                candidates.start,
+                candidates.at_m,
+                candidates.height_m,
                 self._free,
                 track,
                 count,
             )
-            places.append(at[chosen])
-            odds.append(score[chosen])
-            count += len(chosen)
-            starts = starts[self._free[starts]]
-            if not len(chosen) or not len(starts):
-                break
-        return FoundTracks(track, np.concatenate(places), np.concatenate(odds))
-
-    def _candidates(self, starts: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return position (s, 2), height (s,), log-odds (s,) and number of camera positions (s,)
-        of the best candidate on each ray of ``starts`` (s,)."""
-        scene, parts = self._scene, []
-        clutter = np.bincount(scene.image[self._free], minlength=len(scene.path))
-        clutter = np.maximum(clutter, 1).astype(float)
-        for first in range(0, max(len(starts), 1), _AT_ONCE):
-            some = starts[first : first + _AT_ONCE]
-            ranges = _voted_ranges(
-                self._scene, self._window, self._options.pose_sigma_m, some, self._free
-            )
-            parts.append(
-                _refined(
-                    self._scene,
-                    self._window,
-                    self._options.pose_sigma_m,
-                    self._options.most_sigma_m,
-                    some,
-                    ranges,
-                    self._free,
-                    clutter,
-                    ASSUMED_RECALL,
-                )
-            )
-            self._on_progress(len(self._free) - len(starts) + first + len(some))
-        at, height, score, frames = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return at, height, score, frames
+        )
 
 
 def _windows(path_m: FloatArray) -> IntArray:
@@ -228,246 +221,3 @@ def _windows(path_m: FloatArray) -> IntArray:
         ],
         axis=1,
     )
-
-
-@compiled
-def _voted_ranges(
-    scene: _Scene, window: IntArray, pose_m: float, starts: IntArray, free: BoolArray
-) -> FloatArray:
-    """Return the range (s,) on each ray where most images have a ray; 0 if none has."""
-    result = np.zeros(len(starts))
-    near, far = 1.0 / NEAREST_M, 1.0 / FURTHEST_M
-    width = (near - far) / _CELLS
-    for row in range(len(starts)):
-        i = starts[row]
-        votes = np.zeros(_CELLS)
-        cast = np.zeros(_CELLS)
-        for image in range(window[scene.image[i], 0], window[scene.image[i], 1]):
-            if image == scene.image[i]:
-                continue
-            first, last = _CELLS, 0
-            for j in range(scene.begin[image], scene.begin[image + 1]):
-                cross = (
-                    scene.direction[i, 0] * scene.direction[j, 1]
-                    - scene.direction[i, 1] * scene.direction[j, 0]
-                )
-                if not free[j] or abs(cross) < 1e-3:
-                    continue
-                x = scene.origin[j, 0] - scene.origin[i, 0]
-                y = scene.origin[j, 1] - scene.origin[i, 1]
-                own = (x * scene.direction[j, 1] - y * scene.direction[j, 0]) / cross
-                other = (x * scene.direction[i, 1] - y * scene.direction[i, 0]) / cross
-                if own < NEAREST_M or own > FURTHEST_M or other < 0.5 * NEAREST_M:
-                    continue
-                sigma = np.sqrt(
-                    (other * (scene.sigma[j] + _BEARING_RAD)) ** 2
-                    + (own * scene.sigma[i]) ** 2
-                    + pose_m**2
-                ) / abs(cross)
-                if not np.isnan(scene.slope[i]):
-                    rise = scene.slope[i] * own + scene.origin[i, 2]
-                    rise -= scene.slope[j] * other + scene.origin[j, 2]
-                    if abs(rise) > 3.0 * np.sqrt(
-                        (scene.slope_sigma[i] * own) ** 2
-                        + (scene.slope_sigma[j] * other) ** 2
-                        + pose_m**2
-                        + (0.02 * sigma) ** 2
-                    ):
-                        continue
-                reach = _VOTE_SIGMAS * sigma
-                low = int((1.0 / min(own + reach, FURTHEST_M) - far) / width)
-                high = int((1.0 / max(own - reach, NEAREST_M) - far) / width)
-                for cell in range(max(low, 0), min(high, _CELLS - 1) + 1):
-                    off = (1.0 / (far + (cell + 0.5) * width) - own) / sigma
-                    cast[cell] = max(cast[cell], np.exp(-0.5 * off * off))
-                first, last = min(first, max(low, 0)), max(last, min(high, _CELLS - 1) + 1)
-            for cell in range(first, last):
-                votes[cell] += cast[cell]
-                cast[cell] = 0.0
-        best = np.argmax(votes)
-        if votes[best] > 0.0:
-            result[row] = 1.0 / (far + (best + 0.5) * width)
-    return result
-
-
-@compiled
-def _nearest_ray(
-    scene: _Scene,
-    image: int,
-    x: float,
-    y: float,
-    z: float,
-    pose_m: float,
-    gate: float,
-    free: BoolArray,
-) -> tuple[int, float, float]:
-    """Return the free ray of an image that passes a position best, within ``gate`` sigmas; its chi2
-    and its variance there (m2). -1 if there is none."""
-    best, least, variance = -1, gate * gate, 0.0
-    for j in range(scene.begin[image], scene.begin[image + 1]):
-        if not free[j]:
-            continue
-        dx, dy = x - scene.origin[j, 0], y - scene.origin[j, 1]
-        along = dx * scene.direction[j, 0] + dy * scene.direction[j, 1]
-        if along < 0.5 * NEAREST_M:
-            continue
-        across = dy * scene.direction[j, 0] - dx * scene.direction[j, 1]
-        spread = (along * (scene.sigma[j] + _BEARING_RAD)) ** 2 + pose_m**2
-        chi2 = across * across / spread
-        if not np.isnan(scene.slope[j]):
-            rise = scene.origin[j, 2] + scene.slope[j] * along - z
-            chi2 += rise * rise / ((along * (scene.slope_sigma[j] + _BEARING_RAD)) ** 2 + pose_m**2)
-        if chi2 < least:
-            best, least, variance = j, chi2, spread
-    return best, least, variance
-
-
-@compiled
-def _is_in_view(scene: _Scene, image: int, x: float, y: float) -> float:
-    """Return the range (m) of a position in an image; 0 if it is outside."""
-    dx, dy = x - scene.center[image, 0], y - scene.center[image, 1]
-    ahead = dx * scene.forward[image, 0] + dy * scene.forward[image, 1]
-    aside = dx * scene.forward[image, 1] - dy * scene.forward[image, 0]
-    if ahead < NEAREST_M or ahead > FURTHEST_M:
-        return 0.0
-    if aside < ahead * scene.edges[image, 0] or aside > ahead * scene.edges[image, 1]:
-        return 0.0
-    return float(np.hypot(dx, dy))
-
-
-@compiled
-def _refined(
-    scene: _Scene,
-    window: IntArray,
-    pose_m: float,
-    most_sigma_m: float,
-    starts: IntArray,
-    ranges: FloatArray,
-    free: BoolArray,
-    clutter_of: FloatArray,
-    recall: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Refine candidates (s,); see ``_Search._candidates``. Of vague positions, the log-odds are
-    -infinity."""
-    n = len(starts)
-    at, height = np.zeros((n, 2)), np.zeros(n)
-    score, frames = np.full(n, -np.inf), np.zeros(n, np.int64)
-    for row in range(n):
-        i = starts[row]
-        if ranges[row] == 0.0:
-            continue
-        x = scene.origin[i, 0] + ranges[row] * scene.direction[i, 0]
-        y = scene.origin[i, 1] + ranges[row] * scene.direction[i, 1]
-        z = scene.origin[i, 2] + ranges[row] * scene.slope[i]
-        first, last = window[scene.image[i], 0], window[scene.image[i], 1]
-        sigma = np.inf
-        for gate in _GATES_SIGMAS:
-            xx, xy, yy, bx, by, zz, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for image in range(first, last):
-                j, _, variance = _nearest_ray(scene, image, x, y, z, pose_m, gate, free)
-                if j < 0:
-                    continue
-                nx, ny = -scene.direction[j, 1], scene.direction[j, 0]
-                off = nx * (scene.origin[j, 0] - x) + ny * (scene.origin[j, 1] - y)
-                xx += nx * nx / variance
-                xy += nx * ny / variance
-                yy += ny * ny / variance
-                bx += nx * off / variance
-                by += ny * off / variance
-                if not np.isnan(scene.slope[j]):
-                    along = np.hypot(x - scene.origin[j, 0], y - scene.origin[j, 1])
-                    spread = (along * scene.slope_sigma[j]) ** 2 + pose_m**2
-                    zz += 1.0 / spread
-                    bz += (scene.origin[j, 2] + along * scene.slope[j]) / spread
-            determinant = xx * yy - xy * xy
-            sigma = np.inf
-            if not determinant > 1e-9 * max(xx, yy) ** 2:
-                break
-            x += (yy * bx - xy * by) / determinant
-            y += (xx * by - xy * bx) / determinant
-            z = bz / zz if zz > 0.0 else z
-            half = 0.5 * (xx + yy)
-            least = half - np.sqrt(max(half * half - determinant, 0.0))
-            sigma = 1.0 / np.sqrt(max(least, 1e-12))
-        if not sigma <= most_sigma_m:
-            continue
-        at[row, 0], at[row, 1], height[row] = x, y, z
-        score[row], frames[row] = _log_odds(
-            scene, first, last, x, y, z, pose_m, free, clutter_of, recall
-        )
-    return at, height, score, frames
-
-
-@compiled
-def _log_odds(
-    scene: _Scene,
-    first: int,
-    last: int,
-    x: float,
-    y: float,
-    z: float,
-    pose_m: float,
-    free: BoolArray,
-    clutter_of: FloatArray,
-    recall: FloatArray,
-) -> tuple[float, int]:
-    """Return the log-odds that a landmark is at a position, and the number of camera positions that
-    detect it."""
-    result, frames, before = PRIOR_LOG_ODDS, 0, -1
-    for image in range(first, last):
-        distance = _is_in_view(scene, image, x, y)
-        j, chi2, variance = _nearest_ray(scene, image, x, y, z, pose_m, 3.0, free)
-        share = recall[min(int(distance / _BIN_M), len(recall) - 1)]
-        if j < 0:
-            result += np.log(1.0 - share) if distance > 0.0 and scene.expected[image] else 0.0
-            continue
-        distance = np.hypot(x - scene.origin[j, 0], y - scene.origin[j, 1])
-        density = np.exp(-0.5 * chi2) / (np.sqrt(2.0 * np.pi * variance) / distance)
-        if not np.isnan(scene.slope[j]):
-            density /= np.sqrt(2.0 * np.pi) * max(scene.slope_sigma[j], pose_m / distance)
-        clutter = clutter_of[image] / scene.area[image]
-        result += np.log(share * density / clutter + 1.0 - share)
-        frames += scene.keyframe[image] != before
-        before = scene.keyframe[image]
-    return result, frames
-
-
-@compiled
-def _claimed(
-    scene: _Scene,
-    window: IntArray,
-    pose_m: float,
-    order: IntArray,
-    starts: IntArray,
-    at: FloatArray,
-    height: FloatArray,
-    free: BoolArray,
-    track: IntArray,
-    count: int,
-) -> IntArray:
-    """Let candidates claim their rays, in ``order``; return those that get all of them.
-
-    A candidate that has lost a ray to a better one is not chosen: it is searched again on the rest.
-    ``free`` and ``track`` (k,) are updated; the first new track has number ``count``.
-    """
-    chosen = []
-    still = free.copy()
-    for row in order:
-        i = starts[row]
-        if not free[i]:
-            continue
-        rays, lost = [], False
-        for image in range(window[scene.image[i], 0], window[scene.image[i], 1]):
-            j, _, _ = _nearest_ray(
-                scene, image, at[row, 0], at[row, 1], height[row], pose_m, 3.0, still
-            )
-            if j >= 0:
-                rays.append(j)
-                lost = lost or not free[j]
-        if lost or len(rays) < 2:
-            continue
-        for j in rays:
-            free[j] = False
-            track[j] = count + len(chosen)
-        chosen.append(row)
-    return np.array(chosen, dtype=np.int64)
