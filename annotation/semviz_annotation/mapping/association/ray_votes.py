@@ -212,9 +212,7 @@ def refined(
         if not sigma <= most_sigma_m:
             continue
         at[row, 0], at[row, 1], height[row] = x, y, z
-        score[row], frames[row] = _log_odds(
-            scene, first, last, x, y, z, pose_m, free, clutter_of, recall
-        )
+        score[row], frames[row] = _log_odds(scene, first, last, x, y, z, pose_m, free, clutter_of)
     return at, height, score, frames
 
 
