@@ -4,7 +4,7 @@ Streets are ones that nothing was trained or tuned on. Images are made or read o
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from time import process_time
 from typing import Any
@@ -15,7 +15,9 @@ from semviz.annotator import element_positions
 from semviz.annotator.panes import Cameras
 from semviz.presentation.progress import track
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.labels import Labels, Observation, proposal_id
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -43,10 +45,36 @@ class EvaluationImage:
     truth: Callable[[], ImageGroundTruth]
     is_complete: bool = True
     """Whether the ground truth is believed to hold all elements."""
+    stored: "StoredDetections | None" = None
+    """What ``semviz detect`` found in the image before, if it did."""
 
     @property
     def name(self) -> str:
         return f"{self.place}, frame {self.frame_index}, {self.side}"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredDetections:
+    """The detections of an image that are in the workspace's proposals."""
+
+    detector: str
+    elements: Elements2D
+
+
+def with_stored(
+    images: Sequence[EvaluationImage], proposals: Proposals
+) -> tuple[EvaluationImage, ...]:
+    """Return images of one workspace with its stored detections, where it was processed."""
+    processed = proposals.processed
+    if processed is None:
+        return tuple(images)
+    return tuple(
+        replace(image, stored=StoredDetections(processed.detector, as_elements(rows)))
+        if (image.frame_index, image.side) in processed.images
+        else image
+        for image in images
+        for rows in [proposals.in_frame(image.frame_index, image.side)]
+    )
 
 
 def street_images(
@@ -205,25 +233,27 @@ class Evaluation:
 
 
 def evaluate(
-    detector: Detector,
+    detector: Detector | None,
     measuring: str,
     images: Sequence[EvaluationImage],
     least_score: float | None = None,
     extra_settings: Mapping[str, str] | None = None,
 ) -> Evaluation:
-    """Evaluate ``detector`` on at least one image.
+    """Evaluate ``detector`` on at least one image; None: evaluate the stored detections.
 
     ``least_score`` is the threshold of ``detection_figures``. ``measuring`` and ``extra_settings``
     are added to the settings. Times are CPU times; a first call is not counted.
     """
-    detector.detect(images[0].read())
+    if detector is not None:
+        detector.detect(images[0].read())
     evaluations = tuple(
         _evaluate_image(detector, image) for image in track(images, "looking", len(images))
     )
     figures = detection_summary.detection_figures(evaluations, DEFAULT_CLASSES, least_score)
     settings = {
-        "model": detector.model.name,
+        "model": _model_name(detector, images),
         "measuring": measuring,
+        "detections": "made now" if detector is not None else "stored by 'semviz detect'",
         "images": _where(images),
         "threshold": _threshold(figures.threshold, least_score),
         **(extra_settings or {}),
@@ -231,10 +261,22 @@ def evaluate(
     return Evaluation(settings, tuple(_notes(images)), tuple(images), evaluations, figures)
 
 
+def _model_name(detector: Detector | None, images: Sequence[EvaluationImage]) -> str:
+    if detector is not None:
+        return detector.model.name
+    stored = {image.stored.detector for image in images if image.stored is not None}
+    return ", ".join(sorted(stored))
+
+
 def _evaluate_image(
-    detector: Detector, image: EvaluationImage
+    detector: Detector | None, image: EvaluationImage
 ) -> detection_summary.ImageEvaluation:
-    pixels, truth = image.read(), image.truth()
+    truth = image.truth()
+    if detector is None:
+        if image.stored is None:
+            raise SemvizError(f"{image.name}: not processed; run 'semviz detect' again")
+        return detection_summary.ImageEvaluation(image.stored.elements, truth, None)
+    pixels = image.read()
     start_s = process_time()
     try:
         detections = detector.detect(pixels)

@@ -87,14 +87,33 @@ def images_of(workspace: Workspace, frames: range | None, sides: Sequence[Side])
 
 def new_processed_images(detector: Detector, options: DetectOptions) -> ProcessedImages:
     """Return the record of a detector and its settings, without images yet."""
-    model = model_hash(options.model)
-    settings: dict[str, Setting] = {
-        "model": model,
+    settings = detection_settings(options)
+    digits = str(settings["model"])[:HASH_DIGITS]
+    return ProcessedImages(f"{detector.model.name} {digits}"[-100:], settings)
+
+
+def detection_settings(options: DetectOptions) -> dict[str, Setting]:
+    """Return the settings that detections depend on, as stored with them."""
+    return {
+        "model": model_hash(options.model),
         "measuring": options.measuring,
         "least_score": options.least_score,
         "semviz": version("semviz"),
     }
-    return ProcessedImages(f"{detector.model.name} {model[:HASH_DIGITS]}"[-100:], settings)
+
+
+def stored_detections(workspace: Workspace, options: DetectOptions | None) -> Proposals:
+    """Return the stored detections of ``options``, or of any detector if None.
+
+    Without such detections, no image is processed.
+    """
+    stored = load_proposals(workspace.proposals_path, workspace.classes)
+    processed = stored.processed
+    if processed is None or (
+        options is not None and processed.settings != detection_settings(options)
+    ):
+        return Proposals()
+    return Proposals.of(stored.detections, processed)
 
 
 def model_hash(model: str | None) -> str:
