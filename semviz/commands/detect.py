@@ -56,7 +56,7 @@ class DetectCommand:
         check_outputs(workspace.proposals_path, PARQUET, can_force=False, purpose="proposals")
         options = DetectOptions(self.model, self.measuring, self.least_score)
         images = images_of(workspace, parsing.parse_frames(self.frames), self._sides(workspace))
-        detector = load_detector(self.model, _measurement(self.measuring))
+        detector = load_detector(self.model, measurement(self.measuring))
         start_s = perf_counter()
         proposals = detect_images(workspace, detector, options, images)
         print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
@@ -71,7 +71,7 @@ class DetectCommand:
         return ("left", "right") if self.sides == "both" and has_right else ("left",)
 
 
-def _measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
+def measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
     """Return the function that ``--measuring`` names."""
     if measuring == "paper":
         from semviz_core.research.paper.measurement import measure_as_in_paper
@@ -149,8 +149,10 @@ class DetectEvaluateCommand:
             check_outputs(self.out / REPORT, ours, force=self.force, reads=self.workspaces)
         images = self._images()
         is_stored = self.stored or all(image.stored is not None for image in images)
-        detector = None if is_stored else load_detector(self.model, _measurement(self.measuring))
+        detector = None if is_stored else load_detector(self.model, measurement(self.measuring))
         settings = {"reach": f"{self.reach_m:g} m"}
+        if self.workspaces:
+            settings["detections"] = "stored by 'semviz detect'" if is_stored else "made now"
         evaluation = evaluate(detector, self.measuring, images, self.least_score, settings)
         if self.out is not None:
             page = detector_report_html(evaluation, self.pictures)

@@ -154,13 +154,17 @@ class _LabelledWorkspace:
     def _truth(self, index: int, side: Side) -> ImageGroundTruth:
         rows = self._labels.in_frame(index, side)
         labelled, _ = observe(self._labels, index, side)
-        unlabelled = self._unlabelled(index, side)
-        left_out = [self._is_left_out(row) for row in rows] + [True] * len(unlabelled)
-        distance = [self._distance_m(row) for row in rows]
+        unlabelled, ids = self._unlabelled(index, side)
+        left_out = [self._is_left_out(row) for row in rows]
+        distance = [
+            float("nan") if is_left_out else self._distance_m(row.element_id, index)
+            for row, is_left_out in zip(rows, left_out, strict=True)
+        ]
+        distance += [self._distance_m(element_id, index) for element_id in ids]
         return ImageGroundTruth.of(
             joined(labelled, unlabelled),
-            distance_m=np.array(distance + [np.nan] * len(unlabelled)),
-            ignored=np.array(left_out, dtype=bool),
+            distance_m=np.array(distance, dtype=np.float64),
+            ignored=np.array(left_out + [True] * len(ids), dtype=bool),
             reach_m=self._reach_m,
         )
 
@@ -168,29 +172,34 @@ class _LabelledWorkspace:
         decisions = self._labels.decisions_of(row.element_id)
         return any(decision.verdict == "leave out" for decision in decisions)
 
-    def _distance_m(self, row: Observation) -> float:
+    def _distance_m(self, element_id: str, index: int) -> float:
         """Return the horizontal distance from the left camera; NaN if a position is unknown."""
-        place = self._places.of_element(self._labels, row.element_id)
-        pose = self._cameras.T_map_camera[row.frame_index]
+        place = self._places.of_element(self._labels, element_id)
+        pose = self._cameras.T_map_camera[index]
         if pose is None or not isinstance(place, Triangulated):
             return float("nan")
         return float(np.linalg.norm((place.anchor_m - pose.translation)[:2]))
 
-    def _unlabelled(self, index: int, side: Side) -> Elements2D:
-        """Return mapped elements that should be visible, but are neither labelled nor dismissed."""
+    def _unlabelled(self, index: int, side: Side) -> tuple[Elements2D, list[str]]:
+        """Return mapped elements that should be visible, but are neither labelled nor dismissed.
+
+        Their ids are those of label elements.
+        """
         T_camera_map = self._cameras.T_camera_map(index)
         if T_camera_map is None or self._labels.review(index) == "reviewed, empty":
-            return Elements2D.from_ends([], [], [])
+            return Elements2D.from_ends([], [], []), []
         near = self._places.near(self._labels, index)
         projected = element_positions.projected_elements(
             index, side, T_camera_map, self._cameras.rig, self._labels, near
         )
         kept = [element for element in projected if not self._is_dismissed(element, index)]
-        return Elements2D.from_ends(
+        ids = [element.element_id for element in kept]
+        elements = Elements2D.from_ends(
             _points(element.anchor_px for element in kept),
             _points(element.end_px or (np.nan, np.nan) for element in kept),
-            [self._labels.element(element.element_id).class_id for element in kept],
+            [self._labels.element(element_id).class_id for element_id in ids],
         )
+        return elements, ids
 
     def _is_dismissed(self, element: element_positions.ProjectedElement, index: int) -> bool:
         """Return whether a person stated that the element is not visible. Occluded ones may be, in
@@ -247,13 +256,12 @@ def evaluate(
     if detector is not None:
         detector.detect(images[0].read())
     evaluations = tuple(
-        _evaluate_image(detector, image) for image in track(images, "looking", len(images))
+        evaluate_image(detector, image) for image in track(images, "looking", len(images))
     )
     figures = detection_summary.detection_figures(evaluations, DEFAULT_CLASSES, least_score)
     settings = {
         "model": _model_name(detector, images),
         "measuring": measuring,
-        "detections": "made now" if detector is not None else "stored by 'semviz detect'",
         "images": _where(images),
         "threshold": _threshold(figures.threshold, least_score),
         **(extra_settings or {}),
@@ -268,9 +276,10 @@ def _model_name(detector: Detector | None, images: Sequence[EvaluationImage]) ->
     return ", ".join(sorted(stored))
 
 
-def _evaluate_image(
+def evaluate_image(
     detector: Detector | None, image: EvaluationImage
 ) -> detection_summary.ImageEvaluation:
+    """Detect in an image, or take its stored detections if ``detector`` is None."""
     truth = image.truth()
     if detector is None:
         if image.stored is None:

@@ -15,6 +15,7 @@ import numpy as np
 from semviz.runs.images import project_elements
 from semviz.workspace.workspace import StreetSettings, Workspace
 from semviz_annotation.mapping.quality.label_links import observe
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.detector_model import NoiseName
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
@@ -69,15 +70,18 @@ def observe_detected(
     semantic_map: SemanticMap,
     detections: "Proposals",
     least_score: float = 0.0,
+    calibration: DetectorCalibration | None = None,
 ) -> Observe:
-    """Observe the detections in the left image with at least ``least_score``."""
+    """Observe the detections in the left image with at least ``least_score``, once calibrated."""
     from semviz_annotation.labels.detections import as_elements
 
     identify = identify_detections(workspace, semantic_map)
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
-        rows = detections.in_frame(frame.index, "left")
-        elements = as_elements([row for row in rows if row.score >= least_score])
+        elements = as_elements(detections.in_frame(frame.index, "left"))
+        if calibration is not None:
+            elements = calibration.calibrated(elements)
+        elements = elements[elements.score >= least_score]
         return elements, identify(frame, elements)
 
     return observe

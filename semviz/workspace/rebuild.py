@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from semviz.runs.run import FrameRecord, Run, RunInfo, detector_model, observations_of
+from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
 from semviz.workspace.localizability import options_of
 from semviz.workspace.localize import SequenceLocalization
@@ -74,7 +74,6 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
     recorded = {frame.frame.index: frame for frame in run.frames}
     from_labels = observations == "labels"
     observe = observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded)
-    detector = detector_model(observations)
     localization = SequenceLocalization(
         workspace.source,
         semantic_map,
@@ -82,7 +81,11 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         observe,
         lambda frame: recorded[frame.index].localization.prior,
         Localizer(
-            options.method, run.info.seed, semantic_map.classes, detector, options.weights_path
+            options.method,
+            run.info.seed,
+            semantic_map.classes,
+            assumed_detector(run.info),
+            options.weights_path,
         ),
         options,
     )
