@@ -14,6 +14,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
+from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
 from semviz.commands.tools import AnnotateCommand, NewCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
@@ -42,11 +43,12 @@ LabelCommands = Annotated[
 DetectCommands = Annotated[
     Annotated[DetectCommand, subcommand("run")]
     | Annotated[DetectTrainCommand, subcommand("train")]
-    | Annotated[DetectEvaluateCommand, subcommand("evaluate")],
+    | Annotated[DetectEvaluateCommand, subcommand("evaluate")]
+    | Annotated[DetectChooseCommand, subcommand("choose")],
     subcommand(
         "detect",
         description="Detect poles and signs in the images of a workspace: detect WORKSPACE. "
-        "Train and evaluate the detector.",
+        "Train, evaluate and calibrate the detector.",
     ),
 ]
 Command = (
@@ -69,7 +71,8 @@ Command = (
 )
 
 
-_AFTER_DETECT: tuple[list[str], ...] = (["run"], ["train"], ["evaluate"], ["-h"], ["--help"], [])
+_SUBCOMMANDS = ("run", "train", "evaluate", "choose")
+_AFTER_DETECT: tuple[list[str], ...] = (*([name] for name in _SUBCOMMANDS), ["-h"], ["--help"], [])
 """What can follow ``semviz detect`` besides a workspace."""
 
 

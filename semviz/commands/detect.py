@@ -56,7 +56,7 @@ class DetectCommand:
         check_outputs(workspace.proposals_path, PARQUET, can_force=False, purpose="proposals")
         options = DetectOptions(self.model, self.measuring, self.least_score)
         images = images_of(workspace, parsing.parse_frames(self.frames), self._sides(workspace))
-        detector = load_detector(self.model, _measurement(self.measuring))
+        detector = load_detector(self.model, measurement(self.measuring))
         start_s = perf_counter()
         proposals = detect_images(workspace, detector, options, images)
         print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
@@ -71,7 +71,7 @@ class DetectCommand:
         return ("left", "right") if self.sides == "both" and has_right else ("left",)
 
 
-def _measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
+def measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
     """Return the function that ``--measuring`` names."""
     if measuring == "paper":
         from semviz_core.research.paper.measurement import measure_as_in_paper
@@ -122,6 +122,9 @@ class DetectEvaluateCommand:
     """Minimum score; default: the lowest with at most 0.2 false detections per frame."""
     out: parsing.OptionalPath = None
     """Folder for report.html: one page without network requests, with images of the errors."""
+    stored: bool = False
+    """Evaluate the detections that 'semviz detect' stored, whatever made them. Without it, stored
+    ones are used if the same model and settings made them."""
     pictures: int = 24
     """Images of missed detections in the report, and as many of false positives."""
     force: parsing.Force = False
@@ -144,9 +147,12 @@ class DetectEvaluateCommand:
         if self.out is not None:
             ours = contains(b"<!DOCTYPE html>", b"<title>semviz detector: ")
             check_outputs(self.out / REPORT, ours, force=self.force, reads=self.workspaces)
-        detector = load_detector(self.model, _measurement(self.measuring))
         images = self._images()
+        is_stored = self.stored or all(image.stored is not None for image in images)
+        detector = None if is_stored else load_detector(self.model, measurement(self.measuring))
         settings = {"reach": f"{self.reach_m:g} m"}
+        if self.workspaces:
+            settings["detections"] = "stored by 'semviz detect'" if is_stored else "made now"
         evaluation = evaluate(detector, self.measuring, images, self.least_score, settings)
         if self.out is not None:
             page = detector_report_html(evaluation, self.pictures)
@@ -171,9 +177,14 @@ class DetectEvaluateCommand:
             raise SemvizError(f"--least-score {self.least_score:g}: give a number from 0 to 1")
         if self.frames is not None and not self.workspaces:
             raise SemvizError("--frames needs a workspace; for streets use --frames-a-street")
+        if self.stored and not self.workspaces:
+            raise SemvizError("--stored needs a workspace, with detections of 'semviz detect'")
+        if self.stored and self.model is not None:
+            raise SemvizError("--stored takes the detections as they are; leave out --model")
 
     def _images(self) -> "list[EvaluationImage]":
-        from semviz.research.detector_evaluation import labelled_images, street_images
+        from semviz.research.detector_evaluation import labelled_images, street_images, with_stored
+        from semviz.workspace.detect import DetectOptions, stored_detections
         from semviz_core.base.frame import Side
 
         sides: tuple[Side, ...] = ("left", "right") if self.sides == "both" else ("left",)
@@ -181,10 +192,14 @@ class DetectEvaluateCommand:
             return list(street_images(self.streets, self.frames_a_street, sides, self.reach_m))
         frames = parsing.parse_frames(self.frames)
         workspaces = [parsing.open_workspace(path) for path in self.workspaces]
+        options = None if self.stored else DetectOptions(self.model, self.measuring)
         return [
             image
             for workspace in workspaces
-            for image in labelled_images(workspace, frames, sides, self.reach_m)
+            for image in with_stored(
+                labelled_images(workspace, frames, sides, self.reach_m),
+                stored_detections(workspace, options),
+            )
         ]
 
 

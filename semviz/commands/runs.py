@@ -14,7 +14,9 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Run
+    from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.writing import ConversionTally
+    from semviz_core.base.detector_calibration import DetectorCalibration
     from semviz_core.base.frame import Frame
 
 
@@ -45,8 +47,11 @@ class LocalizeCommand:
     ] = None
     """labels: the workspace's labels; detected: detections of 'semviz detect'; simulated: the
     street's simulated detector. Default: labels, if there are any."""
-    least_score: float = 0.0
-    """Minimum score of a detection."""
+    least_score: parsing.OptionalFloat = None
+    """Minimum score of a detection; default: that of its detector's calibration, or 0."""
+    calibration: parsing.OptionalText = None
+    """File of 'semviz detect choose': what the detections' scores and sigmas mean, and their rates;
+    'none': take them as they are. Default: the file beside the model, or in the workspace."""
     noise: Literal["paper", "low"] = "low"
     """Noise of the simulated detector: the paper's table, or 1 px and 0.3 deg."""
     prior_distance: str = "5:10"
@@ -69,6 +74,10 @@ class LocalizeCommand:
 
         workspace = parsing.open_workspace(self.workspace)
         observations = self.observations or workspace.default_observations
+        calibration = self._calibration(workspace) if observations == "detected" else None
+        least_score = self.least_score
+        if least_score is None:
+            least_score = 0.0 if calibration is None else calibration.least_score
         crop_radius = self.crop_radius
         if crop_radius is None:
             crop_radius = localize.CROP_RADIUS_M[observations]
@@ -78,7 +87,7 @@ class LocalizeCommand:
             track=self.track,
             observations=observations,
             noise=self.noise,
-            least_score=self.least_score,
+            least_score=least_score,
             prior_distance_m=parsing.parse_interval(self.prior_distance, "--prior-distance"),
             heading_sigma_deg=self.heading_sigma_deg,
             crop_radius_m=crop_radius,
@@ -89,7 +98,9 @@ class LocalizeCommand:
         outputs.check_outputs(
             path, outputs.RUN, force=self.force, reads=[self.workspace], purpose="run"
         )
-        localization = localize.localize_workspace(workspace, self.map, options, frames)
+        localization = localize.localize_workspace(
+            workspace, self.map, options, frames, calibration
+        )
         counts = localize.record(
             localization,
             path,
@@ -100,6 +111,19 @@ class LocalizeCommand:
         print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
         print(f"next: semviz evaluate {path}; semviz serve {path}")
         return 0
+
+    def _calibration(self, workspace: "Workspace") -> "DetectorCalibration | None":
+        """Return the calibration of the workspace's detections, and say which it is."""
+        from semviz.workspace.calibration import find_calibration
+        from semviz_annotation.labels.proposals import load_proposals
+
+        processed = load_proposals(workspace.proposals_path, workspace.classes).processed
+        found = find_calibration(workspace, processed, self.calibration)
+        if found is None:
+            return None
+        path, calibration = found
+        print(f"{path}: scores and rates as on {calibration.truth}")
+        return calibration
 
 
 @dataclass(frozen=True)

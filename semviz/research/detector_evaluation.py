@@ -4,7 +4,7 @@ Streets are ones that nothing was trained or tuned on. Images are made or read o
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from time import process_time
 from typing import Any
@@ -15,7 +15,9 @@ from semviz.annotator import element_positions
 from semviz.annotator.panes import Cameras
 from semviz.presentation.progress import track
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.labels import Labels, Observation, proposal_id
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -43,10 +45,36 @@ class EvaluationImage:
     truth: Callable[[], ImageGroundTruth]
     is_complete: bool = True
     """Whether the ground truth is believed to hold all elements."""
+    stored: "StoredDetections | None" = None
+    """What ``semviz detect`` found in the image before, if it did."""
 
     @property
     def name(self) -> str:
         return f"{self.place}, frame {self.frame_index}, {self.side}"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredDetections:
+    """The detections of an image that are in the workspace's proposals."""
+
+    detector: str
+    elements: Elements2D
+
+
+def with_stored(
+    images: Sequence[EvaluationImage], proposals: Proposals
+) -> tuple[EvaluationImage, ...]:
+    """Return images of one workspace with its stored detections, where it was processed."""
+    processed = proposals.processed
+    if processed is None:
+        return tuple(images)
+    return tuple(
+        replace(image, stored=StoredDetections(processed.detector, as_elements(rows)))
+        if (image.frame_index, image.side) in processed.images
+        else image
+        for image in images
+        for rows in [proposals.in_frame(image.frame_index, image.side)]
+    )
 
 
 def street_images(
@@ -126,13 +154,17 @@ class _LabelledWorkspace:
     def _truth(self, index: int, side: Side) -> ImageGroundTruth:
         rows = self._labels.in_frame(index, side)
         labelled, _ = observe(self._labels, index, side)
-        unlabelled = self._unlabelled(index, side)
-        left_out = [self._is_left_out(row) for row in rows] + [True] * len(unlabelled)
-        distance = [self._distance_m(row) for row in rows]
+        unlabelled, ids = self._unlabelled(index, side)
+        left_out = [self._is_left_out(row) for row in rows]
+        distance = [
+            float("nan") if is_left_out else self._distance_m(row.element_id, index)
+            for row, is_left_out in zip(rows, left_out, strict=True)
+        ]
+        distance += [self._distance_m(element_id, index) for element_id in ids]
         return ImageGroundTruth.of(
             joined(labelled, unlabelled),
-            distance_m=np.array(distance + [np.nan] * len(unlabelled)),
-            ignored=np.array(left_out, dtype=bool),
+            distance_m=np.array(distance, dtype=np.float64),
+            ignored=np.array(left_out + [True] * len(ids), dtype=bool),
             reach_m=self._reach_m,
         )
 
@@ -140,29 +172,34 @@ class _LabelledWorkspace:
         decisions = self._labels.decisions_of(row.element_id)
         return any(decision.verdict == "leave out" for decision in decisions)
 
-    def _distance_m(self, row: Observation) -> float:
+    def _distance_m(self, element_id: str, index: int) -> float:
         """Return the horizontal distance from the left camera; NaN if a position is unknown."""
-        place = self._places.of_element(self._labels, row.element_id)
-        pose = self._cameras.T_map_camera[row.frame_index]
+        place = self._places.of_element(self._labels, element_id)
+        pose = self._cameras.T_map_camera[index]
         if pose is None or not isinstance(place, Triangulated):
             return float("nan")
         return float(np.linalg.norm((place.anchor_m - pose.translation)[:2]))
 
-    def _unlabelled(self, index: int, side: Side) -> Elements2D:
-        """Return mapped elements that should be visible, but are neither labelled nor dismissed."""
+    def _unlabelled(self, index: int, side: Side) -> tuple[Elements2D, list[str]]:
+        """Return mapped elements that should be visible, but are neither labelled nor dismissed.
+
+        Their ids are those of label elements.
+        """
         T_camera_map = self._cameras.T_camera_map(index)
         if T_camera_map is None or self._labels.review(index) == "reviewed, empty":
-            return Elements2D.from_ends([], [], [])
+            return Elements2D.from_ends([], [], []), []
         near = self._places.near(self._labels, index)
         projected = element_positions.projected_elements(
             index, side, T_camera_map, self._cameras.rig, self._labels, near
         )
         kept = [element for element in projected if not self._is_dismissed(element, index)]
-        return Elements2D.from_ends(
+        ids = [element.element_id for element in kept]
+        elements = Elements2D.from_ends(
             _points(element.anchor_px for element in kept),
             _points(element.end_px or (np.nan, np.nan) for element in kept),
-            [self._labels.element(element.element_id).class_id for element in kept],
+            [self._labels.element(element_id).class_id for element_id in ids],
         )
+        return elements, ids
 
     def _is_dismissed(self, element: element_positions.ProjectedElement, index: int) -> bool:
         """Return whether a person stated that the element is not visible. Occluded ones may be, in
@@ -205,24 +242,25 @@ class Evaluation:
 
 
 def evaluate(
-    detector: Detector,
+    detector: Detector | None,
     measuring: str,
     images: Sequence[EvaluationImage],
     least_score: float | None = None,
     extra_settings: Mapping[str, str] | None = None,
 ) -> Evaluation:
-    """Evaluate ``detector`` on at least one image.
+    """Evaluate ``detector`` on at least one image; None: evaluate the stored detections.
 
     ``least_score`` is the threshold of ``detection_figures``. ``measuring`` and ``extra_settings``
     are added to the settings. Times are CPU times; a first call is not counted.
     """
-    detector.detect(images[0].read())
+    if detector is not None:
+        detector.detect(images[0].read())
     evaluations = tuple(
-        _evaluate_image(detector, image) for image in track(images, "looking", len(images))
+        evaluate_image(detector, image) for image in track(images, "looking", len(images))
     )
     figures = detection_summary.detection_figures(evaluations, DEFAULT_CLASSES, least_score)
     settings = {
-        "model": detector.model.name,
+        "model": _model_name(detector, images),
         "measuring": measuring,
         "images": _where(images),
         "threshold": _threshold(figures.threshold, least_score),
@@ -231,10 +269,23 @@ def evaluate(
     return Evaluation(settings, tuple(_notes(images)), tuple(images), evaluations, figures)
 
 
-def _evaluate_image(
-    detector: Detector, image: EvaluationImage
+def _model_name(detector: Detector | None, images: Sequence[EvaluationImage]) -> str:
+    if detector is not None:
+        return detector.model.name
+    stored = {image.stored.detector for image in images if image.stored is not None}
+    return ", ".join(sorted(stored))
+
+
+def evaluate_image(
+    detector: Detector | None, image: EvaluationImage
 ) -> detection_summary.ImageEvaluation:
-    pixels, truth = image.read(), image.truth()
+    """Detect in an image, or take its stored detections if ``detector`` is None."""
+    truth = image.truth()
+    if detector is None:
+        if image.stored is None:
+            raise SemvizError(f"{image.name}: not processed; run 'semviz detect' again")
+        return detection_summary.ImageEvaluation(image.stored.elements, truth, None)
+    pixels = image.read()
     start_s = process_time()
     try:
         detections = detector.detect(pixels)

@@ -57,12 +57,17 @@ def evaluation_text(evaluation: Evaluation) -> str:
     figures = evaluation.figures
     settings = [f"{name}: {value}" for name, value in evaluation.settings.items()]
     notes = [f"note: {note}" for note in evaluation.notes]
-    time = (
+    tables = (table.as_text() for table in detection_tables(figures))
+    return "\n\n".join(["\n".join([*settings, *notes]), *tables, _time(figures)])
+
+
+def _time(figures: detection_summary.DetectionFigures) -> str:
+    if figures.time_ms_median is None:
+        return "processor time for an image: not measured, the detections are stored ones"
+    return (
         f"processor time for an image: median {figures.time_ms_median:.0f} ms, "
         f"p95 {figures.time_ms_p95:.0f} ms"
     )
-    tables = (table.as_text() for table in detection_tables(figures))
-    return "\n\n".join(["\n".join([*settings, *notes]), *tables, time])
 
 
 def detection_tables(figures: detection_summary.DetectionFigures) -> list[Table]:

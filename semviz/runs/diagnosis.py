@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from semviz.runs.metrics import Errors, difference, errors_of
-from semviz.runs.run import TRACK, FrameRecord, Run, detector_model, observations_of
+from semviz.runs.run import TRACK, FrameRecord, Run, assumed_detector
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
@@ -85,7 +85,7 @@ def detection_errors(run: Run, record: FrameRecord) -> DetectionErrors:
 
 def detector_of(run: Run) -> DetectorModel:
     """Return the assumed rates of the run's detector."""
-    return detector_model(observations_of(run.info.observations))
+    return assumed_detector(run.info)
 
 
 def truth_of(run: Run, record: FrameRecord) -> GroundTruth | None:

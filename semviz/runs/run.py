@@ -130,6 +130,18 @@ def observations_of(described: str) -> Observations:
     return "labels" if described == "labels" else "simulated"
 
 
+RATES = "detector_rates"
+"""Option of a run: the rates of a calibrated detector, by the fields of ``DetectorModel``."""
+
+
+def assumed_detector(info: RunInfo) -> DetectorModel:
+    """Return the rates that a run assumed: calibrated ones, or those of its observations."""
+    rates = info.options.get(RATES)
+    if rates is not None:
+        return DetectorModel(**rates).checked()
+    return detector_model(observations_of(info.observations))
+
+
 def detector_model(observations: Observations) -> DetectorModel:
     """Return the assumed rates of a kind of observations."""
     if observations == "labels":

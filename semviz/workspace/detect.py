@@ -17,6 +17,7 @@ from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.processed_images import ProcessedImages, Setting
 from semviz_annotation.labels.proposals import Proposal, Proposals, load_proposals, save_proposals
+from semviz_core.base.detector_calibration import CALIBRATION_ENDING
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector
@@ -29,6 +30,8 @@ SAVE_INTERVAL_S = 2.0
 """Detections are saved at least this often, so a killed process loses little ..."""
 SAVING_SHARE = 0.05
 """... unless saving would take more than this share of the time."""
+MODEL_FILE = "model_file"
+"""Setting: the path of the model, beside which its calibration is. Not part of its identity."""
 HASH_DIGITS = 8
 """Digits of the model's hash in the name of a detector."""
 
@@ -87,14 +90,40 @@ def images_of(workspace: Workspace, frames: range | None, sides: Sequence[Side])
 
 def new_processed_images(detector: Detector, options: DetectOptions) -> ProcessedImages:
     """Return the record of a detector and its settings, without images yet."""
-    model = model_hash(options.model)
-    settings: dict[str, Setting] = {
-        "model": model,
+    settings = detection_settings(options)
+    name = detector_name(detector, str(settings["model"]))
+    if options.model is not None and Path(options.model).exists():
+        settings[MODEL_FILE] = str(Path(options.model).resolve())
+    return ProcessedImages(name, settings)
+
+
+def detector_name(detector: Detector, model: str) -> str:
+    """Return the name of a detector in proposals; ``model`` is the hash of its files."""
+    return f"{detector.model.name} {model[:HASH_DIGITS]}"[-100:]
+
+
+def detection_settings(options: DetectOptions) -> dict[str, Setting]:
+    """Return the settings that detections depend on, as stored with them."""
+    return {
+        "model": model_hash(options.model),
         "measuring": options.measuring,
         "least_score": options.least_score,
         "semviz": version("semviz"),
     }
-    return ProcessedImages(f"{detector.model.name} {model[:HASH_DIGITS]}"[-100:], settings)
+
+
+def stored_detections(workspace: Workspace, options: DetectOptions | None) -> Proposals:
+    """Return the stored detections of ``options``, or of any detector if None.
+
+    Without such detections, no image is processed.
+    """
+    stored = load_proposals(workspace.proposals_path, workspace.classes)
+    processed = stored.processed
+    if processed is None or (
+        options is not None and _without_path(processed.settings) != detection_settings(options)
+    ):
+        return Proposals()
+    return Proposals.of(stored.detections, processed)
 
 
 def model_hash(model: str | None) -> str:
@@ -116,7 +145,8 @@ def model_hash(model: str | None) -> str:
 def _files(path: Path) -> Iterable[Path]:
     """Return the files of a model; a TOML file describes the ONNX model beside it."""
     if path.is_dir():
-        return sorted(file for file in path.rglob("*") if file.is_file())
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return [file for file in files if not file.name.endswith(CALIBRATION_ENDING)]
     beside = sorted(path.parent.glob("*.onnx")) if path.suffix == ".toml" else []
     return [file for file in (path, *beside) if file.is_file()]
 
@@ -181,7 +211,12 @@ class ProposalWriter:
 
 
 def _identity(processed: ProcessedImages) -> tuple[str, dict[str, Setting]]:
-    return processed.detector, processed.settings
+    return processed.detector, _without_path(processed.settings)
+
+
+def _without_path(settings: dict[str, Setting]) -> dict[str, Setting]:
+    """Return the settings without the model's place: a model that was moved is the same."""
+    return {name: value for name, value in settings.items() if name != MODEL_FILE}
 
 
 def _without(detectors: set[str], proposals: Proposals) -> list[Proposal]:

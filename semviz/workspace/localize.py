@@ -18,12 +18,14 @@ import numpy as np
 
 from semviz.presentation.progress import announce_compiling, track
 from semviz.runs.images import check_images_available, with_images
-from semviz.runs.run import TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
+from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
+from semviz.workspace.detect import MODEL_FILE
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.processed_images import ProcessedImages
 from semviz_core.base.camera import Camera
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.detector_model import NoiseName
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Dataset, Frame, Odometry, OdometryNoise, Prior
@@ -185,6 +187,8 @@ class SequenceLocalization:
     options: LocalizeOptions
     processed: ProcessedImages | None = None
     """The detector whose detections are observed, if any."""
+    calibration: DetectorCalibration | None = None
+    """Its calibration, if it has one."""
 
     def __post_init__(self) -> None:
         check_map_frame(self.semantic_map, self.source)
@@ -245,12 +249,23 @@ def select_frames(source: Dataset, numbers: range | None) -> tuple[Frame, ...]:
 
 
 def localize_workspace(
-    workspace: Workspace, map_name: str, options: LocalizeOptions, frames: range | None = None
+    workspace: Workspace,
+    map_name: str,
+    options: LocalizeOptions,
+    frames: range | None = None,
+    calibration: DetectorCalibration | None = None,
 ) -> SequenceLocalization:
-    """Return the localization of a workspace's frames (None: all) in its map ``map_name``."""
+    """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
+
+    ``calibration`` is that of the observed detections; without one, rates are assumed.
+    """
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
-    detector = detector_model(options.observations)
+    detector = (
+        detector_model(options.observations)
+        if calibration is None
+        else calibration.detector_model(options.least_score)
+    )
     localizer = Localizer(
         options.method, options.seed, semantic_map.classes, detector, options.weights_path
     )
@@ -261,14 +276,22 @@ def localize_workspace(
     elif options.observations == "detected":
         detections = observations.read_detections(workspace, selected)
         observe = observations.observe_detected(
-            workspace, semantic_map, detections, options.least_score
+            workspace, semantic_map, detections, options.least_score, calibration
         )
         processed = detections.processed
     else:
         observe = observations.observe_simulated(workspace, options.noise, options.seed)
     prior_of = simulated_prior(options)
     return SequenceLocalization(
-        source, semantic_map, selected, observe, prior_of, localizer, options, processed
+        source,
+        semantic_map,
+        selected,
+        observe,
+        prior_of,
+        localizer,
+        options,
+        processed,
+        calibration,
     )
 
 
@@ -320,7 +343,7 @@ def record(
         rig=localization.source.rig,
         map_name=map_name,
         observations=_observations(options, processed),
-        options=asdict(options) | _detector_options(processed),
+        options=asdict(options) | _detector_options(processed) | _calibration_options(localization),
         images=images,
     )
     records = (
@@ -343,5 +366,17 @@ def _detector_options(processed: ProcessedImages | None) -> dict[str, Any]:
     """Return a detector and its settings as options of a run."""
     if processed is None:
         return {}
-    settings = {f"detector_{name}": value for name, value in processed.settings.items()}
+    settings = {
+        f"detector_{name}": value
+        for name, value in processed.settings.items()
+        if name != MODEL_FILE
+    }
     return {"detector": processed.detector} | settings
+
+
+def _calibration_options(localization: SequenceLocalization) -> dict[str, Any]:
+    """Return the calibrated rates as options of a run, so that it can be repeated without files."""
+    if localization.calibration is None:
+        return {}
+    rates = localization.localizer.detector._asdict()
+    return {RATES: rates, "detector_calibration": localization.calibration.truth}

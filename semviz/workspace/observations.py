@@ -16,6 +16,7 @@ from semviz.runs.images import project_elements
 from semviz.workspace.workspace import StreetSettings, Workspace
 from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.mapping.quality.label_links import map_rows, observe
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.detector_model import NoiseName
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
@@ -70,8 +71,9 @@ def observe_detected(
     semantic_map: SemanticMap,
     detections: "Proposals",
     least_score: float = 0.0,
+    calibration: DetectorCalibration | None = None,
 ) -> Observe:
-    """Observe the detections in the left image with at least ``least_score``."""
+    """Observe the detections in the left image with at least ``least_score``, once calibrated."""
     from semviz_annotation.labels.detections import as_elements
 
     identify = identify_detections(workspace, semantic_map)
@@ -79,9 +81,12 @@ def observe_detected(
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         rows = detections.in_frame(frame.index, "left")
-        rows = tuple(row for row in rows if row.score >= least_score)
         elements = as_elements(rows)
+        if calibration is not None:
+            elements = calibration.calibrated(elements)
         mapped = np.array([of_map.get(row.id, -1) for row in rows], dtype=np.int64)
+        chosen = elements.score >= least_score
+        elements, mapped = elements[chosen], mapped[chosen]
         element_id = identify(frame, elements)
         return elements, np.where(mapped >= 0, semantic_map.elements.id[mapped], element_id)
 

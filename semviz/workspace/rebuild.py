@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.runs.run import FrameRecord, Run, RunInfo, detector_model, observations_of
+from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
 from semviz.workspace.localizability import options_of
 from semviz.workspace.localize import SequenceLocalization
@@ -110,7 +110,6 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
     observe = (
         observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded, new_id)
     )
-    detector = detector_model(observations)
     localization = SequenceLocalization(
         workspace.source,
         semantic_map,
@@ -118,7 +117,11 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         observe,
         lambda frame: recorded[frame.index].localization.prior,
         Localizer(
-            options.method, run.info.seed, semantic_map.classes, detector, options.weights_path
+            options.method,
+            run.info.seed,
+            semantic_map.classes,
+            assumed_detector(run.info),
+            options.weights_path,
         ),
         options,
     )

@@ -103,8 +103,8 @@ class ImageEvaluation:
 
     detections: Elements2D
     truth: detection.ImageGroundTruth
-    seconds: float
-    """CPU time of the detector."""
+    seconds: float | None
+    """CPU time of the detector; None if its detections were stored before."""
 
     @cached_property
     def matches(self) -> IntArray:
@@ -191,8 +191,9 @@ class DetectionFigures:
     """Up to the largest rate that the detector reaches."""
     sigma: dict[str, tuple[SigmaBin, ...]]
     """Calibration of sigma: for signs, across poles and along them."""
-    time_ms_median: float
-    time_ms_p95: float
+    time_ms_median: float | None
+    time_ms_p95: float | None
+    """None if no image was timed."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures for JSON."""
@@ -210,7 +211,7 @@ def detection_figures(
         threshold = threshold_at(images, FALSE_A_FRAME)
     above = [image.above(threshold) for image in images]
     pairs = _pairs(above)
-    times = np.array([image.seconds for image in images]) * 1e3
+    times = np.array([image.seconds for image in images if image.seconds is not None]) * 1e3
     return DetectionFigures(
         frames=len(images),
         threshold=threshold,
@@ -219,8 +220,8 @@ def detection_figures(
         confusion=_confusion(above, classes),
         curve=tuple(_curve(images, classes)),
         sigma=sigma_calibration(*pairs),
-        time_ms_median=float(np.median(times)),
-        time_ms_p95=float(np.percentile(times, 95.0)),
+        time_ms_median=float(np.median(times)) if len(times) else None,
+        time_ms_p95=float(np.percentile(times, 95.0)) if len(times) else None,
     )
 
 

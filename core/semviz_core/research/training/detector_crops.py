@@ -96,7 +96,7 @@ def _inside(
     """Return the elements, poles cut off at the edges, and which of them are trained on."""
     anchor = elements.anchor_px @ to_crop[:, :2].T + to_crop[:, 2]
     end = elements.end_px @ to_crop[:, :2].T + to_crop[:, 2]
-    from_anchor, to_end = _clipped(anchor, end)
+    from_anchor, to_end = clipped(anchor, end, (WIDTH, HEIGHT))
     line, span = elements.is_line, end - anchor
     first = anchor + np.where(line, from_anchor, 0.0)[:, None] * np.where(line[:, None], span, 0.0)
     last = anchor + to_end[:, None] * span
@@ -117,16 +117,20 @@ def _inside(
     return cut, np.where(line, to_end > from_anchor, inside) & large
 
 
-def _clipped(anchor: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the shares (m,) of the way from anchor to end at which it enters and leaves a crop.
+def clipped(
+    anchor: FloatArray, end: FloatArray, size: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shares (m,) of the way from anchor to end at which it enters and leaves an image.
 
-    This is Liang and Barsky's clipping; the first is larger if the line misses the crop.
+    ``size`` is its width and height. This is Liang and Barsky's clipping; the first is larger if
+    the line misses the image.
     """
     span = end - anchor
     enter, leave = np.zeros(len(anchor)), np.ones(len(anchor))
-    for axis, size in ((0, WIDTH), (1, HEIGHT)):
+    last = np.array(size) - 1.0
+    for axis in (0, 1):
         with np.errstate(divide="ignore", invalid="ignore"):
-            edges = (np.array([0.0, size - 1.0]) - anchor[:, axis, None]) / span[:, axis, None]
+            edges = (np.array([0.0, last[axis]]) - anchor[:, axis, None]) / span[:, axis, None]
         edges = np.sort(np.nan_to_num(edges, nan=0.0, posinf=1e9, neginf=-1e9), axis=1)
         enter, leave = np.maximum(enter, edges[:, 0]), np.minimum(leave, edges[:, 1])
     return enter, leave
