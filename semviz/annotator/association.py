@@ -71,6 +71,8 @@ def _labelled_near(frame_index: int, order: Sequence[int], labels: Labels) -> di
     nearest: dict[str, int] = {}
     for rank in sorted(ranks, key=lambda rank: abs(rank - here)):
         for row in labels.in_frame(order[rank]):
+            if labels.is_left_out(row.element_id):
+                continue
             nearest.setdefault(row.element_id, order[rank])
     return nearest
 

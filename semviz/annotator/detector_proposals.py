@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, mark_of
 from semviz.annotator.element_positions import ProjectedElement
 from semviz.annotator.panes import Cameras, Pane
 from semviz.annotator.proposals import DETECTED_PX, Detected, LabelProposal, RefinementQuery
@@ -27,10 +28,14 @@ class DetectorMatch:
 
     proposals: tuple[Proposal, ...]
     """One detection, or one in each image on the page."""
+    track: DetectionTrack | None = None
+    """The track of the last map that they belong to."""
 
     @property
     def element_id(self) -> str:
         """Id that the element gets if the match is accepted."""
+        if self.track is not None:
+            return self.track.id
         return derived_id(f"thing {self.proposals[0].id}")  # stored in labels: never reword
 
     @property
@@ -43,10 +48,24 @@ class DetectorMatch:
 
 
 def detector_matches(
-    panes: Mapping[Side, Pane], detected: Proposals, cameras: Cameras
+    panes: Mapping[Side, Pane], detected: Proposals, cameras: Cameras, tracks: DetectionTracks
 ) -> tuple[DetectorMatch, ...]:
-    """Return all detections in the images on the page, stereo correspondences joined."""
-    by_pane = [detected.in_frame(pane.frame_index, pane.side) for pane in panes.values()]
+    """Return all detections in the images on the page, those of one track or stereo correspondence
+    joined."""
+    of_track: dict[str, list[Proposal]] = defaultdict(list)
+    by_pane: list[list[Proposal]] = []
+    for pane in panes.values():
+        by_pane.append([])
+        for detection in detected.in_frame(pane.frame_index, pane.side):
+            track = tracks.of_detection.get(detection.id)
+            (by_pane[-1] if track is None else of_track[track.id]).append(detection)
+    tracked = [DetectorMatch(tuple(rows), tracks.by_id[id_]) for id_, rows in of_track.items()]
+    return (*tracked, *_stereo_matches(panes, by_pane, cameras))
+
+
+def _stereo_matches(
+    panes: Mapping[Side, Pane], by_pane: Sequence[Sequence[Proposal]], cameras: Cameras
+) -> tuple[DetectorMatch, ...]:
     if len(by_pane) < 2:
         return tuple(DetectorMatch((proposal,)) for proposals in by_pane for proposal in proposals)
     here, there = (cameras.view(pane.frame_index, pane.side) for pane in panes.values())
@@ -95,7 +114,12 @@ def labelled_ids(detections: Sequence[Proposal], labels: Labels) -> set[str]:
 def _proposals_of(
     match: DetectorMatch, panes: Iterable[Pane], is_rejected: bool
 ) -> Sequence[LabelProposal]:
-    """Propose a match in each image; all its proposals share one query."""
+    """Propose a match in each image; all its proposals share one query.
+
+    A track is proposed as it was detected: its other images are not searched either.
+    """
+    if match.track is not None:
+        return [_of_track(match.track, detection, is_rejected) for detection in match.proposals]
     detections = {_pane_of(detection): detection for detection in match.proposals}
     others = [pane for pane in panes if pane not in detections]
     class_id = match.proposals[0].class_id
@@ -133,13 +157,22 @@ def _proposals_of(
     ]
 
 
+def _of_track(track: DetectionTrack, detection: Proposal, is_rejected: bool) -> LabelProposal:
+    return LabelProposal(
+        id=detection.id,
+        pane=_pane_of(detection),
+        class_id=track.class_id,
+        origin="detector",
+        element_id=track.id,
+        mark=mark_of(detection),
+        score=track.existence,
+        is_rejected=is_rejected,
+        track=track,
+    )
+
+
 def _pane_of(detection: Proposal) -> Pane:
     return Pane(detection.frame_index, detection.side)
-
-
-def mark_of(detection: Proposal) -> Mark:
-    """Return the mark of a detection."""
-    return Mark(detection.anchor_px, detection.end_px, detection.anchor_known, detection.end_known)
 
 
 CONFIDENT_SCORE = 0.5
@@ -257,13 +290,15 @@ def labelled_content(
     contents = []
     for pane in panes:
         for row in labels.in_frame(pane.frame_index, pane.side):
-            weight = LABELLED if depth_m(row.element_id) <= REACH_M else 0.0
+            near = depth_m(row.element_id) <= REACH_M and not labels.is_left_out(row.element_id)
+            weight = LABELLED if near else 0.0
             contents.append(LabelledContent(row.element_id, pane, Mark.of(row), weight))
         reviewed = labels.review(pane.frame_index) in ("reviewed", "reviewed, empty")
         for projection in projections:
             if projection.side == pane.side:
                 name = proposal_id(projection.element_id, pane.frame_index, pane.side)
-                decided = reviewed or name in labels.dismissals
+                left_out = labels.is_left_out(projection.element_id)
+                decided = reviewed or left_out or name in labels.dismissals
                 weight = 0.0 if decided or projection.depth_m > REACH_M else MAPPED
                 mark = Mark(projection.anchor_px, projection.end_px)
                 contents.append(LabelledContent(projection.element_id, pane, mark, weight))

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from semviz.annotator.detection_tracks import DetectionTrack
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.panes import Cameras, Pane, Panes
 from semviz.annotator.proposals import LabelProposal, Origin, inside
@@ -323,6 +324,17 @@ class ProposalMark(MarkView):
     runner_up: RunnerUp | None
 
 
+class TrackView(Part):
+    """A track of detections, which is accepted or rejected as a whole."""
+
+    frames: int
+    """Number of frames with its detections."""
+    first: int
+    last: int
+    """The first and last of these frames."""
+    residual_px: float
+
+
 class ProposalView(ElementRef):
     """The proposal of one element, with its marks in the images on the page."""
 
@@ -333,7 +345,9 @@ class ProposalView(ElementRef):
     is_confident: bool
     """Whether all marks are confident."""
     score: float | None
-    """Score of the worst mark; None until the images have been searched."""
+    """Score of the worst mark; None until the images have been searched. Of a track: the
+    probability that it exists."""
+    track: TrackView | None
     marks: dict[Side, ProposalMark]
 
 
@@ -405,9 +419,18 @@ def _proposal_view(
         rejected_elsewhere=first.rejected_elsewhere,
         is_confident=all(proposal.is_confident for proposal, _ in marked),
         score=min(scores) if len(scores) == len(marked) else None,
+        track=None if first.track is None else track_view(first.track),
         marks={
             shown_as[proposal.pane]: _proposal_mark(proposal, mark) for proposal, mark in marked
         },
+    )
+
+
+def track_view(track: DetectionTrack) -> TrackView:
+    """Return how many frames a track has, and how well its detections agree."""
+    frames = track.frames
+    return TrackView(
+        frames=len(frames), first=frames[0], last=frames[-1], residual_px=track.residual_px
     )
 
 
@@ -415,7 +438,11 @@ def _proposed_element(proposal: LabelProposal, labels: Labels, classes: ClassSet
     """The proposed element: a new one if a detector proposes it."""
     if not proposal.is_detected:
         return element_ref(labels.element(proposal.element_id), classes)
-    name = f"new {classes[proposal.class_id].name}"
+    if proposal.track is not None:
+        count = len(proposal.track.frames)
+        name = f"{proposal.track.name} · {count} {'frame' if count == 1 else 'frames'}"
+    else:
+        name = f"new {classes[proposal.class_id].name}"
     return ElementRef(id=proposal.element_id, name=name, class_id=proposal.class_id)
 
 

@@ -9,7 +9,13 @@ import numpy as np
 from semviz.annotator.detector_proposals import Disagreement
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.proposal_selection import ProposalSelection
-from semviz_annotation.labels.labels import Dismissal, LabelElement, Labels, Observation
+from semviz_annotation.labels.labels import (
+    Dismissal,
+    LabelElement,
+    Labels,
+    Observation,
+    ReviewDecision,
+)
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.store import Operation
 from semviz_core.metrics.image_errors import across_px
@@ -55,6 +61,7 @@ class FrameQuality:
         rows = [row for change in operation.changes for row in (change.before, change.after)]
         elements = {row.element_id for row in rows if isinstance(row, Observation)}
         elements |= {row.id for row in rows if isinstance(row, LabelElement)}
+        elements |= {row.element_id for row in rows if isinstance(row, ReviewDecision)}
         observations = [row for element_id in elements for row in labels.of_element(element_id)]
         observations += [row for row in rows if isinstance(row, Observation)]
         frames = {row.frame_index for row in observations}
@@ -82,7 +89,9 @@ class FrameQuality:
         return frames, not self._stale
 
     def _assess(self, frame_index: int, labels: Labels) -> FrameFacts:
-        residuals = list(self._residuals_px(labels.in_frame(frame_index), labels))
+        rows = labels.in_frame(frame_index)
+        kept = [row for row in rows if not labels.is_left_out(row.element_id)]
+        residuals = list(self._residuals_px(kept, labels))
         worst_px, worst_id = max(residuals, default=(0.0, None), key=lambda residual: residual[0])
         return FrameFacts(worst_px, worst_id, *self._selection.survey(frame_index, labels))
 

@@ -114,12 +114,13 @@ class HiddenEnds:
         self, proposals: Iterable[LabelProposal], frame_index: int, labels: Labels
     ) -> list[LabelProposal]:
         """Return the proposals; detected poles whose bottoms lie clearly above the ground have an
-        unknown end."""
+        unknown end. Those of a track stay as they were detected: so they are accepted."""
         poles: dict[str, dict[Pane, Mark]] = defaultdict(dict)
         if self._cameras.T_map_camera[frame_index] is not None:
             for proposal in proposals:
                 mark = proposal.mark
-                if proposal.is_detected and mark is not None and mark.end_px is not None:
+                is_single = proposal.is_detected and proposal.track is None
+                if is_single and mark is not None and mark.end_px is not None:
                     poles[proposal.element_id][proposal.pane] = mark
         hidden = {
             name
@@ -147,7 +148,8 @@ class HiddenEnds:
     ) -> GroundModel:
         """The ground according to the other poles around ``pole``."""
         centers = self._positions.centers_near(frame_index, NEAR_M)
-        mapped = self._positions.near(labels, frame_index).values()
+        near = self._positions.near(labels, frame_index).items()
+        mapped = [position for id_, position in near if not labels.is_left_out(id_)]
         positions = [*mapped, *self._confident_matches(frame_index, labels)]
         ends = [position.end_m for position in positions if position.is_line and position.end_known]
         bottoms = np.array(ends).reshape(-1, 3)

@@ -119,6 +119,7 @@ class UpdateFeed:
         for operation in self._store.operations(after=self.operation):
             self._history.appendleft(views.operation_view(operation, labels, self._classes))
             self._changed.update(views.frames_touched(operation))
+            self._changed.update(views.frames_of_decisions(operation, labels))
             self._quality.forget(operation, labels)
             self.operation = operation.number
         return list(self._history)

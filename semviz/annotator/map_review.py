@@ -5,13 +5,22 @@ Decisions and findings are listed as open while labels change; an edit affects f
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+import numpy as np
+
+from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.web.protocol import Part, RefusedError
-from semviz.workspace.map_review import EntryView, entry_key, entry_view
+from semviz.workspace.map_review import (
+    EntryElement,
+    EntryView,
+    FigureView,
+    entry_key,
+    entry_view,
+)
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.decisions import is_open
@@ -27,15 +36,24 @@ class LintedMap:
     semantic_map: SemanticMap
     findings: tuple[Finding, ...]
     """Most severe first."""
+    tracks: DetectionTracks
 
 
 class MapWork:
     """Reads and builds the map in a thread of its own. Any thread may read the results: they are
     replaced whole."""
 
-    def __init__(self, workspace: Workspace, labels: Callable[[], Labels]) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        labels: Callable[[], Labels],
+        find_tracks: Callable[[SemanticMap], DetectionTracks],
+    ) -> None:
+        """``find_tracks`` returns the tracks of detections in a map."""
         self._workspace = workspace
         self._labels = labels
+        self._find_tracks = find_tracks
+        self._reading: Future[None] | None = None
         self._path = workspace.map_path(MAIN)
         self._pool = ThreadPoolExecutor(1, "semviz-map")
         self._stamp: tuple[int, int] | None = None
@@ -54,7 +72,12 @@ class MapWork:
         stamp = _stamp(self._path)
         if stamp != self._stamp:
             self._stamp = stamp
-            self._pool.submit(self._work, self._read)
+            self._reading = self._pool.submit(self._work, self._read)
+
+    def wait_for_first(self) -> None:
+        """Wait until a map that was there at the start has been read: edits may name its tracks."""
+        if self.built is None and self.building is None and self._reading is not None:
+            self._reading.result()
 
     def build(self) -> None:
         """Build the map in the background. Raise RefusedError if a build is running."""
@@ -117,7 +140,7 @@ class MapWork:
         from semviz_annotation.mapping.quality.lint import lint
 
         findings = lint(semantic_map, self._labels(), self._workspace.source)
-        self.built = LintedMap(semantic_map, findings)
+        self.built = LintedMap(semantic_map, findings, self._find_tracks(semantic_map))
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -129,7 +152,9 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
-ReviewList: TypeAlias = Literal["decisions", "findings"]
+SHOWN_FRAMES = 4
+"""Number of frames listed for a track."""
+ReviewList: TypeAlias = Literal["tracks", "decisions", "findings"]
 
 
 class MapSummary(Part):
@@ -138,6 +163,10 @@ class MapSummary(Part):
     built: int | None
     """Number of the last operation it contains; None if there is no map."""
     elements: int
+    tracks: int
+    """Number of open tracks of detections."""
+    sure_tracks: int
+    """Number of those that one operation may accept together."""
     decisions: int
     findings: int
     building: str | None
@@ -162,13 +191,18 @@ class Reviews:
         self._built: LintedMap | None = None
         self._open = OpenDecisions(())
         """Of that map."""
+        self._tracks = OpenTracks(DetectionTracks())
+        """Of that map."""
 
     def summary(self, labels: Labels) -> MapSummary:
         """Return the state of the last map and of a running build."""
         built = self._work.built
+        tracks = self.tracks()
         return MapSummary(
             built=None if built is None else built.semantic_map.operation,
             elements=0 if built is None else len(built.semantic_map),
+            tracks=len(tracks.places(labels)),
+            sure_tracks=len(tracks.sure(labels)),
             decisions=len(self._decisions(built, labels)),
             findings=0 if built is None else len(built.findings),
             building=self._work.building,
@@ -183,22 +217,72 @@ class Reviews:
         If that entry has been decided, the one that followed it is at ``place`` now.
         """
         built = self._work.built
-        entries: Sequence[Decision | Finding] = self._decisions(built, labels)
-        if name == "findings" and built is not None:
-            entries = built.findings
+        entries: Sequence[Decision | Finding | DetectionTrack]
+        if name == "tracks":
+            entries = self.tracks().of(labels)
+        elif name == "findings":
+            entries = () if built is None else built.findings
+        else:
+            entries = self._decisions(built, labels)
         if not entries or built is None:
             return ReviewEntry(list_name=name, count=0)
-        keys = [entry_key(entry) for entry in entries]
+        keys = [_key(entry) for entry in entries]
         index = keys.index(key) + by if key in keys else place + min(by, 0)
         index = min(max(index, 0), len(entries) - 1)
-        entry = entry_view(entries[index], built.semantic_map, labels)
-        return ReviewEntry(list_name=name, count=len(entries), place=index, entry=entry)
+        entry = entries[index]
+        if isinstance(entry, DetectionTrack):
+            view = _track_entry(entry)
+        else:
+            view = entry_view(entry, built.semantic_map, labels)
+        return ReviewEntry(list_name=name, count=len(entries), place=index, entry=view)
+
+    def tracks(self) -> OpenTracks:
+        """Return the tracks of the last map; the same object until the map changes."""
+        self._follow(self._work.built)
+        return self._tracks
 
     def _decisions(self, built: LintedMap | None, labels: Labels) -> tuple[Decision, ...]:
+        self._follow(built)
+        return self._open.of(labels)
+
+    def _follow(self, built: LintedMap | None) -> None:
         if built is not self._built:
             self._built = built
             self._open = OpenDecisions(() if built is None else built.semantic_map.decisions)
-        return self._open.of(labels)
+            self._tracks = OpenTracks(DetectionTracks() if built is None else built.tracks)
+
+
+def _key(entry: Decision | Finding | DetectionTrack) -> str:
+    return entry.id if isinstance(entry, DetectionTrack) else entry_key(entry)
+
+
+def _track_entry(track: DetectionTrack) -> EntryView:
+    """The view of an open track, with some of its frames."""
+    frames = track.frames
+    some = np.linspace(0, len(frames) - 1, min(len(frames), SHOWN_FRAMES)).round().astype(int)
+    element = EntryElement(
+        id=track.id,
+        number=track.map_id,
+        name=track.name,
+        class_id=track.class_id,
+        map_id=track.map_id,
+        frames=[frames[place] for place in some],
+    )
+    images = len(track.detections)
+    return EntryView(
+        key=track.id,
+        kind="track",
+        reason=f"{images} detections that fit one object" if images > 1 else "A single detection",
+        evidence=[
+            FigureView(name="Frames", value=f"{len(frames)}"),
+            FigureView(name="Residual", value=f"{track.residual_px:.1f} px"),
+            FigureView(name="Existence", value=f"{track.existence:.2f}"),
+        ],
+        elements=[element],
+        about=[],
+        answers=[],
+        frame=track.best_frame,
+    )
 
 
 class OpenDecisions:

@@ -52,6 +52,38 @@ class AcceptEdit(protocol.Part):
     marks: list[DrawnMark] = Field(min_length=1)
 
 
+class CorrectedMark(protocol.Part):
+    """The ends by which a person replaced those of a detection."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
+
+    observation_id: Id
+    anchor_px: Pixel
+    end_px: Pixel | None = None
+
+
+class AcceptTracksEdit(protocol.Part):
+    """Accept tracks of detections in all their images, with corrections of single marks."""
+
+    kind: Literal["accept tracks"]
+    track_ids: list[Id] = Field(min_length=1)
+    corrections: list[CorrectedMark] = Field(default_factory=list)
+
+
+class RejectTracksEdit(protocol.Part):
+    """Reject tracks of detections in all their images: no map will have them."""
+
+    kind: Literal["reject tracks"]
+    track_ids: list[Id] = Field(min_length=1)
+
+
+class AcceptSureTracksEdit(protocol.Part):
+    """Accept all sure tracks; ``count`` is their number as the page showed it."""
+
+    kind: Literal["accept sure tracks"]
+    count: Count
+
+
 class UndoEdit(protocol.Part):
     """Undo the author's last edit."""
 
@@ -79,7 +111,16 @@ class RestoreEdit(protocol.Part):
 
 
 PageEdit: TypeAlias = Annotated[
-    DrawEdit | AcceptEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | Edit,
+    DrawEdit
+    | AcceptEdit
+    | AcceptTracksEdit
+    | RejectTracksEdit
+    | AcceptSureTracksEdit
+    | UndoEdit
+    | RedoEdit
+    | NameEdit
+    | RestoreEdit
+    | Edit,
     Field(discriminator="kind"),
 ]
 
@@ -293,10 +334,11 @@ class ReviewEvent(protocol.Event):
 
 
 class ElementClickedEvent(protocol.Event):
-    """An element was clicked in the 3D scene."""
+    """An element or an open track was clicked in the 3D scene."""
 
     type: Literal["element_clicked"] = "element_clicked"
     element: str
+    is_track: bool
 
 
 AnnotatorEvent: TypeAlias = (

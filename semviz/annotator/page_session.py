@@ -289,11 +289,16 @@ class AnnotatorPage:
         labels = self._session.labels
         ids = [self._selected or "", *sorted(self._reviewed)]
         marked = [labels.elements[id_] for id_ in ids if id_ in labels.elements]
+        tracks = self._session.open_tracks(ids)
+        names = [label_element_name(element, self._session.classes) for element in marked]
+        names += [track.name for _, track in tracks]
         return Shown(
             elements=self._session.elements_3d(),
             T_map_camera=self._session.frames[self._frame].T_map_camera,
+            tracks=self._session.tracks_3d(),
             marked=frozenset(element.number for element in marked),
-            name=label_element_name(marked[0], self._session.classes) if marked else "",
+            marked_tracks=frozenset(place for place, _ in tracks),
+            name=names[0] if names else "",
         )
 
     def _new_scene(self) -> AnnotatorScene:
@@ -307,10 +312,14 @@ class AnnotatorPage:
             self._clicked,
         )
 
-    def _clicked(self, number: int) -> None:
+    def _clicked(self, kind: str, number: int) -> None:
+        if kind == "track":
+            track = self._session.track_at(number)
+            self._send(messages.ElementClickedEvent(element=track.id, is_track=True))
+            return
         for element in self._session.labels.elements.values():
             if element.number == number:
-                self._send(messages.ElementClickedEvent(element=element.id))
+                self._send(messages.ElementClickedEvent(element=element.id, is_track=False))
 
 
 def _conflict(error: ConflictError, request_id: str) -> messages.ConflictEvent:

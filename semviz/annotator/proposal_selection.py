@@ -14,6 +14,7 @@ import numpy as np
 
 from semviz.annotator import detector_proposals, element_positions
 from semviz.annotator.association import NearbyElement, nearby_elements
+from semviz.annotator.detection_tracks import DetectionTracks, OpenTracks, mark_of
 from semviz.annotator.detector_proposals import DetectorMatch
 from semviz.annotator.image_worker import ImageWorker
 from semviz.annotator.panes import Cameras, Pane, Panes
@@ -47,7 +48,7 @@ def select_distinct(proposals: Sequence[LabelProposal], labels: Labels) -> list[
         if proposal.is_detected and not proposal.is_rejected:
             detected[proposal.element_id].append(proposal)
     new: list[LabelProposal] = []
-    for marks in sorted(detected.values(), key=lambda marks: -(marks[0].score or 0.0)):
+    for marks in sorted(detected.values(), key=_rank_of_detected):
         same = {n for n, other in enumerate(known) if any(_is_at(mark, other) for mark in marks)}
         for n in same:
             known[n] = _at_detection(known[n], marks)
@@ -57,6 +58,11 @@ def select_distinct(proposals: Sequence[LabelProposal], labels: Labels) -> list[
         if not (same or labelled or blocked):
             new += marks
     return [*known, *new]
+
+
+def _rank_of_detected(marks: Sequence[LabelProposal]) -> tuple[bool, float]:
+    """Tracks come first, because the detections of many frames support them."""
+    return marks[0].track is None, -(marks[0].score or 0.0)
 
 
 def _distinct_known(proposals: Sequence[LabelProposal], labels: Labels) -> list[LabelProposal]:
@@ -165,6 +171,7 @@ class RejectedProposals:
         self._cameras = cameras
         self._matches_in = matches_in
         self._positions: dict[str, triangulation.Triangulated | None] = {}
+        """By the id of a match's first detection."""
         self._labels = Labels()
         self._rejected_ids: dict[int, set[str]] = {}
         """Rejected proposals in these labels, by frame."""
@@ -223,15 +230,16 @@ class RejectedProposals:
 
     def _position(self, match: DetectorMatch) -> triangulation.Triangulated | None:
         """Position in the map frame; None for a detection in a single image."""
-        if match.element_id not in self._positions:
-            self._positions[match.element_id] = self._triangulated(match.proposals)
-        return self._positions[match.element_id]
+        first = match.proposals[0].id
+        if first not in self._positions:
+            self._positions[first] = self._triangulated(match.proposals)
+        return self._positions[first]
 
     def _triangulated(self, detections: tuple[Proposal, ...]) -> triangulation.Triangulated | None:
         if len(detections) < 2:
             return None
         views = [self._cameras.view(row.frame_index, row.side) for row in detections]
-        rows = [detector_proposals.mark_of(row).at(row.frame_index, row.side) for row in detections]
+        rows = [mark_of(row).at(row.frame_index, row.side) for row in detections]
         position = triangulation.triangulate(views, rows, min_angle_rad=0.0)
         return None if isinstance(position, triangulation.TriangulationFailure) else position
 
@@ -242,7 +250,7 @@ class RejectedProposals:
         if ends is None:
             return False
         expected = Mark(pixel(ends[0]), pixel(ends[1]) if position.is_line else None)
-        return expected.gap_px(detector_proposals.mark_of(detection)) < DETECTED_PX
+        return expected.gap_px(mark_of(detection)) < DETECTED_PX
 
 
 def _rejected_ids(labels: Labels) -> dict[int, set[str]]:
@@ -254,6 +262,7 @@ def _rejected_ids(labels: Labels) -> dict[int, set[str]]:
     return ids
 
 
+NO_TRACKS = OpenTracks(DetectionTracks())
 CACHED_FRAMES = 256
 """Frames whose detector matches are cached."""
 
@@ -264,7 +273,7 @@ class _Geometry:
 
     proposals: tuple[LabelProposal, ...]
     projections: tuple[element_positions.ProjectedElement, ...]
-    """Mapped elements that are not labelled."""
+    """Mapped elements that are not labelled, those left out of maps too."""
     nearby: tuple[NearbyElement, ...]
 
 
@@ -278,7 +287,9 @@ class ProposalSelection:
         positions: element_positions.ElementPositions,
         image_worker: ImageWorker,
         detected: Proposals,
+        tracks: Callable[[], OpenTracks] = lambda: NO_TRACKS,
     ) -> None:
+        """``tracks`` returns the tracks of the last map; the same object until the map changes."""
         self._cameras = cameras
         self._panes = panes
         self._positions = positions
@@ -289,6 +300,8 @@ class ProposalSelection:
         self._labels = Labels()
         self._geometries: dict[int, _Geometry] = {}
         """By frame, for these labels."""
+        self._last_tracks = tracks
+        self._tracks = NO_TRACKS
         self._matches = lru_cache(CACHED_FRAMES)(self._matches_in)
         self._rejected = RejectedProposals(cameras, self._matches)
 
@@ -310,6 +323,7 @@ class ProposalSelection:
     ) -> tuple[int, detector_proposals.Disagreement | None]:
         """Return the number of elements proposed by geometry or detector, and the disagreement of
         detector and labels; None if no detector processed the frame."""
+        self._follow_map()
         geometry = self._computed(frame_index, labels)
         proposals = [proposal for proposal in geometry.proposals if not proposal.is_rejected]
         count = len({proposal.element_id for proposal in proposals if proposal.origin != "match"})
@@ -322,7 +336,7 @@ class ProposalSelection:
         contents = detector_proposals.labelled_content(
             processed, geometry.projections, labels, self._depth_m(frame_index, labels)
         )
-        matches = self._matches(frame_index)
+        matches = self._open_matches(frame_index, labels)
         return count, detector_proposals.disagreement(processed, matches, contents, labels)
 
     def _depth_m(self, frame_index: int, labels: Labels) -> Callable[[str], float]:
@@ -352,10 +366,31 @@ class ProposalSelection:
 
     def _matches_in(self, frame_index: int) -> tuple[DetectorMatch, ...]:
         panes = self._panes.of(frame_index)
-        return detector_proposals.detector_matches(panes, self._detected, self._cameras)
+        return detector_proposals.detector_matches(
+            panes, self._detected, self._cameras, self._tracks.tracks
+        )
+
+    def _follow_map(self) -> None:
+        """Forget what was derived from the tracks of an earlier map."""
+        tracks = self._last_tracks()
+        if tracks is not self._tracks:
+            self._tracks = tracks
+            self._geometries.clear()
+            self._matches.cache_clear()
+            self._rejected = RejectedProposals(self._cameras, self._matches)
+
+    def _open_matches(self, frame_index: int, labels: Labels) -> tuple[DetectorMatch, ...]:
+        """The matches of a frame; those of a track that is not open belong to none."""
+        return tuple(
+            match
+            if match.track is None or self._tracks.is_open(match.track, labels)
+            else replace(match, track=None)
+            for match in self._matches(frame_index)
+        )
 
     def _geometry(self, frame_index: int, labels: Labels) -> _Geometry:
         """As ``_computed``, cached: each edit asks for it several times."""
+        self._follow_map()
         if labels is not self._labels:
             self._labels = labels
             self._geometries.clear()
@@ -375,6 +410,10 @@ class ProposalSelection:
             for projection in self.projections(pane, labels)
         ]
         projections = tuple(element.projection for element in expected)
+        left_out = [
+            element for element in expected if labels.is_left_out(element.projection.element_id)
+        ]
+        expected = [element for element in expected if element not in left_out]
         known = {projection.element_id for projection in projections}
         nearby = nearby_elements(
             frame_index, self._order, known, labels, self._cameras, self._positions
@@ -385,7 +424,25 @@ class ProposalSelection:
             for projection in element.projections
         ]
         proposals = element_proposals(panes, expected, labels, self._rank)
-        matches = self._matches(frame_index)
+        matches = [
+            match
+            for match in self._open_matches(frame_index, labels)
+            if match.track is not None or not _is_left_out(match, left_out)
+        ]
         rejected = self._rejected.rejected_elsewhere(frame_index, matches, labels)
         proposals += detector_proposals.match_proposals(matches, panes, labels, rejected)
         return _Geometry(tuple(proposals), projections, nearby)
+
+
+def _is_left_out(match: DetectorMatch, left_out: Sequence[Expected]) -> bool:
+    """Whether all detections of a match lie on elements that are left out of maps."""
+
+    def is_at(detection: Proposal, expected: Expected) -> bool:
+        mark = Mark(expected.projection.anchor_px, expected.projection.end_px)
+        pane = Pane(detection.frame_index, detection.side)
+        near = mark.gap_px(mark_of(detection)) < DETECTED_PX
+        return expected.pane == pane and near
+
+    return all(
+        any(is_at(detection, expected) for expected in left_out) for detection in match.proposals
+    )

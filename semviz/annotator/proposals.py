@@ -6,7 +6,7 @@ the images alone. So a proposal carries a request that the image worker processe
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from semviz_annotation.labels.labels import Labels, proposal_id
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Side
+
+if TYPE_CHECKING:
+    from semviz.annotator.detection_tracks import DetectionTrack
 
 Origin: TypeAlias = Literal["map", "match", "detector"]
 
@@ -121,6 +124,8 @@ class LabelProposal:
     """Rejected in this image: not shown, and detections in the same position are dropped too."""
     rejected_elsewhere: bool = False
     """Rejected in another frame: shown, but never confident."""
+    track: "DetectionTrack | None" = None
+    """The open track of the detection: it is accepted or rejected in all its images."""
 
     @property
     def is_detected(self) -> bool:
@@ -129,6 +134,8 @@ class LabelProposal:
     @property
     def is_confident(self) -> bool:
         """Whether one key may accept it with others."""
+        if self.track is not None:
+            return self.track.is_sure
         too_far = self.is_detected and (self.depth_m or 0.0) > REACH_M
         excluded = too_far or self.rejected_elsewhere
         return self.score is not None and self.score >= SURE and not excluded
@@ -186,6 +193,8 @@ def _match_proposals(
     proposals = []
     for here, there in ((panes["left"], panes["right"]), (panes["right"], panes["left"])):
         for row in labels.in_frame(here.frame_index, here.side):
+            if labels.is_left_out(row.element_id):
+                continue
             if labels.find(row.element_id, there.frame_index, there.side) is None:
                 class_id = labels.element(row.element_id).class_id
                 position = positions.get(row.element_id)

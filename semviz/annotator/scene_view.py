@@ -1,17 +1,17 @@
-"""Draw the last map in viser: elements, the cameras' path, the current frame.
+"""Draw the map so far in viser: elements, open tracks, the cameras' path, the current frame.
 
 Only what changed is redrawn. One thread at a time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from semviz.web.scene import TRUTH, SceneDrawer, class_rows, elements_ends
 from semviz.web.scene_backdrop import BackdropLayer
-from semviz.web.shapes import Theme, facing
+from semviz.web.shapes import Theme, element_segments, facing
 from semviz.web.viewpoint import Pickable, Picker, Viewer, behind
 from semviz_annotation.mapping.backdrop.backdrop import Backdrop
 from semviz_core.base.camera import Camera
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import viser
 
 NOWHERE = Pose.identity()
+TRACK_DASH_M = (0.25, 0.2)
+TRACK_PX = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +35,12 @@ class Shown:
     elements: Elements3D
     T_map_camera: Pose | None
     """Pose of the frame on screen."""
+    tracks: Elements3D = field(default_factory=lambda: Elements3D.from_ends([], [], [], []))
+    """Open tracks of detections, drawn like proposals."""
     marked: frozenset[int] = frozenset()
     """Numbers of the selected element and of those that the open decision is about."""
+    marked_tracks: frozenset[int] = frozenset()
+    """Ids in ``tracks`` of those that are selected, or that the open entry is about."""
     name: str = ""
     """Label on top of them."""
 
@@ -48,14 +54,15 @@ class AnnotatorScene:
         trajectory_m: FloatArray,
         camera: Camera,
         classes: ClassSet,
-        on_click: Callable[[int], None],
+        on_click: Callable[[str, int], None],
     ) -> None:
+        """``on_click`` gets ``element`` or ``track``, and the id of what was clicked."""
         self._scene = SceneDrawer(server)
         self._viewer = Viewer(server)
         self._trajectory_m = trajectory_m
         self._camera = camera
         self._classes = classes
-        self._picker = Picker(server, lambda _, number: on_click(number))
+        self._picker = Picker(server, on_click)
         self._backdrop = BackdropLayer(self._scene)
         self._shown: Shown | None = None
 
@@ -68,8 +75,11 @@ class AnnotatorScene:
                 self._follow(before, shown)
             if before is None or not _same(before.elements, shown.elements):
                 self._draw_elements(shown)
-            rows = np.flatnonzero(np.isin(shown.elements.id, list(shown.marked)))
-            self._scene.highlight(shown.elements[rows], shown.name)
+            if before is None or not _same(before.tracks, shown.tracks):
+                self._draw_tracks(shown)
+            marked = _rows_of(shown.elements, shown.marked)
+            marked = marked if len(marked) else _rows_of(shown.tracks, shown.marked_tracks)
+            self._scene.highlight(marked, shown.name)
 
     def set_theme(self, theme: Theme) -> None:
         """Redraw everything in the colours of a theme."""
@@ -80,6 +90,7 @@ class AnnotatorScene:
         self._draw_path()
         self._draw_frame(shown)
         self._draw_elements(shown)
+        self._draw_tracks(shown)
 
     def show_backdrop(self, backdrop: Backdrop | None, shown: bool) -> None:
         """What stands behind the map, if anything."""
@@ -119,6 +130,22 @@ class AnnotatorScene:
         styles, rows = self._scene.class_styles(classes), class_rows(elements.class_id, classes)
         self._scene.draw_elements("/map", elements, classes, facing_rad, styles, rows)
         self._picker.set_pickable("element", Pickable(elements.id, *elements_ends(elements)))
+
+    def _draw_tracks(self, shown: Shown) -> None:
+        """Draw open tracks dashed, in the colours of their classes."""
+        tracks, classes = shown.tracks, self._classes
+        facing_rad = facing(tracks.anchor_m, self._trajectory_m)
+        styles, style_of = self._scene.class_styles(classes), class_rows(tracks.class_id, classes)
+        for number, style in enumerate(styles):
+            rows = np.flatnonzero(style_of == number)
+            segments = element_segments(tracks[rows], classes, facing_rad[rows])
+            name = f"/tracks/{number}"
+            self._scene.draw_lines(name, segments, style.color, TRACK_PX, TRACK_DASH_M)
+        self._picker.set_pickable("track", Pickable(tracks.id, *elements_ends(tracks)))
+
+
+def _rows_of(elements: Elements3D, ids: frozenset[int]) -> Elements3D:
+    return elements[np.flatnonzero(np.isin(elements.id, list(ids)))]
 
 
 def _same(before: Elements3D, after: Elements3D) -> bool:

@@ -8,11 +8,20 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeAlias
+
+import numpy as np
 
 from semviz.annotator import draft, messages, views
 from semviz.annotator.association import DraftAssociation, associate_draft
+from semviz.annotator.detection_tracks import (
+    DetectionTrack,
+    DetectionTracks,
+    TrackEdit,
+    named_tracks,
+    sure_tracks,
+)
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.hidden_ends import HiddenEnds
@@ -82,8 +91,19 @@ class LabelSession:
         self.image_worker = ImageWorker(self.images, cameras, self.classes)
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
+        self.map_work = MapWork(
+            workspace,
+            lambda: self._store.labels,
+            lambda semantic_map: DetectionTracks.of(semantic_map, detected, cameras),
+        )
+        self._reviews = Reviews(self.map_work)
         self._selection = ProposalSelection(
-            cameras, self._panes, self._positions, self.image_worker, detected
+            cameras,
+            self._panes,
+            self._positions,
+            self.image_worker,
+            detected,
+            self._reviews.tracks,
         )
         self._hidden_ends = HiddenEnds(
             cameras, self._panes, self._positions, self.image_worker, self._selection
@@ -92,9 +112,12 @@ class LabelSession:
         self.history = HistoryView(self._store, self._panes, self.frames, self.classes)
         self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
         """As of this operation and version of the positions."""
+        self._tracks_3d: tuple[tuple[int, ...], Elements3D] = (
+            (),
+            Elements3D.from_ends([], [], [], []),
+        )
+        """Of tracks in these places."""
         self._feed = UpdateFeed(self._store, self.classes, self._quality)
-        self.map_work = MapWork(workspace, lambda: self._store.labels)
-        self._reviews = Reviews(self.map_work)
         self._sent_map_version = self.map_work.version
         self._complete_version = self._sent_positions_version = self._positions.version
         """Versions of the positions when all were up to date, and when updates were sent last."""
@@ -193,19 +216,39 @@ class LabelSession:
         return self._selection.pending_queries(index, self.labels)
 
     def elements_3d(self) -> Elements3D:
-        """Return all elements triangulated so far, their numbers as ids."""
+        """Return the elements triangulated so far, their numbers as ids, except those left out."""
         labels = self.labels
         mapped = self._positions.mapped(labels)
         if self._elements_3d[:2] != (labels.operation, self._positions.version):
-            elements = [labels.elements[element_id] for element_id in mapped]
+            kept = {id_: at for id_, at in mapped.items() if not labels.is_left_out(id_)}
+            elements = [labels.elements[element_id] for element_id in kept]
             elements_3d = Elements3D.from_ends(
                 [element.number for element in elements],
-                [position.anchor_m for position in mapped.values()],
-                [position.end_m for position in mapped.values()],
+                [position.anchor_m for position in kept.values()],
+                [position.end_m for position in kept.values()],
                 [element.class_id for element in elements],
             )
             self._elements_3d = labels.operation, self._positions.version, elements_3d
         return self._elements_3d[2]
+
+    def tracks_3d(self) -> Elements3D:
+        """Return the open tracks as elements of the last map; their ids are places in
+        ``track_at``."""
+        tracks = self._reviews.tracks()
+        places = tracks.places(self.labels)
+        if self._tracks_3d[0] is not places:
+            rows = np.array(places, dtype=np.int64)
+            self._tracks_3d = places, tracks.tracks.elements[rows]
+        return self._tracks_3d[1]
+
+    def open_tracks(self, element_ids: Iterable[str]) -> list[tuple[int, DetectionTrack]]:
+        """Return the open tracks among some elements, with their places."""
+        tracks = self._reviews.tracks()
+        return tracks.named(element_ids, self.labels)
+
+    def track_at(self, place: int) -> DetectionTrack:
+        """Return a track of the last map by its place; raise IndexError if there is none."""
+        return self._reviews.tracks().tracks.tracks[place]
 
     def position(self, element_id: str) -> Triangulated | None:
         """Return the position of an element in the map frame; None if it is unknown."""
@@ -235,6 +278,12 @@ class LabelSession:
                 return self._saved(self._store.restore(edit.number, self.author, request_id))
             case messages.AcceptEdit():
                 return self._accept(request_id, edit.marks)
+            case (
+                messages.AcceptTracksEdit()
+                | messages.RejectTracksEdit()
+                | messages.AcceptSureTracksEdit()
+            ):
+                return self._decide_tracks(request_id, edit)
             case _:
                 return self._change(request_id, edit, seen)
 
@@ -267,6 +316,27 @@ class LabelSession:
         for n, addition in enumerate(additions):
             first = is_new and n == 0  # creates the element
             yield replace(addition, element_id=element_id, class_id=class_id if first else None)
+
+    def _decide_tracks(
+        self,
+        request_id: str,
+        edit: messages.AcceptTracksEdit | messages.RejectTracksEdit | messages.AcceptSureTracksEdit,
+    ) -> SavedEdit:
+        """Accept or reject tracks of the last map, all or none."""
+        self.map_work.wait_for_first()
+        tracks = self._reviews.tracks()
+        match edit:
+            case messages.AcceptSureTracksEdit():
+                decision = TrackEdit("accept tracks", partial(sure_tracks, tracks, edit.count))
+            case messages.RejectTracksEdit():
+                decision = TrackEdit("reject tracks", partial(named_tracks, tracks, edit.track_ids))
+            case messages.AcceptTracksEdit():
+                corrections = {
+                    mark.observation_id: (mark.anchor_px, mark.end_px) for mark in edit.corrections
+                }
+                choose = partial(named_tracks, tracks, edit.track_ids)
+                decision = TrackEdit("accept tracks", choose, corrections)
+        return self._saved(self._store.apply(decision, self.author, request_id))
 
     def _change(
         self, request_id: str, edit: edits.Edit, seen: draft.ShownObservation | None
@@ -404,7 +474,7 @@ class LabelSession:
         return LabelsView(
             operation=self._feed.operation,
             counts=views.class_counts(labels),
-            mapped=len(self._positions.mapped(labels)),
+            mapped=len(self.elements_3d()),
             can_undo=self._store.undoable(self.author) is not None,
             can_redo=self._store.redoable(self.author) is not None,
             history=history,

@@ -39,8 +39,10 @@ VERBS = {
     "set class": "Class of",
     "dismiss": "Dismiss",
     "take back": "Revoke the decision on",
+    "accept tracks": "Accept",
+    "reject tracks": "Reject",
 }
-OF_SEVERAL = ("add many", "delete many", "import")
+OF_SEVERAL = ("add many", "delete many", "import", "accept tracks", "reject tracks")
 """Kinds of operations that may change several elements at once."""
 
 
@@ -78,6 +80,8 @@ class ElementView(ElementRef):
     views: int
     """Number of its observations in all images."""
     review_decisions: list[ReviewDecisionView]
+    left_out: bool
+    """Whether a person decided that no map has it: it is drawn only while it is selected."""
 
 
 class NearbyView(ElementRef):
@@ -187,6 +191,7 @@ def element_views(
             observations=observations[element.id],
             views=len(labels.of_element(element.id)),
             review_decisions=_review_decision_views(element, labels, classes),
+            left_out=labels.is_left_out(element.id),
         )
         for element in elements
     ]
@@ -223,7 +228,8 @@ def nearby_views(
 
 def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> FrameSummary:
     """Return a frame's review state, and its quality if known."""
-    elements = len({row.element_id for row in labels.in_frame(index)})
+    here = {row.element_id for row in labels.in_frame(index)}
+    elements = sum(not labels.is_left_out(element_id) for element_id in here)
     state = labels.review(index)
     if facts is None:
         return FrameSummary(index=index, state=state, elements=elements)
@@ -238,8 +244,11 @@ def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> Frame
 
 
 def class_counts(labels: Labels) -> dict[int, int]:
-    """Return the number of elements by class."""
-    return dict(Counter(element.class_id for element in labels.elements.values()))
+    """Return the number of elements by class, without those that are left out of maps."""
+    elements = labels.elements.values()
+    return dict(
+        Counter(element.class_id for element in elements if not labels.is_left_out(element.id))
+    )
 
 
 def operation_view(operation: Operation, labels: Labels, classes: ClassSet) -> OperationView:
@@ -271,6 +280,8 @@ def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     """
     if operation.kind == "undo" and operation.text:
         return f"Undone operation {operation.undoes}; left as it is: {operation.text}."
+    if operation.kind in ("accept tracks", "reject tracks"):
+        return _note_on_tracks(operation, labels, classes)
     if operation.kind not in ("delete", "delete element"):
         return ""
     befores = [change.before for change in operation.changes]
@@ -282,6 +293,19 @@ def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     frames = len({row.frame_index for row in deleted})
     extent = f"{_count(len(deleted), 'view')} in {_count(frames, 'frame')}"
     return f"Deleted {subject} with {extent}. Ctrl Z brings all back."
+
+
+def _note_on_tracks(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+    """``Accepted P-26 in 9 frames. Ctrl Z undoes it.``, or how many tracks."""
+    rows = [change.after for change in operation.changes]
+    elements = [row for row in rows if isinstance(row, LabelElement)]
+    frames = _count(len(frames_touched(operation)), "frame")
+    name = label_element_name(elements[0], classes)
+    subject = name if len(elements) == 1 else f"{len(elements)} tracks"
+    if operation.kind == "accept tracks":
+        return f"Accepted {subject} in {frames}. Ctrl Z undoes it."
+    what = "it" if len(elements) == 1 else "them"
+    return f"Rejected {subject} in {frames}: no map will have {what}. Ctrl Z undoes it."
 
 
 def observations_added(operation: Operation) -> int:
@@ -297,6 +321,13 @@ def frames_touched(operation: Operation) -> list[int]:
     return sorted(
         {row.frame_index for row in rows if isinstance(row, Observation | Dismissal | Review)}
     )
+
+
+def frames_of_decisions(operation: Operation, labels: Labels) -> set[int]:
+    """Return the frames of elements about which an operation changed a decision."""
+    rows = (row for row in _rows(operation) if isinstance(row, ReviewDecision))
+    elements = {element_id for row in rows for element_id in row_elements(row)}
+    return {row.frame_index for id_ in elements for row in labels.of_element(id_)}
 
 
 def _rows(operation: Operation) -> Sequence[Row]:

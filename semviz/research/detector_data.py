@@ -136,9 +136,11 @@ def labelled_sides(workspace: Workspace, frames: range | None = None) -> list[La
     """Return the labelled or reviewed images of a workspace, frame by frame, left first.
 
     An image without labels is complete if its frame was reviewed as empty. If only the other image
-    of the frame has labels, it is left out.
+    of the frame has labels, it is left out. Elements that a person left out of maps, such as
+    rejected tracks, are neither landmarks nor background.
     """
-    source, labels = workspace.source, workspace.read_labels()
+    source, all_labels = workspace.source, workspace.read_labels()
+    labels = all_labels.without_left_out()
     cameras = Cameras(source.rig, source.frames)
     places = element_positions.ElementPositions(cameras)
     sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
@@ -156,6 +158,7 @@ def labelled_sides(workspace: Workspace, frames: range | None = None) -> list[La
                 if state == "reviewed, empty"
                 else _doubtful(index, side, labels, cameras, places)
             )
+            doubtful = np.concatenate([doubtful, _left_out(index, side, all_labels)])
             is_complete = state != "in work"
             labelled.append(
                 LabelledSide(workspace.path, index, side, elements, is_complete, doubtful)
@@ -188,6 +191,14 @@ def _doubtful(
         element for element in projected if not _is_dismissed(element, frame_index, labels)
     ]
     ends = [(element.anchor_px, element.end_px or element.anchor_px) for element in unlabelled]
+    return _around(np.array(ends, dtype=np.float64).reshape(-1, 2, 2))
+
+
+def _left_out(frame_index: int, side: Side, labels: Labels) -> FloatArray:
+    """Return boxes (k, 4) of the labels of elements that are left out of maps."""
+    rows = labels.in_frame(frame_index, side)
+    left_out = [row for row in rows if labels.is_left_out(row.element_id)]
+    ends = [(row.anchor_px, row.end_px or row.anchor_px) for row in left_out]
     return _around(np.array(ends, dtype=np.float64).reshape(-1, 2, 2))
 
 

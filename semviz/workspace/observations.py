@@ -36,10 +36,10 @@ for a false positive or a label without map element, -2 for a detection of unkno
 
 
 def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
-    """Observe the labels of the left image."""
+    """Observe the labels of the left image, without elements that a person left out of maps."""
     from semviz_annotation.mapping.quality.label_links import observe
 
-    labels = workspace.read_labels()
+    labels = workspace.read_labels().without_left_out()
     return lambda frame: observe(labels, frame.index, "left", semantic_map)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from semviz_annotation.labels.edits import (
+    AddElements,
     AddMany,
     AddObservation,
     DecideElements,
@@ -14,6 +15,7 @@ from semviz_annotation.labels.edits import (
     Dismiss,
     Link,
     MoveObservation,
+    NewElement,
     ReviewFrame,
     RevokeDecision,
     SetClass,
@@ -23,7 +25,7 @@ from semviz_annotation.labels.edits import (
     edit_from_json,
     edit_to_json,
 )
-from semviz_annotation.labels.labels import Dismissal, Labels, new_id, proposal_id
+from semviz_annotation.labels.labels import Dismissal, Labels, Observation, new_id, proposal_id
 from semviz_annotation.labels.rows import Rules, different_elements, review_decision
 from semviz_core.common.errors import SemvizError
 
@@ -448,3 +450,61 @@ def test_an_empty_list_is_no_edit():
 def test_no_edit_at_all(data):
     with pytest.raises(SemvizError, match="not an edit"):
         edit_from_json(data)
+
+
+def new_element(*frames: int, class_id: int = 0, **more) -> NewElement:
+    values = {"anchor_px": (100.0, 50.0), "end_px": (101.0, 200.0)} | more
+    rows = tuple(
+        Observation(new_id(), "", frame, side, anchor_known=True, end_known=True, **values)
+        for frame in frames
+        for side in ("left", "right")
+    )
+    return NewElement(new_id(), class_id, rows)
+
+
+def test_elements_are_added_whole_with_the_next_numbers():
+    drawn = after(Labels(), pole())
+    first, second = new_element(1, 2), new_element(1)
+    labels = after(drawn, AddElements((first, second)))
+    assert [element.number for element in labels.elements.values()] == [1, 2, 3]
+    assert [row.frame_index for row in labels.of_element(first.id)] == [1, 1, 2, 2]
+    assert labels.review_decisions == {}
+    changes = [change.inverse() for change in AddElements((first, second)).changes(drawn, RULES)]
+    assert labels.changed(changes) == drawn
+
+
+def test_what_is_added_as_left_out_shows_no_landmark():
+    rejected = new_element(1)
+    labels = after(Labels(), AddElements((rejected,), left_out=True))
+    assert labels.is_left_out(rejected.id)
+    assert labels.without_left_out() == Labels()
+    assert labels.review(1) == "unseen"
+    empty = after(labels, ReviewFrame(1, "reviewed, empty"))
+    assert empty.review(1) == "reviewed, empty"
+    assert after(empty, pole(1)).review(1) == "in work"
+    kept = after(labels, RevokeDecision(review_decision(rejected.id, "leave out").id))
+    assert kept.review(1) == "in work"
+    with pytest.raises(SemvizError, match="2 labels"):
+        after(kept, ReviewFrame(1, "reviewed, empty"))
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (AddElements((new_element(1, class_id=9),)), "class"),
+        (AddElements((new_element(1, end_px=None),)), "needs two points"),
+        (AddElements((new_element(1, 1),)), "two observations in one image"),
+        (AddElements((NewElement(new_id(), 0, ()),)), "without observations"),
+        (AddElements((new_element(1),) * 2), "twice"),
+    ],
+)
+def test_elements_are_added_all_or_none(edit, words):
+    good = AddElements((new_element(1), *edit.elements))
+    with pytest.raises(SemvizError, match=words):
+        after(Labels(), good)
+
+
+def test_an_element_is_added_once():
+    edit = AddElements((new_element(1),))
+    with pytest.raises(SemvizError, match="P-01 already"):
+        after(Labels(), edit, edit)

@@ -16,7 +16,8 @@ from semviz_annotation.label_formats.labelme import read_labelme, write_labelme
 from semviz_annotation.label_formats.numbers import from_corner, to_corner
 from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
 from semviz_annotation.label_formats.writing import LabelExportContext, Sidecar
-from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.labels import Labels, RowChange
+from semviz_annotation.labels.rows import review_decision
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.frame import Side
 
@@ -56,6 +57,19 @@ def through_labelme(labels: Labels, folder: Path) -> Labels:
 def through_coco(labels: Labels, folder: Path) -> Labels:
     write_coco(writing(labels), folder / "street.json")
     return taken_in(Labels(), read_coco(folder / "street.json", READING))
+
+
+def test_elements_that_are_left_out_of_maps_are_not_written(tmp_path: Path) -> None:
+    labels = street()
+    first, *others = labels.elements
+    decision = review_decision(first, "leave out")
+    decided = labels.changed([RowChange(None, decision)])
+    rows = len(labels.of_element(first))
+    dropped = writing(decided).dropped
+    assert dropped["labels of elements that a person left out of maps"] == rows
+    back = through_coco(decided, tmp_path)
+    assert len(back.elements) == len(others)
+    assert len(back.observations) == len(labels.observations) - rows
 
 
 @pytest.mark.parametrize("through", [through_cvat, through_labelme, through_coco])

@@ -10,8 +10,9 @@ from support.street_labels import careful, label_street
 from semviz.research.detector_data import WorkspaceImages, workspace_images
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.import_plan import ImportLabels
-from semviz_annotation.labels.edits import Dismiss, ReviewFrame
+from semviz_annotation.labels.edits import DecideElements, Dismiss, ReviewFrame
 from semviz_annotation.labels.labels import Dismissal, proposal_id
+from semviz_annotation.labels.rows import review_decision
 from semviz_core.common.errors import SemvizError
 
 FRAMES = 6
@@ -92,6 +93,23 @@ def test_what_is_mapped_and_neither_labelled_nor_turned_down_is_left_open(
             store.apply(Dismiss((row,)), "tester")
     after = images_of(workspace).training[right]
     assert len(after.doubtful_px) < len(before.doubtful_px)
+
+
+def test_what_is_left_out_of_maps_is_neither_landmark_nor_background(workspace: Workspace) -> None:
+    left = 2 * REVIEWED
+    before = images_of(workspace)
+    row = workspace.read_labels().in_frame(REVIEWED, "left")[0]
+    with workspace.open_labels() as store:
+        decision = DecideElements((review_decision(row.element_id, "leave out"),))
+        store.apply(decision, "tester")
+        after = images_of(workspace)
+        store.undo("tester")
+    elements = after.training[left].elements
+    assert len(elements) == len(before.training[left].elements) - 1
+    assert row.anchor_px not in [tuple(anchor) for anchor in elements.anchor_px.tolist()]
+    u, v = (round(value) for value in row.anchor_px)
+    assert before.image(left).ignored is None or not before.image(left).ignored[v, u]
+    assert after.image(left).ignored[v, u]
 
 
 def test_too_little_is_said(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { test } from "node:test";
 import { drawnAgain, isIdle, seen, startOf, withPending } from "../../semviz/annotator/page/pending.js";
+import { acceptedTracks, proposing } from "../../semviz/annotator/page/proposals.js";
 import { State } from "../../semviz/annotator/page/state.js";
 import { shownScore, spaced, uuid7 } from "../../semviz/annotator/page/values.js";
 
@@ -98,6 +99,43 @@ test("a proposal disappears as its marks are labelled, accepted or rejected", ()
   assert.deepEqual(sides(state), []);
   const labelled = { ...pole({ left: saved("o", "left") }), id: "q" };
   assert.deepEqual(sides(stateWith({ elements: [labelled], proposals: [proposal(marks)] })), [["right"]]);
+});
+
+test("a track is accepted or rejected in every image, with the corrections made so far", () => {
+  const track = { frames: 9, first: 1, last: 11, residual_px: 0.8 };
+  const state = stateWith({ proposals: [proposal({ left: proposalMark("a", "left"), right: proposalMark("b", "right") }, { origin: "detector", track })] });
+  state.set({ corrected: new Map([["a", { track: "q", anchor: [1, 2], end: [3, 4] }], ["x", { track: "another", anchor: [0, 0], end: null }]]) });
+  assert.deepEqual(state.proposals[0].marks.left.anchor, [1, 2]);
+  const edit = acceptedTracks(state, ["q"]);
+  assert.deepEqual(edit.corrections, [{ observation_id: "a", anchor_px: [1, 2], end_px: [3, 4] }]);
+  state.set({ pending: [{ edit }] });
+  assert.deepEqual(state.proposals, []);
+  assert.deepEqual(state.elements[0].observations.left.anchor, [1, 2]);
+  assert.deepEqual(state.elements[0].observations.right.anchor, [10, 20]);
+  state.set({ pending: [{ edit: { kind: "reject tracks", track_ids: ["q"] } }] });
+  assert.deepEqual([state.proposals, state.elements], [[], []]);
+});
+
+test("what is left out of maps is hidden unless it is selected", () => {
+  const state = stateWith({ elements: [{ ...pole({ left: saved("o", "left") }), left_out: true }] });
+  assert.equal(state.isHidden(state.elements[0]), true);
+  state.set({ selected: { element: "p", side: "left" } });
+  assert.equal(state.isHidden(state.elements[0]), false);
+});
+
+test("sure tracks are accepted when the key is pressed again after the question", () => {
+  const state = stateWith();
+  state.received.map = { tracks: 5, sure_tracks: 3 };
+  const done = [];
+  const press = () => proposing(state, { submit: (edit) => done.push(edit), notify: (text) => done.push(text), select() {} }).acceptSureTracks();
+  press();
+  press();
+  assert.deepEqual(done, ["3 of 5 open tracks are sure. Press again to accept them in one operation.", { kind: "accept sure tracks", count: 3 }]);
+  press();
+  state.asked.until = 0;
+  press();
+  assert.equal(done.length, 4);
+  assert.equal(typeof done[3], "string");
 });
 
 test("a mark can be swapped with its runner-up, and back", () => {

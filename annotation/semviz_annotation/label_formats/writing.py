@@ -65,13 +65,18 @@ class LabelExportContext:
     def of(
         cls, labels: Labels, classes: ClassSet, rig: Rig, side: Side | None = None
     ) -> "LabelExportContext":
-        """Return all images of frames with labels or a review; ``side`` None: both sides."""
+        """Return all images of frames with labels or a review; ``side`` None: both sides.
+
+        Elements that a person left out of maps are not written: another tool would take them for
+        landmarks.
+        """
+        kept = labels.without_left_out()
         cameras: dict[Side, Camera | None] = {"left": rig.left, "right": rig.right}
         images = tuple(
             ImageLabels(
-                frame, image_side, camera.width, camera.height, labels.in_frame(frame, image_side)
+                frame, image_side, camera.width, camera.height, kept.in_frame(frame, image_side)
             )
-            for frame in sorted({*labels.frames, *labels.reviews})
+            for frame in sorted({*kept.frames, *kept.reviews})
             for image_side in SIDES
             if (camera := cameras[image_side]) is not None and side in (None, image_side)
         )
@@ -84,9 +89,12 @@ class LabelExportContext:
         written = sum(len(labelled.observations) for labelled in images)
         other = "right" if side == "left" else "left"
         dropped[f"labels of {other} images: export them with --side {other}"] = (
-            len(labels.observations) - written
+            len(kept.observations) - written
         )
-        return cls(labels, classes, images, +dropped, side)
+        dropped["labels of elements that a person left out of maps"] = len(
+            labels.observations
+        ) - len(kept.observations)
+        return cls(kept, classes, images, +dropped, side)
 
     def class_name(self, row: Observation) -> str:
         return self.classes[self.labels.element(row.element_id).class_id].name

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.element_edits import (
+    AddElements,
     AddMany,
     AddObservation,
     DeleteElement,
@@ -21,6 +22,7 @@ from semviz_annotation.labels.element_edits import (
     DeleteObservation,
     Link,
     MoveObservation,
+    NewElement,
     SetClass,
     SetKnown,
     SwapEnds,
@@ -30,6 +32,7 @@ from semviz_annotation.labels.labels import Labels, ReviewState
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
+    "AddElements",
     "AddMany",
     "AddObservation",
     "AnyEdit",
@@ -41,6 +44,7 @@ __all__ = [
     "Edit",
     "Link",
     "MoveObservation",
+    "NewElement",
     "ReviewFrame",
     "RevokeDecision",
     "SetClass",
@@ -64,7 +68,8 @@ class ReviewFrame:
     __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
 
     def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
-        count = len(labels.in_frame(self.frame_index))
+        here = labels.in_frame(self.frame_index)
+        count = sum(not labels.is_left_out(row.element_id) for row in here)
         if self.state == "reviewed, empty" and count:
             raise SemvizError(f"frame {self.frame_index} has {count} labels; it is not empty")
         if self.state == "reviewed" and not count:

@@ -246,6 +246,45 @@ class AddMany:
 
 
 @dataclass(frozen=True)
+class NewElement:
+    """An element to be added, with its observations in any order."""
+
+    id: Id
+    class_id: Index
+    observations: tuple[Observation, ...]
+
+
+@dataclass(frozen=True)
+class AddElements:
+    """Add new elements with their observations, all or none, whatever was rejected before.
+
+    With ``left_out`` they come with the decision that no map has them: what a detector proposed is
+    known then, and rejected in every image.
+    """
+
+    elements: tuple[NewElement, ...]
+    left_out: bool = False
+
+    @property
+    def kind(self) -> Literal["accept tracks", "reject tracks"]:
+        return "reject tracks" if self.left_out else "accept tracks"
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        for number, new in enumerate(self.elements, labels.next_number):
+            if new.id in labels.elements:
+                name = rules.classes.element_name(new.class_id, labels.elements[new.id].number)
+                raise SemvizError(f"this is {name} already")
+            yield RowChange(None, rules.check_class(LabelElement(new.id, number, new.class_id)))
+            for row in new.observations:
+                if row.id in labels.observations:
+                    raise SemvizError("one of these observations already exists")
+                yield RowChange(None, rules.check(replace(row, element_id=new.id), new.class_id))
+                yield from _deletions([labels.dismissals.get(row.id)])
+            if self.left_out:
+                yield RowChange(None, review_decision(new.id, "leave out"))
+
+
+@dataclass(frozen=True)
 class MoveObservation:
     """Move the anchor, the end or both; None leaves a point unchanged."""
 

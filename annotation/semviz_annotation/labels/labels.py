@@ -168,12 +168,34 @@ class Labels:
             for row_id in sorted(self._decisions_of.get(element_id, ()))
         )
 
+    def is_left_out(self, element_id: str) -> bool:
+        """Return whether a person decided that an element belongs in no map."""
+        row_ids = self._decisions_of.get(element_id, ())
+        return any(self.review_decisions[row_id].verdict == "leave out" for row_id in row_ids)
+
+    def without_left_out(self) -> "Labels":
+        """Return the state without the elements that belong in no map; the same if there are none.
+
+        For what shows or uses labels as true elements: exports, observations, training.
+        """
+        decisions = self.review_decisions.values()
+        left_out = {row.element_id for row in decisions if row.verdict == "leave out"}
+        if not left_out:
+            return self
+        kept = (row for row in self.rows() if left_out.isdisjoint(row_elements(row)))
+        return Labels.from_rows(kept, self.next_number, self.operation)
+
     def find(self, element_id: str, frame_index: int, side: Side) -> Observation | None:
         """Return the observation of an element in one image; None if there is none."""
         for row in self.of_element(element_id):
             if row.frame_index == frame_index and row.side == side:
                 return row
         return None
+
+    def has_landmarks(self, frame_index: int) -> bool:
+        """Return whether an element that is not left out of maps is labelled in a frame."""
+        rows = (self.observations[row_id] for row_id in self._in_frame.get(frame_index, ()))
+        return any(not self.is_left_out(row.element_id) for row in rows)
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -198,8 +220,11 @@ class Labels:
         )
 
     def review(self, frame_index: int) -> ReviewState:
-        """Return the review state of a frame; "in work" if its labels contradict its review."""
-        has_labels = frame_index in self._in_frame
+        """Return the review state of a frame; "in work" if its labels contradict its review.
+
+        Labels of elements that are left out of maps do not count: they show no landmark.
+        """
+        has_labels = self.has_landmarks(frame_index)
         review = self.reviews.get(frame_index)
         if review is None:
             return "in work" if has_labels else "unseen"

@@ -116,7 +116,7 @@ export function commands(state, images, tools, actions) {
 /** The actions of the editing keys on the selected observation; each makes one edit or none.
  *
  * @param {State} state
- * @param {Pick<Page, "submit" | "select" | "preview">} actions
+ * @param {Pick<Page, "submit" | "select" | "preview" | "notify">} actions
  */
 export function editing(state, actions) {
   const pole = () => {

@@ -43,12 +43,27 @@ function forReview({ answers }) {
  */
 function forProposal(state, proposal) {
   const confident = state.confidentProposals.length;
+  if (proposal.track) return forTrack(state, proposal, proposal.track);
   const second = proposal.marks.left?.runner_up ?? proposal.marks.right?.runner_up;
   return [
     hint(`accept ${proposal.name}`, "Space"),
     ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint("and next frame", "Ctrl Enter")] : []),
     hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
     hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
+  ];
+}
+
+/**
+ * @param {State} state
+ * @param {Proposal} proposal
+ * @param {annotator.TrackView} track
+ */
+function forTrack(state, { name }, { frames }) {
+  const sure = state.labels.map.sure_tracks;
+  const all = frames === 1 ? "" : " in all frames";
+  return [
+    hint(`accept ${name}`, "Space"), hint(`reject${all}`, "X"), hint("next", "Tab"), hint("correct it here", "Drag"),
+    ...(sure > 1 ? [hint(`accept ${sure} sure tracks`, "Shift A")] : []), hint("draw it", "Shift Click"),
   ];
 }
 

@@ -203,7 +203,7 @@ export class Images {
 
   // -- hit tests
 
-  /** The observation under `point` (CSS pixels); null if there is none.
+  /** The observation or mark of a track under `point` (CSS pixels); null if there is none.
    *
    * @param {Side} side
    * @param {Point} point
@@ -212,11 +212,13 @@ export class Images {
   hit(side, point) {
     if (!this.bitmap(side)) return null;
     const { selected } = this.state;
-    const hits = this.state.elements.flatMap((element) => {
-      const observation = element.observations[side];
-      const found = observation && paint.hitTest(this.view, observation, point);
-      const second = element.id === selected?.element ? 0 : 1;
-      return observation && found ? [{ element: element.id, observation: observation.id, second, ...found }] : [];
+    const elements = this.state.elements.filter((element) => !this.state.isHidden(element));
+    const tracks = this.state.aids.proposals ? this.state.proposals.filter(({ track }) => track) : [];
+    const marks = [...elements.map(({ id, observations }) => ({ id, mark: observations[side] })), ...tracks.map(({ id, marks }) => ({ id, mark: marks[side] }))];
+    const hits = marks.flatMap(({ id, mark }) => {
+      const found = mark && paint.hitTest(this.view, mark, point);
+      const second = id === selected?.element ? 0 : 1;
+      return mark && found ? [{ element: id, observation: mark.id, second, ...found }] : [];
     });
     hits.sort((a, b) => a.rank - b.rank || a.second - b.second || a.distance - b.distance);
     return hits[0] ?? null;
@@ -281,7 +283,7 @@ export class Images {
     }
     for (const element of state.elements) {
       const observation = element.observations[side];
-      if (!observation) continue;
+      if (!observation || state.isHidden(element)) continue;
       const selected = isSelected(element);
       const isHeld = element.id === state.selected?.element && side === state.selected?.side;
       const hovered = this.hovered?.observation === observation.id;

@@ -66,14 +66,24 @@ export function jumpFrames(state, name = state.jump) {
  */
 export function jumpCommands(state, actions) {
   const group = "Frames";
-  const names = [...Object.keys(JUMPS), ...Object.keys(REVIEWS)];
   return [
     { key: ",", shift: true, group, title: "Previous in the jump list", run: () => jump(state, actions, -1) },
     { key: ".", shift: true, group, title: "Next in the jump list", run: () => jump(state, actions, 1) },
     { key: "j", group, title: "Choose the jump list", run: () => {
+      const names = [...Object.keys(JUMPS), ...reviewLists(state)];
       state.set({ jump: names[(names.indexOf(state.jump) + 1) % names.length] });
     } },
   ];
+}
+
+/** The lists of the last map; that of tracks only if the map was built from detections.
+ *
+ * @param {State} state
+ * @returns {ListName[]}
+ */
+function reviewLists(state) {
+  const { tracks } = state.labels.map;
+  return tracks || state.jump === "tracks" ? ["tracks", "decisions", "findings"] : ["decisions", "findings"];
 }
 
 /** Goes to the next entry of the list; if the frame on screen is not in it, to the next in time.
@@ -131,16 +141,14 @@ export class Jumps {
 
   show() {
     const { labels, jump } = this.state;
-    const { built, decisions, findings } = labels.map;
-    const counts = { decisions, findings };
+    const { built, tracks, decisions, findings } = labels.map;
+    const counts = { tracks, decisions, findings };
     if (this.frames !== labels.frames) {
       this.frames = labels.frames;
       this.lists = Object.entries(JUMPS).map(([name, { title, summary }]) => [name, title, summary(jumpFrames(this.state, name))]);
     }
-    /** @type {ListName[]} */
-    const names = ["decisions", "findings"];
     /** @type {Row[]} */
-    const reviews = names.map((name) => [name, REVIEWS[name].title, built === null ? "no map yet" : counts[name]]);
+    const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null ? "no map yet" : counts[name]]);
     const lists = [...this.lists, ...reviews];
     this.cache.show("jumps", [lists, jump], () => lists.map((list) => this.#row(list)));
   }

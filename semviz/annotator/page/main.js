@@ -261,7 +261,10 @@ export class Page {
     socket.on("scene", () => {
       this.sceneGate = showScene(byId("scene", HTMLIFrameElement), socket.session, this.keys);
     });
-    socket.on("element_clicked", ({ element }) => this.select(element));
+    socket.on("element_clicked", ({ element, is_track: isTrack }) => {
+      if (isTrack) this.review.open("tracks", element);
+      else this.select(element);
+    });
     socket.on("error", (event) => this.#refused(event));
   }
 

@@ -120,7 +120,9 @@ export class Panels {
     const line = (/** @type {Pick<ShownElement, "id" | "name" | "class_id">} */ { id, name, class_id: classId }, /** @type {Child[]} */ details) =>
       row({ chosen: id === state.selected?.element, onclick: (/** @type {Click} */ event) => this.#choose(id, event) },
         this.#glyph(state.classOf(classId)), el("span", { class: "fill", text: name }), ...details);
-    const labelled = state.elements.map((element) => {
+    const rows = [...state.elements].sort((a, b) => Number(Boolean(a.left_out)) - Number(Boolean(b.left_out)));
+    const labelled = rows.map((element) => {
+      if (element.left_out) return line(element, [el("span", { class: "faint", text: "left out" })]);
       const sides = SIDES.filter((side) => element.observations[side]);
       const isMissing = state.hasRight && sides.length < 2;
       const proposal = state.proposals.find(({ id }) => id === element.id);
@@ -132,9 +134,11 @@ export class Panels {
     const proposed = state.expected.map((proposal) => line(proposal, [scoreBar(proposal), el("span", { class: "views dim", text: depthOrOrigin(proposal) })]));
     const near = state.nearby.map((element) => line(element, [el("span", { class: "faint", text: whyListed(element) })]));
     const count = (/** @type {unknown[]} */ list, /** @type {string} */ noun) => (list.length ? `${list.length} ${noun}` : "");
-    byId("elements-about").textContent = [`${labelled.length} here`, count(proposed, "proposed"), count(near, "nearby")].filter(Boolean).join(", ");
+    const leftOut = rows.filter(({ left_out: isLeftOut }) => isLeftOut);
+    byId("elements-about").textContent = [`${rows.length - leftOut.length} here`, count(proposed, "proposed"), count(near, "nearby"), count(leftOut, "left out")].filter(Boolean).join(", ");
     byId("map-about").textContent = `${state.labels.mapped} elements`;
-    return [...labelled, ...proposed, ...near];
+    const kept = rows.length - leftOut.length;
+    return [...labelled.slice(0, kept), ...proposed, ...near, ...labelled.slice(kept)];
   }
 
   #card() {
@@ -211,7 +215,7 @@ export class Panels {
         const joins = state.preview?.joins ? ` of ${state.preview.joins}` : "";
         node.textContent = `drawing ${name}${joins}: ${next}`;
       } else {
-        const count = state.elements.filter(({ observations }) => observations[side]).length;
+        const count = state.elements.filter(({ observations, left_out: isLeftOut }) => observations[side] && !isLeftOut).length;
         node.textContent = count === 1 ? "1 element" : `${count} elements`;
       }
     }
@@ -252,14 +256,21 @@ class Conflict {
  */
 const whyListed = (candidate) => {
   if ("labelled_in" in candidate) return `labelled in frame ${candidate.labelled_in}`;
+  if (candidate.track) return trackedIn(candidate.track);
   return `proposed, ${depthOrOrigin(candidate)}${candidate.rejected_elsewhere ? ", rejected in another frame" : ""}`;
 };
+
+/** Where a track was detected: "track in frames 3 to 11".
+ *
+ * @param {annotator.TrackView} track
+ */
+const trackedIn = ({ first, last }) => (first === last ? `track in frame ${first}` : `track in frames ${first} to ${last}`);
 
 /** The depth of a proposal or, if it is unknown, its origin.
  *
  * @param {Proposal} proposal
  */
-const depthOrOrigin = ({ depth_m, origin }) => (depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
+const depthOrOrigin = ({ depth_m, origin, track }) => (track ? "track" : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
 /** The score of a proposal, marked as weak if it is not confident.
  *

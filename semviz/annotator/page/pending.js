@@ -75,7 +75,9 @@ export function isIdle(elements, edit) {
 export function withPending(elements, pending, frame, proposals = []) {
   const result = structuredClone(elements);
   for (const { edit } of pending) {
-    const marks = edit.kind === "draw" ? [edit] : edit.kind === "accept" ? edit.marks : null;
+    const marks = edit.kind === "draw" ? [edit]
+      : edit.kind === "accept" ? edit.marks
+        : edit.kind === "accept tracks" ? markedByTracks(edit, frame, proposals) : null;
     if (marks) {
       for (const mark of marks) if (mark.frame_index === frame) add(result, mark, proposals);
       continue;
@@ -120,13 +122,41 @@ function add(elements, mark, proposals) {
   else elements.push(drawn(mark, proposals.find(({ id }) => id === mark.element_id)));
 }
 
-/** Whether a pending edit accepts or rejects a proposed mark.
+/** The marks that accepted tracks add to a frame.
+ *
+ * @param {annotator.AcceptTracksEdit} edit
+ * @param {number | null} frame
+ * @param {Proposal[]} proposals of this frame
+ * @returns {annotator.DrawnMark[]}
+ */
+function markedByTracks({ track_ids: ids, corrections }, frame, proposals) {
+  return proposals.filter(({ id, track }) => track && ids.includes(id)).flatMap((proposal) =>
+    SIDES.flatMap((side) => {
+      const mark = proposal.marks[side];
+      if (!mark) return [];
+      const placed = corrections?.find(({ observation_id: id }) => id === mark.id);
+      return [{
+        observation_id: mark.id,
+        element_id: proposal.id,
+        frame_index: frame ?? 0,
+        side,
+        anchor_px: placed?.anchor_px ?? mark.anchor,
+        end_px: placed?.end_px ?? mark.end,
+        anchor_known: mark.anchor_known,
+        end_known: mark.end_known,
+      }];
+    }));
+}
+
+/** Whether a pending edit accepts or rejects a proposed mark, or the track that it belongs to.
  *
  * @param {Entry[]} pending
  * @param {string} id
+ * @param {string} element
  */
-export function isSettled(pending, id) {
+export function isSettled(pending, id, element) {
   return pending.some(({ edit }) =>
+    ((edit.kind === "accept tracks" || edit.kind === "reject tracks") && edit.track_ids.includes(element)) ||
     (edit.kind === "dismiss" && edit.dismissals.some((dismissal) => dismissal.id === id)) ||
     (edit.kind === "accept" && edit.marks.some((mark) => mark.observation_id === id)));
 }

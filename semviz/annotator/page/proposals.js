@@ -7,10 +7,12 @@
 /** @import {Proposal, Side} from "./values.js" */
 import { SIDES, uuid7 } from "./values.js";
 
+const ASKED_MS = 6000; // as long as the message is shown
+
 /** Commands for `Keys`; `nextFrame()` goes to the next frame.
  *
  * @param {State} state
- * @param {Pick<Page, "submit" | "select" | "markReviewed">} actions
+ * @param {Pick<Page, "submit" | "select" | "notify" | "markReviewed">} actions
  * @param {() => void} nextFrame
  * @returns {Command[]}
  */
@@ -28,6 +30,7 @@ export function proposalCommands(state, actions, nextFrame) {
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
     { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
+    { key: "a", shift: true, group, title: "Accept all sure tracks; says how many first", run: proposal.acceptSureTracks },
     { key: "Tab", group, title: "Next proposal", run: () => proposal.step(1) },
     { key: "Tab", shift: true, group, title: "Previous proposal", run: () => proposal.step(-1) },
   ];
@@ -36,11 +39,13 @@ export function proposalCommands(state, actions, nextFrame) {
 /** The actions on proposals, for the present state.
  *
  * @param {State} state
- * @param {Pick<Page, "submit" | "select">} actions
+ * @param {Pick<Page, "submit" | "select" | "notify">} actions
  */
 export function proposing(state, actions) {
   const accepted = (/** @type {Proposal[]} */ proposals) => {
-    const marks = proposals.flatMap((proposal) => marksOf(proposal).map(([side, mark]) => drawnMark(state.frame ?? 0, proposal, side, mark)));
+    const tracks = proposals.filter(({ track }) => track).map(({ id }) => id);
+    if (tracks.length) actions.submit(acceptedTracks(state, tracks));
+    const marks = proposals.filter(({ track }) => !track).flatMap((proposal) => marksOf(proposal).map(([side, mark]) => drawnMark(state.frame ?? 0, proposal, side, mark)));
     if (marks.length) actions.submit({ kind: "accept", marks });
   };
   return {
@@ -50,6 +55,18 @@ export function proposing(state, actions) {
     acceptSure() {
       accepted(state.confidentProposals);
     },
+    /** Accepts all sure tracks of the drive, once the user has been told how many. */
+    acceptSureTracks() {
+      const { tracks: open, sure_tracks: sure } = state.labels.map;
+      const question = sure ? `${sure} of ${open} open tracks are sure. Press again to accept them in one operation.` : "No open track is sure.";
+      if (sure && state.asked.text === question && Date.now() < state.asked.until) {
+        state.set({ asked: { text: "", until: 0 } });
+        actions.submit({ kind: "accept sure tracks", count: sure });
+        return;
+      }
+      state.set({ asked: { text: question, until: Date.now() + ASKED_MS } });
+      actions.notify(question);
+    },
     /** Rejects the current proposal. Returns whether there was one.
      *
      * @param {"rejected" | "absent" | "occluded"} why
@@ -57,6 +74,14 @@ export function proposing(state, actions) {
     dismiss(why) {
       const proposal = state.currentProposal;
       if (!proposal) return false;
+      if (proposal.track && why !== "rejected") {
+        actions.notify("A track is accepted or rejected in all its images. Accept it, then delete single views.");
+        return true;
+      }
+      if (proposal.track) {
+        actions.submit({ kind: "reject tracks", track_ids: [proposal.id] });
+        return true;
+      }
       const dismissals = marksOf(proposal).map(([, { id, frame, side }]) => ({
         id,
         frame_index: frame,
@@ -84,6 +109,21 @@ export function proposing(state, actions) {
       const index = ids.indexOf(state.selected?.element ?? "");
       actions.select(ids[index < 0 ? (by > 0 ? 0 : ids.length - 1) : (index + by + ids.length) % ids.length]);
     },
+  };
+}
+
+/** Accepts tracks with the corrections that were made in any of their images.
+ *
+ * @param {State} state
+ * @param {string[]} tracks
+ * @returns {annotator.AcceptTracksEdit}
+ */
+export function acceptedTracks(state, tracks) {
+  const made = [...state.corrected].filter(([, { track }]) => tracks.includes(track));
+  return {
+    kind: "accept tracks",
+    track_ids: tracks,
+    corrections: made.map(([id, { anchor, end }]) => ({ observation_id: id, anchor_px: anchor, end_px: end })),
   };
 }
 

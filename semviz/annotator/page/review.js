@@ -7,6 +7,7 @@
 /** @import {OpenReview} from "./values.js" */
 import { byId, el } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
+import { acceptedTracks } from "./proposals.js";
 import { RenderCache, badge, capital, header } from "./widgets.js";
 
 /** @typedef {annotator.ReviewEntry["list_name"]} ListName */
@@ -15,11 +16,12 @@ import { RenderCache, badge, capital, header } from "./widgets.js";
  *
  * @type {Record<ListName, {title: string, noun: string, none: string}>} */
 export const REVIEWS = {
+  tracks: { title: "Open tracks", noun: "track", none: "No track is open." },
   decisions: { title: "Map decisions", noun: "decision", none: "No decision is open." },
   findings: { title: "Lint findings", noun: "finding", none: "The last map has no findings." },
 };
 /** @type {Record<string, string>} */
-const QUESTIONS = { merge: "Same landmark?", split: "Different landmarks?", apart: "Different landmarks?", "leave out": "Leave out?" };
+const QUESTIONS = { track: "One landmark?", merge: "Same landmark?", split: "Different landmarks?", apart: "Different landmarks?", "leave out": "Leave out?" };
 const KEYS = ["Y", "Shift Y"]; // for the first two answers
 
 /** Commands for `Keys`.
@@ -68,13 +70,35 @@ export class Review {
     else this.#request(list, null, 0, 0);
   }
 
+  /** Opens an entry of a list by its key.
+   *
+   * @param {ListName} list
+   * @param {string} key
+   */
+  open(list, key) {
+    this.#request(list, key, 0, 0);
+  }
+
   /** @param {number} place */
   answer(place) {
     const { review, pending } = this.state;
-    const answer = review?.entry.answers[place];
+    const answer = review && this.#answers(review)[place];
     if (!review || !answer || (this.answered === review.entry.key && pending.length)) return; // pressed twice
     this.answered = review.entry.key;
     this.page.submit(answer.edit); // once it is saved, the next entry is requested
+  }
+
+  /** The answers to an entry, and their edits.
+   *
+   * @param {OpenReview} review
+   * @returns {{name: string, title: string, edit: import("./values.js").Edit}[]}
+   */
+  #answers({ list_name: list, entry }) {
+    if (list !== "tracks") return entry.answers;
+    return [
+      { name: "accept", title: "Accept", edit: acceptedTracks(this.state, [entry.key]) },
+      { name: "reject", title: "Reject", edit: { kind: "reject tracks", track_ids: [entry.key] } },
+    ];
   }
 
   /** Builds the map, or stops a running build. */
@@ -102,6 +126,7 @@ export class Review {
     const before = this.state.review;
     if (!entry) {
       this.state.set({ review: null });
+      if (list === "tracks" && before) return; // the message about the last one stays
       this.page.notify(`${REVIEWS[list].none}${this.#isDue() ? " Press Build map to apply your answers." : ""}`);
       return;
     }
@@ -109,7 +134,7 @@ export class Review {
     if (before?.list_name === list && before.entry.key === entry.key) return;
     this.page.fit();
     if (entry.frame !== null) this.page.go(entry.frame);
-    this.page.select(list === "findings" ? entry.elements[0]?.id ?? null : null);
+    this.page.select(list === "decisions" ? null : entry.elements[0]?.id ?? null);
   }
 
   show() {
@@ -122,7 +147,8 @@ export class Review {
     this.#showBuild(map);
     document.body.classList.toggle("reviewing", Boolean(review));
     byId("review").hidden = !review;
-    if (review) this.cache.show("review", [review, this.state.frame, theme], () => this.#card(review));
+    const { sure_tracks: sure } = map;
+    if (review) this.cache.show("review", [review, this.state.frame, theme, sure, this.state.corrected], () => this.#card(review));
   }
 
   /**
@@ -156,9 +182,11 @@ export class Review {
   }
 
   /** @param {OpenReview} review */
-  #card({ list_name: list, place, count, entry }) {
-    const { kind, severity, reason, evidence, answers, elements, about } = entry;
-    const title = list === "decisions" ? QUESTIONS[kind] : capital(kind);
+  #card(review) {
+    const { list_name: list, place, count, entry } = review;
+    const { kind, severity, reason, evidence, elements, about } = entry;
+    const answers = this.#answers(review);
+    const title = QUESTIONS[kind] ?? capital(kind);
     const chip = severity ? el("span", { class: `push chip ${severity}`, text: severity }) : null;
     return [
       header(title, `${REVIEWS[list].noun} ${place + 1} of ${count}`, null, chip),
@@ -167,13 +195,23 @@ export class Review {
       el("p", { class: "reason", text: reason }),
       el("dl", { class: "evidence" }, ...evidence.flatMap(({ name, value }) => [el("dt", { text: name }), el("dd", { text: value })])),
       answers.length ? el("div", { class: "buttons" }, ...answers.slice(0, KEYS.length).map((answer, index) => this.#answer(answer, index))) : null,
+      list === "tracks" ? this.#sure() : null,
     ];
+  }
+
+  /** The button that accepts all sure tracks; null if there is none. */
+  #sure() {
+    const { sure_tracks: sure } = this.state.labels.map;
+    if (!sure) return null;
+    const title = "Seen in 3 frames or more, with a residual of 2 px at most, and scores that leave little doubt";
+    const run = () => this.page.submit({ kind: "accept sure tracks", count: sure });
+    return el("div", { class: "buttons" }, el("button", { class: "small", title, onclick: run }, `Accept ${sure} sure ${sure === 1 ? "track" : "tracks"}`, badge(this.keys, "Shift A")));
   }
 
   /** The line of one element; it has a button if an answer excludes only this element.
    *
    * @param {annotator.EntryElement} element
-   * @param {annotator.AnswerView[]} answers
+   * @param {Pick<annotator.AnswerView, "name" | "title">[]} answers
    */
   #element({ id, number, name, class_id: classId, frames }, answers) {
     const other = answers.findIndex((answer) => answer.name === `not ${number}`);
@@ -197,7 +235,7 @@ export class Review {
   }
 
   /**
-   * @param {annotator.AnswerView} answer
+   * @param {Pick<annotator.AnswerView, "title">} answer
    * @param {number} index
    */
   #answer({ title }, index) {

@@ -1,7 +1,7 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Conflict, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Conflict, Correction, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
@@ -40,6 +40,9 @@ export class State {
     this.pointed = null; // the element of the proposal under the pointer
     /** @type {Set<string>} */
     this.swapped = new Set(); // ids of proposed marks that are swapped with their runner-up
+    /** @type {Map<string, Correction>} */
+    this.corrected = new Map(); // corrected marks of tracks, by the id of the mark
+    this.asked = { text: "", until: 0 }; // the question that the next press of the same key answers
     this.jump = "unreviewed"; // the chosen jump list; see jumps.js
     /** @type {OpenReview | null} */
     this.review = null; // the open decision or finding; see review.js
@@ -139,8 +142,10 @@ export class State {
       for (const side of SIDES) {
         const mark = marks[side];
         if (!mark) continue;
-        if (observed.get(proposal.id)?.[side] || isSettled(this.pending, mark.id)) delete marks[side];
+        const placed = this.dragged?.observation === mark.id ? this.dragged : this.corrected.get(mark.id);
+        if (observed.get(proposal.id)?.[side] || isSettled(this.pending, mark.id, proposal.id)) delete marks[side];
         else if (this.swapped.has(mark.id)) marks[side] = swapped(mark);
+        else if (placed) marks[side] = { ...mark, anchor: placed.anchor, end: placed.end };
       }
       return { ...proposal, marks };
     }).filter(({ marks }) => SIDES.some((side) => marks[side]));
@@ -152,6 +157,14 @@ export class State {
    */
   isReviewed(id) {
     return Boolean(this.review?.entry.elements.some((element) => element.id === id));
+  }
+
+  /** Whether an element is left out of maps and not drawn: it is not selected, nor asked about.
+   *
+   * @param {ShownElement} element
+   */
+  isHidden({ id, left_out: isLeftOut }) {
+    return Boolean(isLeftOut) && id !== this.selected?.element && !this.isReviewed(id);
   }
 
   /** Elements of near frames to continue, without a known position. */

@@ -20,7 +20,7 @@ export class Tools {
   /**
    * @param {State} state
    * @param {Images} images
-   * @param {Pick<Page, "submit" | "preview" | "mayEdit">} page
+   * @param {Pick<Page, "submit" | "preview" | "mayEdit" | "notify" | "keys">} page
    */
   constructor(state, images, page) {
     this.state = state;
@@ -103,7 +103,7 @@ export class Tools {
     this.page.preview();
   }
 
-  /** Selects an observation; a drag will move its vertex or all of it.
+  /** Selects an observation or the mark of a track; a drag will move its vertex or all of it.
    *
    * @param {Press} press
    * @param {Hit} hit
@@ -111,9 +111,9 @@ export class Tools {
    */
   #take(press, hit, event) {
     const { side } = press;
-    const observation = this.state.elements.find(({ id }) => id === hit.element)?.observations[side];
-    if (!observation) return;
-    const { anchor, end } = observation;
+    const mark = this.state.elements.find(({ id }) => id === hit.element)?.observations[side] ?? this.#track(hit.element)?.marks[side];
+    if (!mark) return;
+    const { anchor, end } = mark;
     press.mode = "drag";
     press.held = { hit, grab: this.images.view.toImage(press.start), anchor, end };
     const linked = event.ctrlKey || event.metaKey;
@@ -242,8 +242,26 @@ export class Tools {
     }
   }
 
-  /** @param {import("./values.js").Dragged} dragged */
+  /** The open track that an element id names.
+   *
+   * @param {string} element
+   */
+  #track(element) {
+    return this.state.proposals.find(({ id, track }) => id === element && track);
+  }
+
+  /** Saves a drag; that of a track's mark is kept until the track is accepted.
+   *
+   * @param {import("./values.js").Dragged} dragged
+   */
   #drop({ observation, anchor, end }) {
+    const track = this.state.proposals.find(({ marks }) => SIDES.some((side) => marks[side]?.id === observation));
+    if (track) {
+      const corrected = new Map(this.state.corrected).set(observation, { track: track.id, anchor, end });
+      this.state.set({ dragged: null, corrected });
+      this.page.notify(`Corrected in this image. ${this.page.keys.shown("Space")} accepts the track with it.`);
+      return;
+    }
     this.state.set({ dragged: null });
     this.page.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
   }

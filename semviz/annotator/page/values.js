@@ -14,8 +14,8 @@
  * @typedef {Omit<annotator.ObservationView, "frame" | "side"> & {frame?: number, side?: Side}} Observation */
 /** @typedef {Partial<Record<Side, Observation>>} Observations */
 /** An element as shown; `unsaved`: it is not on disk yet.
- * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions"> & {
- *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], unsaved?: boolean}} ShownElement */
+ * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions" | "left_out"> & {
+ *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, unsaved?: boolean}} ShownElement */
 
 /** Where on the page an edit was made.
  * @typedef {{frame: number | null, side: Side, class: number}} ShownAt */
@@ -30,6 +30,8 @@
  *   anchor_known: boolean, end_known: boolean, asks_bottom: boolean}} Drawing */
 /** The observation being dragged.
  * @typedef {{observation: string, anchor: Point, end: Point | null}} Dragged */
+/** The ends by which a mark of a track was replaced before it is accepted; `track`: the track's id.
+ * @typedef {{track: string, anchor: Point, end: Point | null}} Correction */
 /** The selection; `also`: a second element, to be linked.
  * @typedef {{element: string, side: Side, also?: string | null}} Selected */
 /** @typedef {{snap: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */

@@ -25,6 +25,19 @@ export interface AcceptEdit {
   marks: Array<DrawnMark>;
 }
 
+/** Accept all sure tracks; ``count`` is their number as the page showed it. */
+export interface AcceptSureTracksEdit {
+  kind: "accept sure tracks";
+  count: number;
+}
+
+/** Accept tracks of detections in all their images, with corrections of single marks. */
+export interface AcceptTracksEdit {
+  kind: "accept tracks";
+  track_ids: Array<string>;
+  corrections?: Array<CorrectedMark>;
+}
+
 /** Add several observations, all or none. An observation of an element that an earlier one creates has ``class_id`` None. */
 export interface AddMany {
   observations: Array<AddObservation>;
@@ -56,7 +69,7 @@ export interface AnswerView {
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
   seen?: ShownObservation | null;
 }
 
@@ -103,6 +116,13 @@ export interface ConflictEvent {
   text: string;
   retry: boolean;
   theirs: TheirVersion | null;
+}
+
+/** The ends by which a person replaced those of a detection. */
+export interface CorrectedMark {
+  observation_id: string;
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
 }
 
 /** Add review decisions, all or none; every later map build follows them. */
@@ -228,11 +248,12 @@ export interface ElementClass {
   color_light: string;
 }
 
-/** An element was clicked in the 3D scene. */
+/** An element or an open track was clicked in the 3D scene. */
 export interface ElementClickedEvent {
   type: "element_clicked";
   reply_to: string | null;
   element: string;
+  is_track: boolean;
 }
 
 /** An unsaved drawing. */
@@ -255,6 +276,7 @@ export interface ElementView {
   observations: Partial<Record<"left" | "right", ObservationView>>;
   views: number;
   review_decisions: Array<ReviewDecisionView>;
+  left_out: boolean;
 }
 
 /** An element that a decision or finding is about, from labels or map. */
@@ -383,6 +405,8 @@ export interface ListOperationsRequest {
 export interface MapSummary {
   built: number | null;
   elements: number;
+  tracks: number;
+  sure_tracks: number;
   decisions: number;
   findings: number;
   building: string | null;
@@ -496,12 +520,19 @@ export interface ProposalView {
   rejected_elsewhere: boolean;
   is_confident: boolean;
   score: number | null;
+  track: TrackView | null;
   marks: Partial<Record<"left" | "right", ProposalMark>>;
 }
 
 /** Redo what the author undid last. */
 export interface RedoEdit {
   kind: "redo";
+}
+
+/** Reject tracks of detections in all their images: no map will have them. */
+export interface RejectTracksEdit {
+  kind: "reject tracks";
+  track_ids: Array<string>;
 }
 
 /** Restore the state after an operation. */
@@ -526,7 +557,7 @@ export interface ReviewDecisionView {
 
 /** One entry of a list; ``entry`` is None if the list is empty. */
 export interface ReviewEntry {
-  list_name: "decisions" | "findings";
+  list_name: "tracks" | "decisions" | "findings";
   count: number;
   place: number;
   entry: EntryView | null;
@@ -615,7 +646,7 @@ export interface ShowPastFrameRequest {
 export interface ShowReviewRequest {
   type: "show_review";
   id: string;
-  list_name: "decisions" | "findings";
+  list_name: "tracks" | "decisions" | "findings";
   key?: string | null;
   place?: number;
   by?: -1 | 0 | 1;
@@ -662,6 +693,14 @@ export interface TheirVersion {
   end: [number, number] | null;
   anchor_known: boolean;
   end_known: boolean;
+}
+
+/** A track of detections, which is accepted or rejected as a whole. */
+export interface TrackView {
+  frames: number;
+  first: number;
+  last: number;
+  residual_px: number;
 }
 
 /** Undo the author's last edit. */
