@@ -17,12 +17,14 @@ from semviz_annotation.labels.rows import Row, derived_id
 from semviz_annotation.mapping.association.detected_drive import (
     FREE,
     LABELLED,
+    NO_LANDMARK,
     REJECTED,
     TRACK_NUMBER,
     DetectedDrive,
 )
 from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.not_landmarks import moving_tracks
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import ObservationArray
@@ -60,6 +62,8 @@ class DetectionCounts:
     tracked: int
     alone: int
     """Of nothing that enough others show."""
+    no_landmark: int
+    """At one pixel all the time, or of something that moves."""
     tracks: int
     unknown_ends: int
     """Ends of poles that do not fit the height that others show."""
@@ -67,8 +71,9 @@ class DetectionCounts:
     def __str__(self) -> str:
         return (
             f"{self.detections} detections: {self.tracked} in {self.tracks} tracks, {self.alone} "
-            f"that too few others agree with, {self.labelled} of labelled and {self.rejected} of "
-            f"rejected landmarks; {self.unknown_ends} ends are not where others show them"
+            f"that too few others agree with, {self.no_landmark} of the camera or of what moves, "
+            f"{self.labelled} of labelled and {self.rejected} of rejected landmarks; "
+            f"{self.unknown_ends} ends are not where others show them"
         )
 
 
@@ -100,7 +105,9 @@ def detection_labels(
     """
     chosen = _chosen(labels, detections, source, options, frames)
     drive = DetectedDrive.of(labels, chosen, source, link, frames)
-    tracks = _search(drive, _expected(drive, detections), options, on_progress)
+    searched = _searched(drive, detections)
+    tracks = _search(drive, searched, options, on_progress)
+    tracks = _without_moving(drive, searched, tracks)
     tracks = _without_rejected(drive, tracks)
     tracks = _with_the_rest(drive, tracks)
     return _joined(labels, drive, tracks)
@@ -124,7 +131,7 @@ def _chosen(
     return sorted(new, key=lambda row: (row.frame_index, row.side, row.id))
 
 
-def _expected(drive: DetectedDrive, detections: Proposals) -> BoolArray:
+def _searched(drive: DetectedDrive, detections: Proposals) -> BoolArray:
     """Return which images (v,) a detector has processed."""
     views = drive.gathered.views
     if detections.processed is None:
@@ -145,7 +152,7 @@ class _Tracks(NamedTuple):
     """t tracks of k observations."""
 
     owner: IntArray
-    """(k,) track, or ``FREE``, ``LABELLED`` or ``REJECTED``"""
+    """(k,) track, or ``FREE``, ``LABELLED``, ``REJECTED`` or ``NO_LANDMARK``"""
     at_m: FloatArray
     """(t, 2)"""
     log_odds: FloatArray
@@ -154,7 +161,7 @@ class _Tracks(NamedTuple):
 
 def _search(
     drive: DetectedDrive,
-    expected: BoolArray,
+    searched: BoolArray,
     options: TrackOptions,
     on_progress: Callable[[int, int], None],
 ) -> _Tracks:
@@ -166,12 +173,23 @@ def _search(
         drive.gathered.observations.view[rows],
         drive.class_id[rows],
         drive.images,
-        expected,
+        searched,
         SearchOptions(min_frames=options.min_frames),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
     return _Tracks(owner, found.at_m, found.log_odds)
+
+
+def _without_moving(drive: DetectedDrive, searched: BoolArray, tracks: _Tracks) -> _Tracks:
+    """Give up the tracks that only one of two cameras sees, except of what is labelled."""
+    view = drive.gathered.observations.view
+    moving = moving_tracks(
+        drive.gathered.views, drive.images, searched, view, tracks.owner, tracks.at_m
+    )
+    moving[tracks.owner[(tracks.owner >= 0) & ~drive.is_detection]] = False
+    lost = np.append(moving, [False] * 4)[tracks.owner]
+    return tracks._replace(owner=np.where(lost, NO_LANDMARK, tracks.owner))
 
 
 def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
@@ -181,7 +199,7 @@ def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     element = drive.gathered.observations.landmark
     is_left_out = np.append(drive.left_out, False)[np.minimum(element, len(drive.left_out))]
     rejected[tracks.owner[(tracks.owner >= 0) & is_left_out]] = True
-    lost = np.append(rejected, [False] * 3)[tracks.owner]
+    lost = np.append(rejected, [False] * 4)[tracks.owner]
     owner = np.where(lost & drive.is_detection, REJECTED, tracks.owner)
     return tracks._replace(owner=np.where(lost & ~drive.is_detection, LABELLED, owner))
 
@@ -280,6 +298,7 @@ def _counts(
         rejected=int((owner == REJECTED).sum()),
         tracked=int((owner >= 0).sum()),
         alone=int((owner == FREE).sum()),
+        no_landmark=int((owner == NO_LANDMARK).sum()),
         tracks=len(log_odds),
         unknown_ends=int((drive.rays.known & ~ends.known).sum()),
     )
