@@ -17,6 +17,7 @@ from semviz_annotation.mapping.association.candidates import LandmarkPositions, 
 from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.nodes import ReviewConstraints, spans
+from semviz_annotation.mapping.association.not_landmarks import marks_on_camera
 from semviz_annotation.mapping.association.shared_observations import (
     CandidateExplanations,
     nearby_explanations,
@@ -33,7 +34,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
 TRACK_NUMBER = 100_000
 """Tracks of detections are numbered from here on, by their first frame."""
-FREE, REJECTED, LABELLED = -1, -2, -3
+FREE, REJECTED, LABELLED, NO_LANDMARK = -1, -2, -3, -4
 """Instead of the track of a detection."""
 _STEP_M = 0.3
 """Frames nearer to each other show no landmark from elsewhere."""
@@ -126,13 +127,23 @@ class DetectedDrive:
         return claims.where(fits), score[fits]
 
     def initial_owner(self) -> IntArray:
-        """Return for each observation (k,) whether it is ``FREE``, ``LABELLED``, or ``REJECTED``.
+        """Return for each observation (k,) whether it is ``FREE``, ``LABELLED``, ``REJECTED``, or
+        ``NO_LANDMARK`` (a mark on the camera).
 
         Labels of elements without a position are free: a track may give them one.
         """
         observations, is_line = self.gathered.observations, self.gathered.observations.is_line
         rows = np.flatnonzero(self.is_detection)
         owner = np.where(self.is_detection, FREE, LABELLED)
+        marks = marks_on_camera(
+            observations,
+            rows,
+            self.class_id[rows],
+            self.gathered.views,
+            self.images,
+            self.link.place.sigma_px,
+        )
+        owner[rows[marks]] = NO_LANDMARK
         detection, element = self._on_labels()
         kind_of = is_line[rows].astype(np.int64)
         kind = observations.of(is_line)[: len(self.left_out)].astype(np.int64)

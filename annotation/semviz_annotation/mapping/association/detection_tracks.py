@@ -17,17 +17,21 @@ from semviz_annotation.labels.rows import Row, derived_id
 from semviz_annotation.mapping.association.detected_drive import (
     FREE,
     LABELLED,
+    NO_LANDMARK,
     REJECTED,
     TRACK_NUMBER,
     DetectedDrive,
+    as_observation,
 )
 from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.not_landmarks import moving_tracks
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import ObservationArray
 from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
 from semviz_core.base.frame import Dataset
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
@@ -60,6 +64,8 @@ class DetectionCounts:
     tracked: int
     alone: int
     """Of nothing that enough others show."""
+    no_landmark: int
+    """At one pixel all the time, or of something that moves."""
     tracks: int
     unknown_ends: int
     """Ends of poles that do not fit the height that others show."""
@@ -67,8 +73,9 @@ class DetectionCounts:
     def __str__(self) -> str:
         return (
             f"{self.detections} detections: {self.tracked} in {self.tracks} tracks, {self.alone} "
-            f"that too few others agree with, {self.labelled} of labelled and {self.rejected} of "
-            f"rejected landmarks; {self.unknown_ends} ends are not where others show them"
+            f"that too few others agree with, {self.no_landmark} of the camera or of what moves, "
+            f"{self.labelled} of labelled and {self.rejected} of rejected landmarks; "
+            f"{self.unknown_ends} ends are not where others show them"
         )
 
 
@@ -100,7 +107,9 @@ def detection_labels(
     """
     chosen = _chosen(labels, detections, source, options, frames)
     drive = DetectedDrive.of(labels, chosen, source, link, frames)
-    tracks = _search(drive, _expected(drive, detections), options, on_progress)
+    searched = _searched(drive, detections)
+    tracks = _search(drive, searched, options, on_progress)
+    tracks = _without_moving(drive, searched, tracks)
     tracks = _without_rejected(drive, tracks)
     tracks = _with_the_rest(drive, tracks)
     return _joined(labels, drive, tracks)
@@ -124,7 +133,7 @@ def _chosen(
     return sorted(new, key=lambda row: (row.frame_index, row.side, row.id))
 
 
-def _expected(drive: DetectedDrive, detections: Proposals) -> BoolArray:
+def _searched(drive: DetectedDrive, detections: Proposals) -> BoolArray:
     """Return which images (v,) a detector has processed."""
     views = drive.gathered.views
     if detections.processed is None:
@@ -145,7 +154,7 @@ class _Tracks(NamedTuple):
     """t tracks of k observations."""
 
     owner: IntArray
-    """(k,) track, or ``FREE``, ``LABELLED`` or ``REJECTED``"""
+    """(k,) track, or ``FREE``, ``LABELLED``, ``REJECTED`` or ``NO_LANDMARK``"""
     at_m: FloatArray
     """(t, 2)"""
     log_odds: FloatArray
@@ -154,7 +163,7 @@ class _Tracks(NamedTuple):
 
 def _search(
     drive: DetectedDrive,
-    expected: BoolArray,
+    searched: BoolArray,
     options: TrackOptions,
     on_progress: Callable[[int, int], None],
 ) -> _Tracks:
@@ -166,12 +175,23 @@ def _search(
         drive.gathered.observations.view[rows],
         drive.class_id[rows],
         drive.images,
-        expected,
+        searched,
         SearchOptions(min_frames=options.min_frames),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
     return _Tracks(owner, found.at_m, found.log_odds)
+
+
+def _without_moving(drive: DetectedDrive, searched: BoolArray, tracks: _Tracks) -> _Tracks:
+    """Give up the tracks that only one of two cameras sees, except of what is labelled."""
+    view = drive.gathered.observations.view
+    moving = moving_tracks(
+        drive.gathered.views, drive.images, searched, view, tracks.owner, tracks.at_m
+    )
+    moving[tracks.owner[(tracks.owner >= 0) & ~drive.is_detection]] = False
+    lost = np.append(moving, [False] * 4)[tracks.owner]
+    return tracks._replace(owner=np.where(lost, NO_LANDMARK, tracks.owner))
 
 
 def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
@@ -181,7 +201,7 @@ def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     element = drive.gathered.observations.landmark
     is_left_out = np.append(drive.left_out, False)[np.minimum(element, len(drive.left_out))]
     rejected[tracks.owner[(tracks.owner >= 0) & is_left_out]] = True
-    lost = np.append(rejected, [False] * 3)[tracks.owner]
+    lost = np.append(rejected, [False] * 4)[tracks.owner]
     owner = np.where(lost & drive.is_detection, REJECTED, tracks.owner)
     return tracks._replace(owner=np.where(lost & ~drive.is_detection, LABELLED, owner))
 
@@ -256,6 +276,30 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
     return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
 
 
+def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposals) -> Labels:
+    """Return ``labels`` with the tracks of a map of detections, as the map was built from them.
+
+    Tracks of detections that are gone, or labels by now, are left out.
+    """
+    row_of = {id_: row for row, id_ in enumerate(detections.id)}
+    rows: list[Row] = list(labels.rows())
+    elements = semantic_map.elements
+    for number, class_id, source in zip(
+        elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
+    ):
+        element_id = next((id_ for id_ in source.label_ids if id_ in labels.elements), None)
+        new = [
+            detections[row_of[id_]]
+            for id_ in source.observation_ids
+            if id_ in row_of and id_ not in labels.observations
+        ]
+        if new and element_id is None:
+            element_id = source.label_ids[0]
+            rows.append(LabelElement(element_id, number, class_id))
+        rows += (replace(as_observation(row), element_id=element_id) for row in new)
+    return Labels.from_rows(rows, labels.next_number, labels.operation)
+
+
 def _track_id(detection_id: str, labels: Labels) -> str:
     """Return the id of a track by its first detection, other than those of label elements."""
     track_id = derived_id(f"track {detection_id}")
@@ -280,6 +324,7 @@ def _counts(
         rejected=int((owner == REJECTED).sum()),
         tracked=int((owner >= 0).sum()),
         alone=int((owner == FREE).sum()),
+        no_landmark=int((owner == NO_LANDMARK).sum()),
         tracks=len(log_odds),
         unknown_ends=int((drive.rays.known & ~ends.known).sum()),
     )
