@@ -144,6 +144,7 @@ def seen(
         end_px=end + noise[1],
         anchor_known=np.ones(len(landmark), dtype=bool),
         end_known=is_line & ~cut,
+        sigma_ratio=np.ones((len(landmark), 2)),
         label_row=np.arange(len(landmark)),
         count=len(anchor_m),
     )

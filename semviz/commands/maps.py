@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from semviz.workspace.workspace import Workspace
+    from semviz_annotation.mapping.association.detection_tracks import TrackOptions
     from semviz_annotation.mapping.build import BuildOptions
     from semviz_annotation.mapping.paper_baseline import PaperOptions
     from semviz_core.base.frame import Frame
@@ -29,20 +30,27 @@ _METHOD_OPTIONS = {
 
 @dataclass(frozen=True)
 class MapBuildCommand:
-    """Build a map from labels: triangulate, associate elements of one landmark, reject outliers."""
+    """Build a map from labels or detections: triangulate, associate elements of one landmark,
+    reject outliers."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
-    name: str = "main"
-    """Name of the map in the workspace."""
+    name: parsing.OptionalText = None
+    """Name of the map in the workspace; default: main, or from-detections."""
+    source: Annotated[
+        Literal["labels", "detections"], arg(name="from", metavar="labels|detections")
+    ] = "labels"
+    """detections: also map what 'semviz detect' found and nobody has labelled or rejected."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: use only these frames."""
+    least_score: parsing.OptionalFloat = None
+    """Minimum score of a detection (default: 0, all that the detector stored)."""
     method: Literal["joint", "paper"] = "joint"
     """joint: all labels together; paper: each stereo pair alone, then DBSCAN, as a baseline."""
     sigma_px: float = 1.0
-    """Standard deviation of labels: 1 for people, 2 to 4 for detectors."""
+    """Standard deviation of labels: 1 for people, 2 to 4 for imported labels of a detector."""
     min_frames: parsing.OptionalInt = None
-    """Leave out landmarks seen in fewer frames (default: 1); for detectors, 2 or 3."""
+    """Leave out landmarks seen in fewer frames (default: 1; of detections: 4)."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
     refine_poses: bool = False
@@ -55,15 +63,22 @@ class MapBuildCommand:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.progress import Steps, announce_compiling
+        from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
-        from semviz_annotation.mapping.build import build_map
+        from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
 
+        tracking = self._tracking()
         options = self._options()
         workspace = parsing.open_workspace(self.workspace)
-        labels, path = workspace.read_labels(), workspace.map_path(self.name)
+        name = self.name or ("main" if tracking is None else "from-detections")
+        labels, path = workspace.read_labels(), workspace.map_path(name)
         check_outputs(path, PARQUET, can_force=False, purpose="map")
+        detections = None
+        if tracking is not None:
+            detections = read_detections(workspace, ())
+            announce_compiling("the search for tracks")
         with Steps() as steps:
             built, report = build_map(
                 labels,
@@ -71,6 +86,8 @@ class MapBuildCommand:
                 options,
                 parsing.parse_frames(self.frames),
                 on_progress=steps.show,
+                detections=detections,
+                tracking=tracking or DEFAULT_TRACKING,
             )
         save_map(built, path)
         if self.json:
@@ -92,6 +109,8 @@ class MapBuildCommand:
                     raise SemvizError(f"--{option} is for --method {method}; leave it out")
         values = {name: getattr(self, name) for name in _METHOD_OPTIONS[self.method]}
         given = {name: value for name, value in values.items() if value is not None}
+        if self.source == "detections":
+            given.pop("min_frames", None)
         if self.method == "paper":
             return PaperOptions(sigma_px=self.sigma_px, **given)
         if given.pop("refine_poses"):
@@ -99,6 +118,22 @@ class MapBuildCommand:
             sigma_m = given.get("pose_sigma_m", prior.pose_sigma_m)
             given["refine"] = replace(prior, pose_sigma_m=sigma_m)
         return BuildOptions(sigma_px=self.sigma_px, **given)
+
+    def _tracking(self) -> "TrackOptions | None":
+        """Return how detections become tracks; None for a map of labels alone."""
+        from semviz_annotation.mapping.association.detection_tracks import TrackOptions
+
+        if self.source == "labels":
+            if self.least_score is not None:
+                raise SemvizError("--least-score is for --from detections; leave it out")
+            return None
+        if self.method != "joint":
+            raise SemvizError("--from detections is for --method joint; leave one of them out")
+        default = TrackOptions()
+        return TrackOptions(
+            default.least_score if self.least_score is None else self.least_score,
+            default.min_frames if self.min_frames is None else self.min_frames,
+        )
 
 
 @dataclass(frozen=True)

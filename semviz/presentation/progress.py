@@ -22,12 +22,12 @@ def track(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
 
 
 @cache  # register one callback only
-def announce_compiling() -> None:
-    """Print a notice when the solver is compiled, which delays the first frame."""
+def announce_compiling(what: str = "the solver") -> None:
+    """Print a notice when ``what`` is compiled, which delays the first frame."""
     from semviz_core.common.jit import notify_before_compiling
 
     notify_before_compiling(
-        lambda: print("compiling the solver, once only: up to a minute", file=sys.stderr)
+        lambda: print(f"compiling {what}, once only: up to a minute", file=sys.stderr)
     )
 
 

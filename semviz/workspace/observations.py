@@ -2,8 +2,8 @@
 
 Observations are labels, proposals, or a simulated detector's output. In a map made from labels,
 the labels of a frame give a detection's true element; on a simulated street, the street does.
-Elsewhere elements are identified by the map itself, seen from the true pose: a map fault then
-looks like a detector fault.
+In a map made from detections, those that it was made from are known. Elsewhere elements are
+identified by the map itself, seen from the true pose: a map fault then looks like a detector fault.
 """
 
 from collections.abc import Callable, Iterable
@@ -14,7 +14,8 @@ import numpy as np
 
 from semviz.runs.images import project_elements
 from semviz.workspace.workspace import StreetSettings, Workspace
-from semviz_annotation.mapping.quality.label_links import observe
+from semviz_annotation.mapping.build import uses_detections
+from semviz_annotation.mapping.quality.label_links import map_rows, observe
 from semviz_core.base.detector_model import NoiseName
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
@@ -74,11 +75,15 @@ def observe_detected(
     from semviz_annotation.labels.detections import as_elements
 
     identify = identify_detections(workspace, semantic_map)
+    of_map = map_rows(semantic_map).of_observation if uses_detections(semantic_map) else {}
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         rows = detections.in_frame(frame.index, "left")
-        elements = as_elements([row for row in rows if row.score >= least_score])
-        return elements, identify(frame, elements)
+        rows = tuple(row for row in rows if row.score >= least_score)
+        elements = as_elements(rows)
+        mapped = np.array([of_map.get(row.id, -1) for row in rows], dtype=np.int64)
+        element_id = identify(frame, elements)
+        return elements, np.where(mapped >= 0, semantic_map.elements.id[mapped], element_id)
 
     return observe
 
@@ -111,13 +116,13 @@ def identify_detections(workspace: Workspace, semantic_map: SemanticMap) -> Iden
     is_street = isinstance(workspace.settings.source, StreetSettings)
     street = workspace.street if is_street else None
     labels = workspace.read_labels()
-    from_labels = bool(semantic_map.provenance)
+    from_labels = bool(semantic_map.provenance) and not uses_detections(semantic_map)
 
     def visible(frame: Frame) -> _Visible:
         if from_labels and labels.in_frame(frame.index, "left"):
             elements, ids = observe(labels, frame.index, "left", semantic_map)
             return elements, np.where(ids < 0, UNKNOWN_ID, ids)
-        if street is not None and not from_labels:
+        if street is not None and not semantic_map.provenance:
             return _on_street(street, frame.index)
         return _mapped(workspace, semantic_map, frame)
 

@@ -4,6 +4,7 @@ The map is built with the recorded options; frames, observations and priors stay
 run observed labels, the present ones are read. A stopped rebuild leaves nothing behind.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -11,17 +12,20 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 from semviz.runs.run import FrameRecord, Run, RunInfo, detector_model, observations_of
 from semviz.runs.writer import write_run
 from semviz.workspace.localizability import options_of
 from semviz.workspace.localize import SequenceLocalization
-from semviz.workspace.observations import Observe, observe_labels
+from semviz.workspace.observations import Observe, observe_labels, read_detections
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.mapping.build import rebuild_map
+from semviz_annotation.mapping.build import rebuild_map, uses_detections
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
+from semviz_core.diagnosis.fault import UNKNOWN_ID
 from semviz_core.localization.localizer import Localizer
 
 OnProgress = Callable[[str, int, int], None]
@@ -36,10 +40,18 @@ def rebuild_run(
     Observations and priors are those of ``run``, but observed labels are read again.
     ``on_progress`` may raise to stop it; nothing is left then.
 
-    Raise SemvizError if the map was not built from labels, or cannot be built any more.
+    Raise SemvizError if the map was not built from labels or detections, or cannot be built any
+    more.
     """
     labels = workspace.read_labels()
-    semantic_map, _ = rebuild_map(run.semantic_map, labels, workspace.source, on_progress)
+    detected = uses_detections(run.semantic_map)
+    semantic_map, _ = rebuild_map(
+        run.semantic_map,
+        labels,
+        workspace.source,
+        on_progress,
+        read_detections(workspace, ()) if detected else None,
+    )
     info = _info(run, path, workspace)
     frames: list[FrameRecord] = []
 
@@ -67,13 +79,37 @@ def _info(run: Run, path: Path, workspace: Workspace) -> RunInfo:
     )
 
 
+def _new_ids(old: SemanticMap, new: SemanticMap) -> dict[int, int]:
+    """Return the ids of elements of ``new`` by those of ``old`` that share most of their
+    observations with them; ``UNKNOWN_ID`` for those that are gone.
+
+    Ids of labelled elements stay. Tracks of detections are numbered along the drive, so each that
+    is new or gone shifts the others.
+    """
+    if not uses_detections(old):
+        return {}
+    new_id = {
+        observation_id: int(element_id)
+        for element_id, source in zip(new.elements.id, new.provenance, strict=True)
+        for observation_id in source.observation_ids
+    }
+    result = {}
+    for element_id, source in zip(old.elements.id, old.provenance, strict=True):
+        ids = Counter(new_id[id_] for id_ in source.observation_ids if id_ in new_id)
+        result[int(element_id)] = ids.most_common(1)[0][0] if ids else UNKNOWN_ID
+    return result
+
+
 def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Iterable[FrameRecord]:
     """Localize the run's frames in another map; images are those of the run."""
     options = options_of(run.info.options)
     observations = observations_of(run.info.observations)
     recorded = {frame.frame.index: frame for frame in run.frames}
     from_labels = observations == "labels"
-    observe = observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded)
+    new_id = _new_ids(run.semantic_map, semantic_map)
+    observe = (
+        observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded, new_id)
+    )
     detector = detector_model(observations)
     localization = SequenceLocalization(
         workspace.source,
@@ -91,11 +127,12 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         yield replace(old, localization=record.localization, element_id=record.element_id)
 
 
-def _recorded(recorded: dict[int, FrameRecord]) -> Observe:
-    """Observe what was recorded."""
+def _recorded(recorded: dict[int, FrameRecord], new_id: dict[int, int]) -> Observe:
+    """Observe what was recorded; elements have new ids (by their old ones)."""
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         record = recorded[frame.index]
-        return record.localization.observed, record.element_id
+        ids = [new_id.get(old_id, old_id) for old_id in record.element_id.tolist()]
+        return record.localization.observed, np.array(ids, dtype=np.int64)
 
     return observe

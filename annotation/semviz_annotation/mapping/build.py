@@ -8,15 +8,27 @@ The report counts how the labels were used.
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposals import Proposals
+from semviz_annotation.mapping.association.detection_tracks import (
+    DetectionCounts,
+    JoinedDetections,
+    TrackOptions,
+    detection_labels,
+)
 from semviz_annotation.mapping.association.merging import LinkOptions
-from semviz_annotation.mapping.association.tracks import OnProgress, Tracks, find_tracks
+from semviz_annotation.mapping.association.tracks import (
+    OnProgress,
+    Tracks,
+    find_tracks,
+    without_fragments,
+)
 from semviz_annotation.mapping.decisions import decisions_of
 from semviz_annotation.mapping.paper_baseline import PaperOptions, paper_tracks
 from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
@@ -103,10 +115,19 @@ class BuildReport:
     """Number of observations used in the map."""
     elements: int
     """Number of elements in the map."""
+    detections: DetectionCounts | None = None
+    """What became of the detections; None for a map of labels alone."""
+    log_odds: Mapping[str, float] = field(default_factory=dict)
+    """Log-odds that the landmark of a track exists, by id of its label element."""
 
     @classmethod
-    def of(cls, semantic_map: SemanticMap, gathered: LabelObservations) -> "BuildReport":
-        """Return the report of a map built from ``gathered``."""
+    def of(
+        cls,
+        semantic_map: SemanticMap,
+        gathered: LabelObservations,
+        joined: JoinedDetections | None = None,
+    ) -> "BuildReport":
+        """Return the report of a map built from ``gathered``, with the tracks of ``joined``."""
         name = semantic_map.classes.element_name
         return cls(
             decisions=semantic_map.decisions,
@@ -117,20 +138,27 @@ class BuildReport:
             observations=len(gathered.label_rows),
             used=sum(len(provenance.observation_ids) for provenance in semantic_map.provenance),
             elements=len(semantic_map),
+            detections=joined and joined.counts,
+            log_odds=joined.log_odds if joined else {},
         )
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
+        values = {
             "label_elements": len(self.names),
             "observations": self.observations,
             "used": self.used,
             "elements": self.elements,
             "decisions": [asdict(decision) for decision in self.decisions],
         }
+        if self.detections is not None:
+            values["detections"] = asdict(self.detections)
+            values["track_log_odds"] = dict(self.log_odds)
+        return values
 
     def __str__(self) -> str:
-        return "\n".join([self._summary(), *self._lines()])
+        first = [] if self.detections is None else [str(self.detections)]
+        return "\n".join([*first, self._summary(), *self._lines()])
 
     def _summary(self) -> str:
         counts = Counter(decision.kind for decision in self.decisions)
@@ -185,28 +213,46 @@ class BuildOptions:
 
 Options: TypeAlias = BuildOptions | PaperOptions
 DEFAULT_OPTIONS = BuildOptions()
+DEFAULT_TRACKING = TrackOptions()
+_TRACKING = "tracking"
+"""Key of ``TrackOptions`` in the settings of a map of detections."""
 
 
-def settings_of(options: Options, frames: Collection[int] | None) -> dict[str, Any]:
-    """Return options and frames as JSON values; ``options_of`` is the inverse."""
+class BuildSettings(NamedTuple):
+    """How a map was built."""
+
+    options: Options
+    frames: Collection[int] | None
+    tracking: TrackOptions | None
+    """How detections became tracks; None for a map of labels alone."""
+
+
+def settings_of(
+    options: Options, frames: Collection[int] | None, tracking: TrackOptions | None = None
+) -> dict[str, Any]:
+    """Return ``BuildSettings`` as JSON values; ``options_of`` is the inverse."""
     method = "paper" if isinstance(options, PaperOptions) else "joint"
     chosen = None if frames is None else sorted(frames)
-    return {"method": method, "frames": chosen, **asdict(options)}
+    settings = {"method": method, "frames": chosen, **asdict(options)}
+    return settings if tracking is None else settings | {_TRACKING: asdict(tracking)}
 
 
-def options_of(settings: Mapping[str, Any]) -> tuple[Options, Collection[int] | None]:
-    """Return the build options and frames in a map's ``settings``.
+def options_of(settings: Mapping[str, Any]) -> BuildSettings:
+    """Return how a map was built, from its ``settings``.
 
-    Raise SemvizError if the map was not built from labels, or by another version of semviz.
+    Raise SemvizError if the map was not built from labels or detections, or by another version of
+    semviz.
     """
     given = dict(settings)
     method, frames = given.pop("method", None), given.pop("frames", None)
     try:
+        tracking = given.pop(_TRACKING, None)
+        tracking = None if tracking is None else TrackOptions(**tracking)
         if method == "paper":
-            return PaperOptions(**given), frames
+            return BuildSettings(PaperOptions(**given), frames, tracking)
         if method == "joint":
             given["refine"] = _refine_options(given["refine"])
-            return BuildOptions(**given), frames
+            return BuildSettings(BuildOptions(**given), frames, tracking)
     except (KeyError, TypeError, ValueError):
         raise SemvizError(
             "this map was built by another version of semviz; run 'semviz map build'"
@@ -227,20 +273,29 @@ def build_map(
     frames: Collection[int] | None = None,
     classes: ClassSet = DEFAULT_CLASSES,
     on_progress: OnProgress = lambda what, done, of: None,
+    detections: Proposals | None = None,
+    tracking: TrackOptions = DEFAULT_TRACKING,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of elements labelled in two or more images of ``frames`` (None: all).
 
-    ``PaperOptions`` build the paper's map. ``on_progress`` gets the stage, the count that is done,
-    and the total. Raise SemvizError if a labelled frame is not in the source or has no pose, or if
-    nothing can be triangulated.
+    ``PaperOptions`` build the paper's map. With ``detections``, the landmarks that they show and
+    nobody has labelled are added. ``on_progress`` gets the stage, the count that is done, and the
+    total. Raise SemvizError if a labelled frame is not in the source or has no pose, or if nothing
+    can be triangulated.
     """
-    gathered = collect_observations(labels, source, frames)
+    joined = None
+    if detections is not None:
+        joined = _join(labels, detections, source, options, tracking, frames, on_progress)
+        labels = joined.labels
+    gathered = collect_observations(labels, source, frames, joined.sigma_ratio if joined else {})
     if isinstance(options, PaperOptions):
         tracks = paper_tracks(gathered, options)
     else:
         linking = LinkOptions(options.place, options.pose_sigma_m, options.min_frames)
         poses = options.refine and replace(options.refine, place=options.place)
         tracks = find_tracks(labels, gathered, linking, poses, on_progress)
+    if joined is not None:
+        tracks = without_fragments(tracks, joined.log_odds.keys(), tracking.min_frames)
     decisions = decisions_of(tracks)
     elements, provenance = map_elements(tracks)
     if not len(elements):
@@ -254,10 +309,43 @@ def build_map(
         provenance=provenance,
         decisions=decisions,
         made_by=f"semviz {version('semviz')}, {options}",
-        settings=settings_of(options, frames),
+        settings=settings_of(options, frames, tracking if joined else None),
         operation=labels.operation,
     )
-    return semantic_map, BuildReport.of(semantic_map, gathered)
+    return semantic_map, BuildReport.of(semantic_map, gathered, joined)
+
+
+def _join(
+    labels: Labels,
+    detections: Proposals,
+    source: Dataset,
+    options: Options,
+    tracking: TrackOptions,
+    frames: Collection[int] | None,
+    on_progress: OnProgress,
+) -> JoinedDetections:
+    if isinstance(options, PaperOptions):
+        raise SemvizError("the paper's method takes labels only; leave out the detections")
+    joined = detection_labels(
+        labels,
+        detections,
+        source,
+        LinkOptions(options.place, options.pose_sigma_m),
+        tracking,
+        frames,
+        lambda done, of: on_progress("tracking detections", done, of),
+    )
+    if not joined.labels.elements:
+        raise SemvizError(
+            f"none of {joined.counts.detections} detections show a landmark often enough; detect "
+            "in more frames, or allow fewer (--min-frames)"
+        )
+    return joined
+
+
+def uses_detections(semantic_map: SemanticMap) -> bool:
+    """Return whether a map was built from detections, too."""
+    return _TRACKING in semantic_map.settings
 
 
 def rebuild_map(
@@ -265,10 +353,25 @@ def rebuild_map(
     labels: Labels,
     source: Dataset,
     on_progress: OnProgress = lambda what, done, of: None,
+    detections: Proposals | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of the present labels, built like ``old``.
 
-    Raise SemvizError like ``build_map``, and if ``old`` was not built from labels.
+    Only a map of detections uses ``detections``, and needs them. Raise SemvizError like
+    ``build_map``, and if ``old`` was not built from labels or detections.
     """
-    options, frames = options_of(old.settings)
-    return build_map(labels, source, options, frames, old.classes, on_progress)
+    options, frames, tracking = options_of(old.settings)
+    if tracking is None:
+        detections = None
+    elif detections is None:
+        raise SemvizError("this map was built from detections, and there are none any more")
+    return build_map(
+        labels,
+        source,
+        options,
+        frames,
+        old.classes,
+        on_progress,
+        detections,
+        tracking or DEFAULT_TRACKING,
+    )

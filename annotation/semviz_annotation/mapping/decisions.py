@@ -211,7 +211,7 @@ class _DecisionLog:
         observations = gathered.observations.taken(rows, np.zeros(len(rows), dtype=np.int64), 1)
         here = slice(landmark, landmark + 1)
         at = residuals(gathered.views, observations, placed.anchor_m[here], placed.end_m[here])
-        return np.where(at.ahead, np.linalg.norm(at.error_px, axis=1), np.inf)
+        return np.where(at.ahead, np.linalg.norm(at.pixels_off, axis=1), np.inf)
 
 
 @dataclass(frozen=True)

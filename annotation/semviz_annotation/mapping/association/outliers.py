@@ -39,7 +39,8 @@ def find_outliers(
     at = reprojection.residuals(views, observations, ends_m[:, :3], ends_m[:, 3:])
     depth = views.depth_m(observations.view, ends_m[observations.landmark, :3])
     pose_px = views.K[observations.view, 0, 0] * pose_sigma_m / np.maximum(depth, MIN_DEPTH_M)
-    chi2 = (at.error_px**2).sum(axis=1) / (options.sigma_px**2 + pose_px**2)
+    variance_px2 = (options.sigma_px * at.sigma_ratio) ** 2 + pose_px[:, None] ** 2
+    chi2 = (at.pixels_off**2 / variance_px2).sum(axis=1)
     return np.asarray(~at.ahead | (chi2 > chdtri(at.counts.sum(axis=1), CHANCE)))
 
 

@@ -122,6 +122,8 @@ class _Projections(NamedTuple):
     """(p, 2), the anchor for points"""
     reach_px: FloatArray
     """(p,) radius in which observations of the landmark may be"""
+    sigma_px: float
+    """The common sigma of observations."""
 
     def are_near(self, observations: ObservationArray, rows: IntArray, pair: IntArray) -> BoolArray:
         """Return whether observations in rows (c,) are near projections (c,): signs in u and v,
@@ -133,7 +135,10 @@ class _Projections(NamedTuple):
         down = np.where(along[:, 1] == 0.0, 1.0, along[:, 1])
         share = np.where(is_line, (middle[:, 1] - anchor[:, 1]) / down, 0.0)
         off = np.abs(anchor + share[:, None] * along - middle)
-        return np.asarray(off.max(axis=1) <= self.reach_px[pair])
+        ratio = observations.sigma_ratio[rows]
+        vaguer = np.where(is_line, ratio[:, 0], ratio.max(axis=1)) - 1.0
+        reach_px = self.reach_px[pair] + _REACH_SIGMAS * self.sigma_px * vaguer
+        return np.asarray(off.max(axis=1) <= reach_px)
 
 
 def _projected(
@@ -153,7 +158,7 @@ def _projected(
     end, _, _ = projected(views, view, end_m[landmark])
     vague_px = views.K[view, 0, 0] * (sigma_m[landmark] + options.pose_sigma_m) / depth_m
     reach_px = _REACH_SIGMAS * (options.place.sigma_px + vague_px)
-    return _Projections(view, landmark, anchor, end, reach_px)
+    return _Projections(view, landmark, anchor, end, reach_px, options.place.sigma_px)
 
 
 _ROUNDS = 4

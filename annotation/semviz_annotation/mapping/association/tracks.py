@@ -4,7 +4,7 @@ Parts of label elements are linked, and the poses optimized if they may move. Th
 triangulated from all observations that fit it and no other landmark.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -221,6 +221,19 @@ def _select_for_map(tracks: Tracks, options: LinkOptions) -> Tracks:
     failure = insufficient_observations(views, observations, placed, options.min_frames)
     placed = replace(placed, failure=np.where(kept, placed.failure, failure))
     return replace(tracks, placed=placed)
+
+
+def without_fragments(tracks: Tracks, element_ids: Collection[str], min_frames: int) -> Tracks:
+    """Drop landmarks of the label elements ``element_ids`` alone that are seen in fewer frames:
+    parts of a track that did not fit the rest of it."""
+    observations, nodes = tracks.observations, tracks.nodes
+    others = np.array([element.id not in element_ids for element in tracks.gathered.elements])
+    wanted = np.zeros(observations.count, dtype=bool)
+    wanted[tracks.landmark[(others | tracks.constraints.kept)[nodes.element]]] = True
+    views = tracks.gathered.views
+    failure = insufficient_observations(views, observations, tracks.placed, min_frames)
+    failure = np.where(wanted, tracks.placed.failure, failure)
+    return replace(tracks, placed=replace(tracks.placed, failure=failure))
 
 
 def _kinds(gathered: LabelObservations) -> IntArray:

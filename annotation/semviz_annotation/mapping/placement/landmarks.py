@@ -132,7 +132,7 @@ def replaced(
 
 def rms_px(observations: ObservationArray, at: reprojection.Residuals) -> FloatArray:
     """Return RMS errors (n,): distances of labels from points, or of their ends from lines."""
-    squares = observations.per_landmark(np.add, at.squared_px2()[:, 0])
+    squares = observations.per_landmark(np.add, (at.pixels_off[:, :2] ** 2).sum(axis=1))
     values = observations.per_landmark(np.add, 1.0 + observations.is_line)
     return np.asarray(np.sqrt(squares / np.maximum(values, 1.0)))
 

@@ -4,9 +4,10 @@ Views have no distortion; observed pixels are undistorted accordingly. Rows are 
 """
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -81,6 +82,9 @@ class ObservationArray:
     """(k,)"""
     end_known: BoolArray
     """(k,)"""
+    sigma_ratio: FloatArray
+    """(k, 2) sigma across and along a pole, or along u and v, in multiples of the common
+    ``PlaceOptions.sigma_px``: 1 for labels."""
     label_row: IntArray
     """(k,) row in ``LabelObservations.label_rows``."""
     count: int
@@ -145,6 +149,7 @@ class ObservationArray:
             end_px=self.end_px[rows],
             anchor_known=self.anchor_known[rows],
             end_known=self.end_known[rows],
+            sigma_ratio=self.sigma_ratio[rows],
             label_row=self.label_row[rows],
             count=count,
         )
@@ -163,16 +168,31 @@ class LabelObservations(NamedTuple):
 
 
 def collect_observations(
-    labels: Labels, source: Dataset, frames: Collection[int] | None = None
+    labels: Labels,
+    source: Dataset,
+    frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> LabelObservations:
     """Return the labels in ``frames`` (None: all).
 
+    ``sigma_ratio`` is that of ``ObservationArray``, by observation id; others have 1.
     Raise SemvizError if a labelled frame is not in the source or has no pose, or no element is
     labelled in two images.
     """
+    gathered = gather_observations(labels, source, frames, sigma_ratio)
+    _check_twice(gathered.label_rows)
+    return gathered
+
+
+def gather_observations(
+    labels: Labels,
+    source: Dataset,
+    frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> LabelObservations:
+    """Return the same as ``collect_observations``, even if no element is labelled twice."""
     posed = _posed(labels, source, frames)
     rows = [row for index in posed for row in labels.in_frame(index)]
-    _check_twice(rows)
     by_number = {labels.element(row.element_id).number: row.element_id for row in rows}
     elements = tuple(labels.element(by_number[number]) for number in sorted(by_number))
     landmark_of = {element.id: landmark for landmark, element in enumerate(elements)}
@@ -190,6 +210,7 @@ def collect_observations(
         end_px=_undistorted(source.rig, rows, [row.end_px or (np.nan, np.nan) for row in rows]),
         anchor_known=np.array([row.anchor_known for row in rows], dtype=np.bool_),
         end_known=np.array([row.end_known for row in rows], dtype=np.bool_),
+        sigma_ratio=np.array([sigma_ratio.get(row.id, (1.0, 1.0)) for row in rows]).reshape(-1, 2),
         label_row=np.arange(len(rows)),
         count=len(elements),
     )

@@ -17,6 +17,8 @@ from semviz_core.common.errors import SemvizError
 
 _KINDS = [0, 0, 1, 2]
 """The column of ``Residuals.squared_px2`` that each row belongs to."""
+_RATIOS = [0, 0, 1, 1]
+"""The column of ``ObservationArray.sigma_ratio`` of each row of a pole."""
 _BEHIND = 1e9
 
 
@@ -25,18 +27,26 @@ class Residuals:
     """Residuals of k observations, four rows each; rows that do not exist are zero."""
 
     error_px: FloatArray
-    """(k, 4) projection minus observation. Signs: u, v, 0, 0. Poles: across the projected line (to
-    its right if it runs downwards) at the observed anchor and end, then along the observed line at
-    both."""
+    """(k, 4) projection minus observation, over ``sigma_ratio``. Signs: u, v, 0, 0. Poles: across
+    the projected line (to its right if it runs downwards) at the observed anchor and end, then
+    along the observed line at both."""
     J: FloatArray
-    """(k, 4, 6) px/m, by (anchor, end) in the map frame. The row of an end that nobody saw has no
-    error, but a derivative, which holds the end on the line."""
+    """(k, 4, 6) px/m, by (anchor, end) in the map frame, over ``sigma_ratio``. The row of an end
+    that nobody saw has no error, but a derivative, which holds the end on the line."""
     by_u: FloatArray
-    """(k, 4) derivative by a shift of the projection to the right, in px/px."""
+    """(k, 4) derivative by a shift of the projection to the right, in px/px, over
+    ``sigma_ratio``."""
+    sigma_ratio: FloatArray
+    """(k, 4) sigma of each row, in multiples of the common sigma"""
     counts: BoolArray
     """(k, 4) whether the row is a measurement."""
     ahead: BoolArray
     """(k,) False if the landmark is behind the camera: its rows are zero too."""
+
+    @property
+    def pixels_off(self) -> FloatArray:
+        """(k, 4) the errors in pixels of the image, whatever their sigma."""
+        return np.asarray(self.error_px * self.sigma_ratio)
 
     def squared_px2(self) -> FloatArray:
         """Return squared lengths (k, 3) of independent errors: of a point or a pole's line, and of
@@ -74,12 +84,17 @@ def residuals(
         error_px=np.zeros((k, 4)),
         J=np.zeros((k, 4, 6)),
         by_u=np.zeros((k, 4)),
+        sigma_ratio=observations.sigma_ratio[:, _RATIOS],
         counts=np.zeros((k, 4), dtype=bool),
         ahead=np.zeros(k, dtype=bool),
     )
     is_line = observations.is_line
+    result.sigma_ratio[~is_line, :2] = observations.sigma_ratio[~is_line]
     _fill_points(views, observations, np.flatnonzero(~is_line), anchor_m, result)
     _fill_lines(views, observations, np.flatnonzero(is_line), anchor_m, end_m, result)
+    result.J[:] /= result.sigma_ratio[:, :, None]
+    for values in (result.error_px, result.by_u):
+        values /= result.sigma_ratio
     for values in (result.error_px, result.J, result.by_u):
         values[~result.ahead] = 0.0
     return result

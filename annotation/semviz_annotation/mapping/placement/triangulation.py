@@ -301,6 +301,7 @@ def _observation_array(
         end_px=ends_px[:, 1],
         anchor_known=np.array([observation.anchor_known for observation in observations]),
         end_known=np.array([observation.end_known for observation in observations]),
+        sigma_ratio=np.ones((k, 2)),
         label_row=np.arange(k),
         count=1,
     )

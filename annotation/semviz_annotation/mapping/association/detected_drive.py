@@ -1,0 +1,252 @@
+"""The detections of a drive beside its labels, and which of them the labels explain.
+
+Labels win: a detection on a label of its image, or of a labelled landmark, is not searched again.
+One of a landmark that a person left out is rejected, and so is a whole track that stands there:
+what was rejected never returns, whichever detector sees it.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.rows import Row
+from semviz_annotation.mapping.association.candidates import LandmarkPositions, ground_positions
+from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
+from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.nodes import ReviewConstraints, spans
+from semviz_annotation.mapping.association.not_landmarks import marks_on_camera
+from semviz_annotation.mapping.association.shared_observations import (
+    CandidateExplanations,
+    nearby_explanations,
+)
+from semviz_annotation.mapping.placement.landmarks import Landmarks
+from semviz_annotation.mapping.placement.observations import (
+    LabelObservations,
+    ObservationArray,
+    gather_observations,
+)
+from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
+from semviz_core.base.frame import Dataset
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+
+TRACK_NUMBER = 100_000
+"""Tracks of detections are numbered from here on, by their first frame."""
+FREE, REJECTED, LABELLED, NO_LANDMARK = -1, -2, -3, -4
+"""Instead of the track of a detection."""
+_STEP_M = 0.3
+"""Frames nearer to each other show no landmark from elsewhere."""
+_LEAST_SIGMA_PX = 0.3
+"""No detector is known to be more precise."""
+_ON_LABEL_PX, _ON_LABEL_SIGMAS = 5.0, 3.0
+"""A detection is on a label if it is this near, whatever the two agree on."""
+_REJECTED_POSE_M = 0.15
+"""Detections of a rejected landmark are recognized with poses this far off, of another pass ..."""
+_REJECTED_M, _REJECTED_SIGMAS = 0.25, 2.0
+"""... and tracks that stand this near to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedDrive:
+    """The labels, and each detection as an element of its own; k observations of both."""
+
+    gathered: LabelObservations
+    """The elements of labels come first, then one for each detection."""
+    link: LinkOptions
+    left_out: BoolArray
+    """(n,) label elements that a person left out"""
+    placed: Landmarks
+    """The landmarks of the n label elements."""
+    rays: GroundRays
+    """of all k observations"""
+    images: DriveImages
+    sigma_ratio: dict[str, tuple[float, float]]
+    """For ``collect_observations``, by id of the detection."""
+
+    @classmethod
+    def of(
+        cls,
+        labels: Labels,
+        detections: Sequence[Proposal],
+        source: Dataset,
+        link: LinkOptions,
+        frames: Collection[int] | None,
+    ) -> "DetectedDrive":
+        """Gather ``labels`` and ``detections``, by image, in ``frames`` (None: all)."""
+        number = max(TRACK_NUMBER, labels.next_number)
+        rows: list[Row] = list(labels.rows())
+        for row, detection in enumerate(detections):
+            rows.append(LabelElement(detection.id, number + row, detection.class_id))
+            rows.append(as_observation(detection))
+        sigma_ratio = {row.id: _sigma_ratio(row, link.place.sigma_px) for row in detections}
+        gathered = gather_observations(Labels.from_rows(rows), source, frames, sigma_ratio)
+        views, observations = gathered.views, gathered.observations
+        elements = tuple(element for element in gathered.elements if element.number < number)
+        is_label = np.arange(observations.count) < len(elements)
+        cameras = (source.rig.left, source.rig.right or source.rig.left)
+        sizes_px = np.array([(camera.width, camera.height) for camera in cameras], dtype=np.float64)
+        return cls(
+            gathered=gathered,
+            link=link,
+            left_out=ReviewConstraints.of(labels, elements).left_out,
+            placed=triangulate_landmarks(views, observations.only(is_label), link.place),
+            rays=GroundRays.of(views, observations, link.place.sigma_px),
+            images=DriveImages.of(views, sizes_px[views.is_right.astype(np.int64)], _STEP_M),
+            sigma_ratio=sigma_ratio,
+        )
+
+    @property
+    def is_detection(self) -> BoolArray:
+        """(k,)"""
+        return np.asarray(self.gathered.observations.landmark >= len(self.left_out))
+
+    @property
+    def class_id(self) -> IntArray:
+        """(k,)"""
+        kinds = np.array([element.class_id for element in self.gathered.elements], dtype=np.int64)
+        return kinds[self.gathered.observations.landmark]
+
+    def lines_only(self, rows: IntArray) -> ObservationArray:
+        """Return the observations in rows (m,), each of a landmark of its own, with unknown ends:
+        a detector's ends may be far off."""
+        alone = self.gathered.observations.taken(rows, np.arange(len(rows)), len(rows))
+        nothing = np.zeros(len(rows), dtype=np.bool_)
+        return replace(alone, anchor_known=nothing, end_known=nothing)
+
+    def explained(
+        self, rows: IntArray, kind_of: IntArray, placed: Landmarks, kind: IntArray, pose_m: float
+    ) -> tuple[CandidateExplanations, FloatArray]:
+        """Return which landmarks of the same ``kind`` (n,) observations in rows (m,), of
+        ``kind_of`` (m,), fit, and the log-likelihood of each such pair."""
+        views, observations = self.gathered.views, self.lines_only(rows)
+        link = replace(self.link, pose_sigma_m=pose_m)
+        claims = nearby_explanations(views, observations, kind_of, placed, kind, link)
+        fits, score = claims.tested(views, observations, LandmarkPositions.of(placed), link)
+        return claims.where(fits), score[fits]
+
+    def initial_owner(self) -> IntArray:
+        """Return for each observation (k,) whether it is ``FREE``, ``LABELLED``, ``REJECTED``, or
+        ``NO_LANDMARK`` (a mark on the camera).
+
+        Labels of elements without a position are free: a track may give them one.
+        """
+        observations, is_line = self.gathered.observations, self.gathered.observations.is_line
+        rows = np.flatnonzero(self.is_detection)
+        owner = np.where(self.is_detection, FREE, LABELLED)
+        marks = marks_on_camera(
+            observations,
+            rows,
+            self.class_id[rows],
+            self.gathered.views,
+            self.images,
+            self.link.place.sigma_px,
+        )
+        owner[rows[marks]] = NO_LANDMARK
+        detection, element = self._on_labels()
+        kind_of = is_line[rows].astype(np.int64)
+        kind = observations.of(is_line)[: len(self.left_out)].astype(np.int64)
+        for left_out, state in ((False, LABELLED), (True, REJECTED)):
+            pose_m = _REJECTED_POSE_M if left_out else self.link.pose_sigma_m
+            some = np.where(self.left_out == left_out, self.placed.failure, "not asked for")
+            claims, _ = self.explained(
+                rows, kind_of, replace(self.placed, failure=some), kind, pose_m
+            )
+            owner[rows[claims.observation]] = state
+            owner[detection[self.left_out[element] == left_out]] = state
+        unplaced = np.append(~self.placed.ok, False)
+        last = len(self.left_out)
+        owner[unplaced[np.minimum(observations.landmark, last)]] = FREE
+        return owner
+
+    def _on_labels(self) -> tuple[IntArray, IntArray]:
+        """Return pairs (p,) of a detection (row) and the label element whose label it lies on."""
+        observations = self.gathered.observations
+        labels = np.flatnonzero(~self.is_detection)
+        labels = labels[np.argsort(observations.view[labels], kind="stable")]
+        rows = np.flatnonzero(self.is_detection)
+        view = observations.view[labels]
+        first, last = (
+            np.searchsorted(view, observations.view[rows], side=side) for side in ("left", "right")
+        )
+        label, pair = spans(first, last)
+        label, detection = labels[label], rows[pair]
+        near = _distance_px(observations, detection, label)
+        sigma_px = self.link.place.sigma_px * observations.sigma_ratio[detection, 0]
+        on = near <= _ON_LABEL_PX + _ON_LABEL_SIGMAS * sigma_px
+        return detection[on], observations.landmark[label[on]]
+
+    def rejected_tracks(self, tracks: Landmarks) -> BoolArray:
+        """Return which ``tracks`` (t,) stand where a person left a landmark out."""
+        from scipy.spatial import cKDTree
+
+        result = np.zeros(len(tracks.failure), dtype=np.bool_)
+        rows = np.flatnonzero(self.left_out & self.placed.ok)
+        if not len(rows) or not len(result):
+            return result
+        at_m, _, sigma_m = ground_positions(self.placed)
+        track_m, _, track_sigma_m = ground_positions(tracks)
+        ok = np.flatnonzero(tracks.ok)
+        reach = _REJECTED_M + _REJECTED_SIGMAS * (track_sigma_m[ok] + sigma_m[rows].max())
+        near = cKDTree(at_m[rows]).query_ball_point(track_m[ok], reach)
+        for track, others in zip(ok.tolist(), near, strict=True):
+            for other in rows[np.asarray(others, dtype=np.int64)].tolist():
+                spread = _REJECTED_SIGMAS * np.hypot(track_sigma_m[track], sigma_m[other])
+                away = np.linalg.norm(track_m[track] - at_m[other])
+                is_line = np.isfinite(tracks.end_m[track, 0])
+                if is_line != np.isfinite(self.placed.end_m[other, 0]):
+                    continue
+                if not is_line:
+                    rise = tracks.anchor_m[track, 2] - self.placed.anchor_m[other, 2]
+                    away = np.hypot(away, rise)
+                result[track] |= away <= _REJECTED_M + spread
+        return result
+
+
+def _sigma_ratio(detection: Proposal, sigma_px: float) -> tuple[float, float]:
+    along_px = detection.sigma_along_px or detection.sigma_px
+    return (
+        max(detection.sigma_px, _LEAST_SIGMA_PX) / sigma_px,
+        max(along_px, _LEAST_SIGMA_PX) / sigma_px,
+    )
+
+
+def as_observation(detection: Proposal) -> Observation:
+    """Return a detection as an observation of an element of its own; both have its id."""
+    return Observation(
+        id=detection.id,
+        element_id=detection.id,
+        frame_index=detection.frame_index,
+        side=detection.side,
+        anchor_px=detection.anchor_px,
+        end_px=detection.end_px,
+        anchor_known=detection.anchor_known,
+        end_known=detection.end_known,
+    )
+
+
+def _distance_px(
+    observations: ObservationArray, detection: IntArray, label: IntArray
+) -> FloatArray:
+    """Return the distances (p,) of detections from labels: of signs, of their centres; of poles,
+    across the label in the middle of what both show of it. Infinite if they show no common part."""
+    start, along = observations.anchor_px[label], observations.end_px[label]
+    line = np.nan_to_num(along - start, nan=1.0)
+    squared = np.maximum((line**2).sum(axis=1), 1e-9)
+
+    def share(points: FloatArray) -> FloatArray:
+        return np.asarray(((points - start) * line).sum(axis=1) / squared)
+
+    ends = observations.anchor_px[detection], observations.end_px[detection]
+    first, last = np.sort(np.stack([share(end) for end in ends]), axis=0)
+    low, high = np.maximum(first, 0.0), np.minimum(last, 1.0)
+    mixed = ((low + high) / 2.0 - share(ends[0])) / np.where(
+        share(ends[1]) == share(ends[0]), 1.0, share(ends[1]) - share(ends[0])
+    )
+    point = ends[0] + mixed[:, None] * (ends[1] - ends[0]) - start
+    across = np.abs(point[:, 0] * line[:, 1] - point[:, 1] * line[:, 0]) / np.sqrt(squared)
+    is_line = observations.is_line
+    both, neither = is_line[detection] & is_line[label], ~is_line[detection] & ~is_line[label]
+    centres = np.linalg.norm(ends[0] - start, axis=1)
+    return np.where(both & (low < high), across, np.where(neither, centres, np.inf))

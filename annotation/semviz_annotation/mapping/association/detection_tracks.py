@@ -1,0 +1,304 @@
+"""Detections of a drive as label elements: one for each landmark that they have in common.
+
+Detections that labels do not explain are searched for tracks. Each track is added to the
+labels, in memory, as a label element whose observations have the ids of its detections. So map
+building, decisions and lint treat labels and detections alike.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_annotation.labels.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.rows import Row, derived_id
+from semviz_annotation.mapping.association.detected_drive import (
+    FREE,
+    LABELLED,
+    NO_LANDMARK,
+    REJECTED,
+    TRACK_NUMBER,
+    DetectedDrive,
+)
+from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
+from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.not_landmarks import moving_tracks
+from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
+from semviz_annotation.mapping.placement.landmarks import Landmarks
+from semviz_annotation.mapping.placement.observations import ObservationArray
+from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
+from semviz_core.base.frame import Dataset
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """Which detections become landmarks."""
+
+    least_score: float = 0.0
+    """Detections with a lower score are not used."""
+    min_frames: int = SearchOptions.min_frames
+    """Least number of frames, at positions of their own, that detect a landmark."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.least_score <= 1.0:
+            raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
+        if self.min_frames < 2:
+            raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 frames or more")
+
+
+@dataclass(frozen=True)
+class DetectionCounts:
+    """What became of the detections."""
+
+    detections: int
+    labelled: int
+    """Of what is labelled."""
+    rejected: int
+    """Of what a person left out."""
+    tracked: int
+    alone: int
+    """Of nothing that enough others show."""
+    no_landmark: int
+    """At one pixel all the time, or of something that moves."""
+    tracks: int
+    unknown_ends: int
+    """Ends of poles that do not fit the height that others show."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.detections} detections: {self.tracked} in {self.tracks} tracks, {self.alone} "
+            f"that too few others agree with, {self.no_landmark} of the camera or of what moves, "
+            f"{self.labelled} of labelled and {self.rejected} of rejected landmarks; "
+            f"{self.unknown_ends} ends are not where others show them"
+        )
+
+
+class JoinedDetections(NamedTuple):
+    """Labels and tracks of detections together."""
+
+    labels: Labels
+    """The labels, and each track as a label element."""
+    sigma_ratio: dict[str, tuple[float, float]]
+    """For ``collect_observations``, by observation id."""
+    log_odds: dict[str, float]
+    """Log-odds that the landmark of a track exists, by id of its label element."""
+    counts: DetectionCounts
+
+
+def detection_labels(
+    labels: Labels,
+    detections: Proposals,
+    source: Dataset,
+    link: LinkOptions,
+    options: TrackOptions = TrackOptions(),
+    frames: Collection[int] | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> JoinedDetections:
+    """Return ``labels`` joined with the tracks of ``detections`` in ``frames`` (None: all).
+
+    Detections in frames without a pose do not count. Raise SemvizError like
+    ``collect_observations``.
+    """
+    chosen = _chosen(labels, detections, source, options, frames)
+    drive = DetectedDrive.of(labels, chosen, source, link, frames)
+    searched = _searched(drive, detections)
+    tracks = _search(drive, searched, options, on_progress)
+    tracks = _without_moving(drive, searched, tracks)
+    tracks = _without_rejected(drive, tracks)
+    tracks = _with_the_rest(drive, tracks)
+    return _joined(labels, drive, tracks)
+
+
+def _chosen(
+    labels: Labels,
+    detections: Proposals,
+    source: Dataset,
+    options: TrackOptions,
+    frames: Collection[int] | None,
+) -> list[Proposal]:
+    """Return the detections to use, by image; accepted ones are labels already."""
+    posed = {frame.index for frame in source.frames if frame.T_map_camera is not None}
+    usable = posed if frames is None else posed & set(frames)
+    good = np.isin(detections.frame_index, sorted(usable))
+    good &= detections.score >= options.least_score
+    rows = (detections[row] for row in np.flatnonzero(good).tolist())
+    known = labels.observations.keys() | labels.dismissals.keys()
+    new = (row for row in rows if row.id not in known)
+    return sorted(new, key=lambda row: (row.frame_index, row.side, row.id))
+
+
+def _searched(drive: DetectedDrive, detections: Proposals) -> BoolArray:
+    """Return which images (v,) a detector has processed."""
+    views = drive.gathered.views
+    if detections.processed is None:
+        return np.isin(views.is_right, detections.is_right)
+    images = detections.processed.images
+    return np.array(
+        [
+            (index, "right" if is_right else "left") in images
+            for index, is_right in zip(
+                views.frame_index.tolist(), views.is_right.tolist(), strict=True
+            )
+        ],
+        dtype=np.bool_,
+    )
+
+
+class _Tracks(NamedTuple):
+    """t tracks of k observations."""
+
+    owner: IntArray
+    """(k,) track, or ``FREE``, ``LABELLED``, ``REJECTED`` or ``NO_LANDMARK``"""
+    at_m: FloatArray
+    """(t, 2)"""
+    log_odds: FloatArray
+    """(t,)"""
+
+
+def _search(
+    drive: DetectedDrive,
+    searched: BoolArray,
+    options: TrackOptions,
+    on_progress: Callable[[int, int], None],
+) -> _Tracks:
+    """Return the tracks of what labels do not explain."""
+    owner = drive.initial_owner()
+    rows = np.flatnonzero(owner == FREE)
+    found = search_tracks(
+        drive.rays.taken(rows),
+        drive.gathered.observations.view[rows],
+        drive.class_id[rows],
+        drive.images,
+        searched,
+        SearchOptions(min_frames=options.min_frames),
+        on_progress,
+    )
+    owner[rows] = np.where(found.track >= 0, found.track, FREE)
+    return _Tracks(owner, found.at_m, found.log_odds)
+
+
+def _without_moving(drive: DetectedDrive, searched: BoolArray, tracks: _Tracks) -> _Tracks:
+    """Give up the tracks that only one of two cameras sees, except of what is labelled."""
+    view = drive.gathered.observations.view
+    moving = moving_tracks(
+        drive.gathered.views, drive.images, searched, view, tracks.owner, tracks.at_m
+    )
+    moving[tracks.owner[(tracks.owner >= 0) & ~drive.is_detection]] = False
+    lost = np.append(moving, [False] * 4)[tracks.owner]
+    return tracks._replace(owner=np.where(lost, NO_LANDMARK, tracks.owner))
+
+
+def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
+    """Give up the tracks of landmarks that a person left out."""
+    _, placed, _ = _placed(drive, tracks)
+    rejected = drive.rejected_tracks(placed)
+    element = drive.gathered.observations.landmark
+    is_left_out = np.append(drive.left_out, False)[np.minimum(element, len(drive.left_out))]
+    rejected[tracks.owner[(tracks.owner >= 0) & is_left_out]] = True
+    lost = np.append(rejected, [False] * 4)[tracks.owner]
+    owner = np.where(lost & drive.is_detection, REJECTED, tracks.owner)
+    return tracks._replace(owner=np.where(lost & ~drive.is_detection, LABELLED, owner))
+
+
+def _placed(
+    drive: DetectedDrive, tracks: _Tracks
+) -> tuple[ObservationArray, Landmarks, AgreedEnds]:
+    """Return the observations of the tracks, with the ends that agree, and their landmarks."""
+    observations = drive.gathered.observations
+    ends = agreed_ends(drive.rays, tracks.owner, tracks.at_m)
+    agreed = replace(observations, anchor_known=ends.known[:, 0], end_known=ends.known[:, 1])
+    grouped = agreed.regrouped(np.maximum(tracks.owner, -1), len(tracks.at_m))
+    place = replace(drive.link.place, min_angle_rad=0.0)
+    return grouped, triangulate_landmarks(drive.gathered.views, grouped, place), ends
+
+
+def _with_the_rest(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
+    """Add the free detections that fit a track, in images where it has none."""
+    grouped, placed, _ = _placed(drive, tracks)
+    rows = np.flatnonzero((tracks.owner == FREE) & drive.is_detection)
+    kind = np.full(len(tracks.at_m), -1)
+    kind[grouped.landmark] = drive.class_id[grouped.label_row]
+    claims, score = drive.explained(
+        rows, drive.class_id[rows], placed, kind, drive.link.pose_sigma_m
+    )
+    view = drive.gathered.observations.view
+    v = len(drive.gathered.views)
+    cell = claims.landmark * v + view[rows[claims.observation]]
+    score[np.isin(cell, grouped.landmark * v + grouped.view)] = -np.inf
+    owner = tracks.owner.copy()
+    taken: set[int] = set()
+    for pair in np.argsort(-score, kind="stable")[: np.isfinite(score).sum()].tolist():
+        row = rows[claims.observation[pair]]
+        if owner[row] == FREE and int(cell[pair]) not in taken:
+            owner[row] = claims.landmark[pair]
+            taken.add(int(cell[pair]))
+    return tracks._replace(owner=owner)
+
+
+def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDetections:
+    """Return the labels with each track as a label element."""
+    gathered, owner = drive.gathered, tracks.owner
+    _, _, ends = _placed(drive, tracks)
+    rows: list[Row] = list(labels.rows())
+    sigma_ratio: dict[str, tuple[float, float]] = {}
+    log_odds: dict[str, float] = {}
+    number = max(TRACK_NUMBER, labels.next_number)
+    detected = np.flatnonzero((owner >= 0) & drive.is_detection)
+    labelled = np.flatnonzero((owner >= 0) & ~drive.is_detection)
+    first = {int(owner[row]): row for row in detected[::-1].tolist()}
+    named = {int(owner[row]): row for row in labelled[::-1].tolist()}
+    element_ids = {
+        track: gathered.elements[gathered.observations.landmark[row]].id
+        for track, row in named.items()
+    }
+    for track in sorted(first, key=lambda track: first[track]):
+        if track in named:
+            continue
+        element_ids[track] = _track_id(gathered.label_rows[first[track]].id, labels)
+        class_id = int(drive.class_id[first[track]])
+        rows.append(LabelElement(element_ids[track], number, class_id))
+        log_odds[element_ids[track]] = float(tracks.log_odds[track])
+        number += 1
+    for row in detected.tolist():
+        detection, element_id = gathered.label_rows[row], element_ids[int(owner[row])]
+        if labels.find(element_id, detection.frame_index, detection.side) is not None:
+            continue
+        rows.append(_observation(detection, element_id, ends.known[row]))
+        across, along = drive.sigma_ratio[detection.id]
+        sigma_ratio[detection.id] = across, along * float(ends.spread[row])
+    joined = Labels.from_rows(rows, labels.next_number, labels.operation)
+    return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
+
+
+def _track_id(detection_id: str, labels: Labels) -> str:
+    """Return the id of a track by its first detection, other than those of label elements."""
+    track_id = derived_id(f"track {detection_id}")
+    while track_id in labels.elements:
+        track_id = derived_id(f"track {track_id}")
+    return track_id
+
+
+def _observation(detection: Observation, element_id: str, known: BoolArray) -> Observation:
+    return replace(
+        detection, element_id=element_id, anchor_known=bool(known[0]), end_known=bool(known[1])
+    )
+
+
+def _counts(
+    drive: DetectedDrive, tracks: _Tracks, ends: AgreedEnds, log_odds: dict[str, float]
+) -> DetectionCounts:
+    owner = tracks.owner[drive.is_detection]
+    return DetectionCounts(
+        detections=len(owner),
+        labelled=int((owner == LABELLED).sum()),
+        rejected=int((owner == REJECTED).sum()),
+        tracked=int((owner >= 0).sum()),
+        alone=int((owner == FREE).sum()),
+        no_landmark=int((owner == NO_LANDMARK).sum()),
+        tracks=len(log_odds),
+        unknown_ends=int((drive.rays.known & ~ends.known).sum()),
+    )

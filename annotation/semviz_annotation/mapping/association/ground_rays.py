@@ -1,0 +1,143 @@
+"""Detections as rays on the ground plane, image by image along the drive.
+
+A pole's ray points at its axis at the height of the camera, so neither its ends nor its lean
+matter; a sign's ray points at its centre. Rays of one landmark meet where it stands.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from semviz_annotation.mapping.placement.linear import end_rays
+from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+
+_LEAST_UPRIGHT = 0.5
+"""Sine of the least angle between a pole's line and the horizontal."""
+_BEYOND = 2.0
+"""A pole's axis is extended to the horizon by at most so many times its own length."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundRays:
+    """k rays of detections; rows in the order of the observations."""
+
+    origin_m: FloatArray
+    """(k, 3) camera centres"""
+    direction: FloatArray
+    """(k, 2) unit vectors on the ground plane"""
+    sigma_rad: FloatArray
+    """(k,) of the direction"""
+    slope: FloatArray
+    """(k, 2) rise per metre on the ground of the rays through anchor and end; NaN for the end of a
+    sign"""
+    slope_sigma: FloatArray
+    """(k,) of the slopes"""
+    known: BoolArray
+    """(k, 2) whether anchor and end are known"""
+    sound: BoolArray
+    """(k,) False for a line in the image that is no upright pole"""
+
+    @classmethod
+    def of(
+        cls, views: ViewArray, observations: ObservationArray, sigma_px: float = 1.0
+    ) -> "GroundRays":
+        """Return the rays of ``observations``, whose common sigma is ``sigma_px``."""
+        is_line = observations.is_line
+        ends = end_rays(views, observations)
+        ends[~is_line, 1] = np.nan
+        flat = np.linalg.norm(ends[:, :, :2], axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = ends[:, :, 2] / flat
+            share = np.where(is_line, slope[:, 0] / (slope[:, 0] - slope[:, 1]), 0.0)
+        share = np.clip(np.nan_to_num(share), -_BEYOND, 1.0 + _BEYOND)
+        direction, sound = _towards(ends, is_line)
+        forward = views.R[observations.view, 2, :2]
+        forward = forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
+        cosine = np.clip((forward * direction).sum(axis=1), 0.1, 1.0)
+        px_rad = sigma_px * observations.sigma_ratio / views.K[observations.view, 0, 0][:, None]
+        return cls(
+            origin_m=views.center_m[observations.view],
+            direction=direction,
+            sigma_rad=px_rad[:, 0] * cosine**2 * np.hypot(share, 1.0 - share),
+            slope=slope,
+            slope_sigma=px_rad[:, 1] * cosine,
+            known=np.stack([observations.anchor_known, observations.end_known], axis=1),
+            sound=sound & np.isfinite(slope[:, 0]),
+        )
+
+    def taken(self, rows: IntArray) -> "GroundRays":
+        """Return the rays in rows (m,)."""
+        return GroundRays(*(getattr(self, column.name)[rows] for column in fields(GroundRays)))
+
+
+def _towards(ends: FloatArray, is_line: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """Return the directions (k, 2) of rays through anchor and end (k, 2, 3), and which are
+    sound."""
+    middle = np.where(is_line[:, None], np.nan_to_num(ends.sum(axis=1)), ends[:, 0])[:, :2]
+    normal = np.nan_to_num(np.cross(ends[:, 0], ends[:, 1]))
+    level = np.linalg.norm(normal[:, :2], axis=1)
+    upright = level > _LEAST_UPRIGHT * np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    across = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    across *= np.where((across * middle).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    direction = np.where(is_line[:, None], across, middle)
+    length = np.linalg.norm(direction, axis=1)
+    sound = (length > 1e-9) & (upright | ~is_line)
+    return direction / np.maximum(length, 1e-9)[:, None], sound
+
+
+@dataclass(frozen=True, eq=False)
+class DriveImages:
+    """v images along a drive, in the order of ``ViewArray``."""
+
+    path_m: FloatArray
+    """(v,) distance driven until then"""
+    center_m: FloatArray
+    """(v, 2)"""
+    forward: FloatArray
+    """(v, 2) unit vectors on the ground plane"""
+    edges: FloatArray
+    """(v, 2) tangents of the angles at which the image ends to its left and right"""
+    focal_px: FloatArray
+    """(v,)"""
+    size_px: FloatArray
+    """(v, 2) width and height"""
+    keyframe: IntArray
+    """(v,) number of the position that an image was taken at; images nearer than ``step_m`` to the
+    last position count as taken there too"""
+    is_key: BoolArray
+    """(v,) whether the image is of the first frame at its position"""
+
+    @classmethod
+    def of(cls, views: ViewArray, size_px: FloatArray, step_m: float) -> "DriveImages":
+        """Return the images of ``views``, which are in the order of frames, with sizes (v, 2)."""
+        center = views.center_m
+        frames, first, frame = np.unique(views.frame_index, return_index=True, return_inverse=True)
+        moved = np.linalg.norm(np.diff(center[first], axis=0), axis=1)
+        path = np.concatenate([[0.0], np.cumsum(moved)])[: len(frames)]
+        forward = views.R[:, 2, :2]
+        K = views.K
+        keyframe = _keyframes(path, step_m)
+        left = -(K[:, 0, 2] + 0.5) / K[:, 0, 0]
+        right = (size_px[:, 0] - 0.5 - K[:, 0, 2]) / K[:, 0, 0]
+        return cls(
+            path_m=path[frame],
+            center_m=np.ascontiguousarray(center[:, :2]),
+            forward=forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9),
+            edges=np.stack([left, right], axis=1),
+            focal_px=K[:, 0, 0].copy(),
+            size_px=size_px,
+            keyframe=keyframe[frame],
+            is_key=(np.diff(keyframe, prepend=-1) > 0)[frame],
+        )
+
+
+def _keyframes(path_m: FloatArray, step_m: float) -> IntArray:
+    """Return the number (f,) of the position that each frame belongs to, ascending."""
+    result = np.zeros(len(path_m), dtype=np.int64)
+    at_m = path_m[0] if len(path_m) else 0.0
+    for row in range(1, len(path_m)):
+        new = path_m[row] - at_m >= step_m
+        at_m = path_m[row] if new else at_m
+        result[row] = result[row - 1] + new
+    return result
