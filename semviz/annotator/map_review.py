@@ -135,34 +135,65 @@ class MapWork:
             self._was_read = True
 
     def _find(self) -> None:
-        """Find the tracks of the newest map that has any."""
-        found = DetectionTracks()
+        """Find the tracks of the newest map from detections."""
+        from semviz_annotation.mapping.build import uses_detections
+
         for name in sorted(self._stamps, key=lambda name: self._stamps[name], reverse=True):
             if name == MAIN and self.built is not None:
-                found = self._find_tracks(self.built.semantic_map)
+                semantic_map = self.built.semantic_map
             else:
-                found = self._find_tracks(self._workspace.read_map(name))
-            if found.tracks:
-                break
-        self.tracks = found
+                semantic_map = self._workspace.read_map(name)
+            if uses_detections(semantic_map):
+                self.tracks = self._find_tracks(semantic_map)
+                return
+        self.tracks = DetectionTracks()
 
     def _build(self) -> None:
-        from semviz_annotation.mapping.build import build_map
-        from semviz_core.base.map_file import save_map
+        """Build the map of the labels, and that from detections if there is one.
+
+        Without labels there is only the latter.
+        """
+        from semviz_annotation.mapping.build import uses_detections
 
         try:
-            built, _ = build_map(
-                self._labels(),
-                self._workspace.source,
-                classes=self._workspace.classes,
-                on_progress=self._on_progress,
-            )
-            save_map(built, self._workspace.map_path(MAIN))
+            labels = self._labels()
+            main = None if self.built is None else self.built.semantic_map
+            has_other = FROM_DETECTIONS in self._stamps
+            if main is not None and uses_detections(main):
+                self._lint(self._saved(MAIN, self._rebuilt(main, labels)))
+            elif labels.without_left_out().observations or not has_other:
+                self._lint(self._saved(MAIN, self._of_labels(labels)))
+            if has_other:
+                old = self._workspace.read_map(FROM_DETECTIONS)
+                self._saved(FROM_DETECTIONS, self._rebuilt(old, labels))
             self._stamps = self._present()
-            self._lint(built)
             self._find()
         finally:
             self.building = None
+
+    def _of_labels(self, labels: Labels) -> SemanticMap:
+        from semviz_annotation.mapping.build import build_map
+
+        workspace = self._workspace
+        built, _ = build_map(
+            labels, workspace.source, classes=workspace.classes, on_progress=self._on_progress
+        )
+        return built
+
+    def _rebuilt(self, old: SemanticMap, labels: Labels) -> SemanticMap:
+        from semviz.workspace.observations import read_detections
+        from semviz_annotation.mapping.build import rebuild_map
+
+        detections = read_detections(self._workspace, ())
+        source = self._workspace.source
+        built, _ = rebuild_map(old, labels, source, self._on_progress, detections)
+        return built
+
+    def _saved(self, name: str, semantic_map: SemanticMap) -> SemanticMap:
+        from semviz_core.base.map_file import save_map
+
+        save_map(semantic_map, self._workspace.map_path(name))
+        return semantic_map
 
     def _on_progress(self, stage: str, done: int, total: int) -> None:
         if self._stopping:
