@@ -9,6 +9,8 @@ from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
 from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.mapping.association.detection_tracks import TrackOptions
+from semviz_annotation.mapping.build import BuildOptions, settings_of
 from semviz_core.base.classes import POLE
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
@@ -55,6 +57,7 @@ def detect_and_map(
     saved = SemanticMap(
         elements=elements[order],
         frame=street.map_frame,
+        settings=settings_of(BuildOptions(), None, TrackOptions()),
         provenance=tuple(
             _provenance(found[element], track_frames or frames)
             for element in elements.id[order].tolist()

@@ -13,14 +13,16 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from semviz.annotator.element_positions import REACH_M
 from semviz.annotator.panes import Cameras
 from semviz.annotator.proposals import DETECTED_PX
 from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels.edits import AddElements, NewElement
 from semviz_annotation.labels.labels import Labels, Observation, Pixel
 from semviz_annotation.labels.proposals import Proposal, Proposals
-from semviz_annotation.labels.rows import RowChange, Rules
+from semviz_annotation.labels.rows import RowChange, Rules, derived_id
 from semviz_annotation.labels.shared_dict import SharedDict
+from semviz_annotation.labels.views import PosedView
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 from semviz_core.base.semantic_map import SemanticMap
@@ -105,9 +107,12 @@ class DetectionTracks:
         """Return the tracks of a map whose detections are among those ``detected``."""
         rows, found = _detections_of(semantic_map, detected, cameras)
         residuals_px = _residuals_px(semantic_map.elements, rows, found, cameras)
+        label_ids = _label_ids(semantic_map, rows, found)
         tracks = [
-            _track(semantic_map, row, detections, residual_px)
-            for row, detections, residual_px in zip(rows, found, residuals_px, strict=True)
+            _track(semantic_map, row, ids, detections, residual_px)
+            for row, ids, detections, residual_px in zip(
+                rows, label_ids, found, residuals_px, strict=True
+            )
         ]
         order = sorted(range(len(tracks)), key=lambda n: _doubt(tracks[n]))
         elements = semantic_map.elements[np.array([rows[n] for n in order], dtype=np.int64)]
@@ -145,13 +150,33 @@ def _detections_of(
     return rows, found
 
 
+def _label_ids(
+    semantic_map: SemanticMap, rows: Sequence[int], found: Sequence[tuple[Proposal, ...]]
+) -> list[tuple[str, ...]]:
+    """Return the ids of label elements of each track, no id twice.
+
+    Elements that map building split off have the ids of the element that they come from. They get
+    one of their own, from their first detection.
+    """
+    used: set[str] = set()
+    label_ids = []
+    for row, detections in zip(rows, found, strict=True):
+        new = tuple(id_ for id_ in semantic_map.provenance[row].label_ids if id_ not in used)
+        label_ids.append(new or (derived_id(f"track {detections[0].id} split"),))
+        used.update(new)
+    return label_ids
+
+
 def _track(
-    semantic_map: SemanticMap, row: int, detections: tuple[Proposal, ...], residual_px: float
+    semantic_map: SemanticMap,
+    row: int,
+    label_ids: tuple[str, ...],
+    detections: tuple[Proposal, ...],
+    residual_px: float,
 ) -> DetectionTrack:
     map_id, class_id = (
         int(column[row]) for column in (semantic_map.elements.id, semantic_map.elements.class_id)
     )
-    label_ids = semantic_map.provenance[row].label_ids
     return DetectionTrack(
         id=label_ids[0],
         name=semantic_map.classes.element_name(class_id, map_id),
@@ -239,6 +264,14 @@ class OpenTracks:
         self.places(labels)
         places = (place for id_ in track_ids for place in self._about.get(id_, ()))
         return [(place, self.tracks.tracks[place]) for place in places if place in self._open]
+
+    def project(self, view: PosedView, labels: Labels) -> FloatArray:
+        """Return the pixels (n, 2, 2) of anchors and ends of open tracks within ``REACH_M``."""
+        elements = self.tracks.elements[np.array(self.places(labels), dtype=np.int64)]
+        depth_m = view.depth_m(elements.anchor_m)
+        near = elements[np.flatnonzero((depth_m > 0.5) & (depth_m < REACH_M))]
+        ends_m = np.stack([near.anchor_m, near.end_m], axis=1)
+        return view.project(ends_m.reshape(-1, 3)).reshape(-1, 2, 2)
 
     def is_open(self, track: DetectionTrack | None, labels: Labels) -> bool:
         """Return whether a track of this map is open."""

@@ -438,11 +438,8 @@ def _proposed_element(proposal: LabelProposal, labels: Labels, classes: ClassSet
     """The proposed element: a new one if a detector proposes it."""
     if not proposal.is_detected:
         return element_ref(labels.element(proposal.element_id), classes)
-    if proposal.track is not None:
-        count = len(proposal.track.frames)
-        name = f"{proposal.track.name} · {count} {'frame' if count == 1 else 'frames'}"
-    else:
-        name = f"new {classes[proposal.class_id].name}"
+    track = proposal.track
+    name = f"new {classes[proposal.class_id].name}" if track is None else track.name
     return ElementRef(id=proposal.element_id, name=name, class_id=proposal.class_id)
 
 

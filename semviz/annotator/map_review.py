@@ -1,12 +1,13 @@
-"""Read, lint and rebuild the last map of a workspace, and list open decisions and findings.
+"""Read, lint and rebuild the maps of a workspace; list open tracks, decisions and findings.
 
 A map is worked on in a thread of its own and replaced as a whole, so any thread may read it.
 Decisions and findings are listed as open while labels change; an edit affects few of thousands.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -28,6 +29,11 @@ from semviz_annotation.mapping.quality.lint_context import Finding
 from semviz_core.base.semantic_map import Decision, SemanticMap
 from semviz_core.common.errors import SemvizError
 
+FROM_DETECTIONS = "from-detections"
+"""Default name of a map from detections."""
+Stamp: TypeAlias = tuple[int, int]
+"""Time (ns) and size of a file, which differ between two versions of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class LintedMap:
@@ -36,12 +42,15 @@ class LintedMap:
     semantic_map: SemanticMap
     findings: tuple[Finding, ...]
     """Most severe first."""
-    tracks: DetectionTracks
 
 
 class MapWork:
-    """Reads and builds the map in a thread of its own. Any thread may read the results: they are
-    replaced whole."""
+    """Reads and builds maps in a thread of its own. Any thread may read the results: they are
+    replaced whole.
+
+    Decisions and findings are those of the map ``main``, tracks those of the newest map from
+    detections: ``main`` or ``from-detections``.
+    """
 
     def __init__(
         self,
@@ -54,12 +63,15 @@ class MapWork:
         self._labels = labels
         self._find_tracks = find_tracks
         self._reading: Future[None] | None = None
-        self._path = workspace.map_path(MAIN)
+        self._was_read = False
         self._pool = ThreadPoolExecutor(1, "semviz-map")
-        self._stamp: tuple[int, int] | None = None
+        self._stamps: Mapping[str, Stamp] = {}
+        """Of the map files that exist, when they were read."""
         self._stopping = False
         self.built: LintedMap | None = None
         """None if there is no map yet, or it has not been read."""
+        self.tracks = DetectionTracks()
+        """Empty if there is no map from detections, or it has not been read."""
         self.failure = ""
         """Why the last map could not be read or built."""
         self.building: str | None = None
@@ -68,16 +80,21 @@ class MapWork:
         """Changes whenever one of these changes."""
 
     def refresh(self) -> None:
-        """Read the map file in the background if it has changed."""
-        stamp = _stamp(self._path)
-        if stamp != self._stamp:
-            self._stamp = stamp
-            self._reading = self._pool.submit(self._work, self._read)
+        """Read the map files in the background if one has changed."""
+        before, self._stamps = self._stamps, self._present()
+        if before != self._stamps:
+            changed = before.get(MAIN) != self._stamps.get(MAIN)
+            self._reading = self._pool.submit(self._work, partial(self._read, changed))
 
     def wait_for_first(self) -> None:
-        """Wait until a map that was there at the start has been read: edits may name its tracks."""
-        if self.built is None and self.building is None and self._reading is not None:
+        """Wait until the maps that were there at the start have been read: edits may name their
+        tracks."""
+        if self._reading is not None and not self._was_read:
             self._reading.result()
+
+    def _present(self) -> Mapping[str, "Stamp"]:
+        stamps = {name: _stamp(self._workspace.map_path(name)) for name in (MAIN, FROM_DETECTIONS)}
+        return {name: stamp for name, stamp in stamps.items() if stamp is not None}
 
     def build(self) -> None:
         """Build the map in the background. Raise RefusedError if a build is running."""
@@ -107,28 +124,76 @@ class MapWork:
         finally:
             self.version += 1
 
-    def _read(self) -> None:
-        if self._stamp is None:
-            self.built = None
-        else:
-            self._lint(self._workspace.read_map(MAIN))
+    def _read(self, main_changed: bool) -> None:
+        try:
+            if MAIN not in self._stamps:
+                self.built = None
+            elif main_changed:
+                self._lint(self._workspace.read_map(MAIN))
+            self._find()
+        finally:
+            self._was_read = True
+
+    def _find(self) -> None:
+        """Find the tracks of the newest map from detections."""
+        from semviz_annotation.mapping.build import uses_detections
+
+        for name in sorted(self._stamps, key=lambda name: self._stamps[name], reverse=True):
+            if name == MAIN and self.built is not None:
+                semantic_map = self.built.semantic_map
+            else:
+                semantic_map = self._workspace.read_map(name)
+            if uses_detections(semantic_map):
+                self.tracks = self._find_tracks(semantic_map)
+                return
+        self.tracks = DetectionTracks()
 
     def _build(self) -> None:
-        from semviz_annotation.mapping.build import build_map
-        from semviz_core.base.map_file import save_map
+        """Build the map of the labels, and that from detections if there is one.
+
+        Without labels there is only the latter.
+        """
+        from semviz_annotation.mapping.build import uses_detections
 
         try:
-            built, _ = build_map(
-                self._labels(),
-                self._workspace.source,
-                classes=self._workspace.classes,
-                on_progress=self._on_progress,
-            )
-            save_map(built, self._path)
-            self._stamp = _stamp(self._path)
-            self._lint(built)
+            labels = self._labels()
+            main = None if self.built is None else self.built.semantic_map
+            has_other = FROM_DETECTIONS in self._stamps
+            if main is not None and uses_detections(main):
+                self._lint(self._saved(MAIN, self._rebuilt(main, labels)))
+            elif labels.without_left_out().observations or not has_other:
+                self._lint(self._saved(MAIN, self._of_labels(labels)))
+            if has_other:
+                old = self._workspace.read_map(FROM_DETECTIONS)
+                self._saved(FROM_DETECTIONS, self._rebuilt(old, labels))
+            self._stamps = self._present()
+            self._find()
         finally:
             self.building = None
+
+    def _of_labels(self, labels: Labels) -> SemanticMap:
+        from semviz_annotation.mapping.build import build_map
+
+        workspace = self._workspace
+        built, _ = build_map(
+            labels, workspace.source, classes=workspace.classes, on_progress=self._on_progress
+        )
+        return built
+
+    def _rebuilt(self, old: SemanticMap, labels: Labels) -> SemanticMap:
+        from semviz.workspace.observations import read_detections
+        from semviz_annotation.mapping.build import rebuild_map
+
+        detections = read_detections(self._workspace, ())
+        source = self._workspace.source
+        built, _ = rebuild_map(old, labels, source, self._on_progress, detections)
+        return built
+
+    def _saved(self, name: str, semantic_map: SemanticMap) -> SemanticMap:
+        from semviz_core.base.map_file import save_map
+
+        save_map(semantic_map, self._workspace.map_path(name))
+        return semantic_map
 
     def _on_progress(self, stage: str, done: int, total: int) -> None:
         if self._stopping:
@@ -140,11 +205,11 @@ class MapWork:
         from semviz_annotation.mapping.quality.lint import lint
 
         findings = lint(semantic_map, self._labels(), self._workspace.source)
-        self.built = LintedMap(semantic_map, findings, self._find_tracks(semantic_map))
+        self.built = LintedMap(semantic_map, findings)
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
-    """Time and size, which differ between two versions of a file; None if there is no file."""
+def _stamp(path: Path) -> Stamp | None:
+    """The stamp of a file; None if there is none."""
     try:
         status = path.stat()
     except OSError:
@@ -191,8 +256,7 @@ class Reviews:
         self._built: LintedMap | None = None
         self._open = OpenDecisions(())
         """Of that map."""
-        self._tracks = OpenTracks(DetectionTracks())
-        """Of that map."""
+        self._tracks = OpenTracks(work.tracks)
 
     def summary(self, labels: Labels) -> MapSummary:
         """Return the state of the last map and of a running build."""
@@ -224,7 +288,7 @@ class Reviews:
             entries = () if built is None else built.findings
         else:
             entries = self._decisions(built, labels)
-        if not entries or built is None:
+        if not entries:
             return ReviewEntry(list_name=name, count=0)
         keys = [_key(entry) for entry in entries]
         index = keys.index(key) + by if key in keys else place + min(by, 0)
@@ -233,23 +297,21 @@ class Reviews:
         if isinstance(entry, DetectionTrack):
             view = _track_entry(entry)
         else:
+            assert built is not None
             view = entry_view(entry, built.semantic_map, labels)
         return ReviewEntry(list_name=name, count=len(entries), place=index, entry=view)
 
     def tracks(self) -> OpenTracks:
         """Return the tracks of the last map; the same object until the map changes."""
-        self._follow(self._work.built)
+        if self._work.tracks is not self._tracks.tracks:
+            self._tracks = OpenTracks(self._work.tracks)
         return self._tracks
 
     def _decisions(self, built: LintedMap | None, labels: Labels) -> tuple[Decision, ...]:
-        self._follow(built)
-        return self._open.of(labels)
-
-    def _follow(self, built: LintedMap | None) -> None:
         if built is not self._built:
             self._built = built
             self._open = OpenDecisions(() if built is None else built.semantic_map.decisions)
-            self._tracks = OpenTracks(DetectionTracks() if built is None else built.tracks)
+        return self._open.of(labels)
 
 
 def _key(entry: Decision | Finding | DetectionTrack) -> str:

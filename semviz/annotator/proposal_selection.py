@@ -6,7 +6,7 @@ frames too, so it is rejected once.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,10 +21,11 @@ from semviz.annotator.panes import Cameras, Pane, Panes
 from semviz.annotator.proposals import DETECTED_PX, Expected, ImageQuery, LabelProposal
 from semviz.annotator.proposals import label_proposals as element_proposals
 from semviz_annotation.assist.expected_position import expected_px
-from semviz_annotation.assist.marked_image import Mark, pixel
+from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px, pixel
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposal, Proposals
 from semviz_annotation.mapping.placement import triangulation
+from semviz_core.common.arrays import FloatArray
 
 TAKEN_PX = 1.5
 """A proposal this close to a label of its class duplicates that label. Poles in line with the
@@ -424,10 +425,15 @@ class ProposalSelection:
             for projection in element.projections
         ]
         proposals = element_proposals(panes, expected, labels, self._rank)
+        tracks_px = {
+            pane: self._tracks.project(self._cameras.view(pane.frame_index, pane.side), labels)
+            for pane in panes.values()
+        }
         matches = [
             match
             for match in self._open_matches(frame_index, labels)
-            if match.track is not None or not _is_left_out(match, left_out)
+            if match.track is not None
+            or not (_is_left_out(match, left_out) or _is_on_tracks(match, tracks_px))
         ]
         rejected = self._rejected.rejected_elsewhere(frame_index, matches, labels)
         proposals += detector_proposals.match_proposals(matches, panes, labels, rejected)
@@ -446,3 +452,14 @@ def _is_left_out(match: DetectorMatch, left_out: Sequence[Expected]) -> bool:
     return all(
         any(is_at(detection, expected) for expected in left_out) for detection in match.proposals
     )
+
+
+def _is_on_tracks(match: DetectorMatch, tracks_px: Mapping[Pane, FloatArray]) -> bool:
+    """Whether all detections of a match lie on open tracks that they do not belong to: what becomes
+    of the track is decided first."""
+    for row in match.proposals:
+        pane = Pane(row.frame_index, row.side)
+        gaps = gaps_px(both_ends_px([mark_of(row)]), tracks_px[pane])
+        if not (gaps < DETECTED_PX).any():
+            return False
+    return True

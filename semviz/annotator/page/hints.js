@@ -60,9 +60,9 @@ function forProposal(state, proposal) {
  */
 function forTrack(state, { name }, { frames }) {
   const sure = state.labels.map.sure_tracks;
-  const all = frames === 1 ? "" : " in all frames";
+  const all = frames === 1 ? "" : ` in ${frames} frames`;
   return [
-    hint(`accept ${name}`, "Space"), hint(`reject${all}`, "X"), hint("next", "Tab"), hint("correct it here", "Drag"),
+    hint(`accept ${name}${all}`, "Space"), hint("reject", "X"), hint("next", "Tab"), hint("correct it here", "Drag"),
     ...(sure > 1 ? [hint(`accept ${sure} sure tracks`, "Shift A")] : []), hint("draw it", "Shift Click"),
   ];
 }

@@ -4,7 +4,7 @@
 /** @import {View} from "/static/canvas.js" */
 /** @import {Drawing, ElementClass, Observation, Proposal, Point, ShownElement} from "./values.js" */
 import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
-import { shownScore } from "./values.js";
+import { counted, shownScore } from "./values.js";
 
 const ACCENT = "#4DABF7"; // the dark set is used on images in both themes
 const HANDLE_HIT = 8; // a press within this radius grabs a handle
@@ -70,8 +70,9 @@ export class Painter {
   proposal(proposal, mark, { selected, current, reviewed }) {
     const { score, runner_up } = mark;
     this.#proposed(proposal.class_id, mark, { selected: selected || reviewed, dash: proposal.is_confident ? [5, 4] : [1.5, 4] });
-    const parts = [proposal.name, score === null ? "" : shownScore(score), current ? this.shownKey("Space") : ""];
-    const text = current ? parts.filter(Boolean).join(" · ") : proposal.name;
+    const name = proposal.track ? `${proposal.name} · ${counted(proposal.track.frames, "frame")}` : proposal.name;
+    const parts = [name, score === null ? "" : shownScore(score), current ? this.shownKey("Space") : ""];
+    const text = current ? parts.filter(Boolean).join(" · ") : name;
     this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : reviewed ? 2.5 : proposal.is_confident ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
     this.#proposed(proposal.class_id, runner_up, { dash: [1, 5] });

@@ -16,7 +16,7 @@ import { hints } from "./hints.js";
 import { Jumps } from "./jumps.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
-import { SIDES, shownScore } from "./values.js";
+import { SIDES, counted, shownScore } from "./values.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
 const MESSAGE_MS = 6000;
@@ -270,7 +270,7 @@ const trackedIn = ({ first, last }) => (first === last ? `track in frame ${first
  *
  * @param {Proposal} proposal
  */
-const depthOrOrigin = ({ depth_m, origin, track }) => (track ? "track" : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
+const depthOrOrigin = ({ depth_m, origin, track }) => (track ? counted(track.frames, "frame") : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
 /** The score of a proposal, marked as weak if it is not confident.
  *

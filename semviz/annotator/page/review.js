@@ -61,7 +61,7 @@ export class Review {
    * @param {-1 | 0 | 1} by
    */
   step(list, by) {
-    if (this.state.labels.map.built === null) {
+    if (list !== "tracks" && this.state.labels.map.built === null) {
       this.page.notify("No map yet: press Build map, or run semviz map build.");
       return;
     }

@@ -64,6 +64,13 @@ export function uuid7() {
  */
 export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
 
+/** A number with its noun: "1 frame", "9 frames".
+ *
+ * @param {number} number
+ * @param {string} noun
+ */
+export const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
+
 /** A score with two decimals, rounded down: 0.798 is below the confident 0.80.
  *
  * @param {number} score
