@@ -4,8 +4,9 @@
     python bench/subpixel.py --planted                 without the network's regions
     python bench/subpixel.py --fit                     the weights of semviz_core.detection.regions
 
-Regions are of two kinds: true ones that are off as a network's are (ends by px, masks grown,
-shrunk, coarse or with holes, some without ends or mask), and those that the shipped network finds.
+Regions are of three kinds: true ones that are off as a network's are (ends by px, masks grown,
+shrunk, coarse or with holes, some without ends or mask), a segmenter's masks that end early, and
+those that the shipped network finds.
 Both ways of measuring get the same regions, those of elements that count.
 """
 
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from subpixel_fit import Errors, Regions, errors_px, fit
-from subpixel_regions import FRAMES, found, planted, shown
+from subpixel_regions import FRAMES, found, masked_in_part, planted, shown
 
 from semviz.presentation.plots import add_grid, add_legend, line_style, new_figure, plain_numbers
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -163,6 +164,7 @@ def images_of(seeds: range, model: str | None, with_model: bool) -> dict[str, Re
     result: dict[str, Regions] = defaultdict(list)
     for view in shown(seeds):
         result["planted"].append((view, *planted(view)))
+        result["early masks"].append((view, *masked_in_part(view)))
         if finder is not None:
             result[finder.name].append((view, *found(view, finder)))
     return result

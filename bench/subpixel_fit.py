@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from subpixel_regions import Shown
+from subpixel_regions import Shown, masked_in_part, overgrown
 
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -17,6 +17,7 @@ from semviz_core.detection.pole_ends import (
     all_ends,
     best_end,
     end_evidence,
+    first_end,
     first_ends,
     midpoint_and_direction,
     within_image,
@@ -35,12 +36,15 @@ STAGES = (
     ("line by ends", "line by mask", "line by box", "center by box", "center by mask"),
     ("line by edges", "center by outline"),
     ("end by model", "end by mask", "end by box"),
+    ("end held", "end by growth"),
     ("end at sign", "end by rows"),
     ("end by edges",),
 )
 """Each kind's evidence holds sigmas of kinds before it."""
-_LARGEST_PX = 8.0
-"""Errors count as this at most: one that is wrong altogether must not rule all others."""
+_LARGEST_PX, _LARGEST_ALONG_PX = 8.0, 25.0
+"""Errors count as this at most: one that is wrong altogether must not rule all others. Along poles
+such errors are not rare, so sigma must hold them."""
+_RIGHT_PX = 6.0
 Regions = list[tuple[Shown, list[Region], IntArray]]
 
 
@@ -62,9 +66,10 @@ def fit(images: Regions) -> str:
             by_kind[sample.kind].append(sample)
         for kind in stage:
             if len(by_kind[kind]) > 20:
-                sigma.WEIGHTS[kind] = likeliest(by_kind[kind])
+                most = _LARGEST_ALONG_PX if kind.startswith("end") else _LARGEST_PX
+                sigma.WEIGHTS[kind] = likeliest(by_kind[kind], most)
     sigma.SHAPE = _shape_weights(images)
-    sigma.KNOWN = _known_weights(images)
+    sigma.KNOWN = _known_weights([*images, *_overgrown(images)])
     sigma.PAPER = _paper_sigmas(images)
     listed = [f'    "{kind}": {_listed(weights)},' for kind, weights in sigma.WEIGHTS.items()]
     return "\n".join(
@@ -105,7 +110,8 @@ def _pole_samples(shown: Shown, region: Region, row: int, signs: list[Region]) -
     for which, known in enumerate((truth.anchor_known[row], truth.end_known[row])):
         if known:
             place = float((true[which] - middle) @ course_along)
-            for end in all_ends(shown.picture, region, best, signs, which):
+            found = all_ends(shown.picture, region, best, signs, which)
+            for end in [*first_ends(region, best, which), *found]:
                 yield Sample(end.kind, end.evidence, end.place_px - place)
 
 
@@ -154,7 +160,7 @@ def _row_weights(images: Regions) -> tuple[float, ...]:
             for which in range(2 if line is not None else 0):
                 assert line is not None
                 middle, along = midpoint_and_direction(line)
-                first = min(first_ends(region, line, which), key=lambda end: end.sigma_px)
+                first = first_end(region, line, which)
                 end, other = middle + first.place_px * along, line.ends_px[1 - which]
                 truth = image.whole.elements
                 true = (truth.anchor_px, truth.end_px)[which][row]
@@ -168,14 +174,21 @@ def _row_weights(images: Regions) -> tuple[float, ...]:
     return _logistic(np.concatenate(X), np.concatenate(y).astype(np.float64))
 
 
+def _overgrown(images: Regions) -> Regions:
+    """The images with leaves before ends, as masks, each once."""
+    each = {id(image): overgrown(image) for image, _, _ in images}
+    return [(image, *masked_in_part(image)) for image in each.values()]
+
+
 def _known_weights(images: Regions) -> tuple[float, ...]:
-    """Logistic regression of an end being the pole's own, where the model does not tell."""
+    """Logistic regression of an end being the pole's own and measured to ``_RIGHT_PX``, where the
+    model does not call it hidden."""
     X, y = [], []
     for image, regions, rows in images:
         signs = [region for region in regions if not is_pole(region)]
         for region, row in zip(regions, rows, strict=True):
             line = best_line(image.picture, region) if is_pole(region) else None
-            if line is None or region.ends_known is not None:
+            if line is None:
                 continue
             ends = [best_end(image.picture, region, line, signs, which) for which in range(2)]
             middle, along = midpoint_and_direction(line)
@@ -183,9 +196,12 @@ def _known_weights(images: Regions) -> tuple[float, ...]:
             ends_px, cut = within_image(image.picture, ends_px)
             truth = image.whole.elements
             known = (truth.anchor_known[row], truth.end_known[row])
+            true_px = np.stack([truth.anchor_px[row], truth.end_px[row]])
+            off_px = np.abs((ends_px - true_px) @ along)
             for which in np.flatnonzero(~cut):
-                X.append(end_evidence(image.picture, line, ends_px, ends[which]))
-                y.append(known[which])
+                if region.ends_known is None or region.ends_known[which]:
+                    X.append(end_evidence(image.picture, region, line, ends_px, ends[which]))
+                    y.append(known[which] and off_px[which] < _RIGHT_PX)
     return _logistic(np.array(X), np.array(y, dtype=np.float64))
 
 

@@ -1,7 +1,7 @@
 """Regions on rendered streets: with the errors of a network, or from a network."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -140,3 +140,97 @@ def _mask(region: Region, size: tuple[int, int], rng: np.random.Generator) -> Bo
         half = int(rng.integers(2, 7))
         mask[max(0, row - half) : row + half, max(0, column - half) : column + half] = 0
     return mask > 0
+
+
+def masked_in_part(shown: Shown) -> tuple[list[Region], IntArray]:
+    """What counts in an image as a segmenter's masks, and whose they are.
+
+    Masks are coarse or with holes, and say nothing of ends. Of most poles they end early: up to
+    54 % of the upper part is missing, or 36 % of the lower part, or both.
+    """
+    rng = np.random.default_rng([shown.seed, len(shown.whole.regions), 1])
+    size = (shown.picture.image.shape[0], shown.picture.image.shape[1])
+    regions, rows = [], []
+    for row in np.flatnonzero(shown.truth.counts):
+        region = shown.whole.regions[row]
+        mask = _mask(region, size, rng)
+        if region.class_id == POLE:
+            low, high = region.box_px[1], region.box_px[3]
+            missing = rng.uniform(0.1, 0.6, 2) * (rng.random(2) < 0.5) * (high - low) * [0.9, 0.6]
+            mask[: int(low + missing[0])] = False
+            mask[int(high - missing[1]) + 1 :] = False
+        if mask.sum() < 16:
+            continue
+        at_row, at_column = np.nonzero(mask)
+        left, top, right, bottom = (
+            int(edge) for edge in (at_column.min(), at_row.min(), at_column.max(), at_row.max())
+        )
+        if region.class_id == POLE and bottom - top < 8:
+            continue
+        regions.append(
+            Region(
+                class_id=POLE if region.class_id == POLE else None,
+                score=float(rng.uniform(0.3, 1.0)),
+                box_px=np.array([left, top, right, bottom], np.float64),
+                mask=mask[top : bottom + 1, left : right + 1],
+                corner_px=(left, top),
+            )
+        )
+        rows.append(row)
+    return regions, np.array(rows, np.int64)
+
+
+def overgrown(shown: Shown) -> Shown:
+    """An image in which leaves hide the upper or the lower end of a third of the poles."""
+    rng = np.random.default_rng([shown.seed, len(shown.whole.regions), 2])
+    image = shown.picture.image.copy()
+    elements = shown.whole.elements
+    ends = np.stack([elements.anchor_px, elements.end_px], axis=1)
+    known = np.stack([elements.anchor_known, elements.end_known], axis=1)
+    regions = list(shown.whole.regions)
+    chosen = elements.is_line & shown.truth.counts & (rng.random(len(ends)) < 0.33)
+    for row in np.flatnonzero(chosen):
+        which = int(rng.random() < 0.3)
+        hidden = rng.uniform(0.15, 0.5)
+        place = ends[row, which] + hidden * (ends[row, 1 - which] - ends[row, which])
+        leaves = _leaves(image, ends[row, which], place, rng)
+        ends[row, which], known[row, which] = place, False
+        region = regions[row]
+        assert region.mask is not None
+        (left, top), (height, width) = region.corner_px, region.mask.shape
+        seen = region.mask & ~leaves[top : top + height, left : left + width]
+        if seen.any():
+            told = bool(known[row, 0]), bool(known[row, 1])
+            regions[row] = replace(region, mask=seen, ends_px=ends[row], ends_known=told)
+    changed = replace(
+        elements, anchor_px=ends[:, 0], end_px=ends[:, 1],
+        anchor_known=known[:, 0], end_known=known[:, 1],
+    )  # fmt: skip
+    return Shown(
+        SampledImage(image),
+        replace(shown.truth, elements=changed),
+        shown.whole._replace(elements=changed, regions=tuple(regions)),
+        shown.seed,
+    )
+
+
+def _leaves(
+    image: NDArray[np.uint8], end: FloatArray, place: FloatArray, rng: np.random.Generator
+) -> BoolArray:
+    """Paint leaves over a pole from an end to a place; return (height, width) where they are."""
+    height, width = image.shape[:2]
+    away = float(np.linalg.norm(end - place))
+    middle = (end + place) / 2.0
+    axes = np.array([away * rng.uniform(0.4, 1.2) + 8.0, away / 2.0])
+    v, u = np.mgrid[:height, :width]
+    fine, coarse = (
+        2.0 * scale * cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), scale)
+        for scale in (rng.uniform(0.7, 2.5), 5.0)
+    )
+    ragged = 0.15 * coarse
+    covered = ((u - middle[0]) / axes[0]) ** 2 + ((v - middle[1]) / axes[1]) ** 2 < 1.0 + ragged
+    bright = rng.uniform(25.0, 110.0) * np.exp(rng.uniform(0.3, 1.0) * fine)
+    color = np.array([rng.uniform(0.6, 1.1), 1.0, rng.uniform(0.3, 0.8)])
+    painted = np.clip(bright[..., None] * color, 0.0, 255.0).astype(np.uint8)
+    image[covered] = painted[covered]
+    return np.asarray(covered)

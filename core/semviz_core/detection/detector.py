@@ -15,7 +15,7 @@ from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError, require_extra
 from semviz_core.detection.onnx_model import OnnxModel
-from semviz_core.detection.pole_axes import best_line
+from semviz_core.detection.pole_axes import best_line, line_over
 from semviz_core.detection.pole_ends import pole_extent
 from semviz_core.detection.regions import (
     MeasuredElement,
@@ -68,9 +68,10 @@ def _pole(image: SampledImage, region: Region, signs: Sequence[Region]) -> Measu
     extent = pole_extent(image, region, line, signs)
     if extent is None:
         return None
-    across = chosen_sigma_px("across", line.sigma_px)
+    longer = line_over(image, region, line, extent.ends_px)
+    across = chosen_sigma_px("across", longer.sigma_px)
     sigma = (across, chosen_sigma_px("along", extent.sigma_along_px))
-    return MeasuredElement(POLE, region.score, extent.ends_px, sigma, extent.known, line.width_px)
+    return MeasuredElement(POLE, region.score, longer.ends_px, sigma, extent.known, line.width_px)
 
 
 def _sign(image: SampledImage, region: Region) -> MeasuredElement | None:

@@ -12,6 +12,8 @@ from semviz_core.subpixel.sampling import SampledImage
 SHORTEST_PX = 3.0
 AGREE_SIGMAS, WORSE = 3.0, 2.0
 """Lines agree within this many sigmas; a line with this many times the sigma is much worse."""
+_LONGER = 1.3
+"""A pole that is seen to be so many times as long as its mask is measured again."""
 _REACHES_PX = (1.5, 2.5, 4.0)
 """Search distances around a first line; the smallest that covers two sigmas is used."""
 _THIN_PX, _DIFFERS = 4.0, 0.35
@@ -31,11 +33,13 @@ class Line:
     """Width of the pole; approximate without edges."""
     evidence: FloatArray
     """(k,) of its kind."""
+    stretched: float = 1.0
+    """How many times as long it is as the part that was measured."""
 
     @property
     def sigma_px(self) -> float:
         """Sigma across the line, at its ends."""
-        return predicted_sigma_px(self.kind, self.evidence)
+        return self.stretched * predicted_sigma_px(self.kind, self.evidence)
 
 
 def best_line(image: SampledImage, region: Region) -> Line | None:
@@ -49,6 +53,19 @@ def best_line(image: SampledImage, region: Region) -> Line | None:
     edges = line_by_edges(image, region, min(lines, key=lambda line: line.sigma_px))
     candidates = [*lines, *([] if edges is None else [edges])]
     return _agreed(min(candidates, key=lambda line: line.sigma_px), candidates)
+
+
+def line_over(image: SampledImage, region: Region, line: Line, ends_px: FloatArray) -> Line:
+    """Return the axis of a pole whose ends (2, 2) on a line are further apart than the line's.
+
+    It is measured again over the whole length, unless that is less exact there.
+    """
+    stretched = max(1.0, _length_px(ends_px) / _length_px(line.ends_px))
+    longer = replace(line, ends_px=ends_px, stretched=stretched)
+    if stretched < _LONGER:
+        return longer
+    edges = line_by_edges(image, region, longer)
+    return longer if edges is None or edges.sigma_px > longer.sigma_px else edges
 
 
 def _agreed(best: Line, lines: list[Line]) -> Line:

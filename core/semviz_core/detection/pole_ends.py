@@ -13,7 +13,13 @@ from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.detection.pole_axes import SHORTEST_PX, Line, mask_points
 from semviz_core.detection.regions import Region, known, predicted_sigma_px
 from semviz_core.subpixel.pole_axis import across
-from semviz_core.subpixel.pole_ends import end_by_rows, visible_end
+from semviz_core.subpixel.pole_ends import (
+    NOT_GROWN,
+    GrownEnd,
+    end_by_rows,
+    grown_end,
+    visible_end,
+)
 from semviz_core.subpixel.sampling import SampledImage
 
 _SHORTEST_PX = 6.0
@@ -21,6 +27,11 @@ _MOST_PX = 12.0
 """Largest sigma of the range in which rows are examined."""
 _REACH_PX = 3.0
 """Search distance for a visible end from the end by rows."""
+_LEAST_GROWN_PX, _LEAST_GAIN, _MEAN_GAIN = 4.0, 6.0, 1.0
+"""Least length of a part of a pole beyond the model's end, and its least log-odds, in all and for
+each px."""
+_ASIDE = 0.05
+"""Largest error of a line's direction."""
 _AT_BORDER_PX = 2.0
 _BESIDE_SIGN_PX = 8.0
 """A predicted peak at most this far above a sign is at the sign."""
@@ -75,16 +86,20 @@ def pole_extent(
     on_border, cut = within_image(image, ends_px)
     if (on_border[1] - on_border[0]) @ along < SHORTEST_PX:
         return None
-    ends_known = region.ends_known
-    if ends_known is None:
-        evidence = [end_evidence(image, line, on_border, end) for end in ends]
-        ends_known = known(evidence[0]), known(evidence[1])
-    own_ends = ~cut & ends_known
+    own_ends = ~cut & [_is_own(image, region, line, on_border, end) for end in ends]
     sigmas = np.array([end.sigma_px for end in ends])
     sigmas_used = sigmas[own_ends] if own_ends.any() else sigmas
     return Extent(
         on_border, (bool(own_ends[0]), bool(own_ends[1])), float(np.sqrt((sigmas_used**2).mean()))
     )
+
+
+def _is_own(image: SampledImage, region: Region, line: Line, ends_px: FloatArray, end: End) -> bool:
+    """Whether an end is the pole's own: neither hidden, which the model may tell, nor unclear."""
+    told = region.ends_known is not None and region.ends_known[end.which]
+    if region.ends_known is not None and not told:
+        return False
+    return known(end_evidence(image, region, line, ends_px, end))
 
 
 def best_end(
@@ -98,13 +113,41 @@ def all_ends(
     image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
 ) -> list[End]:
     """Return all candidates; for a peak at a sign, only that of the sign."""
-    ends = first_ends(region, line, which)
-    first = min(ends, key=lambda end: end.sigma_px)
+    first = followed_end(image, line, first_end(region, line, which))
     sign = None if which else _sign_at(line, signs, first)
     if sign is not None:
         return [end_at_sign(image, line, sign)]
     rows = end_in_image(image, line, first)
-    return ends if rows is None else [*ends, rows, *visible_end_near(image, line, first, rows)]
+    return [first] if rows is None else [first, rows, *visible_end_near(image, line, first, rows)]
+
+
+def first_end(region: Region, line: Line, which: int) -> End:
+    """Return the model's candidate with the least sigma."""
+    return min(first_ends(region, line, which), key=lambda end: end.sigma_px)
+
+
+def followed_end(image: SampledImage, line: Line, first: End) -> End:
+    """Return the model's end, or the end to which the pole is seen to go on beyond it."""
+    grown = _beyond_end(image, line, first)
+    clear = [grown.fall, grown.clutter]
+    if grown.off_px < _LEAST_GROWN_PX or grown.gain < max(_LEAST_GAIN, _MEAN_GAIN * grown.off_px):
+        held = [np.log(first.sigma_px), *clear, float(first.which)]
+        return End("end held", first.which, first.place_px, np.array(held))
+    evidence = [
+        *(np.log(grown.off_px), grown.gain / grown.off_px, *clear),
+        *(np.log(line.width_px), np.log(line.sigma_px), float(first.which)),
+    ]
+    place = _beyond(first, grown.off_px)
+    return End("end by growth", first.which, place, np.array(evidence))
+
+
+def _beyond_end(image: SampledImage, line: Line, end: End) -> GrownEnd:
+    """Return how a pole goes on beyond an end."""
+    other, end_px = _start_and_end(line, end)
+    length = float(np.linalg.norm(end_px - other))
+    if length < _SHORTEST_PX:
+        return NOT_GROWN
+    return grown_end(image, other, end_px, line.width_px, min(_ASIDE, 2.0 * line.sigma_px / length))
 
 
 def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
@@ -221,14 +264,30 @@ def within_image(image: SampledImage, ends_px: FloatArray) -> tuple[FloatArray, 
     return ends_px[0] + share[:, None] * step, cut
 
 
-def end_evidence(image: SampledImage, line: Line, ends_px: FloatArray, end: End) -> FloatArray:
-    """Return (k,) evidence for a visible end being the pole's own, not an occluder's edge."""
+def end_evidence(
+    image: SampledImage, region: Region, line: Line, ends_px: FloatArray, end: End
+) -> FloatArray:
+    """Return (k,) evidence for a visible end being the pole's own, and well measured.
+
+    It is against an occluder's edge, a pole that goes on, and clutter in which no end is clear.
+    """
+    first = first_end(region, line, end.which)
+    after = _beyond_end(image, line, end)
     return np.array(
         [
+            float(region.ends_known is not None),
             float(end.kind in ("end by edges", "end by rows")),
             float(end.kind == "end at sign"),
+            float(end.kind == "end by growth"),
             crossing(image, ends_px, line.width_px, end.which),
+            *background_change(image, ends_px, line.width_px, end.which),
             float(end.which),
+            np.log(end.sigma_px),
+            np.log(after.off_px + 1.0),
+            after.fall,
+            after.clutter,
+            np.log(abs(end.place_px - first.place_px) + 1.0),
+            np.log(line.sigma_px),
         ]
     )
 
@@ -247,6 +306,31 @@ def crossing(image: SampledImage, ends_px: FloatArray, width_px: float, which: i
         slope = np.sqrt((step.mean(axis=1) ** 2).mean(axis=1)).max() / 2.0
         votes.append(slope**2 / (slope**2 + _STEP**2))
     return float(min(votes))
+
+
+def background_change(
+    image: SampledImage, ends_px: FloatArray, width_px: float, which: int
+) -> tuple[float, float]:
+    """Return how much the background on both sides of a pole changes at its end.
+
+    The pole's own end has the same background before and after it; an occluder has not. First is
+    a vote (0 to 1) for another mean colour, then the change of the logarithm of the texture.
+    """
+    away = ends_px[which] - ends_px[1 - which]
+    away = away / np.linalg.norm(away)
+    rows = np.arange(2.0, 11.0) * np.array([[-1.0], [1.0]])  # before and after the end
+    beside = width_px / 2.0 + np.array([2.0, 3.5, 5.0, 6.5])
+    columns = np.stack([-beside, beside])
+    points = (
+        ends_px[which]
+        + rows[:, None, :, None, None] * away
+        + columns[:, None, :, None] * across(ends_px)
+    )  # (before or after, side, rows, columns, 2)
+    colors = image.sample(points.reshape(-1, len(beside), 2)).reshape(2, 2, -1, 3)
+    step = np.sqrt(((colors[1].mean(axis=1) - colors[0].mean(axis=1)) ** 2).mean(axis=1))
+    texture = np.log(colors.std(axis=2).mean(axis=2) + 3.0)
+    vote = step**2 / (step**2 + _STEP**2)
+    return float(vote.min()), float((texture[1] - texture[0]).min())
 
 
 def midpoint_and_direction(line: Line) -> tuple[FloatArray, FloatArray]:

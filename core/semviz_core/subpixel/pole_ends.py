@@ -144,11 +144,25 @@ def row_evidence(
     height, width = image.image.shape[:2]
     inside = ((points > -0.5) & (points < [width - 0.5, height - 0.5])).all(axis=1)
     off, points = off[inside], points[inside]
+    if len(off) < 2:
+        return off, np.zeros((len(off), 3))
+    return off, _row_votes(image, other_px, end_px, width_px, points)[0]
+
+
+def _row_votes(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    points: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the evidence (n, 3) of rows whose middles are points (n, 2), and clutter (n,).
+
+    Clutter is the mean vote for an edge in and beside the pole.
+    """
     half = width_px / 2.0 + 4.0
     beside = np.arange(-half, half + STEP_PX / 2, STEP_PX)
     normal = across(np.stack([other_px, end_px]))
-    if len(off) < 2:
-        return off, np.zeros((len(off), 3))
     strip = image.sample(points[:, None] + beside[:, None] * normal)
     edge = edge_votes(strip)
     sides = [
@@ -159,4 +173,105 @@ def row_evidence(
     level = image.sample(body[:, None] + beside[inner][:, None] * normal).mean(axis=1)
     difference = ((strip[:, inner].mean(axis=1) - np.median(level, axis=0)) ** 2).mean(axis=1)
     same_color = 1.0 / (1.0 + difference / _SAME_COLOR**2)
-    return off, np.stack([np.minimum(*sides), np.maximum(*sides), same_color], axis=1)
+    votes = np.stack([np.minimum(*sides), np.maximum(*sides), same_color], axis=1)
+    return votes, edge.mean(axis=1)
+
+
+_LONGEST_GAP_PX, _GAP_SHARE = 6.0, 0.12
+"""A pole is followed over a gap of so many rows, or over this share of its length."""
+_CLEAR_ROW = 3.0
+"""Largest log-odds of one row: neighbouring rows are not independent."""
+_CAUTION = 0.5
+"""Log-odds that a row needs in addition, beyond the end of a mask."""
+_SLOPES = np.linspace(-1.0, 1.0, 5)
+_BEYOND = 10
+"""Number of rows after the end that tell how clear it is."""
+_AT_ONCE = 40
+"""Number of rows that are examined first; all others only if the pole does not end there."""
+
+
+class GrownEnd(NamedTuple):
+    """Where a pole ends that goes on past the end of its mask."""
+
+    off_px: float
+    """Distance beyond that end; 0 if the pole does not go on."""
+    aside_px: float
+    """Distance of the pole from its line there, to the right of the line seen downwards."""
+    gain: float
+    """Log-odds of the pole between both ends."""
+    fall: float
+    """Mean log-odds of the rows just after the end; low after a clear end."""
+    clutter: float
+    """Mean votes (0 to 1) for edges along the pole just after the end, beside it and in it."""
+
+
+NOT_GROWN = GrownEnd(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def grown_end(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    most_aside: float,
+) -> GrownEnd:
+    """Follow a pole from ``other_px`` (2,) past ``end_px`` (2,), at most to the image border.
+
+    Its edges and colour may be missing in some rows. ``most_aside`` is how far the pole may be
+    beside the line, per px beyond its end.
+    """
+    length = float(np.linalg.norm(end_px - other_px))
+    gap = _CLEAR_ROW * max(_LONGEST_GAP_PX, _GAP_SHARE * length)
+    to_border = int(_to_border_px(image, other_px, end_px))
+    if to_border < _FEWEST:
+        return NOT_GROWN
+    for count in (min(_AT_ONCE, to_border), to_border):
+        odds, clutter = _rows_beyond(image, other_px, end_px, width_px, most_aside, count)
+        slope, last, stopped = _furthest(odds, gap)
+        if stopped:
+            break
+    aside = float(most_aside * _SLOPES[slope] * last)
+    gain = float(odds[slope, :last].sum())
+    if last == count:  # at the border
+        return GrownEnd(float(last), aside, gain, 0.0, 0.0)
+    after = slice(last, last + _BEYOND)
+    fall, busy = float(odds[slope, after].mean()), float(clutter[slope, after].mean())
+    return GrownEnd(float(last), aside, gain, fall, busy)
+
+
+def _to_border_px(image: SampledImage, other_px: FloatArray, end_px: FloatArray) -> float:
+    """Return how far beyond ``end_px`` the image ends; 0 outside."""
+    height, width = image.image.shape[:2]
+    along = (end_px - other_px) / np.linalg.norm(end_px - other_px)
+    room = np.where(along > 0.0, np.array([width, height]) - 1.0 - end_px, end_px)
+    return max(0.0, float((room / np.maximum(np.abs(along), 1e-6)).min()))
+
+
+def _furthest(odds: FloatArray, gap: float) -> tuple[int, int, bool]:
+    """Return slope and number of rows with the largest sum of log-odds (slopes, rows).
+
+    Third is whether the pole ends there: whether the sum falls by ``gap`` after each maximum.
+    """
+    total = np.concatenate([np.zeros((len(odds), 1)), np.cumsum(odds, axis=1)], axis=1)
+    fallen = np.maximum.accumulate(total, axis=1) - total > gap
+    reached = np.where(np.logical_or.accumulate(fallen, axis=1), -np.inf, total)
+    slope, last = np.unravel_index(np.argmax(reached), reached.shape)
+    return int(slope), int(last), bool(fallen.any(axis=1).all())
+
+
+def _rows_beyond(
+    image: SampledImage,
+    other_px: FloatArray,
+    end_px: FloatArray,
+    width_px: float,
+    most_aside: float,
+    count: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return log-odds (slopes, count) of rows beyond an end being the pole's, and clutter."""
+    along = (end_px - other_px) / np.linalg.norm(end_px - other_px)
+    steps = along + most_aside * _SLOPES[:, None] * across(np.stack([other_px, end_px]))
+    points = end_px + (np.arange(count) + 0.5)[:, None] * steps[:, None]
+    votes, clutter = _row_votes(image, other_px, end_px, width_px, points.reshape(-1, 2))
+    odds = WEIGHTS[0] - _CAUTION + votes @ WEIGHTS[1:]
+    odds = np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW)
+    return odds.reshape(-1, count), clutter.reshape(-1, count)
