@@ -15,8 +15,9 @@ from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_choice import DetectChooseCommand
+from semviz.commands.new import NewCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
-from semviz.commands.tools import AnnotateCommand, NewCommand, OpenRunCommand, ServeCommand
+from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
 
 MapCommands = Annotated[

@@ -1,4 +1,4 @@
-"""The commands new, annotate, serve and open."""
+"""The commands annotate, serve and open."""
 
 import os
 import subprocess
@@ -10,64 +10,11 @@ from typing import TYPE_CHECKING
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from semviz.commands import parsing
-from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
 
 TOKEN_VARIABLE = "SEMVIZ_TOKEN"
-
-
-@dataclass(frozen=True)
-class NewCommand:
-    """Create a workspace from KITTI odometry data or a simulated street."""
-
-    folder: Positional[Path]
-    """Folder to create."""
-    kitti: parsing.OptionalPath = None
-    """Root of a KITTI odometry dataset, with sequences/ and poses/."""
-    sequence: str = "02"
-    """Sequence of the KITTI dataset."""
-    cameras: str = "2,3"
-    """Left and right camera, or one camera: 2,3 is the colour pair, 0,1 the grey pair."""
-    simulate: parsing.OptionalInt = None
-    """Seed of a simulated street, instead of --kitti."""
-    frames: parsing.OptionalText = None
-    """FIRST:END[:STEP], END excluded; default: all frames (KITTI) or 60 (street)."""
-    poses: parsing.OptionalPath = None
-    """Poses to use instead of KITTI's, for example of a SLAM system: TUM's or KITTI's format, for
-    the left camera."""
-    trust_poses: bool = False
-    """Accept poses that jump, or that go backwards all the way."""
-
-    def run(self) -> int:
-        from semviz.workspace.outputs import check_new_folder
-        from semviz.workspace.workspace import Workspace
-
-        check_new_folder(self.folder)
-        frames = parsing.parse_frames(self.frames)
-        if (self.kitti is None) == (self.simulate is None):
-            raise SemvizError("give either --kitti ROOT or --simulate SEED: the source of images")
-        if self.kitti is not None:
-            cameras = parsing.parse_cameras(self.cameras)
-            workspace = Workspace.create_kitti(
-                self.folder,
-                self.kitti,
-                self.sequence,
-                cameras,
-                frames,
-                self.trust_poses,
-                self.poses,
-            )
-        else:
-            assert self.simulate is not None
-            if self.poses is not None:
-                raise SemvizError("--poses needs --kitti ROOT: a simulated street has its own")
-            workspace = Workspace.create_street(self.folder, self.simulate, frames)
-        source = workspace.source
-        print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
-        print(f"next: semviz annotate {self.folder}")
-        return 0
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from semviz_core.common.files import HEAD_BYTES, IsOurs, check_output
 
 _OWN: Final = {
     "settings": (re.compile(r"semviz\.toml"), "semviz.toml"),
+    "drive": (re.compile(r"drive\.json"), "drive.json"),
+    "rectified": (re.compile(r"rectified(/.*)?"), "rectified/**/*"),
     "labels": (re.compile(r"labels\.db.*"), "labels.db*"),
     "proposals": (re.compile(r"proposals\.parquet"), "proposals.parquet"),
     "backdrop": (re.compile(r"backdrop\.safetensors"), "backdrop.safetensors"),

@@ -1,6 +1,8 @@
 """The workspace: one folder that can be copied, with labels, proposals, maps and runs.
 
     semviz.toml          settings: where the images come from
+    drive.json           cameras, images and poses of an own drive; see ``drive_file``
+    rectified/           images of an own drive without distortion, made when needed
     labels.db            labels and their history
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
@@ -13,6 +15,7 @@ The author of stored operations defaults to the login name.
 
 import getpass
 import os
+import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -22,6 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from semviz.workspace.drive_file import DRIVE_FILE, RECTIFIED, DriveFile, read_drive_file
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.frame import Dataset
@@ -36,6 +40,8 @@ from semviz_core.simulation.objects import SectionKind
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
     from semviz_annotation.storage.store import LabelStore
+    from semviz_core.datasets.own_drive.drive_files import DriveFiles
+    from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
 
@@ -84,6 +90,15 @@ class KittiSettings(_Model):
     """A pose file to use instead of KITTI's, absolute or relative to the workspace."""
 
 
+class ImagesSettings(_Model):
+    """Folders of images of any camera; the file ``drive.json`` holds calibration and poses."""
+
+    kind: Literal["images"] = "images"
+    images: str
+    """Folder of the left, or the only, camera, absolute or relative to the workspace."""
+    right: str | None = None
+
+
 class SectionSettings(_Model):
     """A stretch of a simulated street; see ``semviz_core.simulation.layout.Section``."""
 
@@ -108,7 +123,7 @@ class Settings(_Model):
     name: str
     trust_poses: bool = False
     """Accept poses that jump or go backwards."""
-    source: Annotated[KittiSettings | StreetSettings, Field(discriminator="kind")]
+    source: Annotated[KittiSettings | StreetSettings | ImagesSettings, Field(discriminator="kind")]
     calibration: Calibration | None = None
     """Calibration of the labels; None in a workspace of an older version."""
 
@@ -130,7 +145,7 @@ class Workspace:
         if not path.is_dir():
             raise SemvizError(
                 f"{path}: no such workspace; make one with "
-                f"'semviz new {path} --kitti ROOT' or 'semviz new {path} --simulate SEED'"
+                f"'semviz new {path} --images FOLDER' (or --kitti ROOT, or --simulate SEED)"
             )
         return cls(path, read_settings(path))
 
@@ -164,6 +179,29 @@ class Workspace:
         }
         settings = _new_settings(path, source, trust_poses)
         return cls._create(path, settings, dataset.rig)
+
+    @classmethod
+    def create_images(
+        cls, path: Path, files: "DriveFiles", drive: "RecordedDrive", trust_poses: bool = False
+    ) -> "Workspace":
+        """Create a workspace for an own drive, read from ``files``.
+
+        ``trust_poses`` accepts poses that jump or are inverted.
+        """
+        folders = {"images": files.images, "right": files.right}
+        source = {"kind": "images"} | {
+            name: os.path.relpath(folder.resolve(), path.resolve())
+            for name, folder in folders.items()
+            if folder is not None
+        }
+        settings = _new_settings(path, source, trust_poses)
+        content = DriveFile.of(drive, f"drive-{settings.name}")
+        with tempfile.TemporaryDirectory() as cache:  # before a folder is made
+            dataset = content.dataset(files.images, files.right, Path(cache))
+            _check_dataset(dataset, trust_poses, looks_ahead=False)
+        workspace = cls._create(path, settings, dataset.rig)
+        content.save(path / DRIVE_FILE)
+        return workspace
 
     @classmethod
     def create_street(
@@ -228,10 +266,11 @@ class Workspace:
         if isinstance(settings, StreetSettings):
             source = self._open_street(settings)
             self._check_calibration(source.rig)
-        else:
-            source = self._open_kitti(settings)
-            self._check_calibration(source.rig)
-            _check_dataset(source, self.settings.trust_poses)
+            return source
+        is_kitti = isinstance(settings, KittiSettings)
+        source = self._open_recorded(settings)
+        self._check_calibration(source.rig)
+        _check_dataset(source, self.settings.trust_poses, looks_ahead=is_kitti)
         return source
 
     @property
@@ -326,6 +365,11 @@ class Workspace:
             temporary.write_text(f"{text}\n\n{tomli_w.dumps({'calibration': table})}", "utf-8")
         self.settings = self.settings.model_copy(update={"calibration": calibration})
 
+    def _open_recorded(self, settings: KittiSettings | ImagesSettings) -> Dataset:
+        if isinstance(settings, KittiSettings):
+            return self._open_kitti(settings)
+        return self._open_images(settings)
+
     def _open_kitti(self, settings: KittiSettings) -> Dataset:
         from semviz_core.datasets.kitti import KittiSequence
 
@@ -339,6 +383,22 @@ class Workspace:
         poses = None if settings.poses is None else (self.path.resolve() / settings.poses).resolve()
         return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
 
+    def _open_images(self, settings: ImagesSettings) -> Dataset:
+        folders = [
+            None if folder is None else (self.path.resolve() / folder).resolve()
+            for folder in (settings.images, settings.right)
+        ]
+        for name, folder in zip(("images", "right"), folders, strict=True):
+            if folder is not None and not folder.is_dir():
+                raise SemvizError(
+                    f"{folder}: images of workspace '{self.name}' not found; "
+                    f"edit '{name}' in {self.path / SETTINGS}"
+                )
+        left, right = folders
+        assert left is not None
+        content = read_drive_file(self.path / DRIVE_FILE)
+        return content.dataset(left, right, self.path / RECTIFIED)
+
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions
         from semviz_core.simulation.street import Street
@@ -348,8 +408,11 @@ class Workspace:
         return Street(settings.seed, replace(options, sections=sections) if sections else options)
 
 
-def _check_dataset(source: Dataset, trust_poses: bool) -> None:
-    """Raise SemvizError if image sizes, sides or poses of a recorded sequence are implausible."""
+def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True) -> None:
+    """Raise SemvizError if image sizes, sides or poses of a recorded sequence are implausible.
+
+    The camera of a vehicle that ``looks_ahead`` moves ahead.
+    """
     from semviz_core.datasets.validation import check_poses, check_sides, check_sizes
 
     name = source.map_frame.name
@@ -360,7 +423,7 @@ def _check_dataset(source: Dataset, trust_poses: bool) -> None:
         raise SemvizError(f"{name}: {error}") from None
     try:
         if not trust_poses:
-            check_poses(source.frames)
+            check_poses(source.frames, looks_ahead)
     except SemvizError as error:
         raise SemvizError(
             f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "

@@ -64,23 +64,37 @@ def _resized(across: float, down: float) -> bool:
     return smaller > RESIZE_RATIO or larger < 1.0 / RESIZE_RATIO
 
 
-def check_poses(frames: Sequence[Frame]) -> None:
+def check_poses(frames: Sequence[Frame], looks_ahead: bool = True) -> None:
     """Raise SemvizError if poses jump or are inverted.
 
     A vehicle moves along a constant direction of its camera's axes. On curves, only correct poses
     (``T_map_camera``) show this, whichever way the camera looks, so inverted ones are recognized.
-    On a straight or circular drive both show it; then the motion must lead ahead.
+    On a straight or circular drive both show it; then the motion must lead ahead, if the camera
+    ``looks_ahead``.
     """
     posed = [(frame, frame.T_map_camera) for frame in frames if frame.T_map_camera is not None]
     if len(posed) < 2:
         return
     R = np.array([pose.rotation for _, pose in posed])
     t = np.array([pose.translation for _, pose in posed])
-    _check_direction(R, t)
+    _check_direction(R, t, looks_ahead)
     _check_jumps([frame for frame, _ in posed], t)
 
 
-def _check_direction(R: FloatArray, t: FloatArray) -> None:
+def unusual_motion(frames: Sequence[Frame]) -> str:
+    """Return in which direction a camera moves most of the time; empty if ahead, or too short."""
+    poses = [frame.T_map_camera for frame in frames if frame.T_map_camera is not None]
+    if len(poses) < 2:
+        return ""
+    t = np.array([pose.translation for pose in poses])
+    rows = _spaced_rows(t)
+    if len(rows) <= MIN_STEPS:
+        return ""
+    R = np.array([pose.rotation for pose in poses])
+    return _wrong_direction(_directions(R[rows], t[rows]))
+
+
+def _check_direction(R: FloatArray, t: FloatArray, looks_ahead: bool) -> None:
     """Raise SemvizError if ``T_map_camera`` (R (n, 3, 3), t (n, 3)) is inverted."""
     rows = _spaced_rows(t)
     if len(rows) <= MIN_STEPS:
@@ -96,7 +110,7 @@ def _check_direction(R: FloatArray, t: FloatArray) -> None:
             "camera moves in changing directions; inverted, always in the same one. "
             "Nothing was loaded"
         )
-    if abs(gain) <= MIN_STEADINESS_GAIN and (where := _wrong_direction(given)):
+    if looks_ahead and abs(gain) <= MIN_STEADINESS_GAIN and (where := _wrong_direction(given)):
         raise SemvizError(
             f"the camera moves {where}: the poses are inverted (T_camera_map where T_map_camera "
             "is expected). Nothing was loaded"

@@ -1,0 +1,330 @@
+"""Read a camera, or a stereo pair, from a calibration file; its format is recognized.
+
+Kalibr's camchain, ROS's camera_info, EuRoC's sensor.yaml, OpenCV's YAML and an own short TOML:
+
+    [left]                                   # and [right]
+    size_px = [1024, 768]
+    model = "brown-conrady"                  # or "pinhole", "fisheye"
+    focal_px = [831.56, 833.68]
+    center_px = [510.61, 391.52]             # (0, 0) is the centre of the top-left pixel
+    distortion = [-0.357, 0.144, 0.0, 0.0]
+
+    T_right_left = [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0]]   # above [left]; stereo
+    T_body_left = ...                        # if poses are those of a body, such as an IMU
+
+All count pixels as semviz does. What a reader cannot know is refused, never guessed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import read_toml, shown
+from semviz_core.datasets.own_drive.lens import COEFFICIENTS, LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.yaml_files import numbers_of, read_yaml
+
+_MODELS: dict[str, LensModel] = {
+    "pinhole": "pinhole",
+    "none": "pinhole",
+    "": "pinhole",
+    "radtan": "brown-conrady",
+    "radial-tangential": "brown-conrady",
+    "plumb_bob": "brown-conrady",
+    "rational_polynomial": "brown-conrady",
+    "brown-conrady": "brown-conrady",
+    "opencv": "brown-conrady",
+    "equidistant": "fisheye",
+    "equi": "fisheye",
+    "fisheye": "fisheye",
+    "kannala_brandt": "fisheye",
+    "opencv_fisheye": "fisheye",
+}
+READ_MODELS = "pinhole, Brown-Conrady (radtan, plumb_bob) and fisheye (equidistant)"
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationFile:
+    """What a calibration file says, and how it was read."""
+
+    path: Path
+    format: str
+    """For people: ``Kalibr``."""
+    cameras: tuple[OriginalCamera, ...]
+    """One, or left and right."""
+    T_right_left: Pose | None = None
+    T_body_left: Pose | None = None
+    """From the left camera to the body (IMU) that the file knows; None if it knows none."""
+    rectified: tuple[Pose | None, float] = (None, 0.0)
+    """Of ROS: rotation to the rectified axes, and the offset along x (m) in its projection."""
+
+
+def read_calibration(path: Path, right: Path | None = None) -> CalibrationFile:
+    """Return the calibration in ``path``; ``right`` is the file of the right camera, if separate.
+
+    Raise SemvizError if a file is of no known format, or its model is not among ``READ_MODELS``.
+    """
+    left_file = _read_file(path)
+    if right is None:
+        return left_file
+    right_file = _read_file(right)
+    T_right_left = _relative_pose(left_file, right_file)
+    if T_right_left is None:
+        raise SemvizError(
+            f"{right}: does not say where the right camera is (no T_BS, no baseline in its "
+            "projection matrix); give T_right_left in a TOML file, see docs/own-drive.md"
+        )
+    return replace(
+        left_file,
+        cameras=(left_file.cameras[0], right_file.cameras[0]),
+        T_right_left=T_right_left,
+    )
+
+
+def _relative_pose(left: CalibrationFile, right: CalibrationFile) -> Pose | None:
+    if left.T_body_left is not None and right.T_body_left is not None:
+        return right.T_body_left.inverse() @ left.T_body_left
+    (R_left, _), (R_right, offset_m) = left.rectified, right.rectified
+    if R_left is None or R_right is None or not offset_m:
+        return None
+    return R_right.inverse() @ Pose(np.eye(3), np.array([offset_m, 0.0, 0.0])) @ R_left
+
+
+def _read_file(path: Path) -> CalibrationFile:
+    if not path.is_file():
+        raise SemvizError(f"{path}: no such calibration file; name another with --calibration")
+    if path.suffix == ".toml":
+        return _own(path, read_toml(path))
+    content = read_yaml(path)
+    if content.get("model_type") == "MEI" or "mirror_parameters" in content:
+        raise _unknown_model(path, "MEI (a mirror or a fisheye with xi)")
+    if "cam0" in content:
+        return _kalibr(path, content)
+    if "T_BS" in content or "intrinsics" in content:
+        return _euroc(path, content)
+    if "distortion_model" in content or {"d", "k", "p"} <= content.keys():
+        return _ros(path, content)
+    return _opencv(path, content)
+
+
+def _unknown_model(path: Path, name: str) -> SemvizError:
+    return SemvizError(
+        f"{path}: the lens model {shown(name, 60)} is not read, only {READ_MODELS}; calibrate the "
+        "camera with one of them"
+    )
+
+
+def _model(path: Path, name: Any) -> LensModel:
+    model = _MODELS.get(str(name if name is not None else "").lower())
+    if model is None:
+        raise _unknown_model(path, str(name))
+    return model
+
+
+def _camera(
+    where: str, model: LensModel, size: FloatArray, numbers: FloatArray, distortion: FloatArray
+) -> OriginalCamera:
+    """Return the camera with fx, fy, cx, cy. Zeros after the last coefficient are left out."""
+    fx, fy, cx, cy = numbers.tolist()
+    if not fx:
+        raise SemvizError(f"{where}: focal length 0: this camera was never calibrated")
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if not distortion.any() and model != "fisheye":
+        model, distortion = "pinhole", distortion[:0]
+    if model == "pinhole" and distortion.size:
+        raise SemvizError(f"{where}: a pinhole has no distortion; give its lens model")
+    counts = COEFFICIENTS[model]
+    fitting = [count for count in counts if not distortion[count:].any()]
+    if fitting and len(distortion) > fitting[0]:
+        distortion = distortion[: fitting[0]]
+    try:
+        width, height = (int(side) for side in size.tolist())
+        return OriginalCamera(model, width, height, K, distortion)
+    except SemvizError as error:
+        raise SemvizError(f"{where}: {error}") from None
+
+
+def _needed(table: Mapping[str, Any], where: str, *names: str) -> Any:
+    """Return the first of ``names`` that a table has. Raise SemvizError if it has none."""
+    for name in names:
+        if table.get(name) is not None:
+            return table[name]
+    raise SemvizError(f"{where}: no {' or '.join(names)}; not a whole calibration")
+
+
+def _pose(value: Any, where: str) -> Pose:
+    matrix = numbers_of(value, (None,), where)
+    if matrix.size not in (12, 16):
+        raise SemvizError(f"{where}: {matrix.size} numbers, expected those of a 3x4 or 4x4 matrix")
+    try:
+        return Pose.from_matrix(matrix.reshape(-1, 4))
+    except SemvizError as error:
+        raise SemvizError(f"{where}: {error}") from None
+
+
+def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    known = {"left", "right", "T_right_left", "T_body_left"}
+    if unknown := sorted(content.keys() - known):
+        raise SemvizError(f"{path}: unknown {shown(unknown[0])}; it may hold {sorted(known)}")
+    cameras = []
+    for side in ("left", "right"):
+        if side in content or side == "left":
+            where, table = f"{path}, [{side}]", content.get(side, {})
+            if not isinstance(table, dict):
+                raise SemvizError(f"{where}: not a table; see docs/own-drive.md")
+            numbers = np.concatenate(
+                [
+                    numbers_of(_needed(table, where, name), (2,), f"{where}, {name}")
+                    for name in ("focal_px", "center_px")
+                ]
+            )
+            size = numbers_of(_needed(table, where, "size_px"), (2,), f"{where}, size_px")
+            distortion = numbers_of(table.get("distortion", []), (None,), f"{where}, distortion")
+            model = _model(path, _needed(table, where, "model"))
+            cameras.append(_camera(where, model, size, numbers, distortion))
+    T_right_left, T_body_left = (
+        _pose(content[name], f"{path}, {name}") if name in content else None
+        for name in ("T_right_left", "T_body_left")
+    )
+    if (len(cameras) == 2) != (T_right_left is not None):
+        raise SemvizError(f"{path}: give both [right] and T_right_left, or neither")
+    return CalibrationFile(path, "semviz", tuple(cameras), T_right_left, T_body_left)
+
+
+def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    """Read a camchain: the name of a key says the direction of the pose."""
+    cameras, T_body_camera = [], []
+    tables = [content[f"cam{number}"] for number in range(2) if f"cam{number}" in content]
+    for number, table in enumerate(tables):
+        where = f"{path}, cam{number}"
+        if not isinstance(table, dict):
+            raise SemvizError(f"{where}: not a mapping; repair it")
+        if table.get("camera_model", "pinhole") != "pinhole":
+            raise _unknown_model(path, str(table["camera_model"]))
+        cameras.append(_listed_camera(path, where, table, "distortion_coeffs"))
+        T_body_camera.append(_imu_from_camera(table, where))
+    T_right_left = None
+    if len(tables) == 2:
+        before = tables[1].get("T_cn_cnm1")
+        if before is not None:
+            T_right_left = _pose(before, f"{path}, cam1, T_cn_cnm1")
+        elif T_body_camera[0] is not None and T_body_camera[1] is not None:
+            T_right_left = T_body_camera[1].inverse() @ T_body_camera[0]
+        else:
+            cameras = cameras[:1]
+    return CalibrationFile(path, "Kalibr", tuple(cameras), T_right_left, T_body_camera[0])
+
+
+def _imu_from_camera(table: Mapping[str, Any], where: str) -> Pose | None:
+    if table.get("T_imu_cam") is not None:
+        return _pose(table["T_imu_cam"], f"{where}, T_imu_cam")
+    if table.get("T_cam_imu") is not None:
+        return _pose(table["T_cam_imu"], f"{where}, T_cam_imu").inverse()
+    return None
+
+
+def _listed_camera(
+    path: Path, where: str, table: Mapping[str, Any], coefficients: str
+) -> OriginalCamera:
+    """Return the camera of Kalibr's and EuRoC's lists."""
+    return _camera(
+        where,
+        _model(path, table.get("distortion_model")),
+        numbers_of(_needed(table, where, "resolution"), (2,), f"{where}, resolution"),
+        numbers_of(_needed(table, where, "intrinsics"), (4,), f"{where}, intrinsics"),
+        numbers_of(table.get(coefficients) or [], (None,), f"{where}, {coefficients}"),
+    )
+
+
+def _euroc(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    if content.get("camera_model", "pinhole") != "pinhole":
+        raise _unknown_model(path, str(content["camera_model"]))
+    camera = _listed_camera(path, str(path), content, "distortion_coefficients")
+    T_body_left = _pose(content["T_BS"], f"{path}, T_BS") if "T_BS" in content else None
+    return CalibrationFile(path, "EuRoC", (camera,), None, T_body_left)
+
+
+def _matrix_numbers(value: Any, where: str) -> FloatArray:
+    """Return fx, fy, cx, cy of a 3x3 matrix. Raise SemvizError if it has skew."""
+    K = numbers_of(value, (3, 3), where)
+    if K[0, 1]:
+        raise SemvizError(f"{where}: skew {K[0, 1]:g} is not read; calibrate without skew")
+    return K[[0, 1, 0, 1], [0, 1, 2, 2]]
+
+
+def _ros(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    """Read camera_info; K and D are of the recorded images, P of ROS's rectified ones."""
+    where = str(path)
+    for name in ("binning_x", "binning_y"):
+        if content.get(name) not in (None, 0, 1):
+            raise SemvizError(f"{path}: {name} {content[name]} is not read; record without binning")
+    size = [_needed(content, where, f"image_{side}", side) for side in ("width", "height")]
+    coefficients = _needed(content, where, "distortion_coefficients", "d", "D")
+    camera = _camera(
+        where,
+        _model(path, content.get("distortion_model")),
+        numbers_of(size, (2,), where),
+        _matrix_numbers(_needed(content, where, "camera_matrix", "k", "K"), f"{path}, K"),
+        numbers_of(coefficients, (None,), f"{path}, D"),
+    )
+    projection = content.get("projection_matrix", content.get("p", content.get("P")))
+    turn = content.get("rectification_matrix", content.get("r", content.get("R")))
+    if projection is None or turn is None:
+        return CalibrationFile(path, "ROS camera_info", (camera,))
+    P = numbers_of(projection, (3, 4), f"{path}, P")
+    R = numbers_of(turn, (3, 3), f"{path}, R")
+    rotation = _pose(np.column_stack([R, np.zeros(3)]).ravel().tolist(), f"{path}, R")
+    offset_m = float(P[0, 3] / P[0, 0]) if P[0, 0] else 0.0
+    return CalibrationFile(path, "ROS camera_info", (camera,), rectified=(rotation, offset_m))
+
+
+_OPENCV_K = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "K1", "M1", "cameraMatrix1")
+_OPENCV_D = (
+    "distortion_coefficients",
+    "Distortion_Coefficients",
+    "dist_coeffs",
+    "distCoeffs",
+    "D",
+    "D1",
+    "distCoeffs1",
+)
+_OPENCV_K2, _OPENCV_D2 = ("K2", "M2", "cameraMatrix2"), ("D2", "distCoeffs2")
+
+
+def _opencv(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    """Read what OpenCV's samples write; such a file does not name its lens model."""
+    where = str(path)
+    if not any(name in content for name in _OPENCV_K):
+        raise SemvizError(
+            f"{path}: no calibration that is read: Kalibr's camchain, ROS's camera_info, EuRoC's "
+            "sensor.yaml, OpenCV's camera_matrix, or semviz's TOML"
+        )
+    size = content.get("image_size", content.get("size"))
+    if size is None:
+        size = [
+            _needed(content, where, f"image_{side}", f"image_{side.title()}", side)
+            for side in ("width", "height")
+        ]
+    model: LensModel = "fisheye" if content.get("fisheye_model") == 1 else "brown-conrady"
+    cameras = [
+        _camera(
+            f"{path}, {names_K[-1]}",
+            model,
+            numbers_of(size, (2,), f"{path}, image size"),
+            _matrix_numbers(_needed(content, where, *names_K), f"{path}, camera matrix"),
+            numbers_of(_needed(content, where, *names_D), (None,), f"{path}, distortion"),
+        )
+        for names_K, names_D in ((_OPENCV_K, _OPENCV_D), (_OPENCV_K2, _OPENCV_D2))
+        if any(name in content for name in names_K)
+    ]
+    T_right_left = None
+    if len(cameras) == 2:
+        R = numbers_of(_needed(content, where, "R"), (3, 3), f"{path}, R")
+        t = numbers_of(_needed(content, where, "T"), (3,), f"{path}, T")
+        T_right_left = _pose(np.column_stack([R, t]).ravel().tolist(), f"{path}, R and T")
+    return CalibrationFile(path, "OpenCV", tuple(cameras), T_right_left)

@@ -1,0 +1,172 @@
+"""Read a model of COLMAP, text or binary: poses, and the camera of each image.
+
+Poses are camera_from_world, in any unit and with any axes. Pixels are counted from the corner of
+the image: (0.5, 0.5) is the centre of the first one. Points, rigs and frames are not read.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import read_limited, shown
+from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses, rotations_of
+
+_MODEL_NAMES = (  # in the order of COLMAP's numbers
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+)
+_COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+_MOST_BYTES = 2**30
+_IMAGE = struct.Struct("<I7dI")
+"""Id, quaternion w first, translation, id of the camera."""
+_CAMERA = struct.Struct("<IiQQ")
+_POINT_BYTES = 24
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    quaternion: FloatArray
+    translation: FloatArray
+    camera_id: tuple[int, ...]
+    name: tuple[str, ...]
+
+
+def is_colmap(path: Path) -> bool:
+    """Whether a path is a folder of a model, or its file of images."""
+    return path.name in ("images.txt", "images.bin") or any(
+        (path / f"images.{kind}").is_file() for kind in ("bin", "txt")
+    )
+
+
+def read_colmap(path: Path) -> PosedCameras:
+    """Return poses and cameras of a model, from its folder or its file of images.
+
+    Raise SemvizError if a file is damaged, or a camera's model is not read.
+    """
+    file = path
+    if path.is_dir():
+        files = [path / f"images.{kind}" for kind in ("bin", "txt")]
+        file = next(candidate for candidate in files if candidate.is_file())
+    is_binary = file.suffix == ".bin"
+    beside = file.with_name(f"cameras{file.suffix}")
+    try:
+        images = _of_rows(list((_binary_images if is_binary else _text_images)(file)))
+        cameras = dict((_binary_cameras if is_binary else _text_cameras)(beside))
+        by_name = {
+            name: cameras[camera]
+            for name, camera in zip(images.name, images.camera_id, strict=True)
+        }
+    except KeyError as error:
+        raise SemvizError(f"{beside}: no camera {error} that an image has") from None
+    except (struct.error, ValueError, IndexError, UnicodeDecodeError):
+        raise SemvizError(f"{file}: not a model of COLMAP, or cut off; export it again") from None
+    matrices = np.concatenate(
+        [rotations_of(images.quaternion, "wxyz", file), images.translation[:, :, None]], axis=2
+    )
+    poses = RecordedPoses(
+        file,
+        "COLMAP",
+        matrices,
+        direction="world-to-camera",
+        metric=False,
+        names=images.name,
+        quaternion="wxyz",
+    )
+    return PosedCameras(poses, by_name)
+
+
+_Row = tuple[tuple[float, ...], int, str]
+"""Quaternion and translation, id of the camera, name."""
+
+
+def _of_rows(rows: list[_Row]) -> _Images:
+    if not rows:
+        raise ValueError("no images")
+    numbers = np.array([row[0] for row in rows])
+    if not np.isfinite(numbers).all():
+        raise ValueError("not finite")
+    _, camera_id, name = zip(*rows, strict=True)
+    return _Images(numbers[:, :4], numbers[:, 4:], camera_id, name)
+
+
+def _text_images(path: Path) -> Iterator[_Row]:
+    """Two lines each; the second one holds the points and may be empty."""
+    lines = read_limited(path, _MOST_BYTES).decode("utf-8").splitlines()
+    content = [line for line in lines if not line.startswith("#")]
+    for line in content[::2]:
+        if line.strip():
+            words = line.split(maxsplit=9)
+            yield tuple(float(word) for word in words[1:8]), int(words[8]), words[9].strip()
+
+
+def _binary_images(path: Path) -> Iterator[_Row]:
+    data = read_limited(path, _MOST_BYTES)
+    (count,) = struct.unpack_from("<Q", data)
+    place = 8
+    for _ in range(count):
+        _, *numbers, camera = _IMAGE.unpack_from(data, place)
+        place += _IMAGE.size
+        end = data.index(b"\0", place)
+        name = data[place:end].decode("utf-8")
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        place = end + 9 + points * _POINT_BYTES
+        yield tuple(numbers), camera, name
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, OriginalCamera]]:
+    for line in read_limited(path, _MOST_BYTES).decode("utf-8").splitlines():
+        if line.strip() and not line.startswith("#"):
+            number, model, width, height, *parameters = line.split()
+            values = [float(word) for word in parameters]
+            yield int(number), _camera(path, model, int(width), int(height), values)
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, OriginalCamera]]:
+    data = read_limited(path, _MOST_BYTES)
+    (count,) = struct.unpack_from("<Q", data)
+    place = 8
+    for _ in range(count):
+        number, model, width, height = _CAMERA.unpack_from(data, place)
+        place += _CAMERA.size
+        values = struct.unpack_from(f"<{_COUNTS[model]}d", data, place)
+        place += 8 * _COUNTS[model]
+        yield number, _camera(path, _MODEL_NAMES[model], width, height, list(values))
+
+
+def _camera(path: Path, model: str, width: int, height: int, values: list[float]) -> OriginalCamera:
+    """Return a camera with the centre of the first pixel at (0, 0)."""
+    f, *rest = values
+    lens: LensModel = "brown-conrady"
+    match model:
+        case "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL":
+            fx, fy, (cx, cy, *terms) = f, f, rest
+            terms = [*terms, 0.0, 0.0, 0.0, 0.0][:4]
+            terms = [terms[0], terms[1], 0.0, 0.0]
+        case "PINHOLE" | "OPENCV" | "FULL_OPENCV":
+            fx, (fy, cx, cy, *terms) = f, rest
+        case "OPENCV_FISHEYE":
+            lens, fx, (fy, cx, cy, *terms) = "fisheye", f, rest
+        case _:
+            raise SemvizError(
+                f"{path}: camera model {shown(model, 40)} is not read; use SIMPLE_RADIAL, RADIAL, "
+                "OPENCV, FULL_OPENCV, OPENCV_FISHEYE or a pinhole"
+            )
+    if lens == "brown-conrady" and not any(terms):
+        lens, terms = "pinhole", []
+    K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
+    return OriginalCamera(lens, width, height, K, np.array(terms))

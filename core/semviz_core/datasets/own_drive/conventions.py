@@ -1,0 +1,147 @@
+"""Say what recorded poses mean, and turn them into poses of the left camera in a map, z up.
+
+A format states the direction of its poses, the axes of its cameras and the order of quaternions;
+each can be replaced. The body whose poses they are, the unit of length and the upward direction of
+the world are stated by no file, so they are options, or found and reported.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import shown
+from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
+from semviz_core.datasets.own_drive.pose_files import CameraAxes, Direction, RecordedPoses
+from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_text
+
+UpDirection: TypeAlias = Literal["auto", "cameras", "x", "-x", "y", "-y", "z", "-z"]
+
+_FLIPPED = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+"""Between OpenGL's camera axes and OpenCV's."""
+NAMED_EXTRINSICS = {
+    "camera": Pose.identity(),
+    "flu": T_MAP_WORLD,
+    "frd": Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.zeros(3)),
+}
+"""T_body_camera of a body in the camera's place: with the camera's axes; x ahead, y left, z up; and
+x ahead, y right, z down. The camera looks ahead."""
+CALIBRATION_EXTRINSIC = "calibration"
+_AXES: dict[str, FloatArray] = {
+    name: sign * np.eye(3)[axis]
+    for axis, letter in enumerate("xyz")
+    for name, sign in ((letter, 1.0), (f"-{letter}", -1.0))
+}
+_NEAR_AXIS_DEG = 20.0
+_FAR_M = 10_000.0
+"""Worlds farther from their origin are moved: screens draw in float32."""
+_DEGREES = 0.2
+"""A drive whose positions span less in both directions may be in degrees."""
+_MOST_LISTED_DEG = 180.0
+
+
+def camera_poses(
+    poses: RecordedPoses, direction: Direction | None, axes: CameraAxes | None
+) -> list[Pose]:
+    """Return world_from_camera or world_from_body, with OpenCV's camera axes."""
+    T = [Pose(matrix[:, :3], matrix[:, 3]) for matrix in poses.matrices]
+    if (direction or poses.direction) == "world-to-camera":
+        T = [pose.inverse() for pose in T]
+    if (axes or poses.axes) == "opengl":
+        T = [pose @ _FLIPPED for pose in T]
+    return T
+
+
+def read_extrinsic(name: str, calibration: CalibrationFile) -> tuple[Pose, str]:
+    """Return T_body_camera of the left camera and where it is from, for people.
+
+    ``name`` is one of ``NAMED_EXTRINSICS``, ``calibration``, or a file: a calibration with a body,
+    or the 12 or 16 numbers of a matrix. Raise SemvizError for others.
+    """
+    if name in NAMED_EXTRINSICS:
+        return NAMED_EXTRINSICS[name], name
+    if name == CALIBRATION_EXTRINSIC:
+        if calibration.T_body_left is None:
+            raise SemvizError(
+                f"{calibration.path}: holds no pose of a body (T_cam_imu, T_BS, T_body_left); "
+                "give --extrinsic FILE with the 4x4 matrix T_body_camera"
+            )
+        return calibration.T_body_left, calibration.path.name
+    path = Path(name)
+    if not path.is_file():
+        raise SemvizError(
+            f"--extrinsic {shown(name)}: no such file; give one, 'calibration', "
+            + ", ".join(f"'{known}'" for known in NAMED_EXTRINSICS)
+        )
+    if path.suffix in (".yaml", ".yml", ".toml"):
+        return read_extrinsic(CALIBRATION_EXTRINSIC, read_calibration(path))[0], path.name
+    text = " ".join(read_text(path).replace(",", " ").split())
+    count = 16 if len(text.split()) == 16 else 12
+    try:
+        return Pose.from_matrix(parsed_numbers(text, count, str(path)).reshape(-1, 4)), path.name
+    except SemvizError as error:
+        raise SemvizError(f"{path}: {error}; give T_body_camera as a 3x4 or 4x4 matrix") from None
+
+
+def refuse_degrees(path: Path, positions: FloatArray) -> None:
+    """Raise SemvizError if positions (n, 3) look like latitude and longitude."""
+    span, middle = np.ptp(positions[:, :2], axis=0), np.abs(positions[:, :2]).mean(axis=0)
+    if (
+        len(positions) > 1
+        and 0.0 < span.max() < _DEGREES
+        and (middle < _MOST_LISTED_DEG).all()
+        and middle.min() > 5.0 * _DEGREES
+    ):
+        first = ", ".join(f"{value:.5f}" for value in positions[0, :2])
+        raise SemvizError(
+            f"{path}: positions such as {first} span less than {_DEGREES:g}: degrees of latitude "
+            "and longitude? Metres are needed; convert them, or give --metric if these are metres"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WorldAxes:
+    """How the recorded world becomes the map's: z up, with an origin near the drive."""
+
+    T_map_world: Pose
+    up: str
+    """For people: the axis of the recorded world that is up, or that it is the cameras'."""
+    tilt_deg: float
+    """Between the cameras' mean upward direction and that one."""
+    origin_m: tuple[float, float, float]
+    """The map's origin in the recorded world."""
+
+
+def world_axes(T_world_camera: Sequence[Pose], up: UpDirection = "auto") -> WorldAxes:
+    """Return the map's axes. ``auto`` takes the axis nearest to the cameras' upward direction.
+
+    If none is within 20 deg, the cameras' own upward direction is taken. ``T_world_camera`` has
+    at least one pose.
+    """
+    upward = -np.mean([pose.rotation[:, 1] for pose in T_world_camera], axis=0)
+    upward /= max(float(np.linalg.norm(upward)), 1e-9)
+    nearest = max(_AXES, key=lambda name: float(_AXES[name] @ upward))
+    chosen: str = up
+    if up == "auto":
+        near = _angle_deg(_AXES[nearest], upward) <= _NEAR_AXIS_DEG
+        chosen = nearest if near else "cameras"
+    z = upward if chosen == "cameras" else _AXES[chosen]
+    x = np.eye(3)[0 if abs(z[2]) > 0.9 else 2]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    R = np.array([x, np.cross(z, x), z])
+    t = np.array([pose.translation for pose in T_world_camera])
+    origin = np.zeros(3)
+    if np.abs(t).max() > _FAR_M:
+        origin = np.round(t[0] / 1000.0) * 1000.0
+    east, north, height = origin.tolist()
+    return WorldAxes(Pose(R, -R @ origin), chosen, _angle_deg(z, upward), (east, north, height))
+
+
+def _angle_deg(first: FloatArray, second: FloatArray) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(first @ second, -1.0, 1.0))))

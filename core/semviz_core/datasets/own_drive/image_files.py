@@ -1,0 +1,184 @@
+"""List the images of a drive, in pairs for stereo, and read when they were taken."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import MOST_IMAGE_BYTES, check_image_size, read_limited, shown
+from semviz_core.datasets.trajectory import MOST_LINES, read_text
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
+_SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_DIGITS = 10
+"""A name of so many digits is a time since 1970: seconds, or a smaller unit."""
+
+
+@dataclass(frozen=True)
+class ImageNames:
+    """Images of one or two folders; those of one row belong to one frame."""
+
+    left: tuple[str, ...]
+    right: tuple[str, ...] = ()
+    """As many as ``left``, or none."""
+    unpaired: int = 0
+    """Images without one on the other side; they are left out."""
+    by_order: bool = False
+    """Whether pairs were made in order, because the names of both sides differ."""
+
+
+def list_images(left: Path, right: Path | None) -> ImageNames:
+    """Return the images of a folder, in the order of the numbers in their names, then names.
+
+    Pairs have the same name but for the ending. If no names agree, but their count, images are
+    paired in order. Raise SemvizError if a folder has no images, or no pairs can be made.
+    """
+    names = _names(left)
+    if right is None:
+        return ImageNames(tuple(names))
+    if right.resolve() == left.resolve():
+        raise SemvizError(f"{right}: given for --images and --right; name the right camera's one")
+    others = {Path(name).stem: name for name in _names(right)}
+    pairs = [(name, others[Path(name).stem]) for name in names if Path(name).stem in others]
+    if not pairs and len(names) == len(others):
+        return ImageNames(tuple(names), tuple(others.values()), by_order=True)
+    if not pairs:
+        raise SemvizError(
+            f"{right}: {len(others)} images, and none is called like one of the {len(names)} in "
+            f"{left}; rename them, or leave out --right"
+        )
+    paired_left, paired_right = zip(*pairs, strict=True)
+    unpaired = len(names) + len(others) - 2 * len(pairs)
+    return ImageNames(tuple(paired_left), tuple(paired_right), unpaired)
+
+
+def _names(folder: Path) -> list[str]:
+    if not folder.is_dir():
+        raise SemvizError(f"{folder}: no such folder of images; name another")
+    found = [
+        path.name
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    ]
+    if not found:
+        raise SemvizError(f"{folder}: a folder without images; expected .png or .jpg")
+    if len(found) > MOST_LINES:
+        raise SemvizError(f"{folder}: more than {MOST_LINES} images; split the drive")
+    return sorted(found, key=lambda name: (_numbers_as_numbers(name), name))
+
+
+def _numbers_as_numbers(name: str) -> list[tuple[int, int | str]]:
+    """Return a key that puts ``image_10`` behind ``image_9``."""
+    parts = re.findall(r"\d+|\D+", name)
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+
+
+def size_of_images(folder: Path, names: Sequence[str]) -> tuple[int, int]:
+    """Return width and height of the first image, from its header.
+
+    Raise SemvizError if it is not readable, or the middle or the last one has another size.
+    """
+    sizes = []
+    for name in dict.fromkeys((names[0], names[len(names) // 2], names[-1])):
+        path = folder / name
+        size = check_image_size(read_limited(path, MOST_IMAGE_BYTES), path)
+        sizes.append(size)
+        if size != sizes[0]:
+            raise SemvizError(
+                f"{path}: image is {size[0]}x{size[1]}, but {names[0]} is "
+                f"{sizes[0][0]}x{sizes[0][1]}; all must be of one size"
+            )
+    return sizes[0]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTimes:
+    """When images were taken, and how that is known."""
+
+    time_s: FloatArray
+    source: str
+    """For people."""
+    unit: TimeUnit | None = None
+    """Of the numbers read."""
+
+
+def times_from_names(names: Sequence[str], unit: TimeUnit | None) -> ImageTimes | None:
+    """Return the times that names such as ``1403715273262142976.png`` are; None if they are not."""
+    stems = [Path(name).stem for name in names]
+    if not all(re.fullmatch(rf"\d{{{_TIME_DIGITS},}}(\.\d+)?", stem) for stem in stems):
+        return None
+    time_s, unit = in_seconds(stems, unit)
+    return ImageTimes(time_s, "names of the images", unit)
+
+
+def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> ImageTimes:
+    """Return the times of images from a file with one line for each.
+
+    A line names its image before or behind the time, in any order (``time,name``), or all lines
+    are numbers, of which the first is the time of the next image. Raise SemvizError if an image
+    has none.
+    """
+    lines = [
+        re.split(r"[\s,;]+", line.strip())
+        for line in read_text(path).splitlines()
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if lines and not any(map(is_number, lines[0])):
+        lines = lines[1:]  # the names of columns
+    by_name = {}
+    for row in lines:
+        texts = [word for word in row[:2] if Path(word).suffix.lower() in SUFFIXES]
+        numbers = [word for word in row[:2] if is_number(word)]
+        if texts and numbers:
+            by_name[Path(texts[0]).name] = numbers[0]
+    if by_name:
+        missing = [name for name in names if name not in by_name]
+        if missing:
+            raise SemvizError(
+                f"{path}: no time for {shown(missing[0], 80)} and {len(missing) - 1} others of "
+                f"{len(names)} images; complete the file"
+            )
+        words: Iterable[str] = [by_name[name] for name in names]
+    elif len(lines) != len(names):
+        raise SemvizError(
+            f"{path}: {len(lines)} lines for {len(names)} images; give each image's time in its "
+            "own line, or its name beside it"
+        )
+    else:
+        words = [row[0] for row in lines]
+    time_s, unit = in_seconds(list(words), unit, path)
+    if (np.diff(time_s) < 0.0).any() and not by_name:
+        raise SemvizError(f"{path}: times go backwards; put the images' names beside them")
+    return ImageTimes(time_s, path.name, unit)
+
+
+def is_number(word: str) -> bool:
+    try:
+        return bool(np.isfinite(float(word)))
+    except ValueError:
+        return False
+
+
+def in_seconds(
+    words: Sequence[str], unit: TimeUnit | None, where: object = "times"
+) -> tuple[FloatArray, TimeUnit]:
+    """Return times (n,) in s, and their unit, which the size of the first tells if not given.
+
+    Times since 1970 have 10 digits in s, 13 in ms, 16 in us and 19 in ns.
+    """
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise SemvizError(f"{where}: {shown(error)}; expected a time") from None
+    if not np.isfinite(values).all():
+        raise SemvizError(f"{where}: a time is NaN or infinite; repair it")
+    if unit is None:
+        first = float(np.abs(values).max()) if len(values) else 0.0
+        unit = "s" if first < 1e11 else "ms" if first < 1e14 else "us" if first < 1e17 else "ns"
+    return values * _SECONDS[unit], unit

@@ -1,0 +1,113 @@
+"""A ``Dataset`` of a folder of images, or of two for stereo, rectified as they are asked for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from semviz_core.base.camera import Rig
+from semviz_core.base.frame import Frame, Side
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import MOST_IMAGE_BYTES, decode_image, read_limited
+from semviz_core.datasets.own_drive.rectification import RectifiedRig
+
+_PNG_LEVEL = 1
+"""Larger levels take several times as long, for a tenth less space."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFolder:
+    """A ``Dataset`` of recorded images.
+
+    A rectified image is made when it is first asked for, and kept in ``cache`` as PNG, so that
+    labels and measurements of all times see the same pixels. It is made again if the recorded image
+    is newer. Images that need no rectification are read as they are.
+    """
+
+    map_frame: MapFrame
+    frames: tuple[Frame, ...]
+    """Poses are those of the rectified left camera."""
+    left: Mapping[int, Path]
+    """Recorded images by the index of their frame."""
+    right: Mapping[int, Path]
+    """Empty with one camera."""
+    rectified: RectifiedRig
+    cache: Path
+    """Folder of rectified images, made when needed."""
+
+    @property
+    def rig(self) -> Rig:
+        return self.rectified.rig
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        """Return (height, width, 3) sRGB of the rectified image of frame ``index``.
+
+        Raise SemvizError if the recorded image is missing, unreadable or of another size.
+        """
+        path = self.image_path(index, side)
+        camera = self.rectified.of(side).camera
+        return _read_image(path, camera.width, camera.height)
+
+    def image_path(self, index: int, side: Side) -> Path:
+        """Return the path of a rectified image, which is made if it is missing."""
+        original = self.original_path(index, side)
+        rectification = self.rectified.of(side)
+        if rectification.is_identity:
+            return original
+        path = self.cache / side / f"{index:06d}.png"
+        if not _is_newer(path, original):
+            recorded = rectification.original
+            image = _read_image(original, recorded.width, recorded.height)
+            _write_png(path, rectification.rectify(image))
+        return path
+
+    def original_path(self, index: int, side: Side) -> Path:
+        """Return the path of a recorded image. Raise SemvizError for a frame or side not there."""
+        paths = self.left if side == "left" else self.right
+        if not paths:
+            raise SemvizError(f"{self.map_frame.name}: one camera; there is no right image")
+        path = paths.get(index)
+        if path is None:
+            first, last = self.frames[0].index, self.frames[-1].index
+            raise SemvizError(
+                f"{self.map_frame.name}: no frame {index} among frames {first} to {last}"
+            )
+        if not path.is_file():
+            raise SemvizError(f"{path}: no such image; copy it there again")
+        return path
+
+    def to_original(self, pixels_px: FloatArray, side: Side) -> FloatArray:
+        """Return pixels (n, 2) of the recorded image at pixels (n, 2) of the rectified one."""
+        return self.rectified.of(side).to_original(pixels_px)
+
+
+def _is_newer(path: Path, than: Path) -> bool:
+    try:
+        return path.stat().st_mtime_ns >= than.stat().st_mtime_ns
+    except FileNotFoundError:
+        return False
+
+
+def _read_image(path: Path, width: int, height: int) -> ByteImage:
+    image = decode_image(read_limited(path, MOST_IMAGE_BYTES), path)
+    if image.shape[:2] != (height, width):
+        raise SemvizError(
+            f"{path}: image is {image.shape[1]}x{image.shape[0]}, but its camera's are "
+            f"{width}x{height}; all must be of one size"
+        )
+    rgb: ByteImage = np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
+    return rgb
+
+
+def _write_png(path: Path, image: ByteImage) -> None:
+    import cv2
+
+    done, data = cv2.imencode(".png", image[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
+    if not done:
+        raise SemvizError(f"{path}: the rectified image cannot be written as PNG")
+    with replacing(path) as temporary:
+        temporary.write_bytes(data.tobytes())

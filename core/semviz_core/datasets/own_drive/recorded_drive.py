@@ -1,0 +1,320 @@
+"""Read a whole drive: images, calibration, times and poses, and state what was taken for granted.
+
+`recorded_cameras` reads the cameras; here images get their times and poses.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from semviz_core.base.frame import Frame
+from semviz_core.base.pose import Pose
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import shown
+from semviz_core.datasets.own_drive import conventions
+from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
+from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
+from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.image_files import (
+    ImageNames,
+    ImageTimes,
+    list_images,
+    read_times,
+    times_from_names,
+)
+from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
+from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses, read_poses
+from semviz_core.datasets.own_drive.recorded_cameras import read_cameras, rows_of_images
+from semviz_core.datasets.own_drive.rectification import RectifiedRig, rectify_rig
+from semviz_core.datasets.own_drive.time_matching import poses_at_times
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedDrive:
+    """A drive as it was read."""
+
+    original: OriginalRig
+    rectified: RectifiedRig
+    frames: tuple[Frame, ...]
+    """In order of time; poses are those of the rectified left camera, in the map."""
+    left: Mapping[int, str]
+    """Names of images by the index of their frame."""
+    right: Mapping[int, str]
+    statements: tuple[tuple[str, str], ...]
+    """What was read and taken for granted: topic and text, for people."""
+    warnings: tuple[str, ...]
+    axes: conventions.WorldAxes | None
+    """None without poses."""
+    most_view_deg: float
+    """As asked for."""
+
+
+@dataclass
+class _Reading:
+    """What is collected while a drive is read."""
+
+    files: DriveFiles
+    statements: list[tuple[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def state(self, topic: str, text: str) -> None:
+        self.statements.append((topic, text))
+
+
+def read_drive(files: DriveFiles) -> RecordedDrive:
+    """Read a drive. Raise SemvizError if a file is wrong, or says what semviz does not read.
+
+    Images are listed, and three of them opened for their size; none is decoded.
+    """
+    reading = _Reading(files)
+    names = _read_images(reading)
+    posed = _read_posed(files)
+    original, calibration = read_cameras(files, names, posed)
+    _state_calibration(reading, original, calibration)
+    rectified = rectify_rig(original, files.most_view_deg)
+    _state_rectification(reading, rectified)
+    times = _read_times(reading, names, posed)
+    order = np.argsort(times.time_s, kind="stable") if files.times else np.arange(len(names.left))
+    poses: list[Pose | None] = [None] * len(names.left)
+    axes = None
+    if posed is None:
+        reading.state("poses", "none: images can be labelled, but no map built")
+    else:
+        poses, axes = _read_map_poses(reading, posed.poses, names, times, calibration, rectified)
+    chosen = range(len(order)) if files.frames is None else files.frames
+    rows = [(index, int(order[index])) for index in chosen if index < len(order)]
+    if not rows:
+        raise SemvizError(f"--frames: the drive has frames 0 to {len(order) - 1}, none of these")
+    return RecordedDrive(
+        original,
+        rectified,
+        tuple(Frame(index, float(times.time_s[row]), poses[row]) for index, row in rows),
+        {index: names.left[row] for index, row in rows},
+        {index: names.right[row] for index, row in rows} if names.right else {},
+        tuple(reading.statements),
+        tuple(reading.warnings),
+        axes,
+        files.most_view_deg,
+    )
+
+
+def _read_images(reading: _Reading) -> ImageNames:
+    files = reading.files
+    names = list_images(files.images, files.right)
+    text = f"{len(names.left)} in {shown(files.images, 60)}"
+    if names.right:
+        text = f"{len(names.left)} pairs, {'in order' if names.by_order else 'by name'}"
+    if names.unpaired:
+        reading.warnings.append(f"{names.unpaired} images have none on the other side: left out")
+    reading.state("images", text)
+    return names
+
+
+def _read_posed(files: DriveFiles) -> PosedCameras | None:
+    """Return the poses, with cameras if their file has some; None without poses."""
+    path = files.poses
+    if path is None:
+        return None
+    if is_colmap(path):
+        return read_colmap(path)
+    if path.suffix == ".json":
+        return read_nerfstudio(path)
+    if path.is_dir():
+        raise SemvizError(f"{path}: a folder without images.txt or images.bin; name a file")
+    return PosedCameras(read_poses(path, files.quaternion, files.time_unit), {})
+
+
+def _state_calibration(
+    reading: _Reading, original: OriginalRig, calibration: CalibrationFile
+) -> None:
+    left = original.left
+    text = f"{calibration.path.name} {calibration.format}, {_lens_text(left)}"
+    if original.T_right_left is not None:
+        baseline_m = float(np.linalg.norm(original.T_right_left.translation))
+        text += f", 2 cameras {baseline_m:.3f} m apart"
+    reading.state("calibration", f"{text}, {left.width}x{left.height}")
+
+
+def _lens_text(camera: OriginalCamera) -> str:
+    if camera.is_pinhole:
+        return "pinhole without distortion"
+    terms = ", ".join(f"{value:.3g}" for value in camera.distortion)
+    return f"{camera.model} ({terms})"
+
+
+def _state_rectification(reading: _Reading, rectified: RectifiedRig) -> None:
+    left, right = rectified.left, rectified.right
+    if left.is_identity:
+        reading.state("rectified", "not needed: images are used as they are")
+        return
+    across, down = left.view_deg
+    camera = left.camera
+    both = "" if right is None else ", rows of both images agree"
+    reading.state(
+        "rectified",
+        f"{camera.width}x{camera.height}, field of view {across:.0f} x {down:.0f} deg{both}",
+    )
+
+
+def _read_times(reading: _Reading, names: ImageNames, posed: PosedCameras | None) -> ImageTimes:
+    files = reading.files
+    if files.times is not None:
+        times = read_times(files.times, names.left, files.time_unit)
+    else:
+        found = times_from_names(names.left, files.time_unit)
+        needed = posed is not None and posed.poses.time_s is not None
+        if found is None and needed:
+            assert posed is not None
+            raise SemvizError(
+                f"{posed.poses.path}: {posed.poses.format} poses have times, the images none; give "
+                "--times FILE with a time for each image (or the pose file, if its lines are those "
+                "of the images)"
+            )
+        if found is None:
+            seconds = np.arange(len(names.left)) / files.rate_hz
+            found = ImageTimes(seconds, f"unknown, counted as {files.rate_hz:g} images a second")
+        times = found
+    unit = "" if times.unit is None else f", in {times.unit}"
+    span = float(times.time_s[-1] - times.time_s[0])
+    reading.state("times", f"{times.source}{unit}, {span:.1f} s")
+    return times
+
+
+def _read_map_poses(
+    reading: _Reading,
+    recorded: RecordedPoses,
+    names: ImageNames,
+    times: ImageTimes,
+    calibration: CalibrationFile,
+    rectified: RectifiedRig,
+) -> tuple[list[Pose | None], conventions.WorldAxes]:
+    """Return the map pose of each image's rectified camera, None where there is none."""
+    files = reading.files
+    T_body_camera, of_what = _extrinsic(files, recorded, calibration)
+    if not files.metric:
+        conventions.refuse_degrees(recorded.path, recorded.matrices[:, :, 3])
+    T = conventions.camera_poses(recorded, files.direction, files.axes)
+    meters = _meters(files, recorded)
+    T = [Pose(pose.rotation, pose.translation * meters) @ T_body_camera for pose in T]
+    found = _of_images(files, recorded, T, names, times)
+    posed = [pose for pose in found if pose is not None]
+    axes = conventions.world_axes(posed, files.up)
+    _state_poses(reading, recorded, of_what, len(posed), len(found), axes)
+    T_left_rectified = rectified.T_left_rectified
+    return [
+        None if pose is None else axes.T_map_world @ pose @ T_left_rectified for pose in found
+    ], axes
+
+
+def _extrinsic(
+    files: DriveFiles, recorded: RecordedPoses, calibration: CalibrationFile
+) -> tuple[Pose, str]:
+    """Return T_body_camera and whose poses these are, for people."""
+    name = files.extrinsic
+    if name is None and recorded.of_body:
+        if calibration.T_body_left is None:
+            raise SemvizError(
+                f"{recorded.path}: {recorded.format} holds poses of a body, not of the camera; "
+                "give --extrinsic FILE with T_body_camera"
+            )
+        name = conventions.CALIBRATION_EXTRINSIC
+    if name is None:
+        return Pose.identity(), "the left camera"
+    pose, source = conventions.read_extrinsic(name, calibration)
+    return pose, f"a body, moved to the left camera by {source}"
+
+
+def _meters(files: DriveFiles, recorded: RecordedPoses) -> float:
+    """Return the metres in a unit of length of the poses."""
+    if files.scale is not None:
+        return files.scale
+    if not recorded.metric and not files.metric:
+        raise SemvizError(
+            f"{recorded.path}: a model of {recorded.format} has no unit of length; give --scale "
+            "METRES for one unit, or --metric if its unit is the metre"
+        )
+    return 1.0
+
+
+def _of_images(
+    files: DriveFiles,
+    recorded: RecordedPoses,
+    T_world_camera: Sequence[Pose],
+    names: ImageNames,
+    times: ImageTimes,
+) -> list[Pose | None]:
+    """Return the recorded pose of each image. Raise SemvizError if no image has one."""
+    count = len(names.left)
+    if recorded.names is not None:
+        rows = rows_of_images(files.images, names.left, recorded)
+        return [None if row is None else T_world_camera[row] for row in rows]
+    if recorded.time_s is not None:
+        found = poses_at_times(T_world_camera, recorded.time_s, times.time_s, files.most_gap_s)
+        if all(pose is None for pose in found):
+            raise SemvizError(
+                f"{recorded.path}: no pose is at the time of an image: its times are "
+                f"{recorded.time_s.min():.3f} to {recorded.time_s.max():.3f} s, the images' "
+                f"{times.time_s.min():.3f} to {times.time_s.max():.3f} s. Another clock, another "
+                "unit (--time-unit), or poses farther apart than --most-gap"
+            )
+        return found
+    if recorded.indices is not None:
+        return _by_number(recorded, T_world_camera, names)
+    if len(T_world_camera) != count:
+        raise SemvizError(
+            f"{recorded.path}: {len(T_world_camera)} poses for {count} images, and nothing says "
+            "which belong together: poses of another drive? Give poses with times (TUM)"
+        )
+    return list(T_world_camera)
+
+
+def _by_number(
+    recorded: RecordedPoses, T_world_camera: Sequence[Pose], names: ImageNames
+) -> list[Pose | None]:
+    """Return poses of images whose names are the numbers in the file."""
+    assert recorded.indices is not None
+    by_number = dict(zip(recorded.indices.tolist(), T_world_camera, strict=True))
+    stems = [Path(name).stem for name in names.left]
+    if not all(stem.isdecimal() for stem in stems):
+        raise SemvizError(
+            f"{recorded.path}: holds poses by the number of a frame, but images are called like "
+            f"{shown(names.left[0], 60)}; name them by number"
+        )
+    found = [by_number.get(int(stem)) for stem in stems]
+    if all(pose is None for pose in found):
+        raise SemvizError(f"{recorded.path}: has no pose of any image's number; another drive?")
+    return found
+
+
+def _state_poses(
+    reading: _Reading,
+    recorded: RecordedPoses,
+    of_what: str,
+    posed: int,
+    count: int,
+    axes: conventions.WorldAxes,
+) -> None:
+    files = reading.files
+    direction = files.direction or recorded.direction
+    order = files.quaternion or recorded.quaternion
+    unit = "" if recorded.time_unit is None else f", times in {recorded.time_unit}"
+    reading.state("poses", f"{recorded.path.name} {recorded.format}, of {of_what}")
+    reading.state(
+        "taken as",
+        f"{direction}, {files.axes or recorded.axes} camera axes"
+        + ("" if order is None else f", quaternions {order}")
+        + unit,
+    )
+    up = "the cameras' mean" if axes.up == "cameras" else axes.up
+    origin = "".join(f" {value:.0f}" for value in axes.origin_m)
+    moved = f", origin moved to{origin} m" if any(axes.origin_m) else ""
+    reading.state("world", f"up is {up} (cameras tilted {axes.tilt_deg:.0f} deg){moved}")
+    reading.state("matched", f"{posed} of {count} images have a pose ({recorded.order})")
+    if posed < count:
+        reading.warnings.append(
+            f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
+            "out of maps"
+        )

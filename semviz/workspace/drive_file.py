@@ -1,0 +1,157 @@
+"""The file ``drive.json`` of a workspace: what was read of an own drive when it was imported.
+
+The recorded cameras, the time and pose of each image, and what was taken for granted. Images are
+named; they stay where they are. Opening a workspace needs none of the imported files again.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from semviz_core.base.frame import Frame
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import replacing
+from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.rectification import rectify_rig
+
+if TYPE_CHECKING:
+    from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
+
+DRIVE_FILE = "drive.json"
+RECTIFIED = "rectified"
+"""Folder of rectified images; it can be deleted at any time."""
+
+Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
+"""A pose: the 12 numbers of a 3x4 matrix, row by row."""
+ImageName = Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
+"""Of a file in the folder of images, and nowhere else."""
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class CameraEntry(_Model):
+    """A camera as recorded."""
+
+    model: LensModel
+    size_px: tuple[int, int]
+    intrinsics_px: tuple[float, float, float, float]
+    """fx, fy, cx, cy; (0, 0) is the centre of the top-left pixel."""
+    distortion: tuple[float, ...]
+
+    @classmethod
+    def of(cls, camera: OriginalCamera) -> "CameraEntry":
+        K = camera.K
+        return cls(
+            model=camera.model,
+            size_px=(camera.width, camera.height),
+            intrinsics_px=(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])),
+            distortion=tuple(camera.distortion.tolist()),
+        )
+
+    def camera(self) -> OriginalCamera:
+        fx, fy, cx, cy = self.intrinsics_px
+        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        return OriginalCamera(self.model, *self.size_px, K, np.array(self.distortion))
+
+
+class FrameEntry(_Model):
+    """An image, or a pair."""
+
+    index: int = Field(ge=0)
+    time_s: float
+    left: ImageName
+    right: ImageName | None = None
+    T_map_camera: Matrix | None = None
+    """Of the rectified left camera."""
+
+
+class DriveFile(_Model):
+    """The content of the file."""
+
+    version: Literal[1] = 1
+    map_frame: str
+    left: CameraEntry
+    right: CameraEntry | None = None
+    T_right_left: Matrix | None = None
+    most_view_deg: float
+    """Largest field of view of the rectified images."""
+    origin_m: tuple[float, float, float] | None = None
+    """The map's origin in the world of the poses; None without poses."""
+    statements: tuple[tuple[str, str], ...] = ()
+    """What was read and taken for granted: topic and text."""
+    warnings: tuple[str, ...] = ()
+    frames: Annotated[tuple[FrameEntry, ...], Field(min_length=1)]
+
+    @classmethod
+    def of(cls, drive: "RecordedDrive", map_frame: str) -> "DriveFile":
+        original = drive.original
+        return cls(
+            map_frame=map_frame,
+            left=CameraEntry.of(original.left),
+            right=None if original.right is None else CameraEntry.of(original.right),
+            T_right_left=_numbers(original.T_right_left),
+            most_view_deg=drive.most_view_deg,
+            origin_m=None if drive.axes is None else drive.axes.origin_m,
+            statements=drive.statements,
+            warnings=drive.warnings,
+            frames=tuple(
+                FrameEntry(
+                    index=frame.index,
+                    time_s=frame.time_s,
+                    left=drive.left[frame.index],
+                    right=drive.right.get(frame.index),
+                    T_map_camera=_numbers(frame.T_map_camera),
+                )
+                for frame in drive.frames
+            ),
+        )
+
+    def dataset(self, images: Path, right: Path | None, cache: Path) -> ImageFolder:
+        """Return the images of these folders as a dataset; rectified ones are kept in ``cache``."""
+        original = OriginalRig(
+            self.left.camera(),
+            None if self.right is None else self.right.camera(),
+            _pose(self.T_right_left),
+        )
+        return ImageFolder(
+            MapFrame(self.map_frame),
+            tuple(Frame(row.index, row.time_s, _pose(row.T_map_camera)) for row in self.frames),
+            {row.index: images / row.left for row in self.frames},
+            {}
+            if right is None
+            else {row.index: right / row.right for row in self.frames if row.right is not None},
+            rectify_rig(original, self.most_view_deg),
+            cache,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the file. Raise SemvizError if it cannot be written."""
+        with replacing(path) as temporary:
+            temporary.write_text(self.model_dump_json(exclude_none=True), encoding="utf-8")
+
+
+def read_drive_file(path: Path) -> DriveFile:
+    """Return the content of the file. Raise SemvizError if it is missing or damaged."""
+    try:
+        return DriveFile.model_validate_json(read_limited(path, MOST_TEXT_BYTES))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "file"
+        fault = first_line(f"{where}: {first['msg']}")
+        raise SemvizError(f"{path}: damaged ({fault}); run 'semviz new' again") from None
+
+
+def _numbers(pose: Pose | None) -> tuple[float, ...] | None:
+    return None if pose is None else tuple(pose.as_matrix()[:3].ravel().tolist())
+
+
+def _pose(numbers: tuple[float, ...] | None) -> Pose | None:
+    return None if numbers is None else Pose.from_matrix(np.reshape(numbers, (3, 4)))

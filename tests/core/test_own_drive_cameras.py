@@ -1,0 +1,265 @@
+"""Lenses, their calibration files, and images made without distortion."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recorded_streets import BROWN, FISHEYE, LENSES, intrinsics, kalibr, seen_through
+from streets import street
+
+from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.rectification import rectify_rig
+
+RATIONAL = OriginalCamera(
+    "brown-conrady",
+    1280,
+    720,
+    intrinsics(700.0, 640.3, 355.1),
+    np.array([2.1, 0.6, 0.0004, -0.0002, 0.02, 2.4, 1.1, 0.1]),
+)
+EQUIDISTANT_190 = OriginalCamera(
+    "fisheye",
+    512,
+    512,
+    intrinsics(190.98, 254.93, 256.9),
+    np.array([0.00348, 0.000715, -0.00205, 0.000203]),
+)
+"""A fisheye of 160 deg and more."""
+MATRIX = "rows: 3, cols: 3, data: [831.5, 0, 510.6, 0, 833.6, 391.5, 0, 0, 1]"
+
+
+@pytest.mark.parametrize("lens", [BROWN, FISHEYE, RATIONAL, EQUIDISTANT_190])
+def test_lenses_project_as_opencv_does_and_back(lens: OriginalCamera) -> None:
+    pixels = np.random.default_rng(0).uniform(0.15, 0.85, (500, 2)) * [lens.width, lens.height]
+    plane = lens.rays(pixels)
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    np.testing.assert_allclose(lens.project(3.0 * rays), pixels, atol=1e-5)
+    project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
+    theirs, _ = project(rays[:, None], np.zeros(3), np.zeros(3), lens.K, lens.distortion)
+    np.testing.assert_allclose(lens.project(rays), theirs.reshape(-1, 2), atol=1e-9)
+
+
+def test_a_lens_shows_nothing_where_its_model_folds_back() -> None:
+    """k1 = -0.36 alone turns back at a radius of 0.96: farther points would land inside."""
+    lens = OriginalCamera(
+        "brown-conrady", 1000, 700, intrinsics(500.0, 500.0, 350.0), np.array([-0.36, 0, 0, 0])
+    )
+    near, far, behind = lens.project(np.array([[0.9, 0, 1.0], [1.3, 0, 1.0], [0.1, 0, -1.0]]))
+    assert np.isfinite(near).all()
+    assert np.isnan(far).all()
+    assert np.isnan(behind).all()
+
+
+@pytest.mark.parametrize("lens", [BROWN, FISHEYE, RATIONAL, EQUIDISTANT_190])
+def test_every_rectified_pixel_has_a_recorded_one_and_leads_back(lens: OriginalCamera) -> None:
+    rectification = rectify_rig(OriginalRig(lens)).left
+    camera = rectification.camera
+    u = np.linspace(0.0, camera.width - 1.0, 60)
+    v = np.linspace(0.0, camera.height - 1.0, 40)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    original = rectification.to_original(pixels)
+    assert (original >= -0.51).all()
+    assert (original <= [lens.width - 0.49, lens.height - 0.49]).all()
+    np.testing.assert_allclose(rectification.to_rectified(original), pixels, atol=1e-4)
+    assert camera.K[0, 0] == camera.K[1, 1] == pytest.approx(lens.focal_px)
+
+
+def test_the_view_is_limited_as_asked() -> None:
+    across, down = rectify_rig(OriginalRig(EQUIDISTANT_190), 90.0).left.view_deg
+    assert across == pytest.approx(90.0, abs=0.5)
+    assert down == pytest.approx(90.0, abs=0.5)
+    with pytest.raises(SemvizError, match="field of view 170 deg"):
+        rectify_rig(OriginalRig(EQUIDISTANT_190), 170.0)
+
+
+def _shift_px(first: ByteImage, second: ByteImage) -> FloatArray:
+    """How far the middle of two images is shifted against each other (Lucas and Kanade)."""
+    height, width = first.shape[:2]
+    window = np.s_[height // 5 : -height // 5, width // 5 : -width // 5]
+    a, b = (
+        cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64), (0, 0), 2.0)
+        for image in (first, second)
+    )
+    down, across = (slope[window].ravel() for slope in np.gradient((a + b) / 2.0))
+    shift, *_ = np.linalg.lstsq(
+        np.column_stack([across, down]), (b - a)[window].ravel(), rcond=None
+    )
+    return np.asarray(shift)
+
+
+@pytest.mark.parametrize("name", ["brown", "fisheye"])
+@pytest.mark.parametrize("off_px", [0.0, 0.5])
+def test_a_rectified_image_is_what_a_pinhole_would_show(name: str, off_px: float) -> None:
+    """Half a pixel of principal point, as between COLMAP and OpenCV, is seen.
+
+    Undistortion widens the sides of an image, and that half pixel with them.
+    """
+    source, lens = street(7, 8), LENSES[name]
+    recorded = seen_through(source.image(2, "left"), source.rig.left, lens)
+    K = lens.K + np.array([[0.0, 0.0, off_px], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    known = OriginalCamera(lens.model, lens.width, lens.height, K, lens.distortion)
+    rectification = rectify_rig(OriginalRig(known)).left
+    camera = rectification.camera
+    pinhole = OriginalCamera("pinhole", camera.width, camera.height, camera.K, np.zeros(0))
+    wanted = seen_through(source.image(2, "left"), source.rig.left, pinhole)
+    across, down = np.abs(_shift_px(rectification.rectify(recorded), wanted))
+    assert across < 0.06 if not off_px else 0.45 < across < 0.65
+    assert down < 0.06
+
+
+@pytest.mark.parametrize("name", ["pinhole", "brown", "fisheye"])
+def test_rows_of_a_turned_pair_agree_after_rectification(name: str) -> None:
+    """The right camera is turned by 2 deg about all axes, and sits 3 cm too high."""
+    lens = LENSES[name]
+    T_right_left = Pose(so3_exp(np.deg2rad([1.5, -1.0, 0.9])), np.array([-0.5, 0.03, 0.02]))
+    rectified = rectify_rig(OriginalRig(lens, lens, T_right_left))
+    assert rectified.right is not None
+    points = np.random.default_rng(0).uniform([-3, -1, 8], [3, 1, 30], (200, 3))
+    left = rectified.left.to_rectified(lens.project(points))
+    right = rectified.right.to_rectified(lens.project(T_right_left.apply(points)))
+    seen = np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
+    assert seen.sum() > 100
+    assert np.abs(left - right)[seen, 1].max() < 1e-4
+    np.testing.assert_allclose(  # and the rig tells the same depth
+        left[seen, 0] - right[seen, 0],
+        rectified.rig.left.K[0, 0]
+        * rectified.rig.baseline_m
+        / (points[seen] @ rectified.left.R_original_rectified)[:, 2],
+        rtol=1e-6,
+    )
+
+
+def test_swapped_cameras_are_told() -> None:
+    T_right_left = Pose(so3_exp(np.array([0.0, 0.01, 0.0])), np.array([0.5, 0.0, 0.0]))
+    with pytest.raises(SemvizError, match=r"left and right are swapped: baseline is -0\.50 m"):
+        rectify_rig(OriginalRig(BROWN, BROWN, T_right_left))
+
+
+def test_a_rectified_pair_is_left_as_it_is() -> None:
+    lens = LENSES["pinhole"]
+    pair = OriginalRig(lens, lens, Pose(np.eye(3), np.array([-0.54, 0.0, 0.0])))
+    rectified = rectify_rig(pair)
+    assert rectified.left.is_identity
+    assert rectified.rig.baseline_m == 0.54
+
+
+FORMATS = {
+    "ros.yaml": f"""image_width: 1024
+image_height: 768
+camera_matrix: {{{MATRIX}}}
+distortion_model: plumb_bob
+distortion_coefficients: {{rows: 1, cols: 5, data: [-0.35, 0.14, 1e-4, 7.3e-4, 0.0]}}
+""",
+    "ros2.yaml": """width: 1024
+height: 768
+distortion_model: plumb_bob
+d: [-0.35, 0.14, 0.0001, 0.00073, 0.0]
+k: [831.5, 0.0, 510.6, 0.0, 833.6, 391.5, 0.0, 0.0, 1.0]
+r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+p: [700.0, 0.0, 510.6, 0.0, 0.0, 700.0, 391.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+""",
+    "opencv.yaml": f"""%YAML:1.0
+---
+image_width: 1024
+image_height: 768
+camera_matrix: !!opencv-matrix
+   {{{MATRIX}, dt: d}}
+distortion_coefficients: !!opencv-matrix
+   {{rows: 5, cols: 1, dt: d, data: [-0.35, 0.14, 0.0001, 0.00073, 0.0]}}
+""",
+    "euroc.yaml": """%YAML:1.0
+sensor_type: camera
+T_BS: {cols: 4, rows: 4, data: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}
+resolution: [1024, 768]
+camera_model: pinhole
+intrinsics: [831.5, 833.6, 510.6, 391.5] # fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.35, 0.14, 0.0001, 0.00073]
+""",
+    "kalibr.yaml": """cam0:
+  camera_model: pinhole
+  intrinsics: [831.5, 833.6, 510.6, 391.5]
+  distortion_model: radtan
+  distortion_coeffs: [-0.35, 0.14, 0.0001, 0.00073]
+  resolution: [1024, 768]
+""",
+    "own.toml": """[left]
+size_px = [1024, 768]
+model = "brown-conrady"
+focal_px = [831.5, 833.6]
+center_px = [510.6, 391.5]
+distortion = [-0.35, 0.14, 0.0001, 0.00073]
+""",
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_all_formats_give_one_camera(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(FORMATS[name])
+    (camera,) = read_calibration(tmp_path / name).cameras
+    assert (camera.model, camera.width, camera.height) == ("brown-conrady", 1024, 768)
+    np.testing.assert_array_equal(
+        camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], [831.5, 833.6, 510.6, 391.5]
+    )
+    np.testing.assert_array_equal(camera.distortion, [-0.35, 0.14, 0.0001, 0.00073])
+
+
+def test_the_name_of_a_kalibr_key_says_the_direction(tmp_path: Path) -> None:
+    text = kalibr(BROWN, Pose(np.eye(3), np.array([-0.4, 0.0, 0.0])))
+    (tmp_path / "a.yaml").write_text(text)
+    (tmp_path / "b.yaml").write_text(text.replace("T_cam_imu", "T_imu_cam"))
+    a, b = (read_calibration(tmp_path / f"{name}.yaml").T_body_left for name in "ab")
+    assert a is not None
+    assert b is not None
+    np.testing.assert_allclose((a @ b).as_matrix(), np.eye(4), atol=1e-9)
+
+
+def test_a_stereo_pair_of_ros_files_has_the_baseline_of_its_projection(tmp_path: Path) -> None:
+    text = FORMATS["ros2.yaml"]
+    (tmp_path / "left.yaml").write_text(text)
+    (tmp_path / "right.yaml").write_text(text.replace("510.6, 0.0, 0.0, 700", "510.6, -84, 0, 700"))
+    found = read_calibration(tmp_path / "left.yaml", tmp_path / "right.yaml").T_right_left
+    assert found is not None
+    np.testing.assert_allclose(found.translation, [-0.12, 0.0, 0.0])
+    with pytest.raises(SemvizError, match="does not say where the right camera is"):
+        read_calibration(tmp_path / "left.yaml", tmp_path / "left.yaml")
+
+
+REFUSED = {
+    "MEI": ("a.yaml", "%YAML:1.0\nmodel_type: MEI\nmirror_parameters: {xi: 2.2}\n", "MEI"),
+    "omni": (
+        "a.yaml",
+        FORMATS["kalibr.yaml"].replace("camera_model: pinhole", "camera_model: omni"),
+        "the lens model omni is not read",
+    ),
+    "polynomial": (
+        "a.yaml",
+        FORMATS["ros2.yaml"].replace("plumb_bob", "thin_prism"),
+        "the lens model thin_prism is not read",
+    ),
+    "uncalibrated": ("a.yaml", FORMATS["ros2.yaml"].replace("831.5", "0.0"), "never calibrated"),
+    "short": ("a.yaml", FORMATS["kalibr.yaml"].replace("831.5, ", ""), "3 numbers, expected 4"),
+    "text": ("a.yaml", FORMATS["kalibr.yaml"].replace("831.5", "fx"), "not numbers"),
+    "alias": ("a.yaml", "a: &a [1, 2]\nb: *a\n", "an alias"),
+    "python": ("a.yaml", "a: !!python/object/apply:os.system ['true']\n", "not readable as YAML"),
+    "deep": ("a.yaml", "a: " + "[" * 60 + "]" * 60, "more than 40 levels"),
+    "long": ("a.yaml", "a: [" + "1, " * 200_000 + "]", "more than 0.25 MB"),
+    "other": ("a.yaml", "name: somebody\n", "no calibration that is read"),
+    "own key": ("a.toml", "sides = 2\n" + FORMATS["own.toml"], "unknown sides"),
+    "half a pair": ("a.toml", FORMATS["own.toml"] + "[right]\n", "no focal_px"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_not_read_is_named_in_one_line(tmp_path: Path, name: str) -> None:
+    file, text, message = REFUSED[name]
+    (tmp_path / file).write_text(text)
+    with pytest.raises(SemvizError, match=message) as refused:
+        read_calibration(tmp_path / file)
+    assert "\n" not in str(refused.value)
+    assert file in str(refused.value)
