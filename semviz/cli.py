@@ -14,6 +14,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
+from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
 from semviz.commands.tools import AnnotateCommand, NewCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
@@ -29,6 +30,11 @@ MapCommands = Annotated[
     subcommand(
         "map", description="Build maps from labels; check, compare, import and export them."
     ),
+]
+PoseCommands = Annotated[
+    Annotated[PosesCheckCommand, subcommand("check")]
+    | Annotated[PosesRefineCommand, subcommand("refine")],
+    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]
@@ -54,6 +60,7 @@ Command = (
     | Annotated[NewCommand, subcommand("new")]
     | Annotated[AnnotateCommand, subcommand("annotate")]
     | DetectCommands
+    | PoseCommands
     | MapCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
