@@ -16,6 +16,7 @@ from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.new import NewCommand
+from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
@@ -31,6 +32,11 @@ MapCommands = Annotated[
     subcommand(
         "map", description="Build maps from labels; check, compare, import and export them."
     ),
+]
+PoseCommands = Annotated[
+    Annotated[PosesCheckCommand, subcommand("check")]
+    | Annotated[PosesRefineCommand, subcommand("refine")],
+    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]
@@ -57,6 +63,7 @@ Command = (
     | Annotated[NewCommand, subcommand("new")]
     | Annotated[AnnotateCommand, subcommand("annotate")]
     | DetectCommands
+    | PoseCommands
     | MapCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]

@@ -21,6 +21,7 @@ _OWN: Final = {
     "labels": (re.compile(r"labels\.db.*"), "labels.db*"),
     "proposals": (re.compile(r"proposals\.parquet"), "proposals.parquet"),
     "backdrop": (re.compile(r"backdrop\.safetensors"), "backdrop.safetensors"),
+    "motions": (re.compile(r"image_motions\.safetensors"), "image_motions.safetensors"),
     "kept": (re.compile(r"kept(/.*)?"), "kept/**/*"),
     "map": (re.compile(r"maps(/.*\.parquet)?"), "maps/**/*.parquet"),
     "run": (re.compile(r"runs(/.*\.rrd)?"), "runs/**/*.rrd"),

@@ -7,6 +7,7 @@
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
     backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
+    image_motions.safetensors  motions measured in the images; see ``pose_check``
     maps/NAME.parquet
     runs/NAME.rrd
 

@@ -1,0 +1,251 @@
+"""Compare the motions of given poses with those measured in the images.
+
+The innovation of a pair of frames is the motion of the given poses beyond that of the images. Its
+sigma has two parts: that of the measurement, and that of good poses of this drive, a robust
+estimate within limits, so that a drive with many faults does not excuse them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from semviz_core.base.frame import Frame
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.pose_checks.image_motions import ImageMotions
+from semviz_core.pose_checks.motion import MOTION, RIG
+
+SIGMA_LEAST = np.repeat([0.002, np.deg2rad(0.005)], 3)
+SIGMA_MOST = np.repeat([0.03, np.deg2rad(0.05)], 3)
+"""Limits of the error of good poses from frame to frame: m, then rad."""
+MAD_TO_SIGMA = 1.4826
+_ROUNDS = 20
+LIMIT = 25.0
+"""chi2 of a pair from which it counts less."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePoses:
+    """Poses T_map_camera of n frames, as arrays."""
+
+    rotation: FloatArray
+    """(n, 3, 3)"""
+    center_m: FloatArray
+    """(n, 3)"""
+    known: BoolArray
+    """(n,)"""
+    time_s: FloatArray
+    """(n,)"""
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame]) -> "DrivePoses":
+        n = len(frames)
+        R, c = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        known = np.array([frame.T_map_camera is not None for frame in frames], dtype=bool)
+        for row, frame in enumerate(frames):
+            if frame.T_map_camera is not None:
+                R[row], c[row] = frame.T_map_camera.rotation, frame.T_map_camera.translation
+        return cls(R, c, known, np.array([frame.time_s for frame in frames], dtype=np.float64))
+
+    def __len__(self) -> int:
+        return len(self.known)
+
+    @property
+    def pair_known(self) -> BoolArray:
+        """(n - 1,)"""
+        return np.asarray(self.known[:-1] & self.known[1:])
+
+    def motions(self) -> tuple[FloatArray, FloatArray]:
+        """Return rotations (n - 1, 3, 3) and translations (n - 1, 3) of T_now_before."""
+        inverse = self.rotation.transpose(0, 2, 1)
+        R = inverse[1:] @ self.rotation[:-1]
+        t = np.einsum("nij,nj->ni", inverse[1:], self.center_m[:-1] - self.center_m[1:])
+        return R, t
+
+    def step_m(self) -> FloatArray:
+        """(n - 1,) distances from frame to frame."""
+        return np.asarray(np.linalg.norm(np.diff(self.center_m, axis=0), axis=1))
+
+
+BASELINE, RIGHT_U, RIGHT_V = 0, 1, 2
+"""Positions of the rig's errors in ``RigErrors.values``."""
+LEAST_SYSTEMATIC_PX = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class RigErrors:
+    """Errors of the stereo calibration, as the whole drive shows them: estimate and covariance."""
+
+    values: FloatArray
+    """(3,) logarithm of the true over the calibrated baseline; shift of the right image, px."""
+    covariance: FloatArray
+    """(3, 3)"""
+
+    right_u_by_half_px: tuple[float, float] = (0.0, 0.0)
+    """Shift of the right image along u by the images of each half of the drive alone. A calibration
+    has one; their difference is what a simple shift does not explain."""
+
+    @classmethod
+    def none(cls) -> "RigErrors":
+        return cls(np.zeros(3), np.zeros((3, 3)))
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(3,) with the systematic part that the two halves of the drive show."""
+        first, second = self.right_u_by_half_px
+        systematic = max(0.5 * abs(first - second), LEAST_SYSTEMATIC_PX)
+        variance = np.diag(self.covariance).copy()
+        if variance[RIGHT_U] > 0.0:
+            follow = self.covariance[:, RIGHT_U] / variance[RIGHT_U]
+            variance += (follow * systematic) ** 2
+        return np.asarray(np.sqrt(variance))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Given poses against images, for the n pairs of consecutive frames."""
+
+    innovation: FloatArray
+    """(n, 6) left perturbation of T_now_before, m and rad; 0 where not compared."""
+    chi2: FloatArray
+    """(n,) of 6 degrees of freedom, 5 with one camera; 0 where not compared."""
+    compared: BoolArray
+    """(n,)"""
+    pose_sigma: FloatArray
+    """(6,) of good poses, from frame to frame."""
+    rig: RigErrors
+    information: FloatArray
+    """(n, 6, 6) of the images' motion alone, given the rig."""
+
+    @property
+    def cost(self) -> float:
+        """Twice the negative log-likelihood of the pairs: explanations are compared by it.
+
+        A pair counts up to a limit, so that a few wrong poses are no reason to change all. Good
+        poses of another spread are another explanation, so their sigma counts as well.
+        """
+        chi2 = self.chi2[self.compared]
+        spread = 2.0 * np.log(self.pose_sigma / SIGMA_LEAST).sum()
+        return float((LIMIT * -np.expm1(-chi2 / LIMIT)).sum() + len(chi2) * spread)
+
+
+def compare(poses: DrivePoses, motions: ImageMotions) -> Comparison:
+    """Return the innovations of ``poses``, with the errors of a stereo rig estimated beside them.
+
+    Raise SemvizError if the numbers of frames differ.
+    """
+    if len(poses) != len(motions) + 1:
+        raise SemvizError(f"{len(poses)} poses for {len(motions)} motions; give one more")
+    scaled = motions if motions.has_stereo else _with_lengths(motions, poses.step_m())
+    error = _errors(poses, scaled)
+    used = poses.pair_known & scaled.is_measured
+    sigma = np.sqrt(SIGMA_LEAST * SIGMA_MOST)
+    rig, free = RigErrors.none(), motions.has_stereo and bool(used.any())
+    weight = used.astype(np.float64)
+    for _ in range(_ROUNDS):
+        if free:
+            rig = _rig_errors(scaled, error, sigma, weight)
+        innovation, chi2 = _innovations(scaled, error, sigma, rig)
+        sigma = _pose_sigma(innovation[used], scaled.has_stereo)
+        weight = used / (1.0 + chi2 / LIMIT) ** 2
+    innovation, chi2 = _innovations(scaled, error, sigma, rig)
+    return Comparison(
+        np.where(used[:, None], innovation, 0.0),
+        np.where(used, chi2, 0.0),
+        used,
+        sigma,
+        rig,
+        scaled.information[:, MOTION, MOTION],
+    )
+
+
+def _with_lengths(motions: ImageMotions, length_m: FloatArray) -> ImageMotions:
+    """Return motions of one camera with the lengths (n,) of the poses; those at rest keep 1."""
+    ratio = np.where(length_m > 1e-6, length_m, 1.0)
+    scale = np.ones((len(motions), 9))
+    scale[:, :3] = 1.0 / ratio[:, None]
+    return replace(
+        motions,
+        translation_m=motions.translation_m * ratio[:, None],
+        information=motions.information * scale[:, :, None] * scale[:, None, :],
+        linear=motions.linear * scale,
+    )
+
+
+def _errors(poses: DrivePoses, motions: ImageMotions) -> FloatArray:
+    """Return (n, 6) the poses' motions beyond those about which the images' are linearized."""
+    R, t = poses.motions()
+    E = R @ motions.rotation.transpose(0, 2, 1)
+    return np.column_stack(
+        [t - np.einsum("nij,nj->ni", E, motions.translation_m), rotation_vectors(E)]
+    )
+
+
+def rotation_vectors(rotations: FloatArray) -> FloatArray:
+    """Return (n, 3) axis-angle vectors of rotations (n, 3, 3), rad."""
+    from scipy.spatial.transform import Rotation
+
+    if not len(rotations):
+        return np.zeros((0, 3))
+    vectors: FloatArray = Rotation.from_matrix(rotations).as_rotvec()
+    return vectors
+
+
+def _rig_errors(
+    motions: ImageMotions, error: FloatArray, sigma: FloatArray, weight: FloatArray
+) -> RigErrors:
+    """Return the rig's errors by weighted least squares over all pairs, motions eliminated."""
+    H, linear, S = motions.information, motions.linear, np.diag(sigma**-2)
+    A, b = _without_motion(H, linear[:, MOTION] + error @ S, linear[:, RIG], S)
+    weak = 1e-2 * np.eye(3)  # where nothing is measured
+    covariance = np.linalg.inv(np.einsum("n,nij->ij", weight, A) + weak)
+    values = covariance @ (weight @ b)
+    A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
+    halves = np.array_split(np.arange(len(H)), 2)
+    alone = [
+        float((weight[rows] @ b[rows, RIGHT_U]) / max(weight[rows] @ A[rows, 1, 1], 1e-6))
+        for rows in halves
+    ]
+    return RigErrors(values, covariance, (alone[0], alone[1]))
+
+
+def _without_motion(
+    H: FloatArray, motion: FloatArray, rig: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return normal equations (n, 3, 3), (n, 3) of the rig with the motions eliminated."""
+    across = H[:, MOTION, RIG]
+    K = np.linalg.pinv(H[:, MOTION, MOTION] + prior, rcond=1e-12, hermitian=True)
+    A = H[:, RIG, RIG] - np.einsum("nij,nik,nkl->njl", across, K, across, optimize=True)
+    return A, rig - np.einsum("nij,nik,nk->nj", across, K, motion, optimize=True)
+
+
+def _innovations(
+    motions: ImageMotions, error: FloatArray, sigma: FloatArray, rig: RigErrors
+) -> tuple[FloatArray, FloatArray]:
+    """Return innovations (n, 6), and their chi2 (n,), given the errors of the rig."""
+    A = motions.information[:, MOTION, MOTION]
+    pull = motions.linear[:, MOTION] - motions.information[:, MOTION, RIG] @ rig.values
+    measured = np.einsum("nij,nj->ni", np.linalg.pinv(A, rcond=1e-10, hermitian=True), pull)
+    innovation = error - measured
+    K = np.linalg.inv(A + np.diag(sigma**-2))
+    g = np.einsum("nij,nj->ni", A, innovation)
+    own = np.einsum("ni,ni->n", innovation, g)
+    chi2 = own - np.einsum("ni,nij,nj->n", g, K, g, optimize=True)
+    return innovation, np.maximum(chi2, 0.0)
+
+
+def _pose_sigma(innovation: FloatArray, has_length: bool) -> FloatArray:
+    """Return (6,) the robust spread of innovations (k, 6), one for each kind, within limits."""
+    if not len(innovation):
+        return SIGMA_LEAST.copy()
+    spread = MAD_TO_SIGMA * np.median(np.abs(innovation), axis=0)
+    if not has_length:
+        spread[:3] = np.min(spread[:3])
+    return np.clip(spread, SIGMA_LEAST, SIGMA_MOST)
+
+
+def rows_of_runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last row of each run of consecutive True."""
+    rows: IntArray = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(int(first), int(end) - 1) for first, end in zip(rows[::2], rows[1::2], strict=True)]

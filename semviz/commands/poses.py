@@ -1,0 +1,154 @@
+"""The commands poses check and refine."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from semviz.commands import parsing
+
+if TYPE_CHECKING:
+    from semviz_core.pose_checks.faults import PoseCheck
+
+
+@dataclass(frozen=True)
+class PosesCheckCommand:
+    """Check poses and stereo calibration against the images, and name what is wrong. Changes
+    nothing."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: check only these frames."""
+    plot: parsing.OptionalPath = None
+    """Also write a plot over the frames to this PNG file."""
+    gate: bool = False
+    """Exit with status 1 if a fault is found."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object with every pair of frames instead of text."""
+
+    def run(self) -> int:
+        from semviz.reports.pose_check import check_text, draw_check
+
+        _check_plot(self.plot, self.workspace, self.force)
+        check = _checked(self.workspace, self.frames)
+        print(json.dumps(check.as_dict()) if self.json else check_text(check))
+        if self.plot is not None:
+            draw_check(check, self.plot)
+        return 1 if self.gate and check.faults else 0
+
+
+@dataclass(frozen=True)
+class PosesRefineCommand:
+    """Write poses refined by the images to a file for 'semviz new --poses'. The workspace does not
+    change."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    out: Path
+    """File to write."""
+    frames: parsing.OptionalText = None
+    """FIRST:END[:STEP]: only these frames."""
+    format: Literal["tum", "kitti"] = "tum"
+    """tum: time and pose, z up; kitti: one pose per line, in KITTI's axes, all frames needed."""
+    plot: parsing.OptionalPath = None
+    """Also write a plot over the frames to this PNG file."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object with the move of every frame instead of text."""
+
+    def run(self) -> int:
+        from semviz.reports.pose_check import draw_check
+        from semviz.workspace import outputs
+        from semviz_core.datasets.trajectory import save_trajectory
+        from semviz_core.pose_checks.faults import refined_frames
+
+        outputs.check_outputs(
+            self.out, outputs.never, force=self.force, reads=_files_read(self.workspace)
+        )
+        _check_plot(self.plot, self.workspace, self.force)
+        check = _checked(self.workspace, self.frames)
+        save_trajectory(refined_frames(check), self.out, self.format)
+        if self.plot is not None:
+            draw_check(check, self.plot)
+        moves = _moves(check)
+        if self.json:
+            faults = check.as_dict()["faults"]
+            print(json.dumps({"file": str(self.out), "faults": faults, "moves": moves}))
+        else:
+            print(_moves_text(check, moves))
+            print(f"{self.out}: {len(moves)} poses; use it: semviz new FOLDER --poses {self.out}")
+        return 0
+
+
+def _checked(path: Path, frames: str | None) -> "PoseCheck":
+    from semviz.presentation.progress import Steps
+    from semviz.workspace.localize import select_frames
+    from semviz.workspace.pose_check import check_poses
+
+    workspace = parsing.open_workspace(path)
+    chosen = select_frames(workspace.source, parsing.parse_frames(frames))
+    with Steps() as steps:
+        return check_poses(workspace, chosen, steps.show)
+
+
+def _check_plot(plot: Path | None, workspace: Path, force: bool) -> None:
+    """Before seconds of work: SemvizError for a plot that would be refused."""
+    from semviz.reports.pose_check import check_plot_path
+    from semviz.workspace import outputs
+
+    if plot is not None:
+        check_plot_path(plot)
+        outputs.check_outputs(plot, outputs.PNG, force=force, reads=[workspace])
+
+
+def _files_read(path: Path) -> list[Path]:
+    """Return what a refinement reads and must not replace: the workspace and its pose file."""
+    from semviz.workspace.workspace import KittiSettings
+
+    settings = parsing.open_workspace(path).settings.source
+    if not isinstance(settings, KittiSettings):
+        return [path]
+    root = (path.resolve() / settings.root).resolve()
+    files = [root / "poses" / f"{settings.sequence}.txt"]
+    if settings.poses is not None:
+        files.append((path.resolve() / settings.poses).resolve())
+    return [path, *files]
+
+
+def _moves(check: "PoseCheck") -> list[dict[str, Any]]:
+    """Return what refining moves, per frame with a pose."""
+    import numpy as np
+
+    refinement = check.refinement
+    turn = np.rad2deg(np.linalg.norm(refinement.turn_rad, axis=1))
+    shift = np.linalg.norm(refinement.shift_m, axis=1)
+    return [
+        {
+            "frame": frame.index,
+            "turn_deg": round(float(turn[row]), 4),
+            "shift_m": round(float(shift[row]), 4),
+            "sigma_deg": round(float(np.rad2deg(refinement.sigma_rad[row])), 4),
+            "sigma_m": round(float(refinement.sigma_m[row]), 4),
+            "from_images_alone": not bool(refinement.held[row]),
+        }
+        for row, frame in enumerate(check.frames)
+        if refinement.poses.known[row]
+    ]
+
+
+def _moves_text(check: "PoseCheck", moves: list[dict[str, Any]]) -> str:
+    import numpy as np
+
+    lines = [fault.text for fault in check.faults] or ["no fault found"]
+    turn = np.array([move["turn_deg"] for move in moves])
+    shift = np.array([move["shift_m"] for move in moves])
+    alone = sum(move["from_images_alone"] for move in moves)
+    lines.append(
+        f"moved: median {np.median(turn):.3f} deg, {100.0 * np.median(shift):.1f} cm; at most "
+        f"{turn.max():.2f} deg, {shift.max():.2f} m; {alone} poses from images alone"
+    )
+    return "\n".join(lines)
