@@ -21,8 +21,8 @@ CORE, ANNOTATION, APP = (
 )
 ORDER = {
     CORE: (
-        "common", "base", "subpixel", "datasets", "metrics", "detection", "localization",
-        "tracking", "diagnosis", "localizability", "simulation", "research",
+        "common", "base", "subpixel", "datasets", "pose_checks", "metrics", "detection",
+        "localization", "tracking", "diagnosis", "localizability", "simulation", "research",
     ),
     ANNOTATION: ("labels", "storage", "mapping", "assist", "label_formats", "map_formats"),
     APP: (

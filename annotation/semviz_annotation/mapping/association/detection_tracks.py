@@ -293,7 +293,9 @@ def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposa
             for id_ in source.observation_ids
             if id_ in row_of and id_ not in labels.observations
         ]
-        if new and element_id is None:
+        if not new:
+            continue
+        if element_id is None:
             element_id = source.label_ids[0]
             rows.append(LabelElement(element_id, number, class_id))
         rows += (replace(as_observation(row), element_id=element_id) for row in new)
