@@ -138,8 +138,8 @@ class MapBuildCommand:
 
 @dataclass(frozen=True)
 class MapCheckCommand:
-    """Check a map: its errors against the labels per class, the labels that agree least with the
-    others, and the findings of lint."""
+    """Check a map: its errors against the labels (or its detections) per class, the labels that
+    agree least with the others, and the findings of lint."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -159,12 +159,14 @@ class MapCheckCommand:
     def run(self) -> int:
         import sys
 
+        from semviz.workspace.observations import read_labels_of
         from semviz_annotation.mapping.quality.check import Gate, check_map
 
         workspace = parsing.open_workspace(self.workspace)
+        semantic_map = workspace.read_map(self.map)
         check = check_map(
-            workspace.read_map(self.map),
-            workspace.read_labels(),
+            semantic_map,
+            read_labels_of(workspace, semantic_map),
             workspace.source,
             parsing.parse_frames(self.frames),
         )

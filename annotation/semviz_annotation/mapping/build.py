@@ -27,7 +27,7 @@ from semviz_annotation.mapping.association.tracks import (
     OnProgress,
     Tracks,
     find_tracks,
-    without_fragments,
+    finish_detected,
 )
 from semviz_annotation.mapping.decisions import decisions_of
 from semviz_annotation.mapping.paper_baseline import PaperOptions, paper_tracks
@@ -295,7 +295,7 @@ def build_map(
         poses = options.refine and replace(options.refine, place=options.place)
         tracks = find_tracks(labels, gathered, linking, poses, on_progress)
     if joined is not None:
-        tracks = without_fragments(tracks, joined.log_odds.keys(), tracking.min_frames)
+        tracks = finish_detected(tracks, joined.log_odds.keys(), tracking.min_frames)
     decisions = decisions_of(tracks)
     elements, provenance = map_elements(tracks)
     if not len(elements):

@@ -21,6 +21,7 @@ from semviz_annotation.mapping.association.detected_drive import (
     REJECTED,
     TRACK_NUMBER,
     DetectedDrive,
+    as_observation,
 )
 from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
@@ -30,6 +31,7 @@ from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import ObservationArray
 from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
 from semviz_core.base.frame import Dataset
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
@@ -272,6 +274,30 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
         sigma_ratio[detection.id] = across, along * float(ends.spread[row])
     joined = Labels.from_rows(rows, labels.next_number, labels.operation)
     return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
+
+
+def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposals) -> Labels:
+    """Return ``labels`` with the tracks of a map of detections, as the map was built from them.
+
+    Tracks of detections that are gone, or labels by now, are left out.
+    """
+    row_of = {id_: row for row, id_ in enumerate(detections.id)}
+    rows: list[Row] = list(labels.rows())
+    elements = semantic_map.elements
+    for number, class_id, source in zip(
+        elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
+    ):
+        element_id = next((id_ for id_ in source.label_ids if id_ in labels.elements), None)
+        new = [
+            detections[row_of[id_]]
+            for id_ in source.observation_ids
+            if id_ in row_of and id_ not in labels.observations
+        ]
+        if new and element_id is None:
+            element_id = source.label_ids[0]
+            rows.append(LabelElement(element_id, number, class_id))
+        rows += (replace(as_observation(row), element_id=element_id) for row in new)
+    return Labels.from_rows(rows, labels.next_number, labels.operation)
 
 
 def _track_id(detection_id: str, labels: Labels) -> str:

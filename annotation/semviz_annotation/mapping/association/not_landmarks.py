@@ -16,12 +16,12 @@ _REACH_M = 30.0
 """A mark on the camera is searched for in images this far before and after, along the drive."""
 _MARK_SHARE, _MARK_IMAGES = 0.55, 8
 """A detection is a mark if at least this share and number of them have it at the same pixel."""
-_ACROSS_SIGMAS, _ALONG_SIGMAS = 2.1, 3.0
+_SAME_SIGMAS = 3.0
 _USUAL, _CHANCE = 0.75, 0.01
 """A moving object is what both cameras see together a quarter as often as is usual (this quantile
 of all tracks), or less; and the chance of giving up a landmark that they see that often."""
-_MOVED_M = 5.0
-"""Without at least this much of a drive, nothing is a mark."""
+_MOVED_M = 30.0
+"""Within less of a drive nothing is a mark: what is far ahead hardly moves, either."""
 
 
 def marks_on_camera(
@@ -36,8 +36,7 @@ def marks_on_camera(
     is_line = observations.is_line[rows]
     pixels = np.concatenate([observations.anchor_px[rows], observations.end_px[rows]], axis=1)
     pixels[~is_line, 2:] = pixels[~is_line, :2]
-    ratio = sigma_px * observations.sigma_ratio[rows]
-    reach = np.stack([_ACROSS_SIGMAS * ratio[:, 0], _ALONG_SIGMAS * ratio[:, 1]], axis=1)
+    sigma = sigma_px * observations.sigma_ratio[rows]
     view = observations.view[rows]
     for is_right in (False, True):
         shown = np.flatnonzero((views.is_right == is_right) & images.is_key)
@@ -48,7 +47,7 @@ def marks_on_camera(
         image = number[view[some]]
         begin = np.searchsorted(image, np.arange(len(shown) + 1))
         result[some] = _stay(
-            pixels[some], reach[some], kind[some], image, begin, images.path_m[shown]
+            pixels[some], sigma[some], kind[some], image, begin, images.path_m[shown]
         )
     return result
 
@@ -56,7 +55,7 @@ def marks_on_camera(
 @compiled
 def _stay(
     pixels: FloatArray,
-    reach: FloatArray,
+    sigma: FloatArray,
     kind: IntArray,
     image: IntArray,
     begin: IntArray,
@@ -74,12 +73,10 @@ def _stay(
         for other in range(first, last):
             for j in range(begin[other], begin[other + 1]):
                 off = np.abs(pixels[j] - pixels[i])
-                across, along = reach[i, 0] + reach[j, 0], reach[i, 1] + reach[j, 1]
-                if (
-                    kind[i] == kind[j]
-                    and max(off[0], off[2]) * 1.4 < across
-                    and max(off[1], off[3]) * 1.4 < along
-                ):
+                across = _SAME_SIGMAS * np.hypot(sigma[i, 0], sigma[j, 0])
+                along = _SAME_SIGMAS * np.hypot(sigma[i, 1], sigma[j, 1])
+                same = max(off[0], off[2]) < across and max(off[1], off[3]) < along
+                if same and kind[i] == kind[j]:
                     count += 1
                     break
         result[i] = count >= _MARK_IMAGES and count >= _MARK_SHARE * (last - first)

@@ -26,7 +26,7 @@ from semviz_annotation.mapping.association.nodes import (
 from semviz_annotation.mapping.association.outliers import find_outliers, main_first, parts
 from semviz_annotation.mapping.placement import triangulation
 from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions, bundle_adjust
-from semviz_annotation.mapping.placement.landmarks import Landmarks, replaced
+from semviz_annotation.mapping.placement.landmarks import Landmarks, replaced, uprighted
 from semviz_annotation.mapping.placement.observations import (
     LabelObservations,
     ObservationArray,
@@ -223,17 +223,24 @@ def _select_for_map(tracks: Tracks, options: LinkOptions) -> Tracks:
     return replace(tracks, placed=placed)
 
 
-def without_fragments(tracks: Tracks, element_ids: Collection[str], min_frames: int) -> Tracks:
-    """Drop landmarks of the label elements ``element_ids`` alone that are seen in fewer frames:
-    parts of a track that did not fit the rest of it."""
-    observations, nodes = tracks.observations, tracks.nodes
+_LEAN_RAD = float(np.deg2rad(3.0))
+"""How far poles lean; detections alone may not tell."""
+
+
+def finish_detected(tracks: Tracks, element_ids: Collection[str], min_frames: int) -> Tracks:
+    """Finish the landmarks of the label elements ``element_ids`` alone, which are of detections.
+
+    Their poles stand upright, as far as the detections allow. Fragments, seen in fewer frames, are
+    dropped: parts of a track that did not fit the rest of it.
+    """
+    views, observations, nodes = tracks.gathered.views, tracks.observations, tracks.nodes
     others = np.array([element.id not in element_ids for element in tracks.gathered.elements])
-    wanted = np.zeros(observations.count, dtype=bool)
-    wanted[tracks.landmark[(others | tracks.constraints.kept)[nodes.element]]] = True
-    views = tracks.gathered.views
+    detected = np.ones(observations.count, dtype=bool)
+    detected[tracks.landmark[(others | tracks.constraints.kept)[nodes.element]]] = False
     failure = insufficient_observations(views, observations, tracks.placed, min_frames)
-    failure = np.where(wanted, tracks.placed.failure, failure)
-    return replace(tracks, placed=replace(tracks.placed, failure=failure))
+    failure = np.where(detected, failure, tracks.placed.failure)
+    placed = uprighted(tracks.placed, detected, _LEAN_RAD)
+    return replace(tracks, placed=replace(placed, failure=failure))
 
 
 def _kinds(gathered: LabelObservations) -> IntArray:

@@ -4,7 +4,7 @@ A landmark with a failure has no position: NaN and zero.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from semviz_annotation.mapping.placement import reprojection
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+
+_LEAST_HEIGHT_M = 0.5
+"""Of a pole, for its lean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +131,31 @@ def replaced(
         return values
 
     return Landmarks(**{field.name: put(field.name) for field in fields(Landmarks)})
+
+
+def uprighted(placed: Landmarks, landmarks: BoolArray, lean_sigma_rad: float) -> Landmarks:
+    """Return ``placed`` with the poles among ``landmarks`` (n,) as they most likely stand, if poles
+    lean by ``lean_sigma_rad`` in each direction.
+
+    One update of a Kalman filter; without it, a pole seen from few directions may lie along them.
+    """
+    rows = np.flatnonzero(landmarks & placed.ok & np.isfinite(placed.end_m[:, 0]))
+    X, P = placed.anchor_and_end_m[rows], placed.covariance_m2[rows]
+    H = np.zeros((2, 6))
+    H[:, :2], H[:, 3:5] = np.eye(2), -np.eye(2)
+    height = np.maximum(np.abs(X[:, 2] - X[:, 5]), _LEAST_HEIGHT_M)
+    allowed = (height * np.tan(lean_sigma_rad))[:, None, None] ** 2 * np.eye(2)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + allowed)
+    X = X - (gain @ (X @ H.T)[:, :, None])[:, :, 0]
+    P = P - gain @ H @ P
+    anchor_m, end_m, covariance_m2 = (
+        placed.anchor_m.copy(),
+        placed.end_m.copy(),
+        placed.covariance_m2.copy(),
+    )
+    anchor_m[rows], end_m[rows] = X[:, :3], X[:, 3:]
+    covariance_m2[rows] = (P + P.transpose(0, 2, 1)) / 2.0
+    return replace(placed, anchor_m=anchor_m, end_m=end_m, covariance_m2=covariance_m2)
 
 
 def rms_px(observations: ObservationArray, at: reprojection.Residuals) -> FloatArray:

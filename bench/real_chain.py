@@ -1,0 +1,196 @@
+"""From images to poses without a hand: KITTI odometry 02, frames 0 to 19, or a drive of your own.
+
+    python bench/real_chain.py /data/kitti --model espnet/espnet.toml
+    python bench/real_chain.py /data/kitti --proposals town/proposals.parquet
+
+Detects poles and signs in all images (or reads the detections), builds a map from those in the even
+frames, and localizes the odd frames in it from their own detections, with GPS 5-10 m off and an
+unknown heading. Labels judge the detector, and are not used for the map.
+
+Columns of the second table. ok: share of frames with status ok; below 1 m: of all frames. RTE:
+mean error of ok frames. wrong: ok frames that are more than 1 m or 1 deg off.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from semviz.research.detector_evaluation import labelled_images
+from semviz.workspace.detect import DetectOptions, detect_images, images_of
+from semviz.workspace.localize import LocalizeOptions, localize_workspace
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_elements
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposals import Proposals, read_proposals, save_proposals
+from semviz_annotation.mapping.association.detection_tracks import TrackOptions
+from semviz_annotation.mapping.build import BuildReport, build_map
+from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.classes import POLE
+from semviz_core.base.frame import Side
+from semviz_core.base.localization import Localization
+from semviz_core.base.map_file import save_map
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.detection.detector import load_detector
+from semviz_core.metrics.detection_summary import ImageEvaluation, detection_figures
+from semviz_core.metrics.pose_errors import pose_error
+
+LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Which detections a map is built from, and which ones are localized."""
+
+    name: str
+    sides: tuple[Side, ...]
+    classes: tuple[int, ...] | None
+    """None: all"""
+    least_score: float = 0.0
+
+    def of(self, detections: Proposals) -> Proposals:
+        """Return the detections of the case; all of one side are kept for localizing."""
+        rows = (
+            row
+            for row in detections.rows()
+            if row.score >= self.least_score
+            and (self.classes is None or row.class_id in self.classes)
+        )
+        return Proposals.of([*rows], detections.processed)
+
+
+CASES = (
+    Case("one camera", ("left",), None),
+    Case("one camera, poles only", ("left",), (POLE,)),
+    Case("one camera, poles of score 0.5", ("left",), (POLE,), 0.5),
+    Case("two cameras", SIDES, None),
+    Case("two cameras, poles only", SIDES, (POLE,)),
+)
+
+
+def main() -> None:
+    options = _arguments()
+    with tempfile.TemporaryDirectory() as folder:
+        frames = range(options.first, options.first + options.frames)
+        workspace = Workspace.create_kitti(
+            Path(folder) / "drive", options.kitti, options.sequence, (2, 3), frames
+        )
+        detections = _detections(workspace, options.model, options.proposals)
+        save_proposals(detections, workspace.proposals_path)
+        if options.labels.is_file():
+            print_detector(workspace, detections, options.labels)
+        print(
+            f"\n{'map of the even frames':<34}{'poles':>6}{'signs':>6}{'frames':>8}{'ok':>6}",
+            end="",
+        )
+        print(f"{'below 1 m':>11}{'RTE':>9}{'wrong':>7}")
+        for case in CASES:
+            print_case(workspace, case, detections, frames, options.seeds)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kitti", type=Path, help="folder that holds sequences and poses")
+    parser.add_argument("--model", help="as in 'semviz detect'; default: the shipped network")
+    parser.add_argument("--proposals", type=Path, help="detections instead of a model")
+    parser.add_argument("--sequence", default="02")
+    parser.add_argument("--first", type=int, default=0, help="first frame")
+    parser.add_argument("--frames", type=int, default=20)
+    parser.add_argument("--labels", type=Path, default=LABELS, help="to judge the detector by")
+    parser.add_argument("--seeds", type=int, default=3, help="simulated GPS fixes per frame")
+    return parser.parse_args()
+
+
+def _detections(workspace: Workspace, model: str | None, proposals: Path | None) -> Proposals:
+    if proposals is not None:
+        known = [frame.index for frame in workspace.source.frames]
+        found = read_proposals(proposals, workspace.classes, workspace.source.rig)
+        return Proposals.of([row for row in found.rows() if row.frame_index in known])
+    images = images_of(workspace, None, SIDES)
+    return detect_images(workspace, load_detector(model), DetectOptions(model=model), images)
+
+
+def print_detector(workspace: Workspace, detections: Proposals, labels: Path) -> None:
+    """Recall and false detections up to 40 m, in all images."""
+    judged = Workspace.open(workspace.path)
+    with judged.open_labels() as store:
+        import_operations(labels, store)
+    images = [
+        ImageEvaluation(
+            as_elements(detections.in_frame(image.frame_index, image.side)), image.truth(), 0.0
+        )
+        for image in labelled_images(judged, None, SIDES)
+    ]
+    judged.labels_path.unlink()
+    figures = detection_figures(images, workspace.classes, 0.0)
+    print(f"{len(detections)} detections in {len(images)} images, up to 40 m:")
+    for name, of_class in figures.classes.items():
+        if of_class.recall.of:
+            print(
+                f"  {name}: {of_class.recall.count} of {of_class.recall.of} found, "
+                f"{of_class.false_a_frame:.1f} false an image"
+            )
+
+
+def print_case(
+    workspace: Workspace, case: Case, detections: Proposals, frames: range, seeds: int
+) -> None:
+    chosen = case.of(detections)
+    save_proposals(chosen, workspace.proposals_path)
+    try:
+        built, report = _map(workspace, case, chosen, frames[::2])
+    except SemvizError as error:
+        print(f"{case.name:<34}  {error}")
+        return
+    save_map(built, workspace.map_path("own"))
+    found = list(_localized(workspace, frames[1::2], seeds))
+    errors = np.array([_errors(*pair) for pair in found])
+    ok = np.array([result.status == "ok" for result, _ in found])
+    wrong = ok & (errors > 1.0).any(axis=1)
+    poles = int(built.elements.is_line.sum())
+    print(
+        f"{case.name:<34}{poles:6d}{len(built) - poles:6d}{len(found):8d}{ok.sum():6d}"
+        f"{(errors[:, 0] < 1.0).mean():11.0%}{errors[ok, 0].mean() if ok.any() else np.nan:7.3f} m"
+        f"{wrong.sum():7d}",
+        flush=True,
+    )
+    print(f"  {report.detections}")
+
+
+def _map(
+    workspace: Workspace, case: Case, detections: Proposals, frames: range
+) -> tuple[SemanticMap, BuildReport]:
+    """Build the map without any label."""
+    rows = [row for row in detections.rows() if row.side in case.sides]
+    seen = Proposals.of(rows, detections.processed)
+    return build_map(
+        Labels(), workspace.source, frames=frames, detections=seen, tracking=TrackOptions()
+    )
+
+
+def _localized(
+    workspace: Workspace, frames: range, seeds: int
+) -> Iterator[tuple[Localization, Pose]]:
+    """Yield each localization with the true T_map_camera."""
+    for seed in range(seeds):
+        options = LocalizeOptions(observations="detected", seed=seed)
+        for record in localize_workspace(workspace, "own", options, frames):
+            assert record.frame.T_map_camera is not None
+            yield record.localization, record.frame.T_map_camera
+
+
+def _errors(result: Localization, truth: Pose) -> tuple[float, float]:
+    """RTE (m) and RRE (deg); infinite without a pose."""
+    if result.T_camera_map is None:
+        return np.inf, np.inf
+    return pose_error(result.T_camera_map, truth.inverse())
+
+
+if __name__ == "__main__":
+    main()
