@@ -6,10 +6,9 @@ its label elements exists and at least one of its detections is neither labelled
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -17,17 +16,15 @@ from semviz.annotator.element_positions import REACH_M
 from semviz.annotator.panes import Cameras
 from semviz.annotator.proposals import DETECTED_PX
 from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
-from semviz_annotation.labels.edits import AddElements, NewElement
-from semviz_annotation.labels.labels import Labels, Observation, Pixel
+from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposal, Proposals
-from semviz_annotation.labels.rows import RowChange, Rules, derived_id
+from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
-from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.image_errors import across_px
 
 SURE_FRAMES = 3
@@ -319,65 +316,8 @@ def free_detections(track: DetectionTrack, labels: Labels) -> Iterator[Proposal]
         if detection.id in labels.observations or detection.id in labels.dismissals:
             continue
         rows = labels.in_frame(detection.frame_index, detection.side)
-        gaps = gaps_px(both_ends_px([mark_of(detection)]), both_ends_px(map(Mark.of, rows)))
-        if not (gaps < DETECTED_PX).any():
-            yield detection
-
-
-Corrections: TypeAlias = Mapping[str, tuple[Pixel, Pixel | None]]
-"""Ends by which a person replaced those of detections, by the detection's id."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackEdit:
-    """Accept or reject tracks, all or none: new label elements with the free detections.
-
-    Rejected ones are left out of maps. The tracks are chosen in the labels that the edit changes.
-    """
-
-    kind: Literal["accept tracks", "reject tracks"]
-    choose: Callable[[Labels], Sequence[DetectionTrack]]
-    corrections: Corrections = field(default_factory=dict)
-
-    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
-        tracks = self.choose(labels)
-        elements = tuple(
-            NewElement(track.id, track.class_id, tuple(self._observations(track, labels)))
-            for track in tracks
-        )
-        for track, element in zip(tracks, elements, strict=True):
-            if not element.observations and track.id not in labels.elements:
-                raise SemvizError(f"{track.name} is labelled in all images of the track already")
-        return AddElements(elements, left_out=self.kind == "reject tracks").changes(labels, rules)
-
-    def _observations(self, track: DetectionTrack, labels: Labels) -> Iterator[Observation]:
-        for detection in free_detections(track, labels):
-            row = mark_of(detection).at(detection.frame_index, detection.side)
-            row = replace(row, id=detection.id)
-            if detection.id in self.corrections:
-                anchor_px, end_px = self.corrections[detection.id]
-                row = replace(row, anchor_px=anchor_px, end_px=end_px)
-            yield row
-
-
-def named_tracks(
-    tracks: OpenTracks, track_ids: Iterable[str], labels: Labels
-) -> Sequence[DetectionTrack]:
-    """Return tracks by their ids. Raise SemvizError if the map has none of an id."""
-    by_id = tracks.tracks.by_id
-    try:
-        return [by_id[track_id] for track_id in dict.fromkeys(track_ids)]
-    except KeyError:
-        raise SemvizError("the last map has no such track any more; nothing was changed") from None
-
-
-def sure_tracks(tracks: OpenTracks, count: int, labels: Labels) -> Sequence[DetectionTrack]:
-    """Return all sure tracks. Raise SemvizError if their number is not ``count``, or is 0."""
-    sure = tracks.sure(labels)
-    if len(sure) != count or not count:
-        raise SemvizError(
-            f"{len(sure)} tracks are sure now, not {count}; nothing was changed"
-            if sure
-            else "no open track is sure; accept them one by one"
-        )
-    return sure
+        if rows:
+            gaps = gaps_px(both_ends_px([mark_of(detection)]), both_ends_px(map(Mark.of, rows)))
+            if (gaps < DETECTED_PX).any():
+                continue
+        yield detection

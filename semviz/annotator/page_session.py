@@ -289,13 +289,13 @@ class AnnotatorPage:
         labels = self._session.labels
         ids = [self._selected or "", *sorted(self._reviewed)]
         marked = [labels.elements[id_] for id_ in ids if id_ in labels.elements]
-        tracks = self._session.open_tracks(ids)
+        tracks = self._session.scene.open_tracks(ids)
         names = [label_element_name(element, self._session.classes) for element in marked]
         names += [track.name for _, track in tracks]
         return Shown(
-            elements=self._session.elements_3d(),
+            elements=self._session.scene.elements(),
             T_map_camera=self._session.frames[self._frame].T_map_camera,
-            tracks=self._session.tracks_3d(),
+            tracks=self._session.scene.tracks(),
             marked=frozenset(element.number for element in marked),
             marked_tracks=frozenset(place for place, _ in tracks),
             name=names[0] if names else "",
@@ -314,7 +314,7 @@ class AnnotatorPage:
 
     def _clicked(self, kind: str, number: int) -> None:
         if kind == "track":
-            track = self._session.track_at(number)
+            track = self._session.scene.track_at(number)
             self._send(messages.ElementClickedEvent(element=track.id, is_track=True))
             return
         for element in self._session.labels.elements.values():

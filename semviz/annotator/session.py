@@ -8,20 +8,12 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TypeAlias
-
-import numpy as np
 
 from semviz.annotator import draft, messages, views
 from semviz.annotator.association import DraftAssociation, associate_draft
-from semviz.annotator.detection_tracks import (
-    DetectionTrack,
-    DetectionTracks,
-    TrackEdit,
-    named_tracks,
-    sure_tracks,
-)
+from semviz.annotator.detection_tracks import DetectionTracks
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.hidden_ends import HiddenEnds
@@ -30,7 +22,10 @@ from semviz.annotator.image_worker import Images, ImageWorker
 from semviz.annotator.map_review import MapWork, ReviewEntry, Reviews
 from semviz.annotator.panes import Cameras, Panes
 from semviz.annotator.proposal_selection import ProposalSelection
+from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
+from semviz.annotator.scene_elements import SceneElements
+from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import ImageSize, RefusedError
 from semviz.workspace.workspace import Workspace
@@ -42,7 +37,6 @@ from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.background_check import Health
 from semviz_annotation.storage.store import Operation
 from semviz_core.base.camera import Camera
-from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Frame, Side
 from semviz_core.common.errors import SemvizError
 
@@ -110,13 +104,7 @@ class LabelSession:
         )
         self._quality = FrameQuality(tuple(self.frames), self._positions, self._selection)
         self.history = HistoryView(self._store, self._panes, self.frames, self.classes)
-        self._elements_3d = -1, -1, Elements3D.from_ends([], [], [], [])
-        """As of this operation and version of the positions."""
-        self._tracks_3d: tuple[tuple[int, ...], Elements3D] = (
-            (),
-            Elements3D.from_ends([], [], [], []),
-        )
-        """Of tracks in these places."""
+        self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
         self._feed = UpdateFeed(self._store, self.classes, self._quality)
         self._sent_map_version = self.map_work.version
         self._complete_version = self._sent_positions_version = self._positions.version
@@ -200,7 +188,7 @@ class LabelSession:
             index=index,
             panes=views.pane_views(panes),
             elements=views.element_views(labels, panes, self.classes),
-            proposals=draft.proposal_views(proposals, panes, labels, self.rig, self.classes),
+            proposals=proposal_views(proposals, panes, labels, self.rig, self.classes),
             nearby=views.nearby_views(nearby, labels, self.classes),
             is_searching=bool(self._selection.pending_queries(index, labels)),
         )
@@ -214,41 +202,6 @@ class LabelSession:
     def pending_queries(self, index: int) -> list[ImageQuery]:
         """Return the queries for ``image_worker`` that complete the proposals of a frame."""
         return self._selection.pending_queries(index, self.labels)
-
-    def elements_3d(self) -> Elements3D:
-        """Return the elements triangulated so far, their numbers as ids, except those left out."""
-        labels = self.labels
-        mapped = self._positions.mapped(labels)
-        if self._elements_3d[:2] != (labels.operation, self._positions.version):
-            kept = {id_: at for id_, at in mapped.items() if not labels.is_left_out(id_)}
-            elements = [labels.elements[element_id] for element_id in kept]
-            elements_3d = Elements3D.from_ends(
-                [element.number for element in elements],
-                [position.anchor_m for position in kept.values()],
-                [position.end_m for position in kept.values()],
-                [element.class_id for element in elements],
-            )
-            self._elements_3d = labels.operation, self._positions.version, elements_3d
-        return self._elements_3d[2]
-
-    def tracks_3d(self) -> Elements3D:
-        """Return the open tracks as elements of the last map; their ids are places in
-        ``track_at``."""
-        tracks = self._reviews.tracks()
-        places = tracks.places(self.labels)
-        if self._tracks_3d[0] is not places:
-            rows = np.array(places, dtype=np.int64)
-            self._tracks_3d = places, tracks.tracks.elements[rows]
-        return self._tracks_3d[1]
-
-    def open_tracks(self, element_ids: Iterable[str]) -> list[tuple[int, DetectionTrack]]:
-        """Return the open tracks among some elements, with their places."""
-        tracks = self._reviews.tracks()
-        return tracks.named(element_ids, self.labels)
-
-    def track_at(self, place: int) -> DetectionTrack:
-        """Return a track of the last map by its place; raise IndexError if there is none."""
-        return self._reviews.tracks().tracks.tracks[place]
 
     def position(self, element_id: str) -> Triangulated | None:
         """Return the position of an element in the map frame; None if it is unknown."""
@@ -317,25 +270,10 @@ class LabelSession:
             first = is_new and n == 0  # creates the element
             yield replace(addition, element_id=element_id, class_id=class_id if first else None)
 
-    def _decide_tracks(
-        self,
-        request_id: str,
-        edit: messages.AcceptTracksEdit | messages.RejectTracksEdit | messages.AcceptSureTracksEdit,
-    ) -> SavedEdit:
+    def _decide_tracks(self, request_id: str, edit: PageTrackEdit) -> SavedEdit:
         """Accept or reject tracks of the last map, all or none."""
         self.map_work.wait_for_first()
-        tracks = self._reviews.tracks()
-        match edit:
-            case messages.AcceptSureTracksEdit():
-                decision = TrackEdit("accept tracks", partial(sure_tracks, tracks, edit.count))
-            case messages.RejectTracksEdit():
-                decision = TrackEdit("reject tracks", partial(named_tracks, tracks, edit.track_ids))
-            case messages.AcceptTracksEdit():
-                corrections = {
-                    mark.observation_id: (mark.anchor_px, mark.end_px) for mark in edit.corrections
-                }
-                choose = partial(named_tracks, tracks, edit.track_ids)
-                decision = TrackEdit("accept tracks", choose, corrections)
+        decision = track_edit(edit, self._reviews.tracks())
         return self._saved(self._store.apply(decision, self.author, request_id))
 
     def _change(
@@ -474,7 +412,7 @@ class LabelSession:
         return LabelsView(
             operation=self._feed.operation,
             counts=views.class_counts(labels),
-            mapped=len(self.elements_3d()),
+            mapped=len(self.scene.elements()),
             can_undo=self._store.undoable(self.author) is not None,
             can_redo=self._store.redoable(self.author) is not None,
             history=history,

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from streets import street_workspace
 from support.street_labels import careful, label_street
 
-from semviz.annotator.draft import ProposalMark, ProposalView
 from semviz.annotator.panes import Pane
 from semviz.annotator.proposal_selection import select_distinct
+from semviz.annotator.proposal_views import ProposalMark, ProposalView
 from semviz.annotator.proposals import ImageSearchResult, LabelProposal, Origin
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary

@@ -392,7 +392,7 @@ def test_one_camera_is_labelled_in_two_frames(page: "Page", workspace: Workspace
         there = truth(street, 5, "left", element)
         driver.draw_pole("right", *(tuple(point) for point in there), element="P-01")
         assert sorted(row.frame_index for row in served.labels.observations.values()) == [0, 5]
-        (place,) = served.annotator.session.elements_3d().anchor_m
+        (place,) = served.annotator.session.scene.elements().anchor_m
         rows = street.truth_map.elements
         np.testing.assert_allclose(place, rows.anchor_m[rows.id == element][0], atol=0.3)
         page.goto("about:blank")

@@ -15,12 +15,12 @@ from journeys.driver import LabelDriver
 from streets import street_workspace
 from tracked_detections import FALSE, detect_and_map, track_id
 
-from semviz.annotator.detection_tracks import DetectionTracks, OpenTracks
-from semviz.annotator.draft import ProposalView
+from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.annotator.map_review import ReviewEntry
 from semviz.annotator.messages import ApplyEditRequest, ShowReviewRequest
 from semviz.annotator.page_session import HANDLERS
 from semviz.annotator.panes import Cameras
+from semviz.annotator.proposal_views import ProposalView
 from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
 from semviz.workspace.workspace import MAIN, Workspace
@@ -148,7 +148,7 @@ def test_a_rejected_track_is_known_and_neither_shown_nor_proposed(
         assert session.labels.review(frame) == "unseen"
     assert session.summary().counts == {}
     assert [frame.elements for frame in session.summary().frames] == [0] * FRAMES
-    assert len(session.elements_3d()) == session.summary().mapped == 0
+    assert len(session.scene.elements()) == session.summary().mapped == 0
     do(session, {"kind": "review", "frame_index": 0, "state": "reviewed, empty"})
     do(session, {"kind": "undo"})
     do(session, {"kind": "undo"})
@@ -190,6 +190,56 @@ def test_a_detection_on_an_open_track_waits_for_it(tmp_path: Path) -> None:
     (view,) = [view for view in proposed(session, 4).values() if view.id == track_id(found[FALSE])]
     assert view.origin == "map"
     session.close()
+
+
+def test_what_was_rejected_never_returns_however_often_the_map_is_built(tmp_path: Path) -> None:
+    frames = 8
+    workspace = street_workspace(tmp_path / "street", 7, frames)
+    false = {row.id for row in detect_and_map(workspace, range(frames))[FALSE]}
+    session = opened(workspace)
+    rebuilt(session)
+    (track,) = [track for track in open_tracks(session) if false & ids(track)]
+    others = {frozenset(ids(other)) for other in open_tracks(session)} - {frozenset(ids(track))}
+    assert others
+    do(session, {"kind": "reject tracks", "track_ids": [track.id]})
+    for _ in range(2):
+        rebuilt(session)
+        assert not any(false & ids(other) for other in open_tracks(session))
+        assert {frozenset(ids(other)) for other in open_tracks(session)} == others
+        assert not any(false & marks_in(session, frame) for frame in range(frames))
+    do(session, {"kind": "undo"})  # the fault that rejecting prevents
+    rebuilt(session)
+    assert any(false & ids(other) for other in open_tracks(session))
+    session.close()
+
+
+def test_accepted_tracks_are_labels_of_the_next_map(tmp_path: Path) -> None:
+    workspace = street_workspace(tmp_path / "street", 7, 8)
+    detect_and_map(workspace, range(8))
+    session = opened(workspace)
+    rebuilt(session)
+    sure = session.summary().map.sure_tracks
+    do(session, {"kind": "accept sure tracks", "count": sure})
+    rebuilt(session)
+    assert session.summary().map.sure_tracks == 0
+    in_map = {id_ for source in workspace.read_map(MAIN).provenance for id_ in source.label_ids}
+    assert set(session.labels.elements) <= in_map
+    session.close()
+
+
+def rebuilt(session: LabelSession) -> None:
+    """As *Build map* does."""
+    session.map_work.build()
+    session.map_work._pool.submit(lambda: None).result()
+    assert session.map_work.failure == ""
+
+
+def open_tracks(session: LabelSession) -> tuple[DetectionTrack, ...]:
+    return session._reviews.tracks().of(session.labels)
+
+
+def ids(track: DetectionTrack) -> set[str]:
+    return {row.id for row in track.detections}
 
 
 def marks_in(session: LabelSession, frame: int) -> set[str]:
@@ -309,7 +359,7 @@ def test_open_tracks_are_followed_through_any_edits(session: LabelSession, found
             continue
         fresh = OpenTracks(tracks_of(session))
         assert session.summary().map.tracks == len(fresh.of(session.labels))
-        assert len(session.tracks_3d()) == len(fresh.of(session.labels))
+        assert len(session.scene.tracks()) == len(fresh.of(session.labels))
 
 
 def tracks_of(session: LabelSession) -> DetectionTracks:
