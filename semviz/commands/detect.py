@@ -6,6 +6,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +19,7 @@ from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
     from semviz.research.detector_evaluation import EvaluationImage
+    from semviz.research.forgetting import ForgettingCheck
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.labels.proposals import Proposals
     from semviz_core.base.frame import Side
@@ -239,6 +241,8 @@ class DetectTrainCommand:
     """bf16: half precision, twice as fast on a GPU or a processor with AMX."""
     stop_after_s: parsing.OptionalFloat = None
     """Save and stop after this many seconds of training."""
+    allow_loss: bool = False
+    """Accept weights that find less on held-out streets than the initial ones."""
     force: parsing.Force = False
 
     def run(self) -> int:
@@ -248,17 +252,33 @@ class DetectTrainCommand:
 
         from semviz.research.training_run import check_training_folder, train
         from semviz_core.research.training.detector import make_detector
+        from semviz_core.research.training.detector_images import ConcatImages
 
         check_training_folder(self.out, self.force, self.workspaces)
         start = self._start()
-        task = make_detector(self._source(), self.seed, start)
+        sources = self._sources()
+        check = None if start is None else self._check_of(start, sources)
+        source = tuple(sources.values())
+        task = make_detector(
+            source[0] if len(source) == 1 else ConcatImages(source), self.seed, start
+        )
         weights = "FOLDER/detector.safetensors"
         next_commands = [
             f"semviz weights {self.out} --out FOLDER",
             f"semviz detect evaluate --model {weights}",
             f"semviz detect WORKSPACE --model {weights}",
         ]
-        return train(task, self, HELD_OUT, next_commands)
+        run_check = None if check is None else partial(check.run, task)
+        return train(task, self, HELD_OUT, next_commands, run_check)
+
+    def _check_of(self, start: Path, sources: "dict[str, LabelledImages]") -> "ForgettingCheck":
+        """Return the check for what the initial weights found; streets are always part of it."""
+        from semviz.research.forgetting import REPLAYED, ForgettingCheck
+
+        streets = sources.get(REPLAYED) or self._render(0)
+        check = ForgettingCheck(self.out, start, {**sources, REPLAYED: streets}, self.allow_loss)
+        check.resume()
+        return check
 
     def _start(self) -> Path | None:
         from semviz_core.base.weights import read_weights, shipped_weights
@@ -269,23 +289,23 @@ class DetectTrainCommand:
         read_weights(path)  # fail before streets are rendered, not after
         return path
 
-    def _source(self) -> "LabelledImages":
+    def _sources(self) -> "dict[str, LabelledImages]":
         """Return labelled images, rendered streets, or both; render streets that are missing."""
-        from semviz_core.research.training.detector_images import ConcatImages
+        from semviz.research.forgetting import REPLAYED
 
-        sources: list[LabelledImages] = []
+        sources: dict[str, LabelledImages] = {}
         if self.workspaces:
             from semviz.research.detector_data import workspace_images
 
             workspaces = [parsing.open_workspace(path) for path in self.workspaces]
-            sources.append(workspace_images(workspaces, parsing.parse_frames(self.frames)))
+            sources["labels"] = workspace_images(workspaces, parsing.parse_frames(self.frames))
         elif self.frames is not None:
             raise SemvizError("--frames selects frames of workspaces; name a workspace")
         if streets := self._streets():
-            sources.append(self._render(streets))
+            sources[REPLAYED] = self._render(streets)
         if not sources:
             raise SemvizError("--streets 0: no training images are left; name a workspace")
-        return sources[0] if len(sources) == 1 else ConcatImages(tuple(sources))
+        return sources
 
     def _streets(self) -> int:
         if self.streets is not None and not 0 <= self.streets <= 9_000:

@@ -7,7 +7,7 @@ TASK.safetensors with the model card TASK.json.
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from importlib.metadata import version
 from math import isfinite
@@ -122,10 +122,11 @@ def train(
     arguments: TrainArguments,
     held_out: int,
     next_commands: Sequence[str],
+    check: Callable[[], None] | None = None,
 ) -> int:
     """Train until finished or stopped, with ``held_out`` validation items; return the exit status.
 
-    ``next_commands`` are printed after a finished training.
+    ``next_commands`` are printed after a finished training, which ``check`` may refuse before.
     """
     from semviz_core.research.training.trainer import Trainer
 
@@ -134,6 +135,8 @@ def train(
     if training.process_group.leads:
         with TrainingBar(task.name, training.progress) as bar:
             ending = training.run(lambda event: _tell(event, bar, task.name, folder))
+        if ending == "finished" and check is not None:
+            check()
         print(_told(folder, training.progress, ending, next_commands))
     else:
         ending = training.run()

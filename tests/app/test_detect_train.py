@@ -10,7 +10,11 @@ import torch
 from command_line import Call, call
 from safetensors.torch import load_file
 
+from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.weights import shipped_weights
+from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shipped_model
+from semviz_core.research.training.detector_check import HeldOutRecall
+from semviz_core.research.training.detector_images import StreetImages
 from semviz_core.research.training.trainer import CHECKPOINT
 
 TINY = ("--streets", 1, "--samples", 12, "--batch", 4)
@@ -86,3 +90,57 @@ def test_what_makes_no_sense_is_one_line(
     assert (status, output) == (2, "")
     assert line in errors
     assert errors.count("\n") == 1
+
+
+def planted_recall(monkeypatch: pytest.MonkeyPatch, before: float, after: float) -> None:
+    """Poles on all held-out images, by the initial weights and by others."""
+    names = iter(["old", "new"] * 100)
+
+    def recall(*_: object) -> HeldOutRecall:
+        return HeldOutRecall(before if next(names) == "old" else after, None)
+
+    monkeypatch.setattr("semviz.research.forgetting.HeldOutRecall.of", recall)
+
+
+def test_a_training_that_forgets_is_refused(
+    train: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The weights are kept aside; only --allow-loss takes them back. A small loss is chance."""
+    planted_recall(monkeypatch, 0.92, 0.05)
+    arguments = "--out", tmp_path / "mine", "--from", "shipped", *TINY
+    status, output, errors = train(*arguments)
+    assert status == 2
+    assert "streets" in output
+    assert "92 %" in output
+    (line,) = (line for line in errors.splitlines() if line.startswith("semviz: "))
+    assert "on held-out streets poles fell from 92 to 5 %; the weights are kept aside in" in line
+    aside = tmp_path / "mine" / "forgot.safetensors"
+    assert aside.exists()
+    assert not (tmp_path / "mine" / CHECKPOINT).exists()
+    status, _, errors = train(*arguments)
+    assert status == 2
+    assert "a training that forgot; accept it with --allow-loss" in errors
+    status, output, errors = train(*arguments, "--allow-loss")
+    assert status == 0, errors
+    assert "finished after 12 of 12" in output
+    assert (tmp_path / "mine" / CHECKPOINT).exists()
+    assert not aside.exists()
+    planted_recall(monkeypatch, 0.92, 0.88)
+    status, output, errors = train(*arguments)
+    assert status == 0, errors
+    assert "Held-out recall at 0.5 false an image" in output
+
+
+def test_recall_on_held_out_streets_tells_trained_from_untrained_weights(tmp_path: Path) -> None:
+    images = StreetImages(tmp_path, 0, 1)
+    images.render(images.missing()[0])
+    shipped = HeldOutRecall.of(load_shipped_model(), images, DEFAULT_CLASSES)
+    torch.manual_seed(0)
+    network = DetectorNet(len(DEFAULT_CLASSES))
+    untrained = HeldOutRecall.of(HeatmapModel.of(network, DEFAULT_CLASSES), images, DEFAULT_CLASSES)
+    assert shipped.pole is not None
+    assert shipped.pole > 0.8
+    assert untrained.pole == 0.0
+    assert shipped.losses(untrained)[0].endswith(" to 0 %")
+    assert not untrained.losses(shipped)
+    assert not shipped.losses(shipped)

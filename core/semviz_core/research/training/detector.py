@@ -57,7 +57,7 @@ def chosen_thresholds(
     model: HeatmapModel, images: Iterable[LabelledImage], classes: ClassSet
 ) -> FloatArray:
     """Return the thresholds (classes,) with the highest total recall at ``FALSE_AN_IMAGE``."""
-    sweep = _sweep(model, images, classes)
+    sweep = threshold_sweep(model, images, classes)
     for price in PRICES:
         chosen = [_best(sweep, class_.id, float(price)) for class_ in classes]
         if sum(false for _, false in chosen) <= FALSE_AN_IMAGE:
@@ -81,9 +81,10 @@ def _best(sweep: ThresholdSweep, class_id: int, price: float) -> tuple[float, fl
     return float(threshold), float(false[best - 1])
 
 
-def _sweep(
+def threshold_sweep(
     model: HeatmapModel, images: Iterable[LabelledImage], classes: ClassSet
 ) -> ThresholdSweep:
+    """Return the detections in ``images``, however low their scores."""
     detector = Detector(replace(model, threshold=np.full(len(classes), LOWEST)))
     class_id, score, is_right = [], [], []
     element_count: dict[int, int] = {}
@@ -222,14 +223,18 @@ class DetectorTask:
             "mask": mask,
         }
 
-    def finish(self) -> None:
-        """Choose the detection thresholds."""
+    @property
+    def model(self) -> HeatmapModel:
+        """The network as a model, with weights of its own."""
         network = DetectorNet(len(self.classes))
         network.load_state_dict(self.network.state_dict())
-        model = HeatmapModel.of(network, self.classes)
+        return HeatmapModel.of(network, self.classes)
+
+    def finish(self) -> None:
+        """Choose the detection thresholds."""
         rows = range(min(self.source.held_out_count, TUNING_IMAGES))
         images = (self.source.held_out(row) for row in rows)
-        threshold = chosen_thresholds(model, images, self.classes)
+        threshold = chosen_thresholds(self.model, images, self.classes)
         self.detector.threshold.copy_(torch.from_numpy(threshold))
 
     def _with_targets(self, crop: Crop) -> TrainingCrop:
