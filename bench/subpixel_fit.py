@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from subpixel_regions import Shown, masked_in_part, overgrown
+from subpixel_regions import Shown, false_masks, masked_in_part, overgrown
 
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -28,6 +28,7 @@ from semviz_core.detection.sign_centers import (
     center_by_model,
     centers_from_outline,
     shape_evidence,
+    without_arms,
 )
 from semviz_core.research.paper.measurement import measure_as_in_paper
 from semviz_core.subpixel import pole_ends as rows_end
@@ -119,7 +120,8 @@ def _sign_samples(shown: Shown, region: Region, row: int) -> Iterator[Sample]:
     true = shown.whole.elements.anchor_px[row]
     first = center_by_model(region)
     class_id = int(shown.whole.elements.class_id[row])
-    for middle in [first, *centers_from_outline(shown.picture, first, class_id)]:
+    outlines = centers_from_outline(shown.picture, first, (class_id,))
+    for middle in [first, *outlines[class_id]]:
         for off in middle.center_px - true:
             yield Sample(middle.kind, middle.evidence, float(off))
 
@@ -216,26 +218,31 @@ def _logistic(X: FloatArray, y: FloatArray) -> tuple[float, ...]:
 
 
 def _shape_weights(images: Regions) -> FloatArray:
-    """Multinomial regression of a sign's class, with one set of weights."""
+    """Multinomial regression of a sign's class, with one set of weights; no sign has odds of 1."""
     X, which = [], []
+
+    def add(image: Shown, region: Region, class_index: int) -> None:
+        first = center_by_model(region)
+        outlines = centers_from_outline(image.picture, first, SHAPES, without_arms(region))
+        X.append([shape_evidence(region, shape, first, outlines[shape]) for shape in SHAPES])
+        which.append(class_index)
+
     for image, regions, rows in images:
         for region, row in zip(regions, rows, strict=True):
             if not is_pole(region):
-                first = center_by_model(region)
-                fits = [
-                    (shape, centers_from_outline(image.picture, first, shape)) for shape in SHAPES
-                ]
-                X.append([shape_evidence(region, shape, found) for shape, found in fits])
-                which.append(SHAPES.index(int(image.whole.elements.class_id[row])))
+                add(image, region, SHAPES.index(int(image.whole.elements.class_id[row])))
+    for image in {id(image): image for image, _, _ in images}.values():
+        for region in false_masks(image):
+            add(image, region, len(SHAPES))
     A = np.array(X)
 
     def cost(weights: FloatArray) -> float:
-        odds = A @ weights
+        odds = np.concatenate([A @ weights, np.zeros((len(A), 1))], axis=1)
         own = odds[np.arange(len(odds)), which]
         total = np.logaddexp.reduce(odds, axis=1)
         return float((total - own).mean() + 1e-3 * (weights**2).sum())
 
-    return np.round(minimize(cost, np.zeros(A.shape[2])).x, 4)
+    return np.asarray(np.round(minimize(cost, np.zeros(A.shape[2])).x, 4))
 
 
 def _paper_sigmas(images: Regions) -> tuple[float, float]:

@@ -234,3 +234,50 @@ def _leaves(
     painted = np.clip(bright[..., None] * color, 0.0, 255.0).astype(np.uint8)
     image[covered] = painted[covered]
     return np.asarray(covered)
+
+
+def false_masks(shown: Shown, count: int = 10) -> list[Region]:
+    """Masks of what is no sign: ragged ones anywhere, and parts of one colour, as of walls."""
+    rng = np.random.default_rng([shown.seed, len(shown.whole.regions), 3])
+    height, width = shown.picture.image.shape[:2]
+    signs = np.zeros((height, width), bool)
+    for region in shown.whole.regions:
+        if region.class_id != POLE and region.mask is not None:
+            (left, top), (rows, columns) = region.corner_px, region.mask.shape
+            signs[top : top + rows, left : left + columns] |= region.mask
+    found: list[Region] = []
+    while len(found) < count:
+        half = int(rng.uniform(4.0, 22.0))
+        u, v = int(rng.integers(half, width - half)), int(rng.integers(half, 250 - half))
+        window = np.s_[v - half : v + half, u - half : u + half]
+        ragged = rng.random() < 0.6
+        mask = _ragged(half, rng) if ragged else _one_color(shown.picture.image[window])
+        rows_at, columns_at = np.nonzero(mask)
+        if len(rows_at) < 25 or (signs[window] & mask).any():
+            continue
+        top, left = int(rows_at.min()), int(columns_at.min())
+        bottom, right = int(rows_at.max()), int(columns_at.max())
+        corner = (u - half + left, v - half + top)
+        box = np.array([*corner, u - half + right, v - half + bottom], np.float64)
+        if min(right - left, bottom - top) >= 5:
+            shape = mask[top : bottom + 1, left : right + 1]
+            found.append(Region(None, 0.5, box, shape, corner))
+    return found
+
+
+def _ragged(half: int, rng: np.random.Generator) -> BoolArray:
+    """A blob (2 half, 2 half) with a ragged border."""
+    v, u = (np.mgrid[: 2 * half, : 2 * half] - half + 0.5) / half
+    noise = cv2.GaussianBlur(rng.normal(size=(2 * half, 2 * half)), (0, 0), 0.25 * half) * half
+    reach = 0.7 + rng.uniform(0.1, 0.5) * noise
+    return np.asarray((u / rng.uniform(0.5, 1.0)) ** 2 + (v / rng.uniform(0.5, 1.0)) ** 2 < reach)
+
+
+def _one_color(window: NDArray[np.uint8]) -> BoolArray:
+    """The part of a window around its middle that has the middle's colour."""
+    filled = np.zeros((window.shape[0] + 2, window.shape[1] + 2), np.uint8)
+    middle = (window.shape[1] // 2, window.shape[0] // 2)
+    near = (14, 14, 14)
+    cv2.floodFill(window.copy(), filled, middle, (0, 0, 0), near, near, 4 | cv2.FLOODFILL_MASK_ONLY)
+    inside = cv2.morphologyEx(filled[1:-1, 1:-1], cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return np.asarray(inside > 0)

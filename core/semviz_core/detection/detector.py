@@ -35,6 +35,11 @@ MeasureRegion: TypeAlias = Callable[
 the image, whose poles they may be."""
 
 
+LEAST_SHAPE, LEAST_HALF_PX = 0.5, 3.0
+"""Least probability of a sign's shape, and least half of its shorter side. Other regions are no
+sign: a board, a bush, or too small to tell."""
+
+
 def by_edges(
     image: SampledImage, region: Region, signs: Sequence[Region]
 ) -> MeasuredElement | None:
@@ -75,12 +80,13 @@ def _pole(image: SampledImage, region: Region, signs: Sequence[Region]) -> Measu
 
 
 def _sign(image: SampledImage, region: Region) -> MeasuredElement | None:
-    class_id, center = best_center(image, region)
-    sigma = (chosen_sigma_px("center", center.sigma_px),) * 2
+    class_id, center, probability = best_center(image, region)
     size = float(center.half_px.min())
-    return MeasuredElement(
-        class_id, region.score, center.center_px[None], sigma, (True, False), size
-    )
+    if probability < LEAST_SHAPE or size < LEAST_HALF_PX:
+        return None
+    sigma = (chosen_sigma_px("center", center.sigma_px),) * 2
+    score = region.score * probability
+    return MeasuredElement(class_id, score, center.center_px[None], sigma, (True, False), size)
 
 
 def _in_image(image: SampledImage, region: Region) -> bool:

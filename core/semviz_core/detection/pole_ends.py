@@ -113,7 +113,7 @@ def all_ends(
     image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
 ) -> list[End]:
     """Return all candidates; for a peak at a sign, only that of the sign."""
-    first = followed_end(image, line, first_end(region, line, which))
+    first = followed_end(image, region, line, first_end(region, line, which))
     sign = None if which else _sign_at(line, signs, first)
     if sign is not None:
         return [end_at_sign(image, line, sign)]
@@ -126,11 +126,16 @@ def first_end(region: Region, line: Line, which: int) -> End:
     return min(first_ends(region, line, which), key=lambda end: end.sigma_px)
 
 
-def followed_end(image: SampledImage, line: Line, first: End) -> End:
-    """Return the model's end, or the end to which the pole is seen to go on beyond it."""
+def followed_end(image: SampledImage, region: Region, line: Line, first: End) -> End:
+    """Return the model's end, or the end to which the pole is seen to go on beyond it.
+
+    An end that the model itself tells to be known is not followed.
+    """
     grown = _beyond_end(image, line, first)
+    told = region.ends_known is not None and region.ends_known[first.which]
     clear = [grown.fall, grown.clutter]
-    if grown.off_px < _LEAST_GROWN_PX or grown.gain < max(_LEAST_GAIN, _MEAN_GAIN * grown.off_px):
+    least_gain = max(_LEAST_GAIN, _MEAN_GAIN * grown.off_px)
+    if told or grown.off_px < _LEAST_GROWN_PX or grown.gain < least_gain:
         held = [np.log(first.sigma_px), *clear, float(first.which)]
         return End("end held", first.which, first.place_px, np.array(held))
     evidence = [

@@ -141,7 +141,8 @@ _POLE_ROWS, _PIECE_ROWS = 8, 3
 """Least number of rows of a pole, and of a piece of a partly hidden pole."""
 _SLENDER = 2.0
 """Least ratio of height to width of a pole."""
-_SIGN_SIDE, _SIGN_PIXELS = 4, 16
+_SIGN_SIDE, _SIGN_PIXELS = 6, 25
+"""Least side of a sign's mask, and number of its pixels: smaller ones show no shape."""
 _ASIDE = 1.0
 """Largest distance, in widths of the pole, between a piece and the axis of its pole."""
 _LEAST_ASIDE_PX = 2.0

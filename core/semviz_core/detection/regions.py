@@ -183,8 +183,10 @@ KNOWN: tuple[float, ...] = (
     -0.8807, -0.8904, -0.3391, 0.1638, -0.8356, -0.3354, -0.5088,
 )  # fmt: skip
 """Weights of ``pole_ends.end_evidence`` for a visible end being the pole's own (logistic)."""
-SHAPE = np.array((-0.1859, 0.7102, -0.5243, -3.4111, 4.0103, 3.3384, -0.9434))
-"""Weights of ``sign_centers.shape_evidence`` for a sign's class."""
+SHAPE = np.array(
+    (-2.2206, -2.5348, -2.9158, -0.0197, 3.8794, 5.9878, -3.1262, -0.7591, -1.3119, -1.3762)
+)
+"""Weights of ``sign_centers.shape_evidence`` for a sign's class, against no sign."""
 PAPER = (1.38, 4.11)
 """Sigmas (px) across and along of the paper's measurement: its root mean square errors."""
 

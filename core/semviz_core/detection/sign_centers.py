@@ -1,20 +1,24 @@
 """Candidates for a sign's centre and shape: from the model's region and from its outline."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from semviz_core.base.classes import DEFAULT_CLASSES, RECTANGULAR, ROUNDED, TRIANGULAR
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.detection.regions import SHAPE, Region, predicted_sigma_px
 from semviz_core.subpixel.sampling import SampledImage
-from semviz_core.subpixel.sign_outline import Outline, fit_outlines
+from semviz_core.subpixel.sign_outline import Outline, fit_outlines, outline_polygon
 
 SHAPES = (TRIANGULAR, RECTANGULAR, ROUNDED)
 """Classified here if the model does not tell the shape."""
 STRAY_PX, STRAY_SHARE = 2.6, 0.02
 """An outline further from the model's centre than this plus this share of the sign's size is
 another outline: the border's inner edge, or the pictogram."""
+_BODY, _WITHOUT_ARMS = 0.6, 0.9
+"""Rows and columns of a mask's body have this share of the usual number of pixels; a body of more
+than this share of the mask's height and width is the mask."""
 _FILLED = {TRIANGULAR: 0.5, RECTANGULAR: 1.0, ROUNDED: np.pi / 4.0}
 """Share of its box that each shape covers."""
 
@@ -31,6 +35,8 @@ class SignCenter:
     """(2,) half its width and height."""
     evidence: FloatArray
     """(k,) of its kind."""
+    polygon_px: FloatArray | None = None
+    """(n, 2) its outline; None without."""
 
     @property
     def sigma_px(self) -> float:
@@ -38,19 +44,33 @@ class SignCenter:
         return predicted_sigma_px(self.kind, self.evidence)
 
 
-def best_center(image: SampledImage, region: Region) -> tuple[int, SignCenter]:
-    """Return a sign's class and the centre with the least sigma."""
+def best_center(image: SampledImage, region: Region) -> tuple[int, SignCenter, float]:
+    """Return a sign's class, its probability, and the centre with the least sigma.
+
+    The probability is 1 if the model tells the class. Otherwise the image decides between the
+    shapes and no sign at all.
+    """
     model_center = center_by_model(region)
     if region.class_id is not None and region.class_id not in DEFAULT_CLASSES:
-        return region.class_id, model_center  # a class of unknown shape
+        return region.class_id, model_center, 1.0  # a class of unknown shape
     classes = SHAPES if region.class_id is None else (region.class_id,)
-    outlines = {class_: centers_from_outline(image, model_center, class_) for class_ in classes}
-    evidence = [
-        shape_evidence(region, class_, outlines[class_] or [model_center]) @ SHAPE
-        for class_ in classes
-    ]
-    class_id = classes[int(np.argmax(evidence))]
-    return class_id, min([model_center, *outlines[class_id]], key=lambda center: center.sigma_px)
+    body = without_arms(region) if region.class_id is None else []
+    outlines = centers_from_outline(image, model_center, classes, body)
+    class_id, probability = classes[0], 1.0
+    if region.class_id is None:
+        class_id, probability = likeliest_shape(region, model_center, outlines)
+    candidates = [model_center, *outlines[class_id]]
+    return class_id, min(candidates, key=lambda center: center.sigma_px), probability
+
+
+def likeliest_shape(
+    region: Region, model_center: SignCenter, outlines: dict[int, list[SignCenter]]
+) -> tuple[int, float]:
+    """Return the class of the likeliest shape and its probability; the rest is for no sign."""
+    evidence = [shape_evidence(region, class_, model_center, outlines[class_]) for class_ in SHAPES]
+    odds = np.exp(np.clip(np.array(evidence) @ SHAPE, -30.0, 30.0))
+    best = int(np.argmax(odds))
+    return SHAPES[best], float(odds[best] / (1.0 + odds.sum()))
 
 
 def center_by_model(region: Region) -> SignCenter:
@@ -65,6 +85,27 @@ def center_by_model(region: Region) -> SignCenter:
     return min(candidates, key=lambda center: center.sigma_px)
 
 
+def without_arms(region: Region) -> list[Region]:
+    """Return a region with the body of its mask only; empty if the mask has no arms.
+
+    A mask often runs into the pole, the frame or a bush beside the sign.
+    """
+    if region.mask is None or not region.mask.any():
+        return []
+    kept = []
+    for axis in (0, 1):  # columns, rows
+        counts = region.mask.sum(axis=axis)
+        wide = np.flatnonzero(counts >= _BODY * np.percentile(counts[counts > 0], 80))
+        kept.append(slice(int(wide[0]), int(wide[-1]) + 1))
+    body = region.mask[kept[1], kept[0]]
+    if min(np.divide(body.shape, region.mask.shape)) > _WITHOUT_ARMS:
+        return []
+    corner = (region.corner_px[0] + kept[0].start, region.corner_px[1] + kept[1].start)
+    size = np.array(body.shape[::-1]) - 1.0
+    box = np.concatenate([corner, corner + size])
+    return [replace(region, box_px=box, mask=body, corner_px=corner)]
+
+
 def _between(kind: str, low_px: FloatArray, high_px: FloatArray, bare: float) -> SignCenter:
     """Return the centre between two corners; ``bare`` is the share that the mask leaves free."""
     half = np.asarray((high_px - low_px + 1.0) / 2.0)
@@ -73,18 +114,29 @@ def _between(kind: str, low_px: FloatArray, high_px: FloatArray, bare: float) ->
 
 
 def centers_from_outline(
-    image: SampledImage, model_center: SignCenter, class_id: int
-) -> list[SignCenter]:
-    """Return centres of outlines of a class's shape, near the model's centre."""
-    shape = DEFAULT_CLASSES[class_id].shape
-    fitted = fit_outlines(image, model_center.center_px, model_center.half_px, shape)
-    stray = STRAY_PX + STRAY_SHARE * 2.0 * model_center.half_px.mean()
-    near = [
+    image: SampledImage,
+    model_center: SignCenter,
+    classes: Sequence[int],
+    body: Sequence[Region] = (),
+) -> dict[int, list[SignCenter]]:
+    """Return for each class the centres of outlines of its shape, near the model's centre.
+
+    ``body`` are further regions near whose centres outlines may be.
+    """
+    shapes = [DEFAULT_CLASSES[class_].shape for class_ in classes]
+    about = [(model_center.center_px, model_center.half_px)]
+    about += [(each.center_px, (each.box_px[2:] - each.box_px[:2] + 1.0) / 2.0) for each in body]
+    fitted = [
         outline
-        for outline in fitted
-        if np.linalg.norm(outline.center_px - model_center.center_px) <= stray
+        for middle, half in about
+        for outline in fit_outlines(image, middle, half, shapes)
+        if np.linalg.norm(outline.center_px - middle) <= STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
     ]
-    return [_by_outline(outline, model_center, near) for outline in near]
+    centers = {}
+    for class_, shape in zip(classes, shapes, strict=True):
+        alike = [outline for outline in fitted if outline.shape == shape]
+        centers[class_] = [_by_outline(outline, model_center, alike) for outline in alike]
+    return centers
 
 
 def _by_outline(outline: Outline, model_center: SignCenter, outlines: list[Outline]) -> SignCenter:
@@ -101,19 +153,55 @@ def _by_outline(outline: Outline, model_center: SignCenter, outlines: list[Outli
             np.log(moved + 0.5), np.log(model_center.sigma_px),
         ]
     )  # fmt: skip
-    return SignCenter("center by outline", outline.center_px, outline.half_px, evidence)
+    kind, polygon = "center by outline", outline_polygon(outline)
+    return SignCenter(kind, outline.center_px, outline.half_px, evidence, polygon)
 
 
-def shape_evidence(region: Region, class_id: int, centers: list[SignCenter]) -> FloatArray:
-    """Return (k,) evidence for a class: the class, the fit of its outline, the mask's filling."""
-    best = min(centers, key=lambda center: center.sigma_px)
+def shape_evidence(
+    region: Region, class_id: int, model_center: SignCenter, centers: list[SignCenter]
+) -> FloatArray:
+    """Return (k,) evidence for a class against no sign: the class, its outline and its mask."""
+    one_hot = [float(class_id == shape) for shape in SHAPES]
+    regions = [region, *without_arms(region)]
     fill_error = 0.0
     if region.mask is not None and region.mask.any():
-        fill_error = abs(_filled(region) - _FILLED.get(class_id, np.pi / 4.0))
-    one_hot = np.array([class_id == shape for shape in SHAPES], dtype=np.float64)
-    return np.array(
-        [*one_hot, np.log(best.sigma_px), best.evidence[0], best.evidence[1], fill_error]
+        share = _FILLED.get(class_id, np.pi / 4.0)
+        fill_error = min(abs(_filled(each) - share) for each in regions)
+    size = np.log(model_center.half_px.min())
+    if not centers:
+        return np.array([*one_hot, 1.0, 0.0, 0.0, 1.0, 0.0, fill_error, size])
+    best = min(centers, key=lambda center: center.sigma_px)
+    overlap = max(_overlap(each, best) for each in regions)
+    fit = [best.evidence[0], best.evidence[1], 1.0 - overlap, np.log(best.sigma_px)]
+    return np.array([*one_hot, 0.0, *fit, fill_error, size])
+
+
+def _overlap(region: Region, center: SignCenter) -> float:
+    """Return the intersection over union of an outline and the region's mask, or its box."""
+    assert center.polygon_px is not None
+    if region.mask is None or not region.mask.any():
+        low, high = center.polygon_px.min(axis=0), center.polygon_px.max(axis=0)
+        inner = np.minimum(high, region.box_px[2:]) - np.maximum(low, region.box_px[:2])
+        common = float(np.clip(inner, 0.0, None).prod())
+        both = (high - low).prod() + (region.box_px[2:] - region.box_px[:2]).prod()
+        return common / max(float(both) - common, 1e-9)
+    return _mask_overlap(region.mask, center.polygon_px - region.corner_px)
+
+
+def _mask_overlap(mask: BoolArray, polygon: FloatArray) -> float:
+    """Return the intersection over union of a mask and a polygon (n, 2) in its pixels."""
+    import cv2
+
+    margin = int(
+        np.clip(max(-polygon.min(), 0.0, *(polygon.max(axis=0) - mask.shape[::-1])), 0, 200)
     )
+    canvas = np.zeros([side + 2 * margin for side in mask.shape], np.uint8)
+    corners = np.round((polygon + margin) * 16.0).astype(np.int32)
+    cv2.fillPoly(canvas, [corners], 1, cv2.LINE_8, 4)
+    drawn = int(canvas.sum())
+    height, width = mask.shape
+    common = int((canvas[margin : margin + height, margin : margin + width] > 0)[mask].sum())
+    return common / (drawn + int(mask.sum()) - common)
 
 
 def class_by_mask(region: Region) -> int:
