@@ -1,6 +1,7 @@
 """The command new: make a workspace of an own drive, a KITTI sequence or a simulated street."""
 
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -13,6 +14,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
     from semviz_core.datasets.own_drive.drive_files import DriveFiles
+    from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 _TOPIC_WIDTH = 13
 
@@ -130,7 +132,7 @@ class NewCommand:
         drive = read_drive(files)
         for topic, text in drive.statements:
             print(f"  {topic:<{_TOPIC_WIDTH}}{text}")
-        warnings = list(drive.warnings)
+        warnings = [*drive.warnings, *self._row_warnings(files, drive)]
         if where := unusual_motion(drive.frames):
             warnings.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
@@ -145,6 +147,28 @@ class NewCommand:
         workspace = Workspace.create_images(self.folder, files, drive, self.trust_poses)
         self._print_summary(workspace, len(warnings))
         return 0
+
+    def _row_warnings(self, files: "DriveFiles", drive: "RecordedDrive") -> list[str]:
+        """Print how far rows of a stereo pair are apart; return a warning if they are."""
+        from semviz.workspace.drive_file import DriveFile
+        from semviz_core.datasets.own_drive.row_check import LEAST_MATCHES, check_rows
+
+        if files.right is None:
+            return []
+        with tempfile.TemporaryDirectory() as cache:
+            content = DriveFile.of(drive, "drive")
+            rows = check_rows(content.dataset(files.images, files.right, Path(cache)))
+        if rows.matches < LEAST_MATCHES:
+            print(f"  {'rows':<{_TOPIC_WIDTH}}not checked: {rows.matches} matches")
+            return []
+        text = f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)"
+        print(f"  {'rows':<{_TOPIC_WIDTH}}{text}")
+        if rows.agrees:
+            return []
+        return [
+            f"rows of both images are {rows.apart_px:.1f} px apart (right {rows.offset_px:+.1f} px "
+            "lower): the calibration is not that of these images, or the cameras have moved"
+        ]
 
     def _files(self, images: Path) -> "DriveFiles":
         from semviz_core.datasets.own_drive.drive_files import DriveFiles

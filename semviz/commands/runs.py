@@ -1,6 +1,7 @@
 """The commands localize, evaluate, compare, report, repair and trajectory."""
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -101,6 +102,9 @@ class LocalizeCommand:
         localization = localize.localize_workspace(
             workspace, self.map, options, frames, calibration
         )
+        chosen = localize.select_frames(workspace.source, frames)
+        if left_out := len(chosen) - len(localization.frames):
+            print(f"{left_out} frames without a pose are left out", file=sys.stderr)
         counts = localize.record(
             localization,
             path,

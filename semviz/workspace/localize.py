@@ -248,6 +248,20 @@ def select_frames(source: Dataset, numbers: range | None) -> tuple[Frame, ...]:
     return selected
 
 
+def posed_frames(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """Return the frames with a pose: the prior is simulated from it, and the error measured by it.
+
+    Raise SemvizError if there are none.
+    """
+    posed = tuple(frame for frame in frames if frame.T_map_camera is not None)
+    if not posed:
+        raise SemvizError(
+            "none of the frames has a pose, so no prior can be simulated; make the workspace "
+            "again with --poses"
+        )
+    return posed
+
+
 def localize_workspace(
     workspace: Workspace,
     map_name: str,
@@ -257,7 +271,8 @@ def localize_workspace(
 ) -> SequenceLocalization:
     """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
 
-    ``calibration`` is that of the observed detections; without one, rates are assumed.
+    Frames without a pose are left out. ``calibration`` is that of the observed detections; without
+    one, rates are assumed.
     """
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
@@ -269,7 +284,7 @@ def localize_workspace(
     localizer = Localizer(
         options.method, options.seed, semantic_map.classes, detector, options.weights_path
     )
-    selected = select_frames(source, frames)
+    selected = posed_frames(select_frames(source, frames))
     processed: ProcessedImages | None = None
     if options.observations == "labels":
         observe = observations.observe_labels(workspace, semantic_map)

@@ -1,0 +1,121 @@
+"""Import one real drive from several formats, and measure how well they agree.
+
+    python bench/own_drive.py UTBM_STEREO
+
+UTBM_STEREO holds five stereo frames of a car with strong distortion: bb2_left, bb2_right,
+bb2_left.yaml (ROS camera_info), poses_left_tum.txt, kapture_records_camera.txt, COLMAP models
+sparse_text and sparse/0, and nerfstudio's transforms.json. They are not part of the project.
+Prints for each import its time, the median distance (px) of COLMAP's points from where COLMAP
+observed them in the left images, and the largest distance (px) of a point from its place in the
+first import, both in recorded pixels.
+"""
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from semviz.workspace.drive_file import DriveFile
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+
+
+def imports(root: Path, folder: Path) -> dict[str, DriveFiles]:
+    """Return the files of each import; a file of times is written to ``folder``."""
+    times = folder / "times.txt"
+    records = (root / "kapture_records_camera.txt").read_text().splitlines()
+    rows = [line.split(", ") for line in records if ", bb2_left, " in line]
+    times.write_text("".join(f"{stamp} {name}\n" for stamp, _, name in rows))
+    left, right = root / "bb2_left", root / "bb2_right"
+    model = {"images": left, "right": right, "metric": True}
+    return {
+        "camera_info, TUM": DriveFiles(
+            images=left,
+            calibration=root / "bb2_left.yaml",
+            poses=root / "poses_left_tum.txt",
+            times=times,
+        ),
+        "COLMAP text": DriveFiles(**model, poses=root / "sparse_text"),
+        "COLMAP binary": DriveFiles(**model, poses=root / "sparse" / "0"),
+        "nerfstudio": DriveFiles(**model, poses=root / "transforms.json"),
+    }
+
+
+def colmap_points(root: Path) -> tuple[dict[int, FloatArray], dict[str, FloatArray]]:
+    """Return the points (3,) by id, and by image the observations (n, 3): x, y, id of the point."""
+    lines = (root / "sparse_text" / "points3D.txt").read_text().splitlines()
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    points = {int(row[0]): np.array(row[1:4], dtype=np.float64) for row in rows}
+    lines = (root / "sparse_text" / "images.txt").read_text().splitlines()
+    lines = [line for line in lines if not line.startswith("#")]
+    seen = {}
+    for image, observed in zip(lines[::2], lines[1::2], strict=True):
+        table = np.array(observed.split(), dtype=np.float64).reshape(-1, 3)
+        seen[image.split()[9]] = table[table[:, 2] >= 0]
+    return points, seen
+
+
+def recorded_pixels(
+    dataset: ImageFolder, T_map_world: Pose, points: FloatArray
+) -> list[FloatArray]:
+    """Return the recorded pixels (n, 2) of points (n, 3) in each left image."""
+    pixels = []
+    for frame in dataset.frames:
+        assert frame.T_map_camera is not None
+        in_camera = frame.T_map_camera.inverse().apply(T_map_world.apply(points))
+        pixels.append(dataset.to_original(dataset.rig.left.project(in_camera), "left"))
+    return pixels
+
+
+def reprojection_px(
+    drive: RecordedDrive, pixels: list[FloatArray], ids: list[int], seen: dict[str, FloatArray]
+) -> FloatArray:
+    """Return the distances (n,) of points from their observations; COLMAP's are 0.5 px larger."""
+    rows = {number: row for row, number in enumerate(ids)}
+    distances = []
+    for frame, image in zip(drive.frames, pixels, strict=True):
+        observed = seen[f"bb2_left/{drive.left[frame.index]}"]
+        places = image[[rows[int(number)] for number in observed[:, 2]]]
+        distances.append(np.linalg.norm(places - (observed[:, :2] - 0.5), axis=1))
+    return np.concatenate(distances)
+
+
+def measure(root: Path) -> dict[str, tuple[float, float, float]]:
+    """Return time (s), median reprojection (px) and largest difference (px) of each import."""
+    points, seen = colmap_points(root)
+    ids = sorted(points)
+    positions = np.array([points[number] for number in ids])
+    first: FloatArray | None = None
+    results = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, files in imports(root, Path(folder)).items():
+            start = time.perf_counter()
+            drive = read_drive(files)
+            content = DriveFile.of(drive, "utbm")
+            dataset = content.dataset(files.images, files.right, Path(folder) / name)
+            dataset.image(dataset.frames[0].index, "left")
+            seconds = time.perf_counter() - start
+            assert drive.axes is not None
+            pixels = recorded_pixels(dataset, drive.axes.T_map_world, positions)
+            distances = reprojection_px(drive, pixels, ids, seen)
+            here = np.array(pixels)
+            first = here if first is None else first
+            apart = float(np.linalg.norm(here - first, axis=2).max())
+            results[name] = (seconds, float(np.median(distances)), apart)
+    return results
+
+
+def main() -> None:
+    print("| import | to the first image (s) | reprojection, median (px) | difference (px) |")
+    print("|---|--:|--:|--:|")
+    for name, (seconds, reprojection_median_px, apart_px) in measure(Path(sys.argv[1])).items():
+        print(f"| {name} | {seconds:.1f} | {reprojection_median_px:.3f} | {apart_px:.4f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,325 @@
+"""An own drive from its files to a pose: images through lenses, labels, map, localization."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import call
+from recorded_streets import LENSES, PINHOLE, Recording, kalibr, record
+from streets import street
+
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.edits import AddObservation
+from semviz_annotation.labels.labels import new_id
+from semviz_core.base.elements import Elements2D
+from semviz_core.base.frame import Side
+from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.simulation.street import Street
+
+FRAMES = 9
+SIGMA_PX = 0.5
+SIDES: tuple[Side, Side] = ("left", "right")
+TURNED = so3_exp(np.deg2rad([0.8, -1.2, 0.6]))
+"""The right camera's axes, in those of the street's."""
+Semviz = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def source() -> Street:
+    return street(3, FRAMES)
+
+
+@pytest.fixture(scope="module", params=["pinhole", "brown", "fisheye"])
+def recording(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, source: Street
+) -> Recording:
+    folder = tmp_path_factory.mktemp(request.param)
+    turned = None if request.param == "pinhole" else TURNED
+    return record(folder, source, LENSES[request.param], range(FRAMES), turned)
+
+
+@pytest.fixture
+def semviz(capsys: pytest.CaptureFixture[str]) -> Semviz:
+    def run(*arguments: object) -> str:
+        code, out, err = call(capsys, *arguments)
+        assert code == 0, err
+        return out
+
+    return run
+
+
+def label(workspace: Workspace, street: Street) -> None:
+    """Label what the street shows, in rectified pixels, with a careful person's errors."""
+    rng = np.random.default_rng(0)
+    names: dict[int, str] = {}
+    with workspace.open_labels() as store:
+        for index in range(FRAMES):
+            for side in SIDES:
+                seen, ids = street.labels(index, side)
+                anchors, ends = in_rectified(workspace, street, index, side, seen)
+                noise = rng.normal(0.0, SIGMA_PX, (2, len(ids), 2))
+                for row, number in enumerate(ids.tolist()):
+                    anchor, end = (anchors + noise[0])[row], (ends + noise[1])[row]
+                    if not inside(workspace, anchor, end if seen.is_line[row] else anchor):
+                        continue
+                    is_new = number not in names
+                    element_id = names.setdefault(number, new_id())
+                    added = AddObservation(
+                        observation_id=new_id(),
+                        element_id=element_id,
+                        frame_index=index,
+                        side=side,
+                        anchor_px=tuple(anchor.tolist()),
+                        end_px=tuple(end.tolist()) if seen.is_line[row] else None,
+                        anchor_known=bool(seen.anchor_known[row]),
+                        end_known=bool(seen.end_known[row]),
+                        class_id=int(seen.class_id[row]) if is_new else None,
+                    )
+                    store.apply(added, "ann")
+
+
+def in_rectified(
+    workspace: Workspace, street: Street, index: int, side: Side, seen: Elements2D
+) -> tuple[FloatArray, FloatArray]:
+    """The street's pixels of one of its cameras, in the workspace's image of that camera."""
+    rig = workspace.source.rig
+    camera = rig.left if side == "left" or rig.right is None else rig.right
+    here = workspace.source.frames[index].T_map_camera
+    first = workspace.source.frames[0].T_map_camera
+    truth = street.frames[index].T_map_camera
+    assert here is not None
+    assert first is not None
+    assert truth is not None
+    # Rays of the street's camera, turned to the rectified one: both have the same world axes.
+    R = here.rotation.T @ truth.rotation
+    result = []
+    for pixels in (seen.anchor_px, np.where(np.isnan(seen.end_px), 0.0, seen.end_px)):
+        rays = np.column_stack([street.rig.left.normalize(pixels), np.ones(len(pixels))])
+        result.append(camera.project(rays @ R.T))
+    return result[0], result[1]
+
+
+def inside(workspace: Workspace, *pixels: FloatArray) -> bool:
+    camera = workspace.source.rig.left
+    return bool(
+        all(
+            np.isfinite(px).all()
+            and (px >= 0.0).all()
+            and (px <= [camera.width - 1.0, camera.height - 1.0]).all()
+            for px in pixels
+        )
+    )
+
+
+@pytest.fixture
+def town(tmp_path: Path, recording: Recording, semviz: Semviz) -> Workspace:
+    semviz(
+        "new", tmp_path / "town", "--images", recording.left, "--right", recording.right,
+        "--calibration", recording.kalibr, "--poses", recording.poses, "--strict",
+    )  # fmt: skip
+    return Workspace.open(tmp_path / "town")
+
+
+def test_a_drive_is_mapped_and_localized_as_well_as_by_a_pinhole(
+    town: Workspace, source: Street, semviz: Semviz
+) -> None:
+    label(town, source)
+    semviz("map", "build", town.path)
+    built = town.read_map("main").elements
+    truth = source.truth_map.elements
+    nearest = np.linalg.norm(built.anchor_m[:, None] - truth.anchor_m[None], axis=2).min(axis=1)
+    assert len(built) > 8
+    sigma = np.sqrt(np.trace(built.covariance_m2[:, :3, :3], axis1=1, axis2=2))
+    assert (nearest < 4.0 * sigma + 0.05)[built.anchor_known].all()
+    assert np.median(nearest) < 0.4
+    accuracy = json.loads(semviz("map", "check", town.path, "--json"))
+    assert accuracy["classes"]["pole"]["lateral_rmse_px"] < 2.0 * SIGMA_PX
+    run = town.path / "runs" / "first.rrd"
+    semviz("localize", town.path, "--out", run, "--images", "reference")
+    numbers = json.loads(semviz("evaluate", run, "--json"))
+    assert numbers["status"]["ok"] >= FRAMES - 2
+    assert numbers["rte_m"]["q3"] < 0.3
+    assert numbers["rre_deg"]["q3"] < 0.3
+
+
+def test_rectified_images_are_made_once_and_again_if_the_recording_is_newer(
+    town: Workspace, recording: Recording
+) -> None:
+    first = town.source.image(3, "right")
+    path = town.path / "rectified" / "right" / "000003.png"
+    if town.source.rig.left.width == PINHOLE.width:
+        assert not (town.path / "rectified").exists()
+        return
+    made = path.stat().st_mtime_ns
+    np.testing.assert_array_equal(Workspace.open(town.path).source.image(3, "right"), first)
+    assert path.stat().st_mtime_ns == made
+    os.utime(path, ns=(0, 0))
+    town.source.image(3, "right")
+    assert path.stat().st_mtime_ns > 0
+
+
+def test_body_poses_and_their_extrinsic_give_the_same_drive(
+    town: Workspace, recording: Recording, tmp_path: Path, semviz: Semviz
+) -> None:
+    semviz(
+        "new", tmp_path / "body", "--images", recording.left, "--right", recording.right,
+        "--calibration", recording.kalibr, "--poses", recording.body_poses,
+        "--extrinsic", "calibration",
+    )  # fmt: skip
+    body = Workspace.open(tmp_path / "body").source
+    for frame, wanted in zip(body.frames, town.source.frames, strict=True):
+        assert frame.T_map_camera is not None
+        assert wanted.T_map_camera is not None
+        np.testing.assert_allclose(
+            frame.T_map_camera.as_matrix(), wanted.T_map_camera.as_matrix(), atol=1e-6
+        )
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A folder with six grey images, calibrated as the street's camera, without poses."""
+    (tmp_path / "cam").mkdir()
+    for index in range(6):
+        image = np.full((PINHOLE.height, PINHOLE.width, 3), 90, np.uint8)
+        assert cv2.imwrite(str(tmp_path / "cam" / f"image_{index}.jpg"), image)
+    (tmp_path / "cam.toml").write_text(
+        '[left]\nsize_px = [1241, 376]\nmodel = "pinhole"\n'
+        "focal_px = [718.856, 718.856]\ncenter_px = [607.1928, 185.2157]\n"
+    )
+    return tmp_path
+
+
+def kitti_poses(folder: Path, source: Street, count: int) -> Path:
+    from semviz_core.datasets.trajectory import T_MAP_WORLD
+
+    path = folder / "poses.txt"
+    lines = []
+    for frame in source.frames[:count]:
+        assert frame.T_map_camera is not None
+        numbers = (T_MAP_WORLD.inverse() @ frame.T_map_camera).as_matrix()[:3].ravel().tolist()
+        lines.append(" ".join(map(repr, numbers)))
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_drive_without_poses_can_be_labelled_and_says_what_it_lacks(
+    small: Path, semviz: Semviz, capsys: pytest.CaptureFixture[str], source: Street
+) -> None:
+    town = small / "town"
+    out = semviz("new", town, "--images", small / "cam", "--calibration", small / "cam.toml")
+    assert "none: images can be labelled, but no map built" in out
+    assert "6 frames, 0 with a pose, 0.0 m, 1 camera, 0 warnings" in out
+    workspace = Workspace.open(town)
+    with workspace.open_labels() as store:
+        added = AddObservation(
+            observation_id=new_id(), element_id=new_id(), frame_index=2, side="left",
+            anchor_px=(100.0, 50.0), end_px=(100.0, 200.0), anchor_known=True, end_known=True,
+            class_id=0,
+        )  # fmt: skip
+        store.apply(added, "ann")
+    code, _, err = call(capsys, "map", "build", town)
+    assert code == 2
+    assert err.count("\n") == 1
+
+
+def test_strict_makes_nothing_where_images_lack_poses(
+    small: Path, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = small / "times.txt"
+    times.write_text("\n".join(str(10.0 + 0.1 * index) for index in range(6)))
+    poses = small / "tum.txt"
+    poses.write_text("".join(f"{10.0 + 0.1 * i} {i} 0 0 0.5 -0.5 0.5 -0.5\n" for i in range(5)))
+    arguments = (
+        "new", small / "town", "--images", small / "cam", "--calibration", small / "cam.toml",
+        "--poses", poses, "--times", times, "--up", "z",
+    )  # fmt: skip
+    code, _, err = call(capsys, *arguments, "--strict")
+    assert code == 2
+    assert err.splitlines()[-1] == "semviz: --strict: 1 warning; nothing was made"
+    assert not (small / "town").exists()
+    code, out, err = call(capsys, *arguments)
+    assert code == 0
+    assert err == (
+        "warning: 1 of 6 images have no pose: they can be labelled, and are left out of maps\n"
+    )
+    assert "6 frames, 5 with a pose" in out
+
+
+def test_poses_of_another_drive_are_refused_by_their_count(
+    small: Path, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(
+        capsys, "new", small / "town", "--images", small / "cam",
+        "--calibration", small / "cam.toml", "--poses", kitti_poses(small, source, 5),
+    )  # fmt: skip
+    assert (code, out) == (2, "")
+    assert "5 poses for 6 images, and nothing says which belong together" in err
+    assert not (small / "town").exists()
+
+
+def test_a_backward_camera_is_warned_about_and_accepted(
+    small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = small / "times.txt"
+    times.write_text("\n".join(str(10.0 + 0.5 * index) for index in range(6)))
+    poses = small / "tum.txt"
+    poses.write_text(  # the camera looks along -x and moves along x
+        "".join(f"{10.0 + 0.5 * i} {2 * i} 0 0 0.5 0.5 -0.5 -0.5\n" for i in range(6))
+    )
+    code, _, err = call(
+        capsys, "new", small / "town", "--images", small / "cam",
+        "--calibration", small / "cam.toml", "--poses", poses, "--times", times,
+    )  # fmt: skip
+    assert code == 0, err
+    assert "the camera moves backwards in 100% of its steps" in err
+
+
+def test_a_damaged_drive_file_is_named(small: Path, semviz: Semviz) -> None:
+    town = small / "town"
+    semviz("new", town, "--images", small / "cam", "--calibration", small / "cam.toml")
+    path = town / "drive.json"
+    text = path.read_text()
+    for wrong in (text.replace("image_0.jpg", "../image_0.jpg"), text[:-20], "[]"):
+        path.write_text(wrong)
+        with pytest.raises(SemvizError, match=r"drive\.json: damaged \(.*run 'semviz new' again"):
+            _ = Workspace.open(town).source
+
+
+def test_options_of_own_images_are_refused_for_other_sources(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = call(capsys, "new", tmp_path / "t", "--simulate", 1, "--calibration", "a.yaml")
+    assert (code, err) == (2, "semviz: --calibration needs --images FOLDER\n")
+
+
+def test_rows_that_disagree_are_measured_and_warned_about(
+    tmp_path: Path, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The right camera is pitched by 0.2 deg since its calibration: 2.1 px at its focal length."""
+    pitched = so3_exp(np.deg2rad([0.2, 0.0, 0.0]))
+    recording = record(tmp_path, source, LENSES["brown"], range(2), pitched)
+    arguments = (
+        "new", tmp_path / "town", "--images", recording.left, "--right", recording.right,
+        "--poses", recording.poses, "--calibration",
+    )  # fmt: skip
+    code, out, err = call(capsys, *arguments, recording.kalibr, "--strict")
+    assert (code, err) == (0, "")
+    apart = re.search(r"off their row by (\d\.\d\d) px", out)
+    assert apart is not None
+    assert float(apart[1]) < 0.3
+    shutil.rmtree(tmp_path / "town")
+    old = tmp_path / "old.yaml"
+    old.write_text(kalibr(LENSES["brown"], source.rig.T_right_left or Pose.identity()))
+    code, out, err = call(capsys, *arguments, old, "--strict")
+    assert code == 2
+    found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(2.1, abs=0.3)
