@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from tyro.conf import Positional, UseAppendAction, arg
 
 from semviz.commands import parsing
+from semviz.commands.poses import print_known_pose_faults
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from semviz_core.localizability.route import Conditions
 
 _METHOD_OPTIONS = {
-    "joint": ("min_frames", "pose_sigma_m", "refine_poses"),
+    "joint": ("min_frames", "pose_sigma_m", "pose_sigma_deg", "refine_poses"),
     "paper": ("eps_m", "min_points"),
 }
 """Options that apply to one method only."""
@@ -45,6 +46,8 @@ class MapBuildCommand:
     """Leave out landmarks seen in fewer frames (default: 1); for detectors, 2 or 3."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
+    pose_sigma_deg: parsing.OptionalFloat = None
+    """With --refine-poses: rotation error of poses (default: 0.02)."""
     refine_poses: bool = False
     """Bundle adjustment: also move the poses, by about --pose-sigma-m (default: 0.01)."""
     eps_m: parsing.OptionalFloat = None
@@ -73,6 +76,7 @@ class MapBuildCommand:
                 on_progress=steps.show,
             )
         save_map(built, path)
+        print_known_pose_faults(workspace)
         if self.json:
             print(json.dumps({"map": str(path), **report.as_dict()}))
         else:
@@ -94,10 +98,14 @@ class MapBuildCommand:
         given = {name: value for name, value in values.items() if value is not None}
         if self.method == "paper":
             return PaperOptions(sigma_px=self.sigma_px, **given)
+        sigma_deg = given.pop("pose_sigma_deg", None)
         if given.pop("refine_poses"):
             prior = RefineOptions()
             sigma_m = given.get("pose_sigma_m", prior.pose_sigma_m)
-            given["refine"] = replace(prior, pose_sigma_m=sigma_m)
+            sigma_deg = prior.pose_sigma_deg if sigma_deg is None else sigma_deg
+            given["refine"] = replace(prior, pose_sigma_m=sigma_m, pose_sigma_deg=sigma_deg)
+        elif sigma_deg is not None:
+            raise SemvizError("--pose-sigma-deg is for --refine-poses; add that, or leave it out")
         return BuildOptions(sigma_px=self.sigma_px, **given)
 
 
@@ -140,6 +148,7 @@ class MapCheckCommand:
                 f"labels {check.labels_operation}): rebuild it",
                 file=sys.stderr,
             )
+        print_known_pose_faults(workspace)
         if not self.gate:
             return 0
         failures = Gate(self.max_rmse_px, self.max_angle_deg).failures(check.accuracy)

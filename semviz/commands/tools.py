@@ -14,6 +14,7 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
+    from semviz.workspace.workspace import Workspace
 
 TOKEN_VARIABLE = "SEMVIZ_TOKEN"
 
@@ -39,6 +40,9 @@ class NewCommand:
     the left camera."""
     trust_poses: bool = False
     """Accept poses that jump, or that go backwards all the way."""
+    check_poses: bool = False
+    """Also check the poses against the images, as 'semviz poses check' does: seconds per hundred
+    frames."""
 
     def run(self) -> int:
         from semviz.workspace.outputs import check_new_folder
@@ -66,8 +70,27 @@ class NewCommand:
             workspace = Workspace.create_street(self.folder, self.simulate, frames)
         source = workspace.source
         print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
+        self._warn(workspace)
         print(f"next: semviz annotate {self.folder}")
         return 0
+
+    def _warn(self, workspace: "Workspace") -> None:
+        """Print a line for each fault of the poses; with images only if asked."""
+        from semviz.presentation.progress import Steps
+        from semviz.reports.pose_check import warning_lines
+        from semviz.workspace.pose_check import check_poses
+        from semviz_core.pose_checks.faults import suspicions
+
+        frames = workspace.source.frames
+        if self.check_poses:
+            with Steps() as steps:
+                check = check_poses(workspace, frames, steps.show)
+            lines = warning_lines(check, workspace.path)
+        else:
+            more = f"see: semviz poses check {workspace.path}"
+            lines = [f"poses: {suspicion}; {more}" for suspicion in suspicions(frames)]
+        for line in lines:
+            print(line, file=sys.stderr)
 
 
 @dataclass(frozen=True)
