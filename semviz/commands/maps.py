@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from tyro.conf import Positional, UseAppendAction, arg
 
 from semviz.commands import parsing
+from semviz.commands.poses import print_known_pose_faults
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from semviz_core.localizability.route import Conditions
 
 _METHOD_OPTIONS = {
-    "joint": ("min_frames", "pose_sigma_m", "refine_poses"),
+    "joint": ("min_frames", "pose_sigma_m", "pose_sigma_deg", "refine_poses"),
     "paper": ("eps_m", "min_points"),
 }
 """Options that apply to one method only."""
@@ -53,6 +54,8 @@ class MapBuildCommand:
     """Leave out landmarks seen in fewer frames (default: 1; of detections: 4)."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
+    pose_sigma_deg: parsing.OptionalFloat = None
+    """With --refine-poses: rotation error of poses (default: 0.02)."""
     refine_poses: bool = False
     """Bundle adjustment: also move the poses, by about --pose-sigma-m (default: 0.01)."""
     eps_m: parsing.OptionalFloat = None
@@ -90,6 +93,7 @@ class MapBuildCommand:
                 tracking=tracking or DEFAULT_TRACKING,
             )
         save_map(built, path)
+        print_known_pose_faults(workspace)
         if self.json:
             print(json.dumps({"map": str(path), **report.as_dict()}))
         else:
@@ -113,10 +117,14 @@ class MapBuildCommand:
             given.pop("min_frames", None)
         if self.method == "paper":
             return PaperOptions(sigma_px=self.sigma_px, **given)
+        sigma_deg = given.pop("pose_sigma_deg", None)
         if given.pop("refine_poses"):
             prior = RefineOptions()
             sigma_m = given.get("pose_sigma_m", prior.pose_sigma_m)
-            given["refine"] = replace(prior, pose_sigma_m=sigma_m)
+            sigma_deg = prior.pose_sigma_deg if sigma_deg is None else sigma_deg
+            given["refine"] = replace(prior, pose_sigma_m=sigma_m, pose_sigma_deg=sigma_deg)
+        elif sigma_deg is not None:
+            raise SemvizError("--pose-sigma-deg is for --refine-poses; add that, or leave it out")
         return BuildOptions(sigma_px=self.sigma_px, **given)
 
     def _tracking(self) -> "TrackOptions | None":
@@ -177,6 +185,7 @@ class MapCheckCommand:
                 f"labels {check.labels_operation}): rebuild it",
                 file=sys.stderr,
             )
+        print_known_pose_faults(workspace)
         if not self.gate:
             return 0
         failures = Gate(self.max_rmse_px, self.max_angle_deg).failures(check.accuracy)

@@ -77,6 +77,9 @@ class NewCommand:
     """FIRST:END[:STEP], END excluded; default: all frames, or 60 of a street."""
     trust_poses: bool = False
     """Accept poses that jump, or that go backwards all the way."""
+    check_poses: bool = False
+    """Also check the poses against the images, as 'semviz poses check' does: seconds per hundred
+    frames."""
 
     def run(self) -> int:
         from semviz.workspace.outputs import check_new_folder
@@ -114,6 +117,7 @@ class NewCommand:
             workspace = Workspace.create_street(self.folder, self.simulate, frames)
         source = workspace.source
         print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
+        self._warn_of_poses(workspace)
         print(f"next: semviz annotate {self.folder}")
         return 0
 
@@ -146,6 +150,8 @@ class NewCommand:
             )
         workspace = Workspace.create_images(self.folder, files, drive, self.trust_poses)
         self._print_summary(workspace, len(warnings))
+        self._warn_of_poses(workspace)
+        print(f"next: semviz annotate {self.folder}")
         return 0
 
     def _row_warnings(self, files: "DriveFiles", drive: "RecordedDrive") -> list[str]:
@@ -206,4 +212,21 @@ class NewCommand:
             f"{workspace.path}: {len(frames)} frames, {len(t)} with a pose, {length}, "
             f"{count} camera{'s' * (count > 1)}, {warnings} warning{'s' * (warnings != 1)}"
         )
-        print(f"next: semviz annotate {self.folder}")
+
+    def _warn_of_poses(self, workspace: "Workspace") -> None:
+        """Print a line for each fault of the poses; with images only if asked."""
+        from semviz.presentation.progress import Steps
+        from semviz.reports.pose_check import warning_lines
+        from semviz.workspace.pose_check import check_poses
+        from semviz_core.pose_checks.faults import suspicions
+
+        frames = workspace.source.frames
+        if self.check_poses:
+            with Steps() as steps:
+                check = check_poses(workspace, frames, steps.show)
+            lines = warning_lines(check, workspace.path)
+        else:
+            more = f"see: semviz poses check {workspace.path}"
+            lines = [f"poses: {suspicion}; {more}" for suspicion in suspicions(frames)]
+        for line in lines:
+            print(line, file=sys.stderr)

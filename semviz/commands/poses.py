@@ -10,6 +10,7 @@ from tyro.conf import Positional
 from semviz.commands import parsing
 
 if TYPE_CHECKING:
+    from semviz.workspace.workspace import Workspace
     from semviz_core.pose_checks.faults import PoseCheck
 
 
@@ -82,6 +83,18 @@ class PosesRefineCommand:
             print(_moves_text(check, moves))
             print(f"{self.out}: {len(moves)} poses; use it: semviz new FOLDER --poses {self.out}")
         return 0
+
+
+def print_known_pose_faults(workspace: "Workspace") -> None:
+    """Print a warning for each fault of poses that an earlier check of all frames measured."""
+    import sys
+
+    from semviz.reports.pose_check import warning_lines
+    from semviz.workspace.pose_check import known_check
+
+    check = known_check(workspace)
+    for line in [] if check is None else warning_lines(check, workspace.path):
+        print(line, file=sys.stderr)
 
 
 def _checked(path: Path, frames: str | None) -> "PoseCheck":

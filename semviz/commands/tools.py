@@ -13,6 +13,7 @@ from semviz.commands import parsing
 
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
+    from semviz.workspace.workspace import Workspace
 
 TOKEN_VARIABLE = "SEMVIZ_TOKEN"
 

@@ -42,9 +42,9 @@ def check_text(check: PoseCheck) -> str:
     return "\n".join(lines)
 
 
-def warning_lines(check: PoseCheck, command: str) -> list[str]:
-    """Return one line per fault; ``command`` shows more."""
-    return [f"poses: {fault.text} ({command})" for fault in check.faults]
+def warning_lines(check: PoseCheck, workspace: Path) -> list[str]:
+    """Return one line per fault, with the command that shows more."""
+    return [f"poses: {fault.text} (semviz poses check {workspace})" for fault in check.faults]
 
 
 def check_plot_path(path: Path) -> None:

@@ -71,6 +71,8 @@ class DrivePoses:
 BASELINE, RIGHT_U, RIGHT_V = 0, 1, 2
 """Positions of the rig's errors in ``RigErrors.values``."""
 LEAST_SYSTEMATIC_PX = 0.01
+MIN_IN_PART, LEAST_PARTS, MOST_PARTS = 3, 6, 12
+"""Pairs in a part of a drive, and parts, for the spread of the rig's errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +203,7 @@ def _rig_errors(
     weak = 1e-2 * np.eye(3)  # where nothing is measured
     covariance = np.linalg.inv(np.einsum("n,nij->ij", weight, A) + weak)
     values = covariance @ (weight @ b)
+    covariance = _with_spread(covariance, weight[:, None] * (b - A @ values))
     A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
     halves = np.array_split(np.arange(len(H)), 2)
     alone = [
@@ -208,6 +211,20 @@ def _rig_errors(
         for rows in halves
     ]
     return RigErrors(values, covariance, (alone[0], alone[1]))
+
+
+def _with_spread(covariance: FloatArray, scores: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) that the drive itself shows, by sums over its parts.
+
+    Errors of poses are not independent from pair to pair: what one pair has too much, the next has
+    too little, or they drift. Without enough parts ``covariance`` stays.
+    """
+    parts = min(len(scores) // MIN_IN_PART, MOST_PARTS)
+    if parts < LEAST_PARTS:
+        return covariance
+    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, parts)])
+    spread: FloatArray = covariance @ (sums.T @ sums) @ covariance * (parts / (parts - 1.0))
+    return spread
 
 
 def _without_motion(

@@ -26,6 +26,7 @@ from semviz_core.pose_checks.comparison import (
 from semviz_core.pose_checks.image_motions import ImageMotions
 from semviz_core.pose_checks.refinement import Refinement, refine, stretches
 from semviz_core.pose_checks.whole_drive import (
+    FLAT_M,
     Correction,
     corrected_axes,
     corrected_heights,
@@ -306,6 +307,25 @@ def _side(turns: FloatArray) -> str:
     return (("up", "down"), ("right", "left"), ("clockwise", "counterclockwise"))[axis][
         0 if positive else 1
     ]
+
+
+def suspicions(frames: Sequence[Frame]) -> tuple[str, ...]:
+    """Return what poses show without any image: constant heights, poses that stand still."""
+    poses = DrivePoses.of(frames)
+    if int(poses.known.sum()) < MIN_FROZEN + 2:
+        return ()
+    step_m = poses.step_m()
+    usual_m = float(np.median(step_m[poses.pair_known])) if poses.pair_known.any() else 0.0
+    found = []
+    if usual_m > 10.0 * FLAT_M and float(np.ptp(poses.center_m[poses.known, 2])) < FLAT_M:
+        found.append("all heights are the same")
+    still = poses.pair_known & (step_m < 1e-9) & (usual_m > 0.05)
+    for first, last in rows_of_runs(still):
+        if last - first + 1 >= MIN_FROZEN:
+            found.append(
+                f"frames {frames[first].index}-{frames[last + 1].index} have exactly one pose"
+            )
+    return tuple(found)
 
 
 def refined_frames(check: PoseCheck) -> tuple[Frame, ...]:

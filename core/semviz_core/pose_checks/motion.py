@@ -25,6 +25,8 @@ SIGMA_LIMITS_PX = (0.12, 0.6)
 """The error of a tracked point is estimated between these."""
 FLOOR_M, FLOOR_SHARE, FLOOR_RAD = 0.002, 0.003, float(np.deg2rad(0.006))
 """Errors of a measured motion that more points do not reduce: m, share of the length, rad."""
+MOST_STEP = np.array([0.02, 0.02, 0.5])
+"""Of a point in one iteration, so that outliers do not run away: plane coordinates, 1 / m."""
 _STEPS = 12
 _VIEWS = 4
 
@@ -204,9 +206,11 @@ def _refined(points: _Points, T_now_before: Pose, inverse: FloatArray) -> Motion
         H, b, follow, own = _reduced(residual, J_point, J_shared, weight)
         step = np.zeros(UNKNOWNS)
         damped = H[np.ix_(free, free)] + _gauge(points, estimate)[np.ix_(free, free)]
+        if not np.isfinite(damped).all():
+            return Motion.unknown()
         step[free] = np.linalg.lstsq(damped, b[free], rcond=1e-12)[0]
-        moves = own - np.einsum("nik,k->ni", follow, step)
-        moves[:, 2] = np.clip(moves[:, 2], -0.5 * np.abs(estimate.points[:, 2]) - 1e-3, 0.5)
+        moves = np.clip(own - np.einsum("nik,k->ni", follow, step), -MOST_STEP, MOST_STEP)
+        moves[:, 2] = np.maximum(moves[:, 2], -0.5 * np.abs(estimate.points[:, 2]) - 1e-3)
         estimate = estimate.moved(step, moves)
     return _measured(points, estimate, sigma_px)
 

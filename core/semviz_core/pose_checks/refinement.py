@@ -209,7 +209,7 @@ def _deviations(poses: DrivePoses, refined: DrivePoses) -> FloatArray:
     """Return (n, 6) poses beyond refined ones, in refined camera axes: m, then rad."""
     inverse = refined.rotation.transpose(0, 2, 1)
     shift = np.einsum("nij,nj->ni", inverse, poses.center_m - refined.center_m)
-    return np.column_stack([shift, rotation_vectors(inverse @ poses.rotation)])
+    return np.asarray(np.column_stack([shift, rotation_vectors(inverse @ poses.rotation)]))
 
 
 def _prior_sigma(off: FloatArray) -> FloatArray:

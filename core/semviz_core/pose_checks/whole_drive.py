@@ -14,15 +14,15 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.pose_checks.comparison import DrivePoses, compare, rotation_vectors
 from semviz_core.pose_checks.image_motions import ImageMotions
 
-GAIN = 40.0
-"""Least drop of twice the negative log-likelihood."""
+GAIN, TIME_GAIN = 40.0, 15.0
+"""Least drop of twice the negative log-likelihood by other axes, and by another time."""
 MOST_LATE, LEAST_LATE = 3.0, 0.3
 """Time offsets that are tried and named, in frames."""
 MIN_PAIRS = 8
 """Shorter drives show no fault of a whole drive."""
 FLAT_M = 1e-5
 """Heights that differ less are constant: no vehicle drives like that."""
-LEAST_RISE_M = 0.03
+LEAST_RISE_M = 0.015
 _QUICK_M, _QUICK_RAD = 0.02, float(np.deg2rad(0.1))
 
 
@@ -117,7 +117,7 @@ def corrected_time(poses: DrivePoses, motions: ImageMotions) -> Correction | Non
     offsets = np.arange(-MOST_LATE, MOST_LATE + 0.1, 0.5)
     costs = [cost(float(offset)) for offset in offsets]
     late = float(offsets[int(np.argmin(costs))])
-    if min(costs) > costs[len(costs) // 2] - GAIN:
+    if min(costs) > costs[len(costs) // 2] - TIME_GAIN:
         return None
     for step in (0.25, 0.1, 0.05):
         late = min((late - step, late, late + step), key=cost)

@@ -1,0 +1,211 @@
+"""Poses against images: motions are measured with honest sigmas, planted faults are named, healthy
+drives are not accused, and refined poses are near the truth."""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.planted_pose_faults import (
+    POSE_FAULTS,
+    moved,
+    noisy,
+    with_baseline,
+    with_right_image_moved,
+)
+from support.point_tracks import (
+    driven,
+    mono_rig,
+    stereo_rig,
+    tracks_between,
+    tracks_of_drive,
+    without_pose,
+)
+
+from semviz_core.base.frame import Frame
+from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, refined_frames
+from semviz_core.pose_checks.image_motions import (
+    ImageMotions,
+    load_motions,
+    motions_of,
+    save_motions,
+)
+from semviz_core.pose_checks.motion import MOTION, measure_motion
+from semviz_core.pose_checks.tracks import PointTracks
+
+COUNT = 36
+MOST_DEG = 0.05
+"""Refined rotations are nearer to the truth, with stereo."""
+
+
+@cache
+def healthy_drive(seed: int) -> tuple[tuple[Frame, ...], list[PointTracks], ImageMotions]:
+    rng = np.random.default_rng(seed)
+    frames = driven(COUNT, rng)
+    tracks = tracks_of_drive(frames, stereo_rig(), rng)
+    return frames, tracks, motions_of(tracks, frames, stereo_rig())
+
+
+def worst_deg(truth: Sequence[Frame], frames: Sequence[Frame]) -> float:
+    angles = []
+    for first, second in zip(truth, frames, strict=True):
+        assert first.T_map_camera is not None
+        assert second.T_map_camera is not None
+        angles.append((first.T_map_camera.inverse() @ second.T_map_camera).log()[3:])
+    return float(np.rad2deg(np.linalg.norm(angles, axis=1).max()))
+
+
+def kinds(check: PoseCheck) -> list[str]:
+    return [fault.kind for fault in check.faults]
+
+
+vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+@settings(max_examples=15)
+@given(turn=vectors, seed=st.integers(0, 1000), ahead_m=st.floats(0.3, 2.0))
+def test_a_motion_is_measured_within_its_sigma(turn: np.ndarray, seed: int, ahead_m: float) -> None:
+    """Also where every fourth point is on another vehicle."""
+    T_now_before = Pose(so3_exp(0.03 * turn), np.array([0.05, -0.02, -ahead_m]))
+    rng, rig = np.random.default_rng(seed), stereo_rig()
+    tracks = tracks_between(Pose.identity(), T_now_before.inverse(), rig, rng, moving=0.25)
+    motion = measure_motion(tracks, rig)
+    assert motion.is_measured
+    error = (motion.T_now_before @ T_now_before.inverse()).log()
+    chi2 = error @ motion.information[MOTION, MOTION] @ error
+    assert chi2 < 30.0
+    assert np.linalg.norm(error[:3]) < 0.03
+    assert np.rad2deg(np.linalg.norm(error[3:])) < 0.06
+
+
+def test_one_camera_measures_rotation_and_direction_but_no_length() -> None:
+    T_now_before = Pose(so3_exp(np.array([0.005, 0.02, -0.01])), np.array([0.1, 0.0, -1.2]))
+    rng = np.random.default_rng(3)
+    tracks = tracks_between(
+        Pose.identity(), T_now_before.inverse(), mono_rig(), rng, count=300, moving=0.1
+    )
+    motion = measure_motion(tracks, mono_rig())
+    true_m = float(np.linalg.norm(T_now_before.translation))
+    scaled = motion.with_length(true_m)
+    error = (scaled.T_now_before @ T_now_before.inverse()).log()
+    assert np.rad2deg(np.linalg.norm(error[3:])) < 0.1
+    assert np.linalg.norm(error[:3]) < 0.05
+    length = T_now_before.translation / true_m
+    assert length @ scaled.information[:3, :3] @ length < 1.0  # sigma above 1 m
+
+
+def test_images_without_common_points_measure_nothing() -> None:
+    assert not measure_motion(PointTracks.none(), stereo_rig()).is_measured
+    rng = np.random.default_rng(0)
+    noise = [rng.uniform([0, 0], [1241, 376], (80, 2)) for _ in range(4)]
+    assert not measure_motion(PointTracks(*noise), stereo_rig()).is_measured
+
+
+@pytest.mark.parametrize("name", POSE_FAULTS)
+@pytest.mark.parametrize("sigmas", [(0.0, 0.0), (0.01, 0.02)], ids=["exact", "noisy"])
+def test_a_planted_fault_is_named_and_repaired(name: str, sigmas: tuple[float, float]) -> None:
+    plant, wanted = POSE_FAULTS[name]
+    frames, _, motions = healthy_drive(1)
+    rng = np.random.default_rng(5)
+    planted = plant(noisy(frames, *sigmas, rng), rng)
+    check = check_drive(planted.frames, motions, stereo_rig())
+    assert len(check.faults) == 1, [fault.text for fault in check.faults]
+    (fault,) = check.faults
+    assert fault.kind in wanted
+    if planted.first is not None and planted.last is not None:
+        assert fault.first - planted.first in range(-1, 3 if "drift" in name else 2)
+        assert abs(fault.last - planted.last) <= (5 if "first" in name else 1)
+    assert worst_deg(frames, refined_frames(check)) < MOST_DEG
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_wrong_baseline_is_named_with_the_right_one(sign: float) -> None:
+    frames, tracks, _ = healthy_drive(1)
+    rig = with_baseline(stereo_rig(), 1.0 + 0.01 * sign)
+    check = check_drive(frames, motions_of(tracks, frames, rig), rig)
+    assert kinds(check) == ["baseline"]
+    assert check.faults[0].value == pytest.approx(0.54, abs=0.001)
+
+
+@pytest.mark.parametrize("offset", [(0.45, 0.0), (-0.45, 0.0), (0.0, 0.45)])
+def test_a_right_image_beside_its_calibration_is_measured(offset: tuple[float, float]) -> None:
+    frames, tracks, _ = healthy_drive(1)
+    shifted = [with_right_image_moved(track, np.array(offset)) for track in tracks]
+    check = check_drive(frames, motions_of(shifted, frames, stereo_rig()), stereo_rig())
+    assert kinds(check) == ["right image"]
+    assert check.comparison.rig.values[1:] == pytest.approx(offset, abs=0.08)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sigmas", [(0.0, 0.0), (0.01, 0.02), (0.03, 0.05)])
+def test_healthy_drives_are_not_accused(seed: int, sigmas: tuple[float, float]) -> None:
+    frames, _, motions = healthy_drive(seed)
+    check = check_drive(noisy(frames, *sigmas, np.random.default_rng(seed)), motions, stereo_rig())
+    assert not check.faults, [fault.text for fault in check.faults]
+    assert worst_deg(frames, refined_frames(check)) < max(MOST_DEG, 2.0 * sigmas[1])
+
+
+def test_a_jump_that_stays_moves_the_shorter_side_as_a_whole() -> None:
+    frames, _, motions = healthy_drive(2)
+    jumped = moved(
+        frames,
+        lambda row, pose: (
+            Pose(pose.rotation, pose.translation + np.array([0.0, 0.5, 0.0])) if row >= 28 else pose
+        ),
+    )
+    check = check_drive(jumped, motions, stereo_rig())
+    assert kinds(check) == ["shifted"]
+    assert (check.faults[0].first, check.faults[0].last) == (28, COUNT - 1)
+    refined = refined_frames(check)[-1].T_map_camera
+    true = frames[-1].T_map_camera
+    assert refined is not None
+    assert true is not None
+    assert np.linalg.norm(refined.translation - true.translation) < 0.1
+
+
+def test_a_vehicle_at_rest_is_not_frozen() -> None:
+    rng, rig = np.random.default_rng(4), stereo_rig()
+    frames = driven(20, rng)
+    still = tuple(
+        Frame(row, 0.1 * row, frames[min(row, 12)].T_map_camera) for row in range(len(frames))
+    )
+    motions = motions_of(tracks_of_drive(still, rig, rng), still, rig)
+    assert not check_drive(still, motions, rig).faults
+
+
+def test_one_camera_finds_turned_and_frozen_poses() -> None:
+    rng, rig = np.random.default_rng(6), mono_rig()
+    frames = driven(COUNT, rng)
+    motions = motions_of(tracks_of_drive(frames, rig, rng), frames, rig)
+    assert not check_drive(frames, motions, rig).faults
+    for name in ("jump, 0.7 deg", "frozen for five frames", "one frame late"):
+        plant, wanted = POSE_FAULTS[name]
+        check = check_drive(plant(frames, np.random.default_rng(1)).frames, motions, rig)
+        assert kinds(check) == list(wanted), name
+
+
+def test_frames_without_a_pose_stay_without() -> None:
+    frames, _, motions = healthy_drive(1)
+    gappy = without_pose(frames, range(10, 13))
+    check = check_drive(gappy, motions, stereo_rig())
+    assert not check.faults
+    missing = [frame.index for frame in refined_frames(check) if frame.T_map_camera is None]
+    assert missing == [10, 11, 12]
+
+
+def test_motions_are_kept_for_the_same_images_only(tmp_path: Path) -> None:
+    _, _, motions = healthy_drive(1)
+    path = tmp_path / "motions.safetensors"
+    save_motions(motions, "these images", path)
+    again = load_motions(path, "these images")
+    assert again is not None
+    assert np.array_equal(again.information, motions.information)
+    assert np.array_equal(again.frames, motions.frames)
+    assert load_motions(path, "other images") is None
+    path.write_bytes(path.read_bytes()[:-5])
+    assert load_motions(path, "these images") is None
+    assert load_motions(tmp_path / "none", "these images") is None
