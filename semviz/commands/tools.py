@@ -13,7 +13,6 @@ from semviz.commands import parsing
 
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
-    from semviz.workspace.workspace import Workspace
 
 TOKEN_VARIABLE = "SEMVIZ_TOKEN"
 
