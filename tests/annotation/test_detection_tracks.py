@@ -51,13 +51,17 @@ class Road:
     step_m: float = 1.0
     off_m: float = 0.0
     """Error of the poses to the left."""
+    shake_m: float = 0.0
+    """Error of each pose by itself."""
     first: int = 0
     map_frame: MapFrame = field(default_factory=lambda: MapFrame("road"))
 
     @property
     def frames(self) -> tuple[Frame, ...]:
+        shaken = self.shake_m * np.random.default_rng(9).normal(0.0, 1.0, self.count)
         return tuple(
-            Frame(self.first + i, 0.1 * i, self.pose(i, self.off_m)) for i in range(self.count)
+            Frame(self.first + i, 0.1 * i, self.pose(i, self.off_m + float(shaken[i])))
+            for i in range(self.count)
         )
 
     def pose(self, i: int, off_m: float = 0.0) -> Pose:
@@ -272,6 +276,20 @@ def test_a_moving_pole_is_no_landmark():
     assert (missing, false) == (0, 0)
     used = {id_ for source in made.provenance for id_ in source.observation_ids}
     assert not used & {row.id for row in rows}
+
+
+def test_poses_may_be_worse_if_one_says_so():
+    """Otherwise each landmark is in several tracks."""
+    road = Road(shake_m=0.2)
+    detections = Detector(false=1.0).detect(road, POLES)
+    tracks = []
+    for pose_sigma_m in (0.05, 0.3):
+        options = BuildOptions(pose_sigma_m=pose_sigma_m)
+        counts = build_map(NOBODY, road, options, detections=detections)[1].detections
+        assert counts is not None
+        tracks.append(counts.tracks)
+    assert tracks[0] > 1.5 * len(POLES)
+    assert tracks[1] == len(POLES)
 
 
 def test_wrong_ends_cost_no_landmark_and_no_height():

@@ -35,6 +35,18 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
+__all__ = [
+    "TRACK_NUMBER",
+    "DetectionCounts",
+    "JoinedDetections",
+    "TrackOptions",
+    "detection_labels",
+    "labels_of_map",
+]
+
+_WITHIN_A_PASS = 0.4
+"""Error of poses from frame to frame, relative to that between two passes."""
+
 
 @dataclass(frozen=True)
 class TrackOptions:
@@ -176,7 +188,10 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        SearchOptions(min_frames=options.min_frames),
+        SearchOptions(
+            min_frames=options.min_frames,
+            pose_sigma_m=_WITHIN_A_PASS * drive.link.pose_sigma_m,
+        ),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
