@@ -302,14 +302,14 @@ def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposa
     for number, class_id, source in zip(
         elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
     ):
-        element_id = next((id_ for id_ in source.label_ids if id_ in labels.elements), None)
         new = [
             detections[row_of[id_]]
             for id_ in source.observation_ids
             if id_ in row_of and id_ not in labels.observations
         ]
-        if new and element_id is None:
-            element_id = source.label_ids[0]
+        labelled = [id_ for id_ in source.label_ids if id_ in labels.elements]
+        element_id = (labelled or source.label_ids)[0]
+        if new and not labelled:
             rows.append(LabelElement(element_id, number, class_id))
         rows += (replace(as_observation(row), element_id=element_id) for row in new)
     return Labels.from_rows(rows, labels.next_number, labels.operation)
