@@ -146,10 +146,12 @@ def _chosen(
 
 
 def _searched(drive: DetectedDrive, detections: Proposals) -> BoolArray:
-    """Return which images (v,) a detector has processed."""
+    """Return which images (v,) a detector has processed; if that is not known, those where it
+    found something."""
     views = drive.gathered.views
     if detections.processed is None:
-        return np.isin(views.is_right, detections.is_right)
+        shown = drive.gathered.observations.view[drive.is_detection]
+        return np.isin(np.arange(len(views)), shown)
     images = detections.processed.images
     return np.array(
         [
