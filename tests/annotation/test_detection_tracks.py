@@ -515,3 +515,12 @@ def test_an_unknown_frame_is_left_out():
     assert report.detections is not None
     assert report.detections.detections == int((detections.frame_index % 2 == 0).sum())
     assert missing_and_false(made, POLES) == (0, 0)
+
+
+def test_frames_that_nobody_searched_are_no_misses():
+    road = Road()
+    detections = Detector().detect(road, POLES)
+    half = Proposals.of([row for row in detections.rows() if row.frame_index % 2 == 0])
+    _, report = built(road, half)
+    _, chosen = built(road, half, frames=range(0, 24, 2))
+    assert report.log_odds == pytest.approx(chosen.log_odds)
