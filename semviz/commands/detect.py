@@ -19,6 +19,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
+    from semviz.research.detector_data import LabelledSide
     from semviz.research.detector_evaluation import EvaluationImage
     from semviz.research.forgetting import ForgettingCheck
     from semviz.workspace.workspace import Workspace
@@ -222,6 +223,9 @@ class DetectTrainCommand:
 
     workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
     """Also train on the labels of these workspaces."""
+    map: parsing.OptionalText = None
+    """Train on the elements of this map of the workspaces, projected into every frame, instead of
+    the labels. An element counts where labels or stored detections show that it is visible."""
     segmentation: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
     """Also train on these data sets of semantic segmentation: folders in Cityscapes' layout, or
     with segmentation.toml."""
@@ -303,9 +307,13 @@ class DetectTrainCommand:
             from semviz.research.detector_data import workspace_images
 
             workspaces = [parsing.open_workspace(path) for path in self.workspaces]
-            sources["labels"] = workspace_images(workspaces, parsing.parse_frames(self.frames))
-        elif self.frames is not None:
-            raise SemvizError("--frames selects frames of workspaces; name a workspace")
+            name = "labels" if self.map is None else f"map {self.map}"
+            sides_of = None if self.map is None else self._mapped_sides
+            frames = parsing.parse_frames(self.frames)
+            sources[name] = workspace_images(workspaces, frames, sides_of)
+        elif self.frames is not None or self.map is not None:
+            option = "--map" if self.frames is None else "--frames"
+            raise SemvizError(f"{option} selects from workspaces; name a workspace")
         for folder in self.segmentation:
             sources[str(folder)] = self._prepare(folder)
         if streets := self._streets():
@@ -313,6 +321,12 @@ class DetectTrainCommand:
         if not sources:
             raise SemvizError("--streets 0: no training images are left; name a workspace")
         return sources
+
+    def _mapped_sides(self, workspace: "Workspace", frames: range | None) -> "list[LabelledSide]":
+        from semviz.research.mapped_training import mapped_sides
+
+        assert self.map is not None
+        return mapped_sides(workspace, self.map, frames)
 
     def _streets(self) -> int:
         if self.streets is not None and not 0 <= self.streets <= 9_000:

@@ -80,6 +80,7 @@ def test_what_ships_has_a_card_and_begins_a_training(train: Call, tmp_path: Path
         (("--streets", -1), "--streets -1: give 0 to 9000"),
         (("--streets", 0), "no training images are left"),
         (("--frames", "0:5"), "name a workspace"),
+        (("--map", "main"), "--map selects from workspaces; name a workspace"),
         (("--workers", 0), "--workers 0: give 1 or more"),
         (("--from", "nowhere.safetensors", "--streets", 1), "nowhere.safetensors: no such weights"),
         (("missing-workspace",), "no such workspace"),
