@@ -3,6 +3,7 @@
 import json
 import os
 from collections import Counter
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
+    from semviz.research.detector_data import LabelledSide
     from semviz.research.detector_evaluation import EvaluationImage
     from semviz.research.forgetting import ForgettingCheck
     from semviz.workspace.workspace import Workspace
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from semviz_core.base.frame import Side
     from semviz_core.detection.detector import MeasureRegion
     from semviz_core.research.training.detector_images import LabelledImages, StreetImages
+    from semviz_core.research.training.segmentation_images import SegmentationImages
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ class DetectEvaluateCommand:
 STREETS, STREETS_BESIDE_LABELS = 400, 40
 HELD_OUT = 64
 """Size of the validation set, in crops."""
-IMAGES = "streets"
+IMAGES, PREPARED = "streets", "prepared"
 
 
 @dataclass(frozen=True)
@@ -220,6 +223,12 @@ class DetectTrainCommand:
 
     workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
     """Also train on the labels of these workspaces."""
+    map: parsing.OptionalText = None
+    """Train on the elements of this map of the workspaces, projected into every frame, instead of
+    the labels. An element counts where labels or stored detections show that it is visible."""
+    segmentation: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
+    """Also train on these data sets of semantic segmentation: folders in Cityscapes' layout, or
+    with segmentation.toml."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("detector")
     """Training folder: rendered images, checkpoint, losses as JSON lines and as a plot."""
     start: Annotated[str | None, arg(name="from", metavar="WEIGHTS", help_behavior_hint="")] = None
@@ -298,34 +307,61 @@ class DetectTrainCommand:
             from semviz.research.detector_data import workspace_images
 
             workspaces = [parsing.open_workspace(path) for path in self.workspaces]
-            sources["labels"] = workspace_images(workspaces, parsing.parse_frames(self.frames))
-        elif self.frames is not None:
-            raise SemvizError("--frames selects frames of workspaces; name a workspace")
+            name = "labels" if self.map is None else f"map {self.map}"
+            sides_of = None if self.map is None else self._mapped_sides
+            frames = parsing.parse_frames(self.frames)
+            sources[name] = workspace_images(workspaces, frames, sides_of)
+        elif self.frames is not None or self.map is not None:
+            option = "--map" if self.frames is None else "--frames"
+            raise SemvizError(f"{option} selects from workspaces; name a workspace")
+        for folder in self.segmentation:
+            sources[str(folder)] = self._prepare(folder)
         if streets := self._streets():
             sources[REPLAYED] = self._render(streets)
         if not sources:
             raise SemvizError("--streets 0: no training images are left; name a workspace")
         return sources
 
+    def _mapped_sides(self, workspace: "Workspace", frames: range | None) -> "list[LabelledSide]":
+        from semviz.research.mapped_training import mapped_sides
+
+        assert self.map is not None
+        return mapped_sides(workspace, self.map, frames)
+
     def _streets(self) -> int:
         if self.streets is not None and not 0 <= self.streets <= 9_000:
             raise SemvizError(f"--streets {self.streets}: give 0 to 9000")
-        default = STREETS_BESIDE_LABELS if self.workspaces else STREETS
+        others = self.workspaces or self.segmentation
+        default = STREETS_BESIDE_LABELS if others else STREETS
         return default if self.streets is None else self.streets
 
     def _render(self, streets: int) -> "StreetImages":
-        from semviz.presentation.progress import track
         from semviz_core.research.training.detector_images import StreetImages
 
         images = StreetImages(self.out / IMAGES, streets, max(2, streets // 20))
-        missing = images.missing()
+        self._make(images.render, images.missing(), "rendering streets")
+        return images
+
+    def _prepare(self, folder: Path) -> "SegmentationImages":
+        """Return the images of a data set, their masks cut into elements."""
+        from semviz_core.research.training.segmentation_images import SegmentationImages
+
+        images = SegmentationImages.of(folder, self.out / PREPARED)
+        self._make(images.prepare, images.missing(), "cutting masks into elements")
+        return images
+
+    def _make(self, make: Callable[[int], None], numbers: Sequence[int], doing: str) -> None:
+        """Call ``make`` with each number, in processes of its own."""
+        from semviz.presentation.progress import track
+
+        if not numbers:
+            return
         try:
             with ProcessPoolExecutor(self.workers, get_context("spawn")) as pool:
-                rendered = pool.map(images.render, missing)
-                for _ in track(rendered, "rendering streets", len(missing)):
+                for _ in track(pool.map(make, numbers), doing, len(numbers)):
                     pass
         except BrokenProcessPool:
             raise SemvizError(
-                "a rendering process died (out of memory?); run the same command again to resume"
+                f"a process died while {doing} (out of memory?); run the same command again to "
+                "resume"
             ) from None
-        return images

@@ -75,6 +75,8 @@ class LocalizeCommand:
 
         workspace = parsing.open_workspace(self.workspace)
         observations = self.observations or workspace.default_observations
+        if self.calibration is not None and observations != "detected":
+            raise SemvizError("--calibration is for detections; add --observations detected")
         calibration = self._calibration(workspace) if observations == "detected" else None
         least_score = self.least_score
         if least_score is None:

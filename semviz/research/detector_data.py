@@ -6,7 +6,7 @@ are ignored too, unless a person confirmed that the element is absent or the fra
 """
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -56,7 +56,7 @@ class LabelledSide:
         return LabelledImage(image, self.elements, ignored=self._ignored(height, width))
 
     def _ignored(self, height: int, width: int) -> BoolArray | None:
-        labelled = _boxes(self.elements)
+        labelled = boxes_of(self.elements)
         if self.is_complete and not len(self.doubtful_px):
             return None
         ignored = np.full((height, width), not self.is_complete)
@@ -106,18 +106,24 @@ class WorkspaceImages:
         }
 
 
+SidesOf = Callable[[Workspace, range | None], list[LabelledSide]]
+"""Returns the images of a workspace that can be learned from."""
+
+
 def workspace_images(
-    workspaces: Sequence[Workspace], frames: range | None = None
+    workspaces: Sequence[Workspace],
+    frames: range | None = None,
+    sides_of: "SidesOf | None" = None,
 ) -> WorkspaceImages:
     """Return the labelled or reviewed images of ``workspaces``, of all frames or of ``frames``.
 
-    Raise SemvizError if a workspace has fewer than two such frames: one for training, one for
-    validation.
+    ``sides_of`` gives the images of a workspace; default: ``labelled_sides``. Raise SemvizError if
+    a workspace has fewer than two such frames: one for training, one for validation.
     """
     training: list[LabelledSide] = []
     kept_back: list[LabelledSide] = []
     for workspace in workspaces:
-        sides = labelled_sides(workspace, frames)
+        sides = (sides_of or labelled_sides)(workspace, frames)
         indices = sorted({side.frame_index for side in sides})
         if len(indices) < LEAST_FRAMES:
             selection = "" if frames is None else f" of frames {frames.start}:{frames.stop}"
@@ -211,7 +217,7 @@ def _is_dismissed(
     return dismissal is not None and dismissal.why != "occluded"
 
 
-def _boxes(elements: Elements2D) -> FloatArray:
+def boxes_of(elements: Elements2D) -> FloatArray:
     """Return the boxes (m, 4) around the ends of elements."""
     anchor = elements.anchor_px
     end = np.where(elements.is_line[:, None], elements.end_px, anchor)

@@ -146,17 +146,17 @@ def identify_detections(workspace: Workspace, semantic_map: SemanticMap) -> Iden
 
     def identify(frame: Frame, detections: Elements2D) -> IntArray:
         elements, ids = visible(frame)
-        rows = _matched_rows(detections, elements)
+        rows = matched_rows(detections, elements)
         element_id = np.where(rows < 0, UNKNOWN_ID, np.append(ids, UNKNOWN_ID)[rows])
         if street is None:
             return element_id
-        is_real = _matched_rows(detections, _on_street(street, frame.index)[0]) >= 0
+        is_real = matched_rows(detections, _on_street(street, frame.index)[0]) >= 0
         return np.where((element_id == UNKNOWN_ID) & ~is_real, FALSE_POSITIVE, element_id)
 
     return identify
 
 
-def _matched_rows(detections: Elements2D, elements: Elements2D) -> IntArray:
+def matched_rows(detections: Elements2D, elements: Elements2D) -> IntArray:
     """(m,) row of the element that each detection matches as in detector evaluation, else -1.
 
     Classes may differ, and elements at any distance count.

@@ -136,6 +136,9 @@ def test_a_calibration_of_another_model_is_refused(
     assert not (tmp_path / "run.rrd").exists()
     assert run(*localize, "--calibration", tmp_path / "none.toml") == 2
     assert "no such file; 'semviz detect choose' writes it" in capsys.readouterr().err
+    simulated = *localize[:-1], "simulated"
+    assert run(*simulated, "--calibration", other) == 2
+    assert "add --observations detected" in capsys.readouterr().err
 
 
 def test_a_limit_of_false_detections_is_kept(

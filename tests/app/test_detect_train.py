@@ -5,6 +5,8 @@ import shutil
 from functools import partial
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from command_line import Call, call
@@ -78,6 +80,7 @@ def test_what_ships_has_a_card_and_begins_a_training(train: Call, tmp_path: Path
         (("--streets", -1), "--streets -1: give 0 to 9000"),
         (("--streets", 0), "no training images are left"),
         (("--frames", "0:5"), "name a workspace"),
+        (("--map", "main"), "--map selects from workspaces; name a workspace"),
         (("--workers", 0), "--workers 0: give 1 or more"),
         (("--from", "nowhere.safetensors", "--streets", 1), "nowhere.safetensors: no such weights"),
         (("missing-workspace",), "no such workspace"),
@@ -90,6 +93,34 @@ def test_what_makes_no_sense_is_one_line(
     assert (status, output) == (2, "")
     assert line in errors
     assert errors.count("\n") == 1
+
+
+def test_masks_of_a_data_set_are_learned_from(train: Call, tmp_path: Path) -> None:
+    """Masks are cut once; the same command goes on with what is stored."""
+    data = tmp_path / "data"
+    (data / "masks").mkdir(parents=True)
+    image = np.full((376, 500, 3), 90, np.uint8)
+    mask = np.zeros((376, 500), np.uint8)
+    image[100:300, 200:208], mask[100:300, 200:208] = (220, 220, 210), 1
+    for name in ("a", "b"):
+        cv2.imwrite(str(data / f"{name}.png"), image)
+        cv2.imwrite(str(data / "masks" / f"{name}.png"), mask)
+    table = 'images = "*.png"\nmasks = "masks/{name}.png"\n[classes]\n1 = "pole"\n'
+    (data / "segmentation.toml").write_text(table)
+    out = tmp_path / "out"
+    tiny = "--streets", 0, "--samples", 4, "--batch", 4
+    status, output, errors = train("--segmentation", data, "--out", out, *tiny)
+    assert status == 0, errors
+    assert "finished after 4 of 4" in output
+    made = sorted((out / "prepared").iterdir())
+    assert len(made) == 2
+    times = [path.stat().st_mtime_ns for path in made]
+    assert train("--segmentation", data, "--out", out, *tiny)[0] == 0
+    assert [path.stat().st_mtime_ns for path in made] == times
+    (data / "b.png").unlink()
+    status, _, errors = train("--segmentation", data, "--out", tmp_path / "new", *tiny)
+    assert status == 2
+    assert "1 images *.png have a mask" in errors
 
 
 def planted_recall(monkeypatch: pytest.MonkeyPatch, before: float, after: float) -> None:

@@ -175,15 +175,34 @@ class StreetImages:
         }
 
     def _read(self, seed: int, number: int) -> LabelledImage:
-        path = self.path(seed)
-        try:
-            with np.load(path) as file:
-                image, rows, *arrays = (file[f"{name}_{number}"] for name in _NAMES)
-        except (OSError, ValueError, KeyError):
-            raise SemvizError(
-                f"{path}: missing or damaged; delete it, and 'semviz detect train' renders it anew"
-            ) from None
-        return _labelled(_decoded(image), _decoded(rows), *arrays)
+        return read_labelled(self.path(seed), f"_{number}")
+
+
+def read_labelled(path: Path, ending: str = "") -> LabelledImage:
+    """Read an image written as ``stored_arrays``; ``ending`` follows the arrays' names.
+
+    Raise SemvizError if the file is missing or damaged.
+    """
+    try:
+        with np.load(path) as file:
+            image, rows, *arrays = (file[f"{name}{ending}"] for name in _NAMES)
+    except (OSError, ValueError, KeyError):
+        raise SemvizError(
+            f"{path}: missing or damaged; delete it, and 'semviz detect train' makes it anew"
+        ) from None
+    return _labelled(_decoded(image), _decoded(rows), *arrays)
+
+
+def stored_arrays(
+    image: ByteImage, rows: NDArray[np.uint8], elements: Elements2D
+) -> dict[str, NDArray[Any]]:
+    """Return an image's arrays by name; ``rows`` hold 1 + an element's row, ``IGNORED`` or 0."""
+    values = (
+        _encoded(image[..., ::-1], ".jpg"), _encoded(rows, ".png"),
+        elements.anchor_px, elements.end_px, elements.class_id,
+        elements.anchor_known, elements.end_known,
+    )  # fmt: skip
+    return dict(zip(_NAMES, values, strict=True))
 
 
 _NAMES = ("image", "rows", "anchor", "end", "class", "anchor_known", "end_known")
@@ -202,12 +221,7 @@ def _rendered(street: Street, index: int, side: Side) -> dict[str, NDArray[Any]]
     ]
     rows = _ignored(street, truth.element_id[counts], index, side) * np.uint8(IGNORED)
     paint(rows, regions)
-    values = (
-        _encoded(street.image(index, side)[..., ::-1], ".jpg"), _encoded(rows, ".png"),
-        elements.anchor_px, elements.end_px, elements.class_id,
-        elements.anchor_known, elements.end_known,
-    )  # fmt: skip
-    return dict(zip(_NAMES, values, strict=True))
+    return stored_arrays(street.image(index, side), rows, elements)
 
 
 def _ignored(street: Street, counting: NDArray[np.int64], index: int, side: Side) -> BoolArray:
