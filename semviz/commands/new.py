@@ -13,6 +13,7 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
+    from semviz_core.base.frame import Dataset
     from semviz_core.datasets.own_drive.drive_files import DriveFiles
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
@@ -135,8 +136,8 @@ class NewCommand:
         files = self._files(images)
         drive = read_drive(files)
         for topic, text in drive.statements:
-            print(f"  {topic:<{_TOPIC_WIDTH}}{text}")
-        warnings = [*drive.warnings, *self._row_warnings(files, drive)]
+            _print_topic(topic, text)
+        warnings = [*drive.warnings, *self._check_images(files, drive)]
         if where := unusual_motion(drive.frames):
             warnings.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
@@ -154,27 +155,15 @@ class NewCommand:
         print(f"next: semviz annotate {self.folder}")
         return 0
 
-    def _row_warnings(self, files: "DriveFiles", drive: "RecordedDrive") -> list[str]:
-        """Print how far rows of a stereo pair are apart; return a warning if they are."""
+    def _check_images(self, files: "DriveFiles", drive: "RecordedDrive") -> list[str]:
+        """Compare calibration and poses with the images, print figures and return warnings."""
         from semviz.workspace.drive_file import DriveFile
-        from semviz_core.datasets.own_drive.row_check import LEAST_MATCHES, check_rows
 
-        if files.right is None:
-            return []
         with tempfile.TemporaryDirectory() as cache:
             content = DriveFile.of(drive, "drive")
-            rows = check_rows(content.dataset(files.images, files.right, Path(cache)))
-        if rows.matches < LEAST_MATCHES:
-            print(f"  {'rows':<{_TOPIC_WIDTH}}not checked: {rows.matches} matches")
-            return []
-        text = f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)"
-        print(f"  {'rows':<{_TOPIC_WIDTH}}{text}")
-        if rows.agrees:
-            return []
-        return [
-            f"rows of both images are {rows.apart_px:.1f} px apart (right {rows.offset_px:+.1f} px "
-            "lower): the calibration is not that of these images, or the cameras have moved"
-        ]
+            dataset = content.dataset(files.images, files.right, Path(cache))
+            warnings = [] if files.right is None else _row_warnings(dataset)
+            return warnings if drive.axes is None else warnings + _pose_warnings(dataset, drive)
 
     def _files(self, images: Path) -> "DriveFiles":
         from semviz_core.datasets.own_drive.drive_files import DriveFiles
@@ -230,3 +219,42 @@ class NewCommand:
             lines = [f"poses: {suspicion}; {more}" for suspicion in suspicions(frames)]
         for line in lines:
             print(line, file=sys.stderr)
+
+
+def _row_warnings(dataset: "Dataset") -> list[str]:
+    """Print how far rows of a stereo pair are apart; return a warning if they are."""
+    from semviz_core.datasets.own_drive.row_check import LEAST_MATCHES, check_rows
+
+    rows = check_rows(dataset)
+    if rows.matches < LEAST_MATCHES:
+        _print_topic("rows", f"not checked: {rows.matches} matches")
+        return []
+    _print_topic(
+        "rows", f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)"
+    )
+    if rows.agrees:
+        return []
+    return [
+        f"rows of both images are {rows.apart_px:.1f} px apart (right {rows.offset_px:+.1f} px "
+        "lower): the calibration is not that of these images, or the cameras have moved"
+    ]
+
+
+def _pose_warnings(dataset: "Dataset", drive: "RecordedDrive") -> list[str]:
+    """Print how many matches between images agree with the poses; return a warning if few do."""
+    from semviz_core.datasets.own_drive.pose_check import check_against_images
+
+    assert drive.axes is not None
+    found = check_against_images(dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified)
+    if not found.is_known:
+        _print_topic("motion", f"not checked: {found.matches} matches between images apart")
+        return []
+    _print_topic("motion", f"{found.share:.0%} of {found.matches} matches agree with the poses")
+    if found.agrees:
+        return []
+    remedy = f"{found.remedy} fits" if found.remedy else "poses of another drive, or other axes"
+    return [f"only {found.share:.0%} of the matches between images agree with the poses: {remedy}"]
+
+
+def _print_topic(topic: str, text: str) -> None:
+    print(f"  {topic:<{_TOPIC_WIDTH}}{text}")

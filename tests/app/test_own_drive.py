@@ -323,3 +323,40 @@ def test_rows_that_disagree_are_measured_and_warned_about(
     found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
     assert found is not None
     assert float(found[1]) == pytest.approx(2.1, abs=0.3)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory, source: Street) -> Recording:
+    return record(tmp_path_factory.mktemp("short"), source, LENSES["brown"], range(4), TURNED)
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        ((), None),
+        (("--direction", "world-to-camera"), "another --direction fits"),
+        (("--camera-axes", "opengl"), "another --camera-axes fits"),
+        (("--extrinsic", "flu"), "no --extrinsic flu fits"),
+    ],
+)
+def test_poses_are_compared_with_the_images(
+    short: Recording,
+    tmp_path: Path,
+    options: tuple[str, ...],
+    remedy: str | None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The right option is found although the left camera is turned by the rectification."""
+    code, out, err = call(
+        capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
+        "--calibration", short.kalibr, "--poses", short.poses, "--strict", *options,
+    )  # fmt: skip
+    share = re.search(r"motion +(\d+)% of (\d+) matches agree with the poses", out)
+    assert share is not None
+    if remedy is None:
+        assert (code, err) == (0, "")
+        assert int(share[1]) > 70
+    else:
+        assert code == 2
+        assert int(share[1]) < 50
+        assert f"matches between images agree with the poses: {remedy}\n" in err

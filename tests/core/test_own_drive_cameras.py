@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from drive_formats import CALIBRATIONS
 from recorded_streets import BROWN, FISHEYE, LENSES, intrinsics, kalibr, seen_through
 from streets import street
 
@@ -30,7 +31,6 @@ EQUIDISTANT_190 = OriginalCamera(
     np.array([0.00348, 0.000715, -0.00205, 0.000203]),
 )
 """A fisheye of 160 deg and more."""
-MATRIX = "rows: 3, cols: 3, data: [831.5, 0, 510.6, 0, 833.6, 391.5, 0, 0, 1]"
 
 
 @pytest.mark.parametrize("lens", [BROWN, FISHEYE, RATIONAL, EQUIDISTANT_190])
@@ -148,59 +148,9 @@ def test_a_rectified_pair_is_left_as_it_is() -> None:
     assert rectified.rig.baseline_m == 0.54
 
 
-FORMATS = {
-    "ros.yaml": f"""image_width: 1024
-image_height: 768
-camera_matrix: {{{MATRIX}}}
-distortion_model: plumb_bob
-distortion_coefficients: {{rows: 1, cols: 5, data: [-0.35, 0.14, 1e-4, 7.3e-4, 0.0]}}
-""",
-    "ros2.yaml": """width: 1024
-height: 768
-distortion_model: plumb_bob
-d: [-0.35, 0.14, 0.0001, 0.00073, 0.0]
-k: [831.5, 0.0, 510.6, 0.0, 833.6, 391.5, 0.0, 0.0, 1.0]
-r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-p: [700.0, 0.0, 510.6, 0.0, 0.0, 700.0, 391.5, 0.0, 0.0, 0.0, 1.0, 0.0]
-""",
-    "opencv.yaml": f"""%YAML:1.0
----
-image_width: 1024
-image_height: 768
-camera_matrix: !!opencv-matrix
-   {{{MATRIX}, dt: d}}
-distortion_coefficients: !!opencv-matrix
-   {{rows: 5, cols: 1, dt: d, data: [-0.35, 0.14, 0.0001, 0.00073, 0.0]}}
-""",
-    "euroc.yaml": """%YAML:1.0
-sensor_type: camera
-T_BS: {cols: 4, rows: 4, data: [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}
-resolution: [1024, 768]
-camera_model: pinhole
-intrinsics: [831.5, 833.6, 510.6, 391.5] # fu, fv, cu, cv
-distortion_model: radial-tangential
-distortion_coefficients: [-0.35, 0.14, 0.0001, 0.00073]
-""",
-    "kalibr.yaml": """cam0:
-  camera_model: pinhole
-  intrinsics: [831.5, 833.6, 510.6, 391.5]
-  distortion_model: radtan
-  distortion_coeffs: [-0.35, 0.14, 0.0001, 0.00073]
-  resolution: [1024, 768]
-""",
-    "own.toml": """[left]
-size_px = [1024, 768]
-model = "brown-conrady"
-focal_px = [831.5, 833.6]
-center_px = [510.6, 391.5]
-distortion = [-0.35, 0.14, 0.0001, 0.00073]
-""",
-}
-
-
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", CALIBRATIONS)
 def test_all_formats_give_one_camera(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text(FORMATS[name])
+    (tmp_path / name).write_text(CALIBRATIONS[name])
     (camera,) = read_calibration(tmp_path / name).cameras
     assert (camera.model, camera.width, camera.height) == ("brown-conrady", 1024, 768)
     np.testing.assert_array_equal(
@@ -220,7 +170,7 @@ def test_the_name_of_a_kalibr_key_says_the_direction(tmp_path: Path) -> None:
 
 
 def test_a_stereo_pair_of_ros_files_has_the_baseline_of_its_projection(tmp_path: Path) -> None:
-    text = FORMATS["ros2.yaml"]
+    text = CALIBRATIONS["ros2.yaml"]
     (tmp_path / "left.yaml").write_text(text)
     (tmp_path / "right.yaml").write_text(text.replace("510.6, 0.0, 0.0, 700", "510.6, -84, 0, 700"))
     found = read_calibration(tmp_path / "left.yaml", tmp_path / "right.yaml").T_right_left
@@ -230,28 +180,37 @@ def test_a_stereo_pair_of_ros_files_has_the_baseline_of_its_projection(tmp_path:
         read_calibration(tmp_path / "left.yaml", tmp_path / "left.yaml")
 
 
+ROS2, KALIBR = CALIBRATIONS["ros2.yaml"], CALIBRATIONS["kalibr.yaml"]
 REFUSED = {
     "MEI": ("a.yaml", "%YAML:1.0\nmodel_type: MEI\nmirror_parameters: {xi: 2.2}\n", "MEI"),
     "omni": (
         "a.yaml",
-        FORMATS["kalibr.yaml"].replace("camera_model: pinhole", "camera_model: omni"),
+        CALIBRATIONS["kalibr.yaml"].replace("camera_model: pinhole", "camera_model: omni"),
         "the lens model omni is not read",
     ),
     "polynomial": (
         "a.yaml",
-        FORMATS["ros2.yaml"].replace("plumb_bob", "thin_prism"),
+        CALIBRATIONS["ros2.yaml"].replace("plumb_bob", "thin_prism"),
         "the lens model thin_prism is not read",
     ),
-    "uncalibrated": ("a.yaml", FORMATS["ros2.yaml"].replace("831.5", "0.0"), "never calibrated"),
-    "short": ("a.yaml", FORMATS["kalibr.yaml"].replace("831.5, ", ""), "3 numbers, expected 4"),
-    "text": ("a.yaml", FORMATS["kalibr.yaml"].replace("831.5", "fx"), "not numbers"),
+    "uncalibrated": (
+        "a.yaml",
+        CALIBRATIONS["ros2.yaml"].replace("831.5", "0.0"),
+        "never calibrated",
+    ),
+    "short": (
+        "a.yaml",
+        CALIBRATIONS["kalibr.yaml"].replace("831.5, ", ""),
+        "3 numbers, expected 4",
+    ),
+    "text": ("a.yaml", CALIBRATIONS["kalibr.yaml"].replace("831.5", "fx"), "not numbers"),
     "alias": ("a.yaml", "a: &a [1, 2]\nb: *a\n", "an alias"),
     "python": ("a.yaml", "a: !!python/object/apply:os.system ['true']\n", "not readable as YAML"),
     "deep": ("a.yaml", "a: " + "[" * 60 + "]" * 60, "more than 40 levels"),
     "long": ("a.yaml", "a: [" + "1, " * 200_000 + "]", "more than 0.25 MB"),
     "other": ("a.yaml", "name: somebody\n", "no calibration that is read"),
-    "own key": ("a.toml", "sides = 2\n" + FORMATS["own.toml"], "unknown sides"),
-    "half a pair": ("a.toml", FORMATS["own.toml"] + "[right]\n", "no focal_px"),
+    "own key": ("a.toml", "sides = 2\n" + CALIBRATIONS["own.toml"], "unknown sides"),
+    "half a pair": ("a.toml", CALIBRATIONS["own.toml"] + "[right]\n", "no focal_px"),
 }
 
 

@@ -73,7 +73,7 @@ def read_colmap(path: Path) -> PosedCameras:
         }
     except KeyError as error:
         raise SemvizError(f"{beside}: no camera {error} that an image has") from None
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError):
+    except (struct.error, ValueError, IndexError, OverflowError):
         raise SemvizError(f"{file}: not a model of COLMAP, or cut off; export it again") from None
     matrices = np.concatenate(
         [rotations_of(images.quaternion, "wxyz", file), images.translation[:, :, None]], axis=2

@@ -22,7 +22,7 @@ from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_te
 
 UpDirection: TypeAlias = Literal["auto", "cameras", "x", "-x", "y", "-y", "z", "-z"]
 
-_FLIPPED = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+FLIPPED = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 """Between OpenGL's camera axes and OpenCV's."""
 NAMED_EXTRINSICS = {
     "camera": Pose.identity(),
@@ -53,7 +53,7 @@ def camera_poses(
     if (direction or poses.direction) == "world-to-camera":
         T = [pose.inverse() for pose in T]
     if (axes or poses.axes) == "opengl":
-        T = [pose @ _FLIPPED for pose in T]
+        T = [pose @ FLIPPED for pose in T]
     return T
 
 

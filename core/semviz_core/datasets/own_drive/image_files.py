@@ -16,6 +16,7 @@ from semviz_core.datasets.trajectory import MOST_LINES, read_text
 SUFFIXES = (".png", ".jpg", ".jpeg")
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
 _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_LARGEST = 1e25
 _TIME_DIGITS = 10
 """A name of so many digits is a time since 1970: seconds, or a smaller unit."""
 
@@ -159,8 +160,9 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
 
 
 def is_number(word: str) -> bool:
+    """Whether a word is a number, and not so large that its square would be infinite."""
     try:
-        return bool(np.isfinite(float(word)))
+        return abs(float(word)) < _LARGEST
     except ValueError:
         return False
 
@@ -172,12 +174,10 @@ def in_seconds(
 
     Times since 1970 have 10 digits in s, 13 in ms, 16 in us and 19 in ns.
     """
-    try:
-        values = np.array([float(word) for word in words])
-    except ValueError as error:
-        raise SemvizError(f"{where}: {shown(error)}; expected a time") from None
-    if not np.isfinite(values).all():
-        raise SemvizError(f"{where}: a time is NaN or infinite; repair it")
+    wrong = next((word for word in words if not is_number(word)), None)
+    if wrong is not None:
+        raise SemvizError(f"{where}: {shown(wrong, 40)!r} is not a time; repair it")
+    values = np.array([float(word) for word in words])
     if unit is None:
         first = float(np.abs(values).max()) if len(values) else 0.0
         unit = "s" if first < 1e11 else "ms" if first < 1e14 else "us" if first < 1e17 else "ns"

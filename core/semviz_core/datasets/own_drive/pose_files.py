@@ -155,7 +155,7 @@ def rotations_of(quaternions: FloatArray, order: QuaternionOrder, path: Path) ->
     """Return rotations (n, 3, 3). Raise SemvizError if rows (n, 4) are not of length 1."""
     from scipy.spatial.transform import Rotation
 
-    lengths = np.linalg.norm(quaternions, axis=1)
+    lengths = np.linalg.norm(quaternions.clip(-1e3, 1e3), axis=1)
     wrong = np.flatnonzero((lengths < 0.99) | (lengths > 1.01))
     if len(wrong):
         raise SemvizError(

@@ -7,14 +7,12 @@ import numpy as np
 from semviz_core.base.frame import Dataset
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.matching import matched_pixels
 
 PAIRS = 5
 MOST_APART_PX = 1.0
 """A median beyond this harms matching along rows, and depth."""
 LEAST_MATCHES = 50
-_FEATURES = 2000
-_RATIO = 0.8
-"""Largest ratio of the best to the second best distance (Lowe 2004)."""
 _REACH_PX = 20.0
 """Matches farther off their row are wrong matches, or those of no pair at all."""
 
@@ -56,19 +54,7 @@ def check_rows(dataset: Dataset) -> RowCheck:
 
 def _row_distances_px(left: ByteImage, right: ByteImage) -> FloatArray:
     """Return the row in the right image minus that in the left one, of each match (n,)."""
-    import cv2
-
-    sift = cv2.SIFT.create(_FEATURES)  # to a fraction of a pixel, unlike ORB
-    (points, features), (others, candidates) = (
-        sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
-        for image in (left, right)
-    )
-    if features is None or candidates is None or len(candidates) < 2:
-        return np.zeros(0)
-    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(features, candidates, k=2)
-    clear = [a for a, b in pairs if a.distance < _RATIO * b.distance]
-    places = np.array([[points[m.queryIdx].pt, others[m.trainIdx].pt] for m in clear])
-    places = places.reshape(-1, 2, 2)
+    places = matched_pixels(left, right)
     ahead = places[:, 0, 0] > places[:, 1, 0]
     down = places[:, 1, 1] - places[:, 0, 1]
     return np.asarray(down[ahead & (np.abs(down) < _REACH_PX)], dtype=np.float64)
