@@ -214,7 +214,7 @@ def _deviations(poses: DrivePoses, refined: DrivePoses) -> FloatArray:
 
 def _prior_sigma(off: FloatArray) -> FloatArray:
     if not len(off):
-        return np.sqrt(PRIOR_LEAST * PRIOR_MOST)
+        return np.asarray(np.sqrt(PRIOR_LEAST * PRIOR_MOST))
     spread = MAD_TO_SIGMA * np.median(np.abs(off), axis=0)
     return np.asarray(np.clip(spread, PRIOR_LEAST, PRIOR_MOST))
 
