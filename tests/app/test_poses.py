@@ -3,6 +3,7 @@ motions of the images are measured once; nothing of the workspace changes."""
 
 import json
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import pytest
 from command_line import Call, call
 from streets import street
 from support.planted_pose_faults import moved
+from support.street_labels import careful, label_street
 
-from semviz.workspace.pose_check import motions_path
+from semviz.workspace.pose_check import check_poses, motions_path
+from semviz.workspace.pose_labels import label_evidence
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
@@ -166,3 +169,28 @@ def test_refusals(run: Call, drive: Path, tmp_path: Path) -> None:
         assert errors.startswith("semviz: ")
         assert errors.count("\n") == 1
     assert own.read_bytes() == before
+
+
+def test_elements_that_jump_together_agree(
+    run: Call, drive: Path, wrong_poses: Path, tmp_path: Path
+) -> None:
+    """Those of the turned frames agree; those of healthy frames have nothing to agree to."""
+    folder, source = tmp_path / "town", street(SEED, COUNT)
+    run("new", folder, "--kitti", drive, "--poses", wrong_poses)
+    workspace = Workspace.open(folder)
+    check = check_poses(workspace, workspace.source.frames, lambda what, done, of: None)
+    (fault,) = check.faults
+    labels = label_street(careful(source, 0.3, seed=1), range(COUNT), memory=COUNT).labels
+    evidence = label_evidence(labels, workspace.source, check, fault)
+    assert evidence is not None
+    assert evidence.elements >= 5
+    assert evidence.agreeing >= 0.8 * evidence.elements
+    assert evidence.before_px > 4.0
+    assert evidence.after_px < 1.0
+    elsewhere = replace(fault, first=9, last=10)
+    healthy = label_evidence(labels, workspace.source, check, elsewhere)
+    assert healthy is not None
+    assert healthy.before_px < 1.0
+    assert healthy.agreeing <= 0.3 * healthy.elements
+    whole = replace(fault, first=0, last=COUNT - 1)
+    assert label_evidence(labels, workspace.source, check, whole) is None
