@@ -1,7 +1,7 @@
 """The commands poses check and refine."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,10 +33,20 @@ class PosesCheckCommand:
 
     def run(self) -> int:
         from semviz.reports.pose_check import check_text, draw_check
+        from semviz.workspace.pose_labels import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
         check = _checked(self.workspace, self.frames)
-        print(json.dumps(check.as_dict()) if self.json else check_text(check))
+        workspace = parsing.open_workspace(self.workspace)
+        labels, source = workspace.read_labels(), workspace.source
+        evidence = [label_evidence(labels, source, check, fault) for fault in check.faults]
+        if self.json:
+            result = check.as_dict()
+            for fault, said in zip(result["faults"], evidence, strict=True):
+                fault["labels"] = None if said is None else asdict(said)
+            print(json.dumps(result))
+        else:
+            print(check_text(check, ["" if said is None else str(said) for said in evidence]))
         if self.plot is not None:
             draw_check(check, self.plot)
         return 1 if self.gate and check.faults else 0

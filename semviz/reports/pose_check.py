@@ -1,5 +1,6 @@
 """Show the check of a drive's poses as text and as a plot."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,13 +18,16 @@ if TYPE_CHECKING:
 _NO_FAULT = "no fault found"
 
 
-def check_text(check: PoseCheck) -> str:
-    """Return the faults with their remedies, and how good the other poses are."""
+def check_text(check: PoseCheck, evidence: Sequence[str]) -> str:
+    """Return the faults with their remedies, and how good the other poses are.
+
+    ``evidence`` is what labels say about each fault; empty where they say nothing.
+    """
     comparison = check.comparison
     pairs = int(comparison.compared.sum())
     lines = [f"{len(check.frames)} frames, {pairs} pairs compared with the images"]
-    for fault in check.faults:
-        lines += [fault.text, f"    {fault.remedy}"]
+    for fault, labels in zip(check.faults, evidence, strict=True):
+        lines += [fault.text, *([f"    {labels}"] if labels else []), f"    {fault.remedy}"]
     if not check.faults:
         lines.append(_NO_FAULT)
     sigma = comparison.pose_sigma

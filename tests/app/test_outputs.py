@@ -75,6 +75,11 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
     "map localizability": {
         "plot": [Output("W --map truth --frames 0:1 --plot TARGET.png", is_cheap=False)]
     },
+    "poses check": {"plot": [Output("W --plot TARGET.png", is_cheap=False)]},
+    "poses refine": {
+        "out": [Output("W --out TARGET", is_cheap=False, again=False)],
+        "plot": [Output("W --out not-written.tum --plot TARGET.png", is_cheap=False)],
+    },
     "localize": {"out": [Output("W --map truth --out TARGET.rrd", is_cheap=False)]},
     "evaluate": {"csv": [Output("RUN --csv TARGET")]},
     "report": {
@@ -132,6 +137,8 @@ INPUTS = {
     "map localizability": {"workspace"},
     "map export": {"workspace"},
     "map import": {"workspace", "file"},
+    "poses check": {"workspace"},
+    "poses refine": {"workspace"},
     "localize": {"workspace", "weights"},
     "evaluate": {"runs"},
     "compare": {"base", "other"},

@@ -165,7 +165,7 @@ def _axes_fault(correction: Correction, first: int, last: int) -> PoseFault:
         "axes",
         first,
         last,
-        f"the axes are exchanged: right are {correction.text}",
+        correction.text,
         "convert the pose file: semviz poses refine writes it with the right axes",
     )
 

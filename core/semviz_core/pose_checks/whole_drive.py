@@ -34,7 +34,7 @@ class Correction:
     value: float
     """Frames that the poses are late; metres that the images rise; 0 for axes."""
     text: str = ""
-    """Of axes: how the corrected ones follow from the given, ``x, y, z = y, x, z``."""
+    """Of axes: which of the given ones are the right x, y and z."""
 
 
 def corrected_axes(poses: DrivePoses, motions: ImageMotions) -> Correction | None:
@@ -81,7 +81,8 @@ def _with_axes(poses: DrivePoses, matrix: FloatArray, whole: bool) -> DrivePoses
 
 def _axes_text(matrix: FloatArray, whole: bool) -> str:
     names = [("-" if row.sum() < 0.0 else "") + "xyz"[int(np.abs(row).argmax())] for row in matrix]
-    return f"{'' if whole else 'of the positions '}x, y, z = {', '.join(names)}"
+    what = "poses" if whole else "positions"
+    return f"the axes of the {what} are exchanged: the right x, y, z are {', '.join(names)}"
 
 
 def _quick_cost(poses: DrivePoses, motions: ImageMotions) -> float:
