@@ -272,11 +272,12 @@ const trackedIn = ({ first, last }) => (first === last ? `track in frame ${first
  */
 const depthOrOrigin = ({ depth_m, origin, track }) => (track ? counted(track.frames, "frame") : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
-/** The score of a proposal, marked as weak if it is not confident.
+/** The score of a proposal, marked as weak if it is not confident; of a track, only whether it is doubtful.
  *
  * @param {Proposal} proposal
  */
-function scoreBar({ score, is_confident: isConfident }) {
+function scoreBar({ score, is_confident: isConfident, track }) {
+  if (track) return isConfident ? null : el("span", { class: "faint", text: "doubtful" });
   if (score === null) return el("span", { class: "faint", text: "searching …" });
   const bar = svg("svg", { class: isConfident ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
