@@ -43,7 +43,7 @@ export class Page {
     this.outbox = null; // once the workspace is known
     /** @type {import("/static/scene.js").RenderGate | null} */
     this.sceneGate = null;
-    this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04
+    this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04, or the id of a track
     this.isPreviewing = false;
     this.previewAgain = false;
     /** @type {PageSocket<annotator.Requests, annotator.Events>} */
@@ -418,7 +418,8 @@ export class Page {
 
   /** Selects the element named in the address and zooms to it: the inspector links to it. */
   #selectSought() {
-    const element = this.soughtName && this.state.elements.find(({ name }) => name === this.soughtName);
+    const shown = [...this.state.elements, ...this.state.proposals];
+    const element = this.soughtName && shown.find(({ id, name }) => name === this.soughtName || id === this.soughtName);
     if (!element) return;
     this.soughtName = null;
     this.select(element.id);
