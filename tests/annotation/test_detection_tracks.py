@@ -9,7 +9,7 @@ import pytest
 
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
 from semviz_annotation.labels.proposals import Proposal, Proposals
-from semviz_annotation.labels.rows import derived_id, review_decision
+from semviz_annotation.labels.rows import Dismissal, derived_id, review_decision
 from semviz_annotation.labels.views import rig_view
 from semviz_annotation.mapping.association.detected_drive import TRACK_NUMBER
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
@@ -51,13 +51,17 @@ class Road:
     step_m: float = 1.0
     off_m: float = 0.0
     """Error of the poses to the left."""
+    shake_m: float = 0.0
+    """Error of each pose by itself."""
     first: int = 0
     map_frame: MapFrame = field(default_factory=lambda: MapFrame("road"))
 
     @property
     def frames(self) -> tuple[Frame, ...]:
+        shaken = self.shake_m * np.random.default_rng(9).normal(0.0, 1.0, self.count)
         return tuple(
-            Frame(self.first + i, 0.1 * i, self.pose(i, self.off_m)) for i in range(self.count)
+            Frame(self.first + i, 0.1 * i, self.pose(i, self.off_m + float(shaken[i])))
+            for i in range(self.count)
         )
 
     def pose(self, i: int, off_m: float = 0.0) -> Pose:
@@ -274,6 +278,20 @@ def test_a_moving_pole_is_no_landmark():
     assert not used & {row.id for row in rows}
 
 
+def test_poses_may_be_worse_if_one_says_so():
+    """Otherwise each landmark is in several tracks."""
+    road = Road(shake_m=0.2)
+    detections = Detector(false=1.0).detect(road, POLES)
+    tracks = []
+    for pose_sigma_m in (0.05, 0.3):
+        options = BuildOptions(pose_sigma_m=pose_sigma_m)
+        counts = build_map(NOBODY, road, options, detections=detections)[1].detections
+        assert counts is not None
+        tracks.append(counts.tracks)
+    assert tracks[0] > 1.5 * len(POLES)
+    assert tracks[1] == len(POLES)
+
+
 def test_wrong_ends_cost_no_landmark_and_no_height():
     road = Road()
     made, report = built(road, Detector(bad_ends=0.3).detect(road, POLES))
@@ -435,3 +453,65 @@ def test_a_stop_gives_no_landmarks():
 def test_wrong_options_are_refused(options, word):
     with pytest.raises(SemvizError, match=word):
         TrackOptions(*options)
+
+
+class Partly(Both):
+    """A drive whose every third pose is unknown."""
+
+    def __init__(self, road: Road) -> None:
+        super().__init__(road)
+        self.frames = tuple(
+            replace(frame, T_map_camera=None) if frame.index % 3 == 1 else frame
+            for frame in road.frames
+        )
+
+
+def test_detections_without_a_pose_do_not_count():
+    road = Road()
+    detections = Detector().detect(road, POLES)
+    made, report = build_map(NOBODY, Partly(road), BuildOptions(), detections=detections)
+    assert missing_and_false(made, POLES) == (0, 0)
+    assert report.detections is not None
+    posed = detections.frame_index % 3 != 1
+    assert report.detections.detections == int(posed.sum())
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_detections_leave_the_labels_as_they_are(count):
+    road = Road()
+    detections = Detector(false=0.0).detect(road, POLES)
+    labels = accepted(built(road, detections)[0], 0, detections)
+    few = Proposals.of(
+        [row for row in detections.rows() if row.id not in labels.observations][:count]
+    )
+    joined_map, report = built(road, few, labels)
+    alone, _ = build_map(labels, road, BuildOptions())
+    assert joined_map.digest == alone.digest
+    assert report.detections is not None
+    assert report.detections.alone == count
+    with pytest.raises(SemvizError, match=f"none of {count} detections"):
+        built(road, few)
+
+
+def test_a_dismissed_detection_is_not_used():
+    road = Road()
+    detections = Detector().detect(road, POLES)
+    gone = {row.id for row in detections.rows() if row.frame_index in (5, 6)}
+    rows = [
+        Dismissal(row.id, row.frame_index, row.side, "rejected", None)
+        for row in detections.rows()
+        if row.id in gone
+    ]
+    made, _ = built(road, detections, Labels.from_rows(rows))
+    assert missing_and_false(made, POLES) == (0, 0)
+    assert not gone & {id_ for source in made.provenance for id_ in source.observation_ids}
+
+
+def test_an_unknown_frame_is_left_out():
+    road = Road()
+    detections = Detector().detect(road, POLES)
+    longer = Detector(seed=3).detect(Road(first=500), POLES)
+    made, report = built(road, joined(detections, longer), frames=range(0, 24, 2))
+    assert report.detections is not None
+    assert report.detections.detections == int((detections.frame_index % 2 == 0).sum())
+    assert missing_and_false(made, POLES) == (0, 0)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sequences import Drive, drive, pixels
 
+from semviz_annotation.mapping.placement.landmarks import uprighted
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_annotation.mapping.placement.reprojection import refine_positions, residuals
 from semviz_annotation.mapping.placement.triangulation import (
@@ -361,3 +362,63 @@ def test_progress_counts_landmarks():
     assert len(told) > 1
     assert told[-1] == (3000, 3000)
     assert sorted(told) == told
+
+
+def test_each_observation_counts_by_its_own_sigma():
+    """Half of the observations are four times as noisy, and say so."""
+    ratio = 4.0
+    found, plain = [], []
+    for seed in range(6):
+        world = drive(8, landmarks=40, seed=seed)
+        rng = np.random.default_rng(seed)
+        k = len(world.observations)
+        vague = rng.random(k) < 0.5
+        sigma = np.where(vague, ratio, 1.0)[:, None]
+        observations = replace(
+            world.observations,
+            anchor_px=world.observations.anchor_px + sigma * rng.normal(0.0, 1.0, (k, 2)),
+            end_px=world.observations.end_px + sigma * rng.normal(0.0, 1.0, (k, 2)),
+            sigma_ratio=np.repeat(sigma, 2, axis=1),
+        )
+        options = PlaceOptions(outlier_sigmas=np.inf)
+        placed = triangulate_landmarks(world.views, observations, options)
+        signs = ~world.is_line & placed.ok
+        found.append(nees(placed, world, signs))
+        alike = replace(observations, sigma_ratio=np.ones((k, 2)))
+        equal = triangulate_landmarks(world.views, alike, options)
+        both = signs & equal.ok
+        plain.append(
+            np.linalg.norm(equal.anchor_m[both] - world.anchor_m[both])
+            / np.linalg.norm(placed.anchor_m[both] - world.anchor_m[both])
+        )
+    assert np.mean(found) == pytest.approx(1.0, abs=0.3)
+    assert np.mean(plain) > 1.2
+
+
+def test_equal_ratios_are_another_sigma():
+    world = drive(6, landmarks=10, sigma_px=1.0, hidden=0.3)
+    k = len(world.observations)
+    doubled = replace(world.observations, sigma_ratio=np.full((k, 2), 2.0))
+    one = triangulate_landmarks(world.views, doubled, PlaceOptions(sigma_px=1.0))
+    two = triangulate_landmarks(world.views, world.observations, PlaceOptions(sigma_px=2.0))
+    for column in fields(Landmarks):
+        first, second = getattr(one, column.name), getattr(two, column.name)
+        assert (first == second).all() or np.allclose(first, second, equal_nan=True), column.name
+
+
+def test_a_pole_that_may_lean_anywhere_stands_upright():
+    world = drive(2, landmarks=6, sigma_px=2.0, step_m=0.3, seed=4)
+    placed = triangulate_landmarks(world.views, world.observations)
+    poles = world.is_line & placed.ok
+    upright = uprighted(placed, poles, np.deg2rad(3.0))
+
+    def lean_deg(landmarks: Landmarks) -> np.ndarray:
+        off = (landmarks.anchor_m - landmarks.end_m)[poles]
+        return np.rad2deg(np.arctan2(np.linalg.norm(off[:, :2], axis=1), off[:, 2]))
+
+    assert lean_deg(placed).max() > 10.0
+    assert lean_deg(upright).max() < 5.0
+    error = [np.linalg.norm(p.end_m[poles] - world.end_m[poles]) for p in (placed, upright)]
+    assert error[1] < error[0]
+    assert (np.linalg.eigvalsh(upright.covariance_m2[poles]) > 0.0).all()
+    assert np.array_equal(upright.anchor_m[~poles], placed.anchor_m[~poles], equal_nan=True)

@@ -4,4 +4,9 @@
 and `outliers` finds misplaced labels. `candidates` finds and tests pairs of nodes, and
 `merging` joins them in rounds. `shared_observations` assigns what several landmarks explain,
 and `candidates` drops landmarks with too few observations.
+
+`detection_tracks` adds the detections of a drive to the labels. `detected_drive` tells which of
+them the labels explain, and `not_landmarks` which show no landmark. The others become
+`ground_rays`, in which `track_search` finds tracks by the compiled loops of `ray_votes`.
+`end_heights` drops ends that do not agree.
 """

@@ -35,6 +35,18 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
+__all__ = [
+    "TRACK_NUMBER",
+    "DetectionCounts",
+    "JoinedDetections",
+    "TrackOptions",
+    "detection_labels",
+    "labels_of_map",
+]
+
+_WITHIN_A_PASS = 0.4
+"""Error of poses from frame to frame, relative to that between two passes."""
+
 
 @dataclass(frozen=True)
 class TrackOptions:
@@ -176,7 +188,10 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        SearchOptions(min_frames=options.min_frames),
+        SearchOptions(
+            min_frames=options.min_frames,
+            pose_sigma_m=_WITHIN_A_PASS * drive.link.pose_sigma_m,
+        ),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
@@ -287,14 +302,14 @@ def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposa
     for number, class_id, source in zip(
         elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
     ):
-        element_id = next((id_ for id_ in source.label_ids if id_ in labels.elements), None)
         new = [
             detections[row_of[id_]]
             for id_ in source.observation_ids
             if id_ in row_of and id_ not in labels.observations
         ]
-        if new and element_id is None:
-            element_id = source.label_ids[0]
+        labelled = [id_ for id_ in source.label_ids if id_ in labels.elements]
+        element_id = (labelled or source.label_ids)[0]
+        if new and not labelled:
             rows.append(LabelElement(element_id, number, class_id))
         rows += (replace(as_observation(row), element_id=element_id) for row in new)
     return Labels.from_rows(rows, labels.next_number, labels.operation)

@@ -13,8 +13,8 @@ _CELLS = 256
 _VOTE_SIGMAS = 2.0
 _GATES_SIGMAS = np.array([6.0, 4.0, 3.0, 3.0])
 """Within these a ray belongs to a landmark, one after the other in its refinement."""
-_BEARING_RAD = 5e-4
-"""Error of the camera's heading from frame to frame, 0.03 deg."""
+_TURN_RAD_PER_M = 0.025
+"""Error of the camera's heading, relative to that of its position: 0.03 deg at 0.02 m."""
 _BIN_M = 10.0
 _RECALL = np.array([0.5, 0.5, 0.5, 0.5, 0.3, 0.2, 0.1, 0.1, 0.1])
 """Assumed share of detected landmarks, by range in bins of 10 m."""
@@ -81,7 +81,7 @@ def voted_ranges(
                 if own < NEAREST_M or own > FURTHEST_M or other < 0.5 * NEAREST_M:
                     continue
                 sigma = np.sqrt(
-                    (other * (scene.sigma[j] + _BEARING_RAD)) ** 2
+                    (other * (scene.sigma[j] + _TURN_RAD_PER_M * pose_m)) ** 2
                     + (own * scene.sigma[i]) ** 2
                     + pose_m**2
                 ) / abs(cross)
@@ -133,11 +133,15 @@ def _nearest_ray(
         if along < 0.5 * NEAREST_M:
             continue
         across = dy * scene.direction[j, 0] - dx * scene.direction[j, 1]
-        spread = (along * (scene.sigma[j] + _BEARING_RAD)) ** 2 + pose_m**2
+        spread = (along * (scene.sigma[j] + _TURN_RAD_PER_M * pose_m)) ** 2 + pose_m**2
         chi2 = across * across / spread
         if not np.isnan(scene.slope[j]):
             rise = scene.origin[j, 2] + scene.slope[j] * along - z
-            chi2 += rise * rise / ((along * (scene.slope_sigma[j] + _BEARING_RAD)) ** 2 + pose_m**2)
+            chi2 += (
+                rise
+                * rise
+                / ((along * (scene.slope_sigma[j] + _TURN_RAD_PER_M * pose_m)) ** 2 + pose_m**2)
+            )
         if chi2 < least:
             best, least, variance = j, chi2, spread
     return best, least, variance
