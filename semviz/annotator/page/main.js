@@ -248,6 +248,7 @@ export class Page {
       if (!state.isReady) return; // it was sent before the workspace, which brings all
       this.#take(labels, frame);
       this.preview();
+      this.#selectSought(); // its map may have been read only now
     });
     socket.on("saved_operation", ({ reply_to: request, operation }) => {
       state.set({ onDisk: request === null ? null : { request, operation } });

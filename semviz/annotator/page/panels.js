@@ -151,7 +151,7 @@ export class Panels {
     const about = drawing ? "not saved yet" : element?.unsaved ? "kept here" : element ? state.classOf(id).name : candidate ? whyListed(candidate) : "";
     const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? warning(card), this.#buttons(element)];
   }
 
   /** The review decisions about the element; null if there are none.
@@ -321,6 +321,16 @@ function number(name, value, unit, decimals, sigma = null) {
   return el("div", {}, el("dt", { text: name }),
     el("dd", {}, el("b", { text: known ? `${fixed(value, decimals)} ${unit}` : "—" }),
       sigma !== null ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
+}
+
+/** How well a track fits; null for what is no track.
+ *
+ * @param {Proposal | annotator.NearbyView | null} candidate
+ */
+function aboutTrack(candidate) {
+  if (!candidate || !("track" in candidate) || !candidate.track) return null;
+  const existence = candidate.score === null ? "" : `, existence ${shownScore(candidate.score)}`;
+  return el("p", { class: "about-card dim", text: `Residual ${candidate.track.residual_px.toFixed(1)} px${existence}` });
 }
 
 /** @param {annotator.Card | null} card */
