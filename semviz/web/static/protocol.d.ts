@@ -510,7 +510,7 @@ export interface ProposalMark {
   runner_up: RunnerUp | null;
 }
 
-/** The proposal of one element, with its marks in the images on the page. */
+/** The proposal of one element, with its marks in the images on the page. Doubtful ones come first, then the nearest. */
 export interface ProposalView {
   id: string;
   name: string;
