@@ -304,15 +304,15 @@ def is_open(track: DetectionTrack, labels: Labels) -> bool:
     """Return whether a track waits for a person: see the module."""
     if any(label_id in labels.elements for label_id in track.label_ids):
         return False
-    return next(free_detections(track, labels), None) is not None
+    return next(free_detections(track.detections, labels), None) is not None
 
 
-def free_detections(track: DetectionTrack, labels: Labels) -> Iterator[Proposal]:
-    """Iterate over the detections of a track that are neither labelled nor dismissed.
+def free_detections(detections: Iterable[Proposal], labels: Labels) -> Iterator[Proposal]:
+    """Iterate over the detections that are neither labelled nor dismissed.
 
     A label of any element on a detection means that the image is decided there.
     """
-    for detection in track.detections:
+    for detection in detections:
         if detection.id in labels.observations or detection.id in labels.dismissals:
             continue
         rows = labels.in_frame(detection.frame_index, detection.side)

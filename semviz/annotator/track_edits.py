@@ -44,7 +44,7 @@ class TrackEdit:
         return AddElements(elements, left_out=self.kind == "reject tracks").changes(labels, rules)
 
     def _observations(self, track: DetectionTrack, labels: Labels) -> Iterator[Observation]:
-        for detection in free_detections(track, labels):
+        for detection in free_detections(track.detections, labels):
             row = mark_of(detection).at(detection.frame_index, detection.side)
             row = replace(row, id=detection.id)
             if detection.id in self.corrections:

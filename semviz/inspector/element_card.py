@@ -17,6 +17,8 @@ from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import SETTINGS, Workspace
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
+from semviz_annotation.labels.proposals import Proposal, load_proposals
+from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.storage.store import LabelStore, Writer
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
@@ -62,6 +64,15 @@ class Origins:
             for element in sorted(sources, key=lambda element: element.number)
         )
 
+    def track(self, element_id: int) -> tuple[Proposal, ...]:
+        """Return the detections that a map element was built from; empty if it has labels, or if
+        the detections were replaced since."""
+        provenance = provenance_of(self._run.semantic_map, element_id)
+        if provenance is None or self.of(element_id):
+            return ()
+        rows = (self._detections.get(id_) for id_ in provenance.observation_ids)
+        return tuple(row for row in rows if row is not None)
+
     def why_none(self, element_id: int) -> str:
         """Return the reason why ``of`` finds no labels; empty if it finds some."""
         provenance = provenance_of(self._run.semantic_map, element_id)
@@ -70,6 +81,12 @@ class Origins:
         if self._store is None:
             workspace = self._run.info.workspace or "the run names no workspace"
             return f"The labels were not found ({workspace})."
+        if track := self.track(element_id):
+            frames = sorted({row.frame_index for row in track})
+            return (
+                f"A track of {len(track)} detections in {len(frames)} frames, {frames[0]} to "
+                f"{frames[-1]}, which nobody has accepted."
+            )
         if not self.of(element_id):
             return "Its labels were deleted after this map was built."
         return ""
@@ -91,6 +108,14 @@ class Origins:
     def operation(self) -> int:
         """Number of the last operation on the labels; 0 if they are not found."""
         return 0 if self._store is None else self._store.labels.operation
+
+    @cached_property
+    def _detections(self) -> dict[str, Proposal]:
+        """The workspace's detections by id, if the map was built from detections."""
+        if self.workspace is None or not uses_detections(self._run.semantic_map):
+            return {}
+        path, classes = self.workspace.proposals_path, self.workspace.classes
+        return {row.id: row for row in load_proposals(path, classes).rows()}
 
     @cached_property
     def _store(self) -> LabelStore | None:
@@ -124,13 +149,18 @@ def _by_id(semantic_map: SemanticMap) -> IntArray:
 def workspace_of(run: Run, path: Path) -> Workspace | None:
     """Return the workspace that holds the run's file, or else the one that the run names.
 
-    None if neither holds the labels that the run's map was built from.
+    None if neither holds the labels or detections that the run's map was built from.
     """
     semantic_map = run.semantic_map
+    detected = {id_ for row in semantic_map.provenance for id_ in row.observation_ids}
     ids = {id_ for row in semantic_map.provenance for id_ in row.label_ids}
     ids |= {id_ for decision in semantic_map.decisions for id_ in decision.label_ids}
     for workspace in workspaces_near(run, path):
         if ids & workspace.read_labels().elements.keys():
+            return workspace
+        if uses_detections(semantic_map) and detected & set(
+            load_proposals(workspace.proposals_path, workspace.classes).id
+        ):
             return workspace
     return None
 
@@ -211,8 +241,9 @@ def _meaning(run: Run, element_id: int) -> str:
     provenance = provenance_of(run.semantic_map, element_id)
     if provenance is None:
         return "1σ from this camera, as stated by the map, which does not give its source."
-    labels = len(provenance.observation_ids)
-    return f"1σ from this camera, based on {labels} labels. Errors of their poses are not included."
+    count = len(provenance.observation_ids)
+    what = "labels and detections" if uses_detections(run.semantic_map) else "labels"
+    return f"1σ from this camera, based on {count} {what}. Errors of their poses are not included."
 
 
 def _in_run(run: Run, element_id: int) -> tuple[tuple[str, str], ...]:

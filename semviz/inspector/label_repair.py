@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from semviz.inspector import messages
 from semviz.inspector.context import Background, Panel
-from semviz.inspector.element_card import Origins
+from semviz.inspector.element_card import Origins, provenance_of
 from semviz.inspector.views_run import LabelEditsEvent, LabelPageEvent, MapSavedEvent, RebuildView
 from semviz.runs.comparison import frame_change
 from semviz.runs.diagnosis import frame_diagnosis, implicated_elements
@@ -18,7 +18,8 @@ from semviz.web.protocol import handles
 from semviz.what_if.solve import describe_sweep, free_path
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace, login_name
-from semviz_annotation.labels.edits import DecideElements, Edit, Link
+from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
+from semviz_annotation.labels.proposals import Proposal
 from semviz_annotation.labels.rows import review_decision
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError
@@ -86,7 +87,10 @@ class RunLabels:
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
         """Return the label element behind a map element whose observation is nearest to ``frame``,
-        by name, and the number of that observation's frame."""
+        by name, and the number of that observation's frame. A track is given by its id."""
+        if track := self.origins.track(element_id):
+            nearest = min(track, key=lambda row: abs(row.frame_index - frame))
+            return self._label_ids_of_map(element_id)[0], nearest.frame_index
         observations = [
             (abs(row.frame_index - frame), row.frame_index, origin.element.number, origin.element)
             for origin in self.origins.of(element_id)
@@ -102,12 +106,31 @@ class RunLabels:
         self._apply(Link(self._label_ids(element_ids)))
 
     def exclude(self, element_id: int) -> None:
-        """Exclude the labels of a map element from maps."""
+        """Exclude the labels of a map element from maps; a track of detections is rejected."""
+        if track := self.origins.track(element_id):
+            self._reject(element_id, track)
+            return
         self._apply(
             DecideElements(
                 tuple(review_decision(id, "leave out") for id in self._label_ids((element_id,)))
             )
         )
+
+    def _reject(self, element_id: int, track: tuple[Proposal, ...]) -> None:
+        """Add a track of detections as an element that is left out of maps."""
+        from semviz.annotator.detection_tracks import free_detections, mark_of
+
+        track_id, labels = self._label_ids_of_map(element_id)[0], self.workspace.read_labels()
+        rows = tuple(
+            mark_of(row).at(row.frame_index, row.side, row.id)
+            for row in free_detections(track, labels)
+        )
+        self._apply(AddElements((NewElement(track_id, track[0].class_id, rows),), left_out=True))
+
+    def _label_ids_of_map(self, element_id: int) -> tuple[str, ...]:
+        """Return the UUIDs that the map gives for an element, of labels or of tracks."""
+        provenance = provenance_of(self._run.semantic_map, element_id)
+        return () if provenance is None else provenance.label_ids
 
     def undo(self) -> None:
         """Undo the last edit that was made here."""
@@ -127,7 +150,7 @@ class RunLabels:
             label_ids += [origin.element.id for origin in origins]
         return tuple(label_ids)
 
-    def _apply(self, edit: Edit) -> None:
+    def _apply(self, edit: AnyEdit) -> None:
         with self.workspace.open_labels() as store:
             self._done.append(store.apply(edit, login_name()).number)
 

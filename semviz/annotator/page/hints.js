@@ -62,8 +62,8 @@ function forTrack(state, { name }, { frames }) {
   const sure = state.labels.map.sure_tracks;
   const all = frames === 1 ? "" : ` in ${frames} frames`;
   return [
-    hint(`accept ${name}${all}`, "Space"), hint("reject", "X"), hint("next", "Tab"), hint("correct it here", "Drag"),
-    ...(sure > 1 ? [hint(`accept ${sure} sure tracks`, "Shift A")] : []), hint("draw it", "Shift Click"),
+    hint(`accept ${name}${all}`, "Space"), hint("reject", "X"), hint("next", "Tab"), hint("correct here", "Drag"),
+    ...(sure > 1 ? [hint(`${sure} sure tracks`, "Shift A")] : []), hint("draw it", "Shift Click"),
   ];
 }
 

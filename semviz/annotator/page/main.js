@@ -43,7 +43,7 @@ export class Page {
     this.outbox = null; // once the workspace is known
     /** @type {import("/static/scene.js").RenderGate | null} */
     this.sceneGate = null;
-    this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04
+    this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04, or the id of a track
     this.isPreviewing = false;
     this.previewAgain = false;
     /** @type {PageSocket<annotator.Requests, annotator.Events>} */
@@ -248,6 +248,7 @@ export class Page {
       if (!state.isReady) return; // it was sent before the workspace, which brings all
       this.#take(labels, frame);
       this.preview();
+      this.#selectSought(); // its map may have been read only now
     });
     socket.on("saved_operation", ({ reply_to: request, operation }) => {
       state.set({ onDisk: request === null ? null : { request, operation } });
@@ -418,7 +419,8 @@ export class Page {
 
   /** Selects the element named in the address and zooms to it: the inspector links to it. */
   #selectSought() {
-    const element = this.soughtName && this.state.elements.find(({ name }) => name === this.soughtName);
+    const shown = [...this.state.elements, ...this.state.proposals];
+    const element = this.soughtName && shown.find(({ id, name }) => name === this.soughtName || id === this.soughtName);
     if (!element) return;
     this.soughtName = null;
     this.select(element.id);

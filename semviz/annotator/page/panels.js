@@ -151,7 +151,7 @@ export class Panels {
     const about = drawing ? "not saved yet" : element?.unsaved ? "kept here" : element ? state.classOf(id).name : candidate ? whyListed(candidate) : "";
     const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? warning(card), this.#buttons(element)];
   }
 
   /** The review decisions about the element; null if there are none.
@@ -272,11 +272,12 @@ const trackedIn = ({ first, last }) => (first === last ? `track in frame ${first
  */
 const depthOrOrigin = ({ depth_m, origin, track }) => (track ? counted(track.frames, "frame") : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
-/** The score of a proposal, marked as weak if it is not confident.
+/** The score of a proposal, marked as weak if it is not confident; of a track, only whether it is doubtful.
  *
  * @param {Proposal} proposal
  */
-function scoreBar({ score, is_confident: isConfident }) {
+function scoreBar({ score, is_confident: isConfident, track }) {
+  if (track) return isConfident ? null : el("span", { class: "faint", text: "doubtful" });
   if (score === null) return el("span", { class: "faint", text: "searching …" });
   const bar = svg("svg", { class: isConfident ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
@@ -320,6 +321,16 @@ function number(name, value, unit, decimals, sigma = null) {
   return el("div", {}, el("dt", { text: name }),
     el("dd", {}, el("b", { text: known ? `${fixed(value, decimals)} ${unit}` : "—" }),
       sigma !== null ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
+}
+
+/** How well a track fits; null for what is no track.
+ *
+ * @param {Proposal | annotator.NearbyView | null} candidate
+ */
+function aboutTrack(candidate) {
+  if (!candidate || !("track" in candidate) || !candidate.track) return null;
+  const existence = candidate.score === null ? "" : `, existence ${shownScore(candidate.score)}`;
+  return el("p", { class: "about-card dim", text: `Residual ${candidate.track.residual_px.toFixed(1)} px${existence}` });
 }
 
 /** @param {annotator.Card | null} card */
