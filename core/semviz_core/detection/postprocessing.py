@@ -146,6 +146,12 @@ _SIGN_SIDE, _SIGN_PIXELS = 6, 25
 _ASIDE = 1.0
 """Largest distance, in widths of the pole, between a piece and the axis of its pole."""
 _LEAST_ASIDE_PX = 2.0
+_NEAR_ROWS = 60
+"""Least number of rows of a pole so near that its mask may cover only its two edges."""
+_SIDE_BY_SIDE, _MOST_GAP, _EDGES_SLENDER, _HALF_SEEN = 0.6, 1.5, 3.0, 0.15
+"""Two edges of one thick pole share this part of the longer one's rows, their gap is at most so
+many times as wide as both, they are together so slender, and the mean probability of a pole in the
+gap is at least the last."""
 
 
 class _Piece(NamedTuple):
@@ -204,7 +210,7 @@ def mask_regions(
     for index, target in enumerate(classes.wanted):
         others = np.delete(in_image, index, axis=0).max(axis=0)
         mask = in_image[index] > others
-        pieces = _poles(mask) if target in classes.lines else _signs(mask)
+        pieces = _poles(mask, in_image[index]) if target in classes.lines else _signs(mask)
         regions += [_region(piece, target, in_image[index]) for piece in pieces]
     return [region for region in regions if region.score >= least_score]
 
@@ -229,8 +235,11 @@ def _signs(mask: BoolArray) -> list[_Piece]:
     ]
 
 
-def _poles(mask: BoolArray) -> list[_Piece]:
-    """Return upright pieces, longest first, each joined with those that continue its axis."""
+def _poles(mask: BoolArray, odds: NDArray[np.float32]) -> list[_Piece]:
+    """Return upright pieces, longest first, each joined with those that continue its axis.
+
+    Two edges of one thick pole are joined too: ``odds`` are the probabilities of a pole.
+    """
     pieces = [
         upright
         for component in _components(mask)
@@ -244,6 +253,7 @@ def _poles(mask: BoolArray) -> list[_Piece]:
             poles[rows[0]] = _joined(poles[rows[0]], piece)
         else:
             poles.append(piece)
+    poles = _with_joined_edges(poles, odds)
     return [piece for piece in poles if len(piece.mask) >= max(_POLE_ROWS, _SLENDER * piece.width)]
 
 
@@ -279,6 +289,46 @@ def _continues(pole: _Piece, piece: _Piece) -> bool:
     row = (first + end - 1) / 2.0
     offset = abs(float(_centres(piece).mean()) - (column + slope * row))
     return bool(offset <= max(_LEAST_ASIDE_PX, _ASIDE * pole.width))
+
+
+def _with_joined_edges(poles: list[_Piece], odds: NDArray[np.float32]) -> list[_Piece]:
+    """Return the poles, with two that are the edges of one thick pole as one."""
+    whole: list[_Piece] = []
+    for piece in poles:
+        rows = [row for row, pole in enumerate(whole) if _is_other_edge(pole, piece, odds)]
+        if rows:
+            whole[rows[0]] = _joined(whole[rows[0]], piece)
+        else:
+            whole.append(piece)
+    return whole
+
+
+def _is_other_edge(pole: _Piece, piece: _Piece, odds: NDArray[np.float32]) -> bool:
+    """Whether two pieces are the edges of one pole: side by side, and perhaps a pole between."""
+    low, high = (pick(pole.rows[k], piece.rows[k]) for k, pick in ((0, max), (1, min)))
+    if high - low < max(_NEAR_ROWS, _SIDE_BY_SIDE * max(len(pole.mask), len(piece.mask))):
+        return False
+    left, right = sorted((pole, piece), key=lambda each: float(_centres(each).mean()))
+    ends = [_last_columns(left, low, high), -_last_columns(right, low, high, mirrored=True)]
+    between = [
+        odds[row, first + 1 : last]
+        for row, first, last in zip(range(low, high), *ends, strict=True)
+        if 0 <= first + 1 < last
+    ]
+    gap = float(np.median([len(part) for part in between])) if between else 0.0
+    if not 0.0 < gap <= _MOST_GAP * (left.width + right.width) + 2.0:
+        return False
+    slender = high - low >= _EDGES_SLENDER * (left.width + right.width + gap)
+    return bool(slender and float(np.concatenate(between).mean()) >= _HALF_SEEN)
+
+
+def _last_columns(piece: _Piece, low: int, high: int, mirrored: bool = False) -> IntArray:
+    """Return (high - low,) the last column with pixels in each row; mirrored: minus the first."""
+    mask = piece.mask[low - piece.corner[1] : high - piece.corner[1]]
+    columns = np.arange(mask.shape[1]) + piece.corner[0]
+    signed = -columns if mirrored else columns
+    lowest = int(signed.min()) - 1
+    return np.asarray(np.where(mask, signed, lowest).max(axis=1), np.int64)
 
 
 def _axis(pole: _Piece) -> FloatArray:

@@ -130,6 +130,8 @@ def _same_pole(first: FloatArray, second: FloatArray, beside_px: float) -> bool:
 
 
 _LEAST_PX, _MOST_PX = 0.1, 20.0
+_LEAST_ALONG_PX = 1.2
+"""Least sigma of a pole's ends along it: even of clear ones, one in 50 is another edge."""
 
 WEIGHTS: dict[str, tuple[float, ...]] = {
     "line by ends": (-0.1109, -0.0696, 0.3786),
@@ -201,7 +203,8 @@ def predicted_sigma_px(kind: str, evidence: FloatArray) -> float:
 def chosen_sigma_px(what: str, least_px: float) -> float:
     """Return the sigma of a candidate chosen for the least predicted sigma."""
     constant, factor = CHOSEN[what]
-    return min(max(math.exp(constant + factor * math.log(least_px)), _LEAST_PX), _MOST_PX)
+    floor = _LEAST_ALONG_PX if what == "along" else _LEAST_PX
+    return min(max(math.exp(constant + factor * math.log(least_px)), floor), _MOST_PX)
 
 
 def known(evidence: FloatArray) -> bool:

@@ -92,18 +92,26 @@ def without_arms(region: Region) -> list[Region]:
     """
     if region.mask is None or not region.mask.any():
         return []
-    kept = []
+    first, last = [], []
     for axis in (0, 1):  # columns, rows
         counts = region.mask.sum(axis=axis)
         wide = np.flatnonzero(counts >= _BODY * np.percentile(counts[counts > 0], 80))
-        kept.append(slice(int(wide[0]), int(wide[-1]) + 1))
-    body = region.mask[kept[1], kept[0]]
-    if min(np.divide(body.shape, region.mask.shape)) > _WITHOUT_ARMS:
-        return []
-    corner = (region.corner_px[0] + kept[0].start, region.corner_px[1] + kept[1].start)
-    size = np.array(body.shape[::-1]) - 1.0
-    box = np.concatenate([corner, corner + size])
-    return [replace(region, box_px=box, mask=body, corner_px=corner)]
+        first.append(int(wide[0]))
+        last.append(int(wide[-1]) + 1)
+    tops = {first[1], 0}  # a triangle is narrow at its top, but that is no arm
+    bodies = [region.mask[top : last[1], first[0] : last[0]] for top in sorted(tops)]
+    return [
+        _part(region, body, (first[0], top))
+        for top, body in zip(sorted(tops), bodies, strict=True)
+        if min(np.divide(body.shape, region.mask.shape)) <= _WITHOUT_ARMS and body.any()
+    ]
+
+
+def _part(region: Region, mask: BoolArray, at: tuple[int, int]) -> Region:
+    """Return a region with a part of its mask, which begins at a column and row of it."""
+    left, top = region.corner_px[0] + at[0], region.corner_px[1] + at[1]
+    box = np.array([left, top, left + mask.shape[1] - 1, top + mask.shape[0] - 1], np.float64)
+    return replace(region, box_px=box, mask=mask, corner_px=(left, top))
 
 
 def _between(kind: str, low_px: FloatArray, high_px: FloatArray, bare: float) -> SignCenter:

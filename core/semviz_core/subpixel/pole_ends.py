@@ -183,7 +183,8 @@ _CLEAR_ROW = 3.0
 """Largest log-odds of one row: neighbouring rows are not independent."""
 _CAUTION = 0.5
 """Log-odds that a row needs in addition, beyond the end of a mask."""
-_SLOPES = np.linspace(-1.0, 1.0, 5)
+_STRAIGHT_PX = 0.75
+"""A line that is off by less than this at its far end is taken as it is."""
 _BEYOND = 10
 """Number of rows after the end that tell how clear it is."""
 _AT_ONCE = 40
@@ -195,8 +196,6 @@ class GrownEnd(NamedTuple):
 
     off_px: float
     """Distance beyond that end; 0 if the pole does not go on."""
-    aside_px: float
-    """Distance of the pole from its line there, to the right of the line seen downwards."""
     gain: float
     """Log-odds of the pole between both ends."""
     fall: float
@@ -205,7 +204,7 @@ class GrownEnd(NamedTuple):
     """Mean votes (0 to 1) for edges along the pole just after the end, beside it and in it."""
 
 
-NOT_GROWN = GrownEnd(0.0, 0.0, 0.0, 0.0, 0.0)
+NOT_GROWN = GrownEnd(0.0, 0.0, 0.0, 0.0)
 
 
 def grown_end(
@@ -230,13 +229,18 @@ def grown_end(
         slope, last, stopped = _furthest(odds, gap)
         if stopped:
             break
-    aside = float(most_aside * _SLOPES[slope] * last)
     gain = float(odds[slope, :last].sum())
     if last == count:  # at the border
-        return GrownEnd(float(last), aside, gain, 0.0, 0.0)
+        return GrownEnd(float(last), gain, 0.0, 0.0)
     after = slice(last, last + _BEYOND)
     fall, busy = float(odds[slope, after].mean()), float(clutter[slope, after].mean())
-    return GrownEnd(float(last), aside, gain, fall, busy)
+    return GrownEnd(float(last), gain, fall, busy)
+
+
+def _slopes(most_aside: float, count: int) -> FloatArray:
+    """Return (n,) how far, per px, a pole may be beside its line; 0 only if it is hardly so."""
+    sure = most_aside * count < _STRAIGHT_PX
+    return np.zeros(1) if sure else most_aside * np.linspace(-1.0, 1.0, 5)
 
 
 def _to_border_px(image: SampledImage, other_px: FloatArray, end_px: FloatArray) -> float:
@@ -269,7 +273,8 @@ def _rows_beyond(
 ) -> tuple[FloatArray, FloatArray]:
     """Return log-odds (slopes, count) of rows beyond an end being the pole's, and clutter."""
     along = (end_px - other_px) / np.linalg.norm(end_px - other_px)
-    steps = along + most_aside * _SLOPES[:, None] * across(np.stack([other_px, end_px]))
+    slopes = _slopes(most_aside, count)
+    steps = along + slopes[:, None] * across(np.stack([other_px, end_px]))
     points = end_px + (np.arange(count) + 0.5)[:, None] * steps[:, None]
     votes, clutter = _row_votes(image, other_px, end_px, width_px, points.reshape(-1, 2))
     odds = WEIGHTS[0] - _CAUTION + votes @ WEIGHTS[1:]
