@@ -130,7 +130,7 @@ def _check_plot(plot: Path | None, workspace: Path, force: bool) -> None:
 
 def _files_read(path: Path) -> list[Path]:
     """Return what a refinement reads and must not replace: the workspace and its pose file."""
-    from semviz.workspace.workspace import KittiSettings
+    from semviz.workspace.settings import KittiSettings
 
     settings = parsing.open_workspace(path).settings.source
     if not isinstance(settings, KittiSettings):

@@ -15,7 +15,8 @@ import numpy as np
 from semviz.inspector import views_frame
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError
-from semviz.workspace.workspace import SETTINGS, Workspace
+from semviz.workspace.settings import SETTINGS
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
 from semviz_annotation.labels.proposals import Proposal, load_proposals
 from semviz_annotation.mapping.build import uses_detections

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from semviz.runs.images import project_elements
-from semviz.workspace.workspace import StreetSettings, Workspace
+from semviz.workspace.settings import StreetSettings
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.mapping.quality.label_links import map_rows, observe
 from semviz_core.base.detector_calibration import DetectorCalibration

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from semviz.workspace.workspace import SETTINGS
+from semviz.workspace.settings import SETTINGS
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import HEAD_BYTES, IsOurs, check_output
 

@@ -9,7 +9,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from semviz.workspace.workspace import KittiSettings, Workspace
+from semviz.workspace.settings import KittiSettings
+from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame, Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.kitti import KittiSequence

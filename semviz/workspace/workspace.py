@@ -17,16 +17,26 @@ The author of stored operations defaults to the login name.
 import getpass
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz.workspace.drive_file import DRIVE_FILE, RECTIFIED, DriveFile, read_drive_file
+from semviz.workspace.settings import (
+    SETTINGS,
+    STREET_FRAMES,
+    FrameRange,
+    ImagesSettings,
+    KittiSettings,
+    Settings,
+    StreetSettings,
+    new_settings,
+    read_settings,
+)
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.frame import Dataset
@@ -34,9 +44,7 @@ from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import first_line, read_toml
 from semviz_core.datasets.validation import Calibration
-from semviz_core.simulation.objects import SectionKind
 
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
@@ -46,87 +54,12 @@ if TYPE_CHECKING:
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
 
-VERSION: Final = 1
-SETTINGS = "semviz.toml"
-STREET_FRAMES = 60
 MOST_NAME_BYTES = 200
 """File systems allow 255, with the ending and a temporary suffix."""
 MAIN = "main"
 """Default name of the map to build and use."""
 TRUTH = "truth"
 """Name of the true map of a simulated street."""
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class FrameRange(_Model):
-    """Frame numbers from ``first`` to ``end``, which is excluded."""
-
-    first: int = Field(ge=0)
-    end: int = Field(gt=0)
-    step: int = Field(default=1, gt=0)
-
-    @classmethod
-    def of(cls, frames: range) -> "FrameRange":
-        if not frames or frames.start < 0 or frames.step < 0:
-            raise SemvizError(f"frames {frames}: expected numbers from 0, going up")
-        return cls(first=frames.start, end=frames.stop, step=frames.step)
-
-    def as_range(self) -> range:
-        return range(self.first, self.end, self.step)
-
-
-class KittiSettings(_Model):
-    """A KITTI odometry sequence."""
-
-    kind: Literal["kitti"] = "kitti"
-    root: str
-    """Folder that holds ``sequences``, absolute or relative to the workspace."""
-    sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
-    cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
-    frames: FrameRange | None = None
-    poses: str | None = None
-    """A pose file to use instead of KITTI's, absolute or relative to the workspace."""
-
-
-class ImagesSettings(_Model):
-    """Folders of images of any camera; the file ``drive.json`` holds calibration and poses."""
-
-    kind: Literal["images"] = "images"
-    images: str
-    """Folder of the left, or the only, camera, absolute or relative to the workspace."""
-    right: str | None = None
-
-
-class SectionSettings(_Model):
-    """A stretch of a simulated street; see ``semviz_core.simulation.layout.Section``."""
-
-    kind: SectionKind
-    length_m: float = Field(gt=0, le=10_000)
-
-
-class StreetSettings(_Model):
-    """A simulated street: its seed, number of frames, and sections."""
-
-    kind: Literal["street"] = "street"
-    seed: int = Field(ge=0)
-    frames: int = Field(default=STREET_FRAMES, gt=0, le=10_000)
-    spacing_m: float = Field(default=1.0, gt=0, le=20)
-    sections: tuple[SectionSettings, ...] = ()
-
-
-class Settings(_Model):
-    """The content of ``semviz.toml``."""
-
-    version: Literal[1]
-    name: str
-    trust_poses: bool = False
-    """Accept poses that jump or go backwards."""
-    source: Annotated[KittiSettings | StreetSettings | ImagesSettings, Field(discriminator="kind")]
-    calibration: Calibration | None = None
-    """Calibration of the labels; None in a workspace of an older version."""
 
 
 class Workspace:
@@ -178,7 +111,7 @@ class Workspace:
             "frames": None if frames is None else FrameRange.of(frames),
             "poses": None if poses is None else os.path.relpath(poses.resolve(), path.resolve()),
         }
-        settings = _new_settings(path, source, trust_poses)
+        settings = new_settings(path, source, trust_poses)
         return cls._create(path, settings, dataset.rig)
 
     @classmethod
@@ -195,7 +128,7 @@ class Workspace:
             for name, folder in folders.items()
             if folder is not None
         }
-        settings = _new_settings(path, source, trust_poses)
+        settings = new_settings(path, source, trust_poses)
         content = DriveFile.of(drive, f"drive-{settings.name}")
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
             dataset = content.dataset(files.images, files.right, Path(cache))
@@ -230,7 +163,7 @@ class Workspace:
                 {"kind": section.kind, "length_m": section.length_m} for section in sections
             ],
         }
-        settings = _new_settings(path, source)
+        settings = new_settings(path, source)
         street = cls(path, settings).street  # may fail, so before a folder is made
         workspace = cls._create(path, settings, street.rig)
         save_map(street.truth_map, workspace.map_path(TRUTH))
@@ -450,38 +383,6 @@ def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
                 raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
             runs += [workspace.run_path(name) for name in workspace.runs()]
     return tuple(runs)
-
-
-def read_settings(path: Path) -> Settings:
-    file = path / SETTINGS
-    if not file.is_file():
-        raise SemvizError(f"{path}: not a workspace (no {SETTINGS}); make one with 'semviz new'")
-    raw = read_toml(file)
-    version = raw.get("version")
-    if isinstance(version, int) and version > VERSION:
-        raise SemvizError(
-            f"{file}: workspace version {version}; this semviz reads up to {VERSION}: update semviz"
-        )
-    try:
-        return Settings.model_validate(raw)
-    except ValidationError as error:
-        raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
-
-
-def _new_settings(path: Path, source: Mapping[str, object], trust_poses: bool = False) -> Settings:
-    name = path.resolve().name
-    try:
-        return Settings.model_validate(
-            {"version": VERSION, "name": name, "trust_poses": trust_poses, "source": source}
-        )
-    except ValidationError as error:
-        raise SemvizError(f"{path}: {_first_fault(error)}; choose another value") from None
-
-
-def _first_fault(error: ValidationError) -> str:
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"]) or "file"
-    return first_line(f"{where}: {first['msg']}")
 
 
 def _checked_name(name: str) -> str:

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from semviz.workspace.workspace import SETTINGS, Workspace, find_runs
+from semviz.workspace.settings import SETTINGS
+from semviz.workspace.workspace import Workspace, find_runs
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map

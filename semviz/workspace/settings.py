@@ -1,0 +1,122 @@
+"""The settings of a workspace, ``semviz.toml``: where its images come from."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import first_line, read_toml
+from semviz_core.datasets.validation import Calibration
+from semviz_core.simulation.objects import SectionKind
+
+VERSION: Final = 1
+SETTINGS = "semviz.toml"
+STREET_FRAMES = 60
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FrameRange(_Model):
+    """Frame numbers from ``first`` to ``end``, which is excluded."""
+
+    first: int = Field(ge=0)
+    end: int = Field(gt=0)
+    step: int = Field(default=1, gt=0)
+
+    @classmethod
+    def of(cls, frames: range) -> "FrameRange":
+        if not frames or frames.start < 0 or frames.step < 0:
+            raise SemvizError(f"frames {frames}: expected numbers from 0, going up")
+        return cls(first=frames.start, end=frames.stop, step=frames.step)
+
+    def as_range(self) -> range:
+        return range(self.first, self.end, self.step)
+
+
+class KittiSettings(_Model):
+    """A KITTI odometry sequence."""
+
+    kind: Literal["kitti"] = "kitti"
+    root: str
+    """Folder that holds ``sequences``, absolute or relative to the workspace."""
+    sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
+    frames: FrameRange | None = None
+    poses: str | None = None
+    """A pose file to use instead of KITTI's, absolute or relative to the workspace."""
+
+
+class ImagesSettings(_Model):
+    """Folders of images of any camera; the file ``drive.json`` holds calibration and poses."""
+
+    kind: Literal["images"] = "images"
+    images: str
+    """Folder of the left, or the only, camera, absolute or relative to the workspace."""
+    right: str | None = None
+
+
+class SectionSettings(_Model):
+    """A stretch of a simulated street; see ``semviz_core.simulation.layout.Section``."""
+
+    kind: SectionKind
+    length_m: float = Field(gt=0, le=10_000)
+
+
+class StreetSettings(_Model):
+    """A simulated street: its seed, number of frames, and sections."""
+
+    kind: Literal["street"] = "street"
+    seed: int = Field(ge=0)
+    frames: int = Field(default=STREET_FRAMES, gt=0, le=10_000)
+    spacing_m: float = Field(default=1.0, gt=0, le=20)
+    sections: tuple[SectionSettings, ...] = ()
+
+
+class Settings(_Model):
+    """The content of ``semviz.toml``."""
+
+    version: Literal[1]
+    name: str
+    trust_poses: bool = False
+    """Accept poses that jump or go backwards."""
+    source: Annotated[KittiSettings | StreetSettings | ImagesSettings, Field(discriminator="kind")]
+    calibration: Calibration | None = None
+    """Calibration of the labels; None in a workspace of an older version."""
+
+
+def read_settings(path: Path) -> Settings:
+    """Return the settings in the workspace folder ``path``. Raise SemvizError if unreadable."""
+    file = path / SETTINGS
+    if not file.is_file():
+        raise SemvizError(f"{path}: not a workspace (no {SETTINGS}); make one with 'semviz new'")
+    raw = read_toml(file)
+    version = raw.get("version")
+    if isinstance(version, int) and version > VERSION:
+        raise SemvizError(
+            f"{file}: workspace version {version}; this semviz reads up to {VERSION}: update semviz"
+        )
+    try:
+        return Settings.model_validate(raw)
+    except ValidationError as error:
+        raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
+
+
+def new_settings(path: Path, source: Mapping[str, object], trust_poses: bool = False) -> Settings:
+    """Return the settings of a new workspace. Raise SemvizError if a value is impossible."""
+    name = path.resolve().name
+    try:
+        return Settings.model_validate(
+            {"version": VERSION, "name": name, "trust_poses": trust_poses, "source": source}
+        )
+    except ValidationError as error:
+        raise SemvizError(f"{path}: {_first_fault(error)}; choose another value") from None
+
+
+def _first_fault(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "file"
+    return first_line(f"{where}: {first['msg']}")
