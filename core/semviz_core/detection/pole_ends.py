@@ -99,7 +99,7 @@ def _is_own(image: SampledImage, region: Region, line: Line, ends_px: FloatArray
     told = region.ends_known is not None and region.ends_known[end.which]
     if region.ends_known is not None and not told:
         return False
-    return known(end_evidence(image, region, line, ends_px, end))
+    return known(end_evidence(image, region, line, ends_px, end), end.which)
 
 
 def best_end(

@@ -185,6 +185,9 @@ KNOWN: tuple[float, ...] = (
     -0.8807, -0.8904, -0.3391, 0.1638, -0.8356, -0.3354, -0.5088,
 )  # fmt: skip
 """Weights of ``pole_ends.end_evidence`` for a visible end being the pole's own (logistic)."""
+KNOWN_LOG_ODDS = (0.0, math.log(1 / 4))
+"""Least log-odds of a known peak and bottom. A bottom that is given up is lost, while a hidden one
+does little harm: the images of a map's element outvote it, and localization expects a share."""
 SHAPE = np.array(
     (-2.2206, -2.5348, -2.9158, -0.0197, 3.8794, 5.9878, -3.1262, -0.7591, -1.3119, -1.3762)
 )
@@ -207,6 +210,6 @@ def chosen_sigma_px(what: str, least_px: float) -> float:
     return min(max(math.exp(constant + factor * math.log(least_px)), floor), _MOST_PX)
 
 
-def known(evidence: FloatArray) -> bool:
-    """Whether a visible end is more likely than not the pole's own."""
-    return bool(KNOWN[0] + np.dot(KNOWN[1:], evidence) > 0.0)
+def known(evidence: FloatArray, which: int) -> bool:
+    """Whether a visible end, peak (0) or bottom (1), is taken for the pole's own."""
+    return bool(KNOWN[0] + np.dot(KNOWN[1:], evidence) > KNOWN_LOG_ODDS[which])
