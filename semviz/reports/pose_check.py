@@ -80,9 +80,10 @@ def draw_check(check: PoseCheck, path: Path) -> None:
     moved.plot(numbers, turned, color=COLORS[1], label="turn (deg)")
     length = np.linalg.norm(refinement.shift_m, axis=1)
     moved.plot(numbers, length, color=COLORS[0], linestyle="--", label="shift (m)")
-    moved.set(ylabel="given beyond refined")
+    moved.set(ylabel="moved by refining")
     sigmas.bar(now, np.sqrt(comparison.chi2[comparison.compared]), color=COLORS[4], width=0.8)
     sigmas.set(ylabel="sigmas of a pair", xlabel="frame")
+    sigmas.xaxis.get_major_locator().set_params(integer=True)
     for axis in (turn, shift, moved, sigmas):
         _mark_faults(axis, check)
         add_grid(axis)

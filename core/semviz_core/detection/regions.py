@@ -185,7 +185,7 @@ KNOWN: tuple[float, ...] = (
     -0.8807, -0.8904, -0.3391, 0.1638, -0.8356, -0.3354, -0.5088,
 )  # fmt: skip
 """Weights of ``pole_ends.end_evidence`` for a visible end being the pole's own (logistic)."""
-KNOWN_LOG_ODDS = (0.0, math.log(1 / 4))
+KNOWN_LOG_ODDS = (0.0, math.log(1 / 2))
 """Least log-odds of a known peak and bottom. A bottom that is given up is lost, while a hidden one
 does little harm: the images of a map's element outvote it, and localization expects a share."""
 SHAPE = np.array(
