@@ -385,6 +385,7 @@ def test_kill_9_loses_nothing_that_was_called_saved_nor_what_was_drawn_after(
     labels = workspace.read_labels()
     places = sorted(row.anchor_px[0] for row in labels.observations.values())
     np.testing.assert_allclose(places, (420.0, 700.0), atol=0.05)
+    page.goto("about:blank")  # images that were under way have failed by now
     page_errors.clear()  # the browser reports the connections that were refused
 
 

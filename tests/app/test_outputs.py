@@ -105,6 +105,7 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
     "detect evaluate": {
         "out": [Output("--streets 1 --frames-a-street 1 --out TARGET", "report.html", False)]
     },
+    "detect choose": {"out": [Output("W --map truth --out TARGET", is_cheap=False)]},
     "detect train": {
         "out": [Output("--streets 1 --samples 8 --out TARGET", name, False) for name in TRAININGS]
     },
@@ -126,9 +127,18 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
 INPUTS = {
     "annotate": {"workspace"},
     "serve": {"paths"},
-    "new": {"kitti", "poses"},
+    "new": {
+        "kitti",
+        "images",
+        "right",
+        "calibration",
+        "right_calibration",
+        "poses",
+        "times",
+    },  # fmt: skip
     "detect run": {"workspace"},
-    "detect train": {"workspaces"},
+    "detect train": {"workspaces", "segmentation"},
+    "detect choose": {"workspace"},
     "detect evaluate": {"workspaces"},
     "map backdrop": {"workspace"},
     "map build": {"workspace"},

@@ -139,7 +139,7 @@ def test_a_drive_is_mapped_and_localized_as_well_as_by_a_pinhole(
     assert len(built) > 8
     sigma = np.sqrt(np.trace(built.covariance_m2[:, :3, :3], axis1=1, axis2=2))
     assert (nearest < 4.0 * sigma + 0.05)[built.anchor_known].all()
-    assert np.median(nearest) < 0.4
+    assert np.median(nearest) < 0.6
     accuracy = json.loads(semviz("map", "check", town.path, "--json"))
     assert accuracy["classes"]["pole"]["lateral_rmse_px"] < 2.0 * SIGMA_PX
     run = town.path / "runs" / "first.rrd"
@@ -236,7 +236,9 @@ def test_strict_makes_nothing_where_images_lack_poses(
     times = small / "times.txt"
     times.write_text("\n".join(str(10.0 + 0.1 * index) for index in range(6)))
     poses = small / "tum.txt"
-    poses.write_text("".join(f"{10.0 + 0.1 * i} {i} 0 0 0.5 -0.5 0.5 -0.5\n" for i in range(5)))
+    poses.write_text(
+        "".join(f"{10.0 + 0.1 * i} {i} 0 {0.1 * i} 0.5 -0.5 0.5 -0.5\n" for i in range(5))
+    )
     arguments = (
         "new", small / "town", "--images", small / "cam", "--calibration", small / "cam.toml",
         "--poses", poses, "--times", times, "--up", "z",
