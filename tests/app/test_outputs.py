@@ -135,7 +135,7 @@ INPUTS = {
         "right_calibration",
         "poses",
         "times",
-    },  # fmt: skip
+    },
     "detect run": {"workspace"},
     "detect train": {"workspaces", "segmentation"},
     "detect choose": {"workspace"},
