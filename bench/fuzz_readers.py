@@ -16,7 +16,7 @@ from fuzz_corpus import CALIBRATION, RIG, TIMES, run_rows
 
 from semviz.runs import reader as run_reader
 from semviz.runs import run
-from semviz.workspace import workspace
+from semviz.workspace import settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
 from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
@@ -126,7 +126,7 @@ def _run_values(path: Path) -> None:
 
 
 def _settings(path: Path) -> None:
-    workspace.read_settings(path.parent)
+    settings.read_settings(path.parent)
 
 
 def _model(path: Path) -> None:
