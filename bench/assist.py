@@ -15,7 +15,7 @@ from collections import defaultdict
 
 import cv2
 import numpy as np
-from assist_cases import FAR_M, SIDES, Answer, follows, partners, picture, snaps, works
+from assist_cases import FAR_M, SIDES, Answer, correspondences, follows, picture, snaps, works
 
 from semviz_annotation.assist.marked_image import SURE
 from semviz_annotation.assist.snap import CLEAR, best_snap
@@ -33,7 +33,7 @@ def answers(seeds: range, quick: bool, only: str = "") -> list[Answer]:
         if only in ("", "snap"):
             result += snaps(street, frames, rng)
         if only in ("", "partner"):
-            result += partners(street, frames)
+            result += correspondences(street, frames)
         if only in ("", "follow"):
             result += follows(street, 20, [1, 2, 4, 8] if quick else list(range(1, 9)), rng)
             result += works(street, 20, 9, rng)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.annotator.draft import ProposalMark, ProposalView
+from semviz.annotator.proposal_views import ProposalMark, ProposalView
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements2D
