@@ -75,7 +75,7 @@ def picture(street: Street, index: int, side: Side) -> Picture:
     marks = {element_id: Mark.of_element(seen, row) for row, element_id in enumerate(ids.tolist())}
     classes = dict(zip(map(int, ids), map(int, seen.class_id), strict=True))
     far = dict(zip(map(int, ids), map(float, depths), strict=True))
-    return Picture(MarkedImage.of(view, street.image(index, side)), marks, classes, far)
+    return Picture(MarkedImage.of(view, street.image(index, side), "centroid"), marks, classes, far)
 
 
 def shaken(mark: Mark, rng: np.random.Generator, sigma_px: float) -> Mark:

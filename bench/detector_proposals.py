@@ -30,7 +30,7 @@ from semviz_annotation.assist.marked_image import SURE, Mark
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.stereo_matching import stereo_pairs
 from semviz_annotation.labels.detections import as_proposals
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import BoolArray, FloatArray

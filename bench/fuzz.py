@@ -29,7 +29,9 @@ from mutations import mutated
 NAMES = (
     "cvat", "labelme", "coco", "proposals", "proposals-parquet", "geojson", "lanelet2",
     "opendrive", "csv", "map", "run", "run-values", "poses", "calibration", "image", "settings",
-    "model", "weights", "backdrop",
+    "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
+    "mask", "pole-map", "camera-toml", "camera-yaml", "drive-poses", "drive-times", "colmap",
+    "nerfstudio", "drive-file", "boxes", "box-file",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -38,13 +40,21 @@ WORDS = (
     "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "<![CDATA[", "encoding='utf-16'", "\\\\ud800", "[[[[",
     "pole", "rounded sign", "left/000001.png", "image_3/000002.png", "Feature", "Point",
     "coordinates", "LineString", "geometry", "paramPoly3", "spiral", "signalReference", "P2:",
+    "cam0:", "T_BS:", "T_cam_imu", "T_cn_cnm1", "resolution: [", "distortion_model: equidistant",
+    "!!opencv-matrix", "data: [", "projection_matrix", "rectification_matrix", "0x", "*a", "&a ",
+    "T_right_left = ", "T_body_left = ", "[right]", "model = ", "file_path",
+    "transform_matrix", "camera_model", "OPENCV_FISHEYE", "FULL_OPENCV", "SIMPLE_RADIAL",
+    "transforms", "#timestamp", "{name", "**/", "..", "#c0c080", "[[rates]]", "[scores.pole]",
+    "1e308", "-1e-320", "poleparams.npy", "'descr': '|O'", "(999999999,",
 )  # fmt: skip
 INSTRUMENTED = [
     "semviz_annotation.label_formats", "semviz_annotation.map_formats", "semviz_annotation.labels",
     "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
     "semviz_core.common.parquet_footer", "semviz_core.datasets", "semviz.runs.codec",
     "semviz_core.detection.model_config", "semviz.runs.reader", "semviz.runs.rrd",
-    "semviz.workspace.workspace",
+    "semviz.workspace.settings", "semviz.workspace.drive_file", "semviz_core.research.evaluation",
+    "semviz_core.research.training.segmentation_images", "semviz_core.research.training.box_images",
+    "semviz_core.pose_checks.image_motions", "yaml",
 ]  # fmt: skip
 LIMIT_S, LIMIT_MB, MOST_BYTES = 30, 2048, 8192
 

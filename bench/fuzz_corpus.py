@@ -3,6 +3,7 @@
 python bench/fuzz_corpus.py      # replaces bench/corpus
 """
 
+import hashlib
 import json
 import runpy
 import shutil
@@ -15,10 +16,12 @@ from typing import Any
 import cv2
 import numpy as np
 import tests_support  # noqa: F401
+from drive_formats import CALIBRATIONS, colmap, colmap_binary, euroc, kitti, nerfstudio, stamps, tum
 from map_files import small_map
 
 from semviz.runs import reader, run
 from semviz.runs.writer import RunWriter
+from semviz.workspace.drive_file import CameraEntry, DriveFile, FrameEntry
 from semviz_annotation.label_formats.exchange import export_labels
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.proposals import read_proposals, save_proposals
@@ -29,13 +32,25 @@ from semviz_annotation.mapping.backdrop.backdrop import Backdrop, BackdropSource
 from semviz_annotation.mapping.backdrop.depth_fusion import FusionOptions
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.detector_calibration import (
+    CalibratedRates,
+    DetectorCalibration,
+    ScoreCurve,
+    SigmaScale,
+)
+from semviz_core.base.detector_model import SHIPPED_DETECTOR
+from semviz_core.base.frame import Frame
 from semviz_core.base.map_file import save_map
 from semviz_core.base.pose import Pose
 from semviz_core.base.weights import NetworkWeights
+from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.pose_checks.image_motions import ImageMotions, save_motions
+from semviz_core.pose_checks.motion import Motion
 
 CORPUS = Path(__file__).parent / "corpus"
 CAMERA = Camera(640, 480, np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]))
 RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.5, 0.0, 0.0])))
+SMALL_K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])
 CALIBRATION = "P2: 100 0 60 0 0 100 20 0 0 0 1 0\nP3: 100 0 60 -50 0 100 20 0 0 0 1 0\n"
 TIMES = "0.0\n"
 PROPOSALS = (
@@ -45,15 +60,15 @@ PROPOSALS = (
 )
 SETTINGS = """version = 1
 name = "town"
-created = 2026-01-02T03:04:05
 [source]
 kind = "kitti"
 root = "../kitti"
 sequence = "07"
 cameras = [2, 3]
 [source.frames]
-start = 0
-stop = 10
+first = 0
+end = 10
+step = 1
 """
 MODEL = """model = "model.onnx"
 kind = "segmentation"
@@ -66,6 +81,67 @@ mean = [0.5, 0.5, 0.5]
 [classes]
 "pole" = "pole"
 "2" = "sign"
+"""
+SEGMENTATION = """images = "images/*.png"
+masks = "masks/{name}.png"
+[classes]
+"1" = "pole"
+"2" = "sign"
+"3" = "ignore"
+"""
+BOXES_COCO = """format = "coco"
+images = "images"
+boxes = "labels/boxes.json"
+[classes]
+"plate" = "sign"
+"post" = "pole"
+"tree" = "ignore"
+"""
+BOXES_YOLO = """format = "yolo"
+images = "images/*.png"
+boxes = "labels/{name}.txt"
+[classes]
+"0" = "sign"
+"1" = "pole"
+"2" = "ignore"
+"""
+COCO_BOXES = {
+    "images": [{"id": id_, "file_name": f"{name}.png"} for id_, name in enumerate("ab")],
+    "categories": [{"id": 1, "name": "plate"}, {"id": 2, "name": "post"}],
+    "annotations": [
+        {"image_id": image, "category_id": category, "bbox": box, "iscrowd": crowd}
+        for image in range(2)
+        for category, box, crowd in ((1, [60, 10, 20, 20], 0), (2, [20.5, 5, 6, 30], 1))
+    ],
+}
+YOLO_BOXES = "0 0.58 0.5 0.17 0.5\n1 0.19 0.5 0.05 0.75\n2 0.9 0.5 0.1 0.1\n"
+ACROSS = (1.0, 0.0, 0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+STEREO = """T_right_left = [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0]]
+T_body_left = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]]
+[left]
+size_px = [64, 48]
+model = "fisheye"
+focal_px = [50.0, 50.0]
+center_px = [31.5, 23.5]
+distortion = [0.01, 0.0, 0.0, 0.0]
+[right]
+size_px = [64, 48]
+model = "pinhole"
+focal_px = [50.0, 50.0]
+center_px = [31.5, 23.5]
+"""
+KALIBR_STEREO = """cam0:
+  T_cam_imu: [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  intrinsics: [50, 50, 31.5, 23.5]
+  distortion_model: equidistant
+  distortion_coeffs: [0.01, 0, 0, 0]
+  resolution: [64, 48]
+cam1:
+  T_cn_cnm1: [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  intrinsics: [50, 50, 31.5, 23.5]
+  distortion_model: none
+  distortion_coeffs: []
+  resolution: [64, 48]
 """
 OPENDRIVE = """<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="6"/>
 <road id="1" length="100" junction="-1"><planView>
@@ -98,6 +174,8 @@ def main() -> None:
     _write("poses", "tum.txt", "# t x y z q\n0 0 0 1.6 -0.5 0.5 -0.5 0.5\n")
     _write("settings", "kitti.toml", SETTINGS)
     _write("model", "segmentation.toml", MODEL)
+    _write_detectors()
+    _write_drives()
 
 
 def _path(reader_name: str, name: str) -> Path:
@@ -152,6 +230,65 @@ def _write_tensors() -> None:
     source = BackdropSource("town", "0", np.array([0]), np.eye(4)[None, :3], FusionOptions())
     points, colors = np.ones((3, 3), np.float32), np.zeros((3, 3), np.uint8)
     save_backdrop(Backdrop(points, colors, 0.05, source), _path("backdrop", "small.safetensors"))
+
+
+def _write_detectors() -> None:
+    """What a detector is trained, calibrated and compared with."""
+    rates = CalibratedRates(least_score=0.0, **SHIPPED_DETECTOR._asdict())
+    curve = ScoreCurve(score=(0.1, 0.9), probability=(0.2, 0.8))
+    DetectorCalibration(
+        detector="a detector", model="0" * 64, measuring="edges", truth="images", least_score=0.3,
+        scores={"pole": curve, "sign": curve}, sigma_scale=SigmaScale(pole_along=2.0),
+        rates=(rates, rates.model_copy(update={"least_score": 0.5})),
+    ).save(_path("detector-calibration", "small.toml"))  # fmt: skip
+    _write("segmentation", "small.toml", SEGMENTATION)
+    ids = np.zeros((40, 120), np.uint8)
+    ids[5:35, 20:26], ids[10:30, 60:80] = 1, 2
+    colors = np.array([[0, 0, 0], [128, 192, 192], [9, 9, 9]], np.uint8)[ids]
+    for name, mask in (("ids", ids), ("colours", colors)):
+        _path("mask", f"{name}.png").write_bytes(cv2.imencode(".png", mask)[1].tobytes())
+    _write("boxes", "coco.toml", BOXES_COCO)
+    _write("boxes", "yolo.toml", BOXES_YOLO)
+    _write("box-file", "coco.json", json.dumps(COCO_BOXES))
+    _write("box-file", "yolo.txt", YOLO_BOXES)
+    np.savez(_path("pole-map", "small.npz"), poleparams=np.array([[9.0, 4.0, 0.1]]))
+    weights = (CORPUS / "weights" / "small.safetensors").read_bytes()
+    _write("card", "small.json", json.dumps({"sha256": hashlib.sha256(weights).hexdigest()}))
+    frames = [Frame(index, 0.1 * index, None) for index in range(2)]
+    motion = Motion(Pose(np.eye(3), np.ones(3)), np.eye(9), np.ones(9), 9, 0.5, 2.0)
+    save_motions(
+        ImageMotions.of(frames, True, [motion]), "a source", _path("motions", "small.safetensors")
+    )
+
+
+def _write_drives() -> None:
+    """The files of an own drive."""
+    for name, text in CALIBRATIONS.items():
+        _write("camera-toml" if name.endswith("toml") else "camera-yaml", name, text)
+    _write("camera-toml", "stereo.toml", STEREO)
+    _write("camera-yaml", "stereo.yaml", KALIBR_STEREO)
+    _write("drive-times", "times.txt", "".join(f"{t}\n" for t in stamps()))
+    names = [f"{time},{time}.png" for time in stamps()]
+    _write("drive-times", "names.csv", "#time,name\n" + "\n".join(names))
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        for write in (tum, kitti, euroc):
+            shutil.copy(write(work), _path("drive-poses", write.__name__))
+        shutil.copy(nerfstudio(work), _path("nerfstudio", "small.json"))
+        for write, kind in ((colmap, "txt"), (colmap_binary, "bin")):
+            model = write(work)
+            parts = [(model / f"{part}.{kind}").read_bytes() for part in ("cameras", "images")]
+            _path("colmap", kind).write_bytes(b"\n%%%%\n".join(parts))
+    camera = OriginalCamera("brown-conrady", 64, 48, SMALL_K, np.array([-0.1, 0.01, 0, 0]))
+    entry = CameraEntry.of(camera)
+    DriveFile(
+        map_frame="town", left=entry, right=entry, T_right_left=ACROSS, most_view_deg=110.0,
+        origin_m=(0.0, 0.0, 0.0), statements=(("poses", "TUM"),), warnings=("a warning",),
+        frames=tuple(
+            FrameEntry(index=index, time_s=0.1 * index, left=name, right=name, T_map_camera=ACROSS)
+            for index, name in enumerate(f"{time}.png" for time in stamps()[:2])
+        ),
+    ).save(_path("drive-file", "small.json"))  # fmt: skip
 
 
 def _write_run_values() -> None:

@@ -1,18 +1,20 @@
 """The readers that ``fuzz.py`` attacks: a file's name, and all that is done with its content.
 
 Each takes the bytes of one file and may raise SemvizError only. Label formats go on through the
-plan of an import up to new labels; the database has tests of its own.
+plan of an import up to new labels; the database has tests of its own. ``fuzz_drive_readers`` has
+the readers of own drives.
 """
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import fuzz_drive_readers as drive
 import numpy as np
-from fuzz_corpus import CALIBRATION, RIG, TIMES, run_rows
+from fuzz_corpus import CALIBRATION, CORPUS, RIG, TIMES, run_rows
 
 from semviz.runs import reader as run_reader
 from semviz.runs import run
@@ -29,15 +31,20 @@ from semviz_annotation.map_formats.exchange import ImportFormat, import_map
 from semviz_annotation.map_formats.reading import MapImportContext
 from semviz_annotation.mapping.backdrop.backdrop import load_backdrop
 from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.elements import Elements2D
 from semviz_core.base.map_file import load_map
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.base.weights import read_weights
-from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import decode_image
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.model_config import model_classes, read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
+from semviz_core.pose_checks.image_motions import load_motions
+from semviz_core.research.evaluation.roads import kitti_road
+from semviz_core.research.training import box_images
+from semviz_core.research.training.segmentation_images import TABLE, SegmentationImages
 
 Read = Callable[[Path], object]
 
@@ -79,8 +86,7 @@ def _kitti(path: Path) -> None:
     if not folder.is_dir():
         for camera in (2, 3):
             (folder / f"image_{camera}").mkdir(parents=True)
-            image = Path(__file__).parent / "corpus" / "image" / "grey.png"
-            shutil.copy(image, folder / f"image_{camera}" / "000000.png")
+            shutil.copy(CORPUS / "image" / "grey.png", folder / f"image_{camera}" / "000000.png")
         (folder / "times.txt").write_text(TIMES)
     shutil.copy(path, folder / "calib.txt")
     KittiSequence(path.parent, "07")
@@ -92,12 +98,7 @@ def _poses(path: Path) -> None:
     _kitti(path.parent / "calib.txt")
     (path.parent / "poses").mkdir(exist_ok=True)
     shutil.copy(path, path.parent / "poses" / "07.txt")
-    try:
-        KittiSequence(path.parent, "07")
-    except SemvizError as error:
-        if "\n" in str(error):
-            raise ValueError("more than one line") from error
-    load_trajectory(path)
+    drive.all_of(lambda: KittiSequence(path.parent, "07"), lambda: load_trajectory(path))
 
 
 def _run(path: Path) -> None:
@@ -138,6 +139,96 @@ def _weights(path: Path) -> None:
     read_weights(path).check("matcher", DEFAULT_CLASSES, path)
 
 
+def _card(path: Path) -> None:
+    """``path`` is the model card of weights that are right."""
+    weights = CORPUS / "weights" / "small.safetensors"
+    shutil.copy(weights, path.with_suffix(".safetensors"))
+    read_weights(path.with_suffix(".safetensors"))
+
+
+def _detector_calibration(path: Path) -> None:
+    calibration = DetectorCalibration.load(path)
+    top, bottom = np.array([[10.0, 20.0], [30.0, 40.0]]), np.array([[10.0, 90.0], [30.0, 90.0]])
+    calibration.calibrated(Elements2D.from_ends(top, bottom, np.array([0, 1])))
+    calibration.detector_model(calibration.least_score)
+    calibration.save(path.with_name("again.toml"))
+    assert DetectorCalibration.load(path.with_name("again.toml")).least_score <= 1.0
+
+
+def _segmentation(path: Path) -> None:
+    """``path`` describes a data set of two images and their masks."""
+    for name in ("images", "masks"):
+        if not (path.parent / name).is_dir():
+            (path.parent / name).mkdir()
+            for file in ("a.png", "b.png"):
+                shutil.copy(CORPUS / "mask" / "ids.png", path.parent / name / file)
+    images = SegmentationImages.of(path.parent, path.parent / "prepared")
+    images.describe()
+    images.prepare(0)
+
+
+def _mask(path: Path) -> None:
+    """``path`` is an image and its mask, of ids and of colours."""
+    folder = path.parent
+    for kind, key in (("ids", "2"), ("colours", "#c0c080")):
+        table = f'images = "*.png"\nmasks = "{{name}}.png"\nclasses = {{"{key}" = "pole"}}\n'
+        (folder / kind).mkdir(exist_ok=True)
+        (folder / kind / TABLE).write_text(table)
+        for name in ("a.png", "b.png"):
+            shutil.copy(path, folder / kind / name)
+    ids, colours = (SegmentationImages.of(folder / kind, folder) for kind in ("ids", "colours"))
+    drive.all_of(lambda: ids.prepare(0), lambda: colours.prepare(0))
+
+
+def _boxes(path: Path) -> None:
+    """``path`` describes a data set of two images and their boxes."""
+    for folder, name, source in (
+        ("images", "a.png", CORPUS / "mask" / "ids.png"),
+        ("images", "b.png", CORPUS / "mask" / "ids.png"),
+        ("labels", "a.txt", CORPUS / "box-file" / "yolo.txt"),
+        ("labels", "b.txt", CORPUS / "box-file" / "yolo.txt"),
+        ("labels", "boxes.json", CORPUS / "box-file" / "coco.json"),
+    ):
+        if not (path.parent / folder / name).is_file():
+            (path.parent / folder).mkdir(exist_ok=True)
+            shutil.copy(source, path.parent / folder / name)
+    box_images.BoxImages.of(path.parent, path.parent / "prepared").prepare(0)
+
+
+def _box_file(path: Path) -> None:
+    """``path`` is a COCO file, and the YOLO boxes of two images."""
+
+    def read(kind: str, table: str, names: Sequence[str]) -> None:
+        folder = path.parent / kind
+        folder.mkdir(exist_ok=True)
+        (folder / box_images.TABLE).write_text(table)
+        for image in ("a.png", "b.png"):
+            if not (folder / image).is_file():
+                shutil.copy(CORPUS / "mask" / "ids.png", folder / image)
+        for name in names:
+            shutil.copy(path, folder / name)
+        box_images.BoxImages.of(folder, folder / "prepared").prepare(0)
+
+    coco, yolo = (CORPUS / "boxes" / f"{kind}.toml" for kind in ("coco", "yolo"))
+    drive.all_of(
+        lambda: read("coco", _flat(coco), ["boxes.json"]),
+        lambda: read("yolo", _flat(yolo), ["a.txt", "b.txt"]),
+    )
+
+
+def _flat(table: Path) -> str:
+    """Return a table of boxes for images and boxes in its own folder."""
+    text = table.read_text().replace('"images"', '"."')
+    return text.replace("images/", "").replace("labels/", "")
+
+
+def _pole_map(path: Path) -> None:
+    """``path`` is an npz file of surveyed poles."""
+    poses = path.with_name("poses.txt")
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1.5\n")
+    kitti_road(poses, path, "road")
+
+
 READERS: Mapping[str, Reader] = {
     "cvat": Reader("input.xml", _labels(read_cvat)),
     "labelme": Reader("input.json", _labels(read_labelme)),
@@ -158,4 +249,19 @@ READERS: Mapping[str, Reader] = {
     "model": Reader("model.toml", _model),
     "weights": Reader("input.safetensors", _weights),
     "backdrop": Reader("backdrop.safetensors", load_backdrop),
+    "card": Reader("input.json", _card),
+    "motions": Reader("input.safetensors", lambda path: load_motions(path, "a source")),
+    "detector-calibration": Reader("input.toml", _detector_calibration),
+    "segmentation": Reader(TABLE, _segmentation),
+    "mask": Reader("input.png", _mask),
+    "boxes": Reader(box_images.TABLE, _boxes),
+    "box-file": Reader("input", _box_file),
+    "pole-map": Reader("input.npz", _pole_map),
+    "camera-toml": Reader("input.toml", drive.calibration),
+    "camera-yaml": Reader("input.yaml", drive.calibration),
+    "drive-poses": Reader("input.txt", drive.poses),
+    "drive-times": Reader("input.txt", drive.times),
+    "colmap": Reader("input", drive.colmap),
+    "nerfstudio": Reader("input.json", drive.nerfstudio),
+    "drive-file": Reader("drive.json", drive.drive_file),
 }

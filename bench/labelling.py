@@ -57,7 +57,12 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
         for index in range(FRAMES)
         for side in SIDES
         for proposal in as_proposals(
-            index, side, detector.detect(index, side).observed, street.rig.left, "simulated"
+            index,
+            side,
+            detector.detect(index, side).observed,
+            street.rig.left,
+            "simulated",
+            "centroid",
         )
     ]
     save_proposals(Proposals.of(found), workspace.proposals_path)

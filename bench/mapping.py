@@ -40,7 +40,8 @@ from support.street_labels import (
 
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.views import rig_view
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.mapping.paper_baseline import PaperOptions

@@ -70,7 +70,7 @@ class Looks:
         pose = self._street.frames[index].T_map_camera
         assert pose is not None  # a street knows the truth
         view = rig_view(self._street.rig, side, pose.inverse())
-        return MarkedImage.of(view, self._street.image(index, side))
+        return MarkedImage.of(view, self._street.image(index, side), "centroid")
 
     def like(self, observation: int, landmark: int) -> float:
         """How like the landmark an observation is, at best; NaN where one cannot tell."""

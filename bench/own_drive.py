@@ -4,7 +4,8 @@
 
 UTBM_STEREO holds five stereo frames of a car with strong distortion: bb2_left, bb2_right,
 bb2_left.yaml (ROS camera_info), poses_left_tum.txt, kapture_records_camera.txt, COLMAP models
-sparse_text and sparse/0, and nerfstudio's transforms.json. They are not part of the project.
+sparse_text and sparse/0, and nerfstudio's transforms.json; mcap_rosbag/utbm_mcap beside it the same
+as MCAP, whose world has x ahead and z up. They are not part of the project.
 Prints for each import its time, the median distance (px) of COLMAP's points from where COLMAP
 observed them in the left images, and the largest distance (px) of a point from its place in the
 first import, both in recorded pixels.
@@ -23,6 +24,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 
 def imports(root: Path, folder: Path) -> dict[str, DriveFiles]:
@@ -32,6 +34,7 @@ def imports(root: Path, folder: Path) -> dict[str, DriveFiles]:
     rows = [line.split(", ") for line in records if ", bb2_left, " in line]
     times.write_text("".join(f"{stamp} {name}\n" for stamp, _, name in rows))
     left, right = root / "bb2_left", root / "bb2_right"
+    bag = root.parent / "mcap_rosbag" / "utbm_mcap" / "utbm_mcap.mcap"
     model = {"images": left, "right": right, "metric": True}
     return {
         "camera_info, TUM": DriveFiles(
@@ -43,6 +46,7 @@ def imports(root: Path, folder: Path) -> dict[str, DriveFiles]:
         "COLMAP text": DriveFiles(**model, poses=root / "sparse_text"),
         "COLMAP binary": DriveFiles(**model, poses=root / "sparse" / "0"),
         "nerfstudio": DriveFiles(**model, poses=root / "transforms.json"),
+        "MCAP": DriveFiles(images=bag, extracted=folder / "recorded"),
     }
 
 
@@ -79,7 +83,7 @@ def reprojection_px(
     rows = {number: row for row, number in enumerate(ids)}
     distances = []
     for frame, image in zip(drive.frames, pixels, strict=True):
-        observed = seen[f"bb2_left/{drive.left[frame.index]}"]
+        observed = seen[f"bb2_left/frame_{frame.index + 1:09d}.jpg"]
         places = image[[rows[int(number)] for number in observed[:, 2]]]
         distances.append(np.linalg.norm(places - (observed[:, :2] - 0.5), axis=1))
     return np.concatenate(distances)
@@ -97,11 +101,13 @@ def measure(root: Path) -> dict[str, tuple[float, float, float]]:
             start = time.perf_counter()
             drive = read_drive(files)
             content = DriveFile.of(drive, "utbm")
-            dataset = content.dataset(files.images, files.right, Path(folder) / name)
+            dataset = content.dataset(drive.left_folder, drive.right_folder, Path(folder) / name)
             dataset.image(dataset.frames[0].index, "left")
             seconds = time.perf_counter() - start
             assert drive.axes is not None
-            pixels = recorded_pixels(dataset, drive.axes.T_map_world, positions)
+            T_world_colmap = T_MAP_WORLD if name == "MCAP" else Pose.identity()
+            T_map_colmap = drive.axes.T_map_world @ T_world_colmap
+            pixels = recorded_pixels(dataset, T_map_colmap, positions)
             distances = reprojection_px(drive, pixels, ids, seen)
             here = np.array(pixels)
             first = here if first is None else first

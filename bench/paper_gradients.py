@@ -17,6 +17,7 @@ from torch import Tensor
 
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
+from semviz_core.localization.correspondences.sample import Sample, SampleTarget
 from semviz_core.research.paper import pnpl_layer, transport
 from semviz_core.research.paper.matcher import MU
 from semviz_core.research.paper.pnpl_layer import StartPoses, differentiable_pnpl, start_poses
@@ -29,7 +30,6 @@ from semviz_core.research.paper.training import (
 )
 from semviz_core.research.paper.transport import sinkhorn, sinkhorn_with_dustbins
 from semviz_core.research.training.batch import Batch, BatchTruth
-from semviz_core.research.training.samples import Sample, SampleTarget
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
 from semviz_core.research.training.task import Progress
 

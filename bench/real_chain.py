@@ -24,12 +24,15 @@ from semviz.workspace.detect import DetectOptions, detect_images, images_of
 from semviz.workspace.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
+from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposals, read_proposals, save_proposals
+from semviz_annotation.labels.rows import review_decision
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildReport, build_map
 from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.classes import POLE
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.frame import Side
 from semviz_core.base.localization import Localization
 from semviz_core.base.map_file import save_map
@@ -42,6 +45,8 @@ from semviz_core.metrics.pose_errors import pose_error
 
 LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 SIDES: tuple[Side, Side] = ("left", "right")
+BOARDS = (1, 2, 18, 25)
+"""Element numbers of adverts, notices and a container in ``LABELS``: no traffic signs."""
 
 
 @dataclass(frozen=True)
@@ -90,14 +95,16 @@ def main() -> None:
             end="",
         )
         print(f"{'below 1 m':>11}{'RTE':>9}{'wrong':>7}")
+        calibration = options.calibration and DetectorCalibration.load(options.calibration)
         for case in CASES:
-            print_case(workspace, case, detections, frames, options.seeds)
+            print_case(workspace, case, detections, frames, options.seeds, calibration)
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("kitti", type=Path, help="folder that holds sequences and poses")
     parser.add_argument("--model", help="as in 'semviz detect'; default: the shipped network")
+    parser.add_argument("--calibration", type=Path, help="file of 'semviz detect choose'")
     parser.add_argument("--proposals", type=Path, help="detections instead of a model")
     parser.add_argument("--sequence", default="02")
     parser.add_argument("--first", type=int, default=0, help="first frame")
@@ -117,13 +124,20 @@ def _detections(workspace: Workspace, model: str | None, proposals: Path | None)
 
 
 def print_detector(workspace: Workspace, detections: Proposals, labels: Path) -> None:
-    """Recall and false detections up to 40 m, in all images."""
+    """Recall and false detections up to 40 m, in all images; boards are neither."""
     judged = Workspace.open(workspace.path)
     with judged.open_labels() as store:
         import_operations(labels, store)
+        if labels == LABELS:
+            elements = store.labels.elements.values()
+            boards = (element.id for element in elements if element.number in BOARDS)
+            ignored = tuple(review_decision(element_id, "leave out") for element_id in boards)
+            store.apply(DecideElements(ignored), "bench")
     images = [
         ImageEvaluation(
-            as_elements(detections.in_frame(image.frame_index, image.side)), image.truth(), 0.0
+            as_elements(detections.in_frame(image.frame_index, image.side), image.triangle_center),
+            image.truth(),
+            0.0,
         )
         for image in labelled_images(judged, None, SIDES)
     ]
@@ -139,17 +153,22 @@ def print_detector(workspace: Workspace, detections: Proposals, labels: Path) ->
 
 
 def print_case(
-    workspace: Workspace, case: Case, detections: Proposals, frames: range, seeds: int
+    workspace: Workspace,
+    case: Case,
+    detections: Proposals,
+    frames: range,
+    seeds: int,
+    calibration: DetectorCalibration | None,
 ) -> None:
     chosen = case.of(detections)
     save_proposals(chosen, workspace.proposals_path)
     try:
-        built, report = _map(workspace, case, chosen, frames[::2])
+        built, report = _map(workspace, case, chosen, frames[::2], calibration)
     except SemvizError as error:
         print(f"{case.name:<34}  {error}")
         return
     save_map(built, workspace.map_path("own"))
-    found = list(_localized(workspace, frames[1::2], seeds))
+    found = list(_localized(workspace, frames[1::2], seeds, calibration))
     errors = np.array([_errors(*pair) for pair in found])
     ok = np.array([result.status == "ok" for result, _ in found])
     wrong = ok & (errors > 1.0).any(axis=1)
@@ -164,23 +183,32 @@ def print_case(
 
 
 def _map(
-    workspace: Workspace, case: Case, detections: Proposals, frames: range
+    workspace: Workspace,
+    case: Case,
+    detections: Proposals,
+    frames: range,
+    calibration: DetectorCalibration | None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Build the map without any label."""
     rows = [row for row in detections.rows() if row.side in case.sides]
     seen = Proposals.of(rows, detections.processed)
     return build_map(
-        Labels(), workspace.source, frames=frames, detections=seen, tracking=TrackOptions()
+        Labels(),
+        workspace.source,
+        frames=frames,
+        detections=seen,
+        tracking=TrackOptions(calibration=calibration),
     )
 
 
 def _localized(
-    workspace: Workspace, frames: range, seeds: int
+    workspace: Workspace, frames: range, seeds: int, calibration: DetectorCalibration | None
 ) -> Iterator[tuple[Localization, Pose]]:
     """Yield each localization with the true T_map_camera."""
     for seed in range(seeds):
-        options = LocalizeOptions(observations="detected", seed=seed)
-        for record in localize_workspace(workspace, "own", options, frames):
+        least = 0.0 if calibration is None else calibration.least_score
+        options = LocalizeOptions(observations="detected", seed=seed, least_score=least)
+        for record in localize_workspace(workspace, "own", options, frames, calibration):
             assert record.frame.T_map_camera is not None
             yield record.localization, record.frame.T_map_camera
 

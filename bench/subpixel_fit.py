@@ -223,8 +223,11 @@ def _shape_weights(images: Regions) -> FloatArray:
 
     def add(image: Shown, region: Region, class_index: int) -> None:
         first = center_by_model(region)
-        outlines = centers_from_outline(image.picture, first, SHAPES, without_arms(region))
-        X.append([shape_evidence(region, shape, first, outlines[shape]) for shape in SHAPES])
+        bodies = without_arms(region)
+        outlines = centers_from_outline(image.picture, first, SHAPES, bodies)
+        X.append(
+            [shape_evidence([region, *bodies], shape, first, outlines[shape]) for shape in SHAPES]
+        )
         which.append(class_index)
 
     for image, regions, rows in images:

@@ -34,7 +34,7 @@ class Shown:
 def shown(seeds: Iterable[int]) -> Iterator[Shown]:
     """The left images of some frames of each street."""
     for seed in seeds:
-        street = Street(seed)
+        street = Street(seed, triangle_center="box")
         for index in FRAMES:
             whole = rendered_truth(street, index, "left")
             elements = street.truth_map.elements

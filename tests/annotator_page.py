@@ -19,7 +19,8 @@ from semviz.web.gateway import Gateway
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.labels import Labels, Observation
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_core.base.frame import Side
 from semviz_core.simulation.street import Street
 
@@ -101,5 +102,5 @@ def true_detections(street: Street, frame: int, sides: Sequence[Side]) -> Propos
         seen, ids = street.labels(frame, side)
         kept = np.isin(ids, near) & seen.anchor_known & (seen.end_known | ~seen.is_line)
         exact = replace(seen[kept], score=np.full(kept.sum(), 0.9))
-        found += as_proposals(frame, side, exact, street.rig.left, "true")
+        found += as_proposals(frame, side, exact, street.rig.left, "true", "centroid")
     return Proposals.of(found)

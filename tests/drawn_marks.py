@@ -71,12 +71,17 @@ def sign(frame: int, side: str, middle: tuple[float, float], **more: Any) -> dic
     } | more
 
 
-def do(session: LabelSession, edit: dict[str, Any], request_id: str | None = None) -> SavedEdit:
-    """Does an edit as a page sends it."""
-    sent = {"type": "apply_edit", "id": request_id or new_id(), "edit": edit}
+def do(
+    session: LabelSession,
+    edit: dict[str, Any],
+    request_id: str | None = None,
+    base: dict[str, Any] | None = None,
+) -> SavedEdit:
+    """Does an edit as a page sends it; ``base`` is what the page had shown."""
+    sent = {"type": "apply_edit", "id": request_id or new_id(), "edit": edit, "base": base}
     request = HANDLERS.decode(json.dumps(sent))
     assert isinstance(request, ApplyEditRequest)
-    return session.apply(request.id, request.edit, request.seen)
+    return session.apply(request.id, request.edit, request.base)
 
 
 def draw(session: LabelSession, edit: dict[str, Any]) -> str:

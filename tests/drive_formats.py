@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semviz_core.base.pose import Pose
+from semviz_core.base.pose import Pose, angle_between
+from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 MATRIX = "rows: 3, cols: 3, data: [831.5, 0, 510.6, 0, 833.6, 391.5, 0, 0, 1]"
@@ -51,6 +52,35 @@ distortion_coefficients: [-0.35, 0.14, 0.0001, 0.00073]
   distortion_model: radtan
   distortion_coeffs: [-0.35, 0.14, 0.0001, 0.00073]
   resolution: [1024, 768]
+""",
+    "ros.ini": """# oST version 5.0 parameters
+[image]
+
+width
+1024
+
+height
+768
+
+[narrow_stereo]
+
+camera matrix
+831.5 0.0 510.6
+0.0 833.6 391.5
+0.0 0.0 1.0
+
+distortion
+-0.35 0.14 0.0001 0.00073 0.0
+
+rectification
+1.0 0.0 0.0
+0.0 1.0 0.0
+0.0 0.0 1.0
+
+projection
+700.0 0.0 510.6 0.0
+0.0 700.0 391.5 0.0
+0.0 0.0 1.0 0.0
 """,
     "own.toml": """[left]
 size_px = [1024, 768]
@@ -162,6 +192,22 @@ def nerfstudio(folder: Path) -> Path:
     ]
     camera = {"fl_x": 50.0, "fl_y": 50.0, "cx": 32.0, "cy": 24.0, "w": 64, "h": 48}
     return written(folder / "transforms.json", json.dumps({**camera, "frames": frames}))
+
+
+def check_poses(read: RecordedDrive) -> None:
+    """Up to the heading of the map, which no format fixes, they are the true ones.
+
+    Times since 1970 are known to 0.2 us, in which a car moves some micrometres.
+    """
+    first = read.frames[0].T_map_camera
+    assert first is not None
+    T_map_truth = first @ truth(0).inverse()
+    np.testing.assert_allclose(T_map_truth.rotation[2], [0.0, 0.0, 1.0], atol=1e-7)
+    for frame in read.frames:
+        assert frame.T_map_camera is not None
+        wanted = T_map_truth @ truth(frame.index)
+        assert angle_between(frame.T_map_camera.rotation, wanted.rotation) < 1e-5
+        np.testing.assert_allclose(frame.T_map_camera.translation, wanted.translation, atol=1e-5)
 
 
 def written(path: Path, text: str) -> Path:

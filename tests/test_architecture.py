@@ -71,6 +71,27 @@ def test_architecture_names_every_module(root: str) -> None:
     assert modules <= named
 
 
+def product_files() -> list[Path]:
+    roots = ("core/semviz_core", "annotation/semviz_annotation", "semviz")
+    return sorted(path for root in roots for path in (REPOSITORY / root).rglob("*.py"))
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    where: dict[str, list[str]] = {}
+    for path in product_files():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                where.setdefault(node.name, []).append(str(path.relative_to(REPOSITORY)))
+    assert "Pose" in where
+    assert not {name: paths for name, paths in where.items() if len(paths) > 1}
+
+
+def test_no_file_is_longer_than_a_reader_holds_in_mind() -> None:
+    lengths = {path: len(path.read_text().splitlines()) for path in product_files()}
+    assert len(lengths) > 100
+    assert not {str(path): length for path, length in lengths.items() if length > 450}
+
+
 def test_public_names_are_the_same_at_run_time_and_for_type_checkers() -> None:
     tree = ast.parse((REPOSITORY / "semviz" / "__init__.py").read_text())
     (block,) = (node for node in tree.body if isinstance(node, ast.If))

@@ -26,7 +26,7 @@ ROOTS = {
     "semviz_core": REPOSITORY / "core" / "semviz_core",
     "semviz_annotation": REPOSITORY / "annotation" / "semviz_annotation",
 }
-EXTRAS = ("torch", "open3d", "onnxruntime", "transformers", "lanelet2", "pycolmap")
+EXTRAS = ("torch", "open3d", "onnxruntime", "transformers", "lanelet2", "pycolmap", "rosbags")
 """Libraries that are imported only where somebody asked for what needs them."""
 WITHOUT_EXTRAS = f"""
 from importlib.machinery import PathFinder
@@ -128,7 +128,7 @@ def test_what_only_some_need_is_in_the_extras(wheel: Path) -> None:
     }
     assert "numpy" in plain
     assert not plain & set(EXTRAS)
-    names = {"all", "detect", "lanelet2", "onnx", "peers", "train", "transformers", "view3d"}
+    names = {"all", "detect", "lanelet2", "onnx", "peers", "ros", "train", "transformers", "view3d"}
     assert names <= set(metadata.get_all("Provides-Extra", []))
 
 
@@ -192,7 +192,7 @@ def test_labels_become_a_map_and_frames_are_localized_without_extras(
     for name, method in (("ours", "joint"), ("theirs", "paper")):
         command = ("map", "build", "demo", "--name", name, "--method", method)
         assert "elements" in run(scripts / "semviz", *command, cwd=tmp_path)
-    for method in ("search", "learned", "paper"):
+    for method in ("search", "learned", "correspondences", "paper"):
         command = ("localize", "demo", "--map", "ours", "--method", method, "--frames", "0:2")
         told = run(scripts / "semviz", *command, "--out", f"{method}.rrd", cwd=tmp_path)
         assert f"{method}.rrd" in told

@@ -7,7 +7,8 @@ import numpy as np
 
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.detections import as_proposals
-from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildOptions, settings_of
@@ -37,7 +38,7 @@ def detect_and_map(
             kept = np.isin(ids, _near(street, index)) & seen.anchor_known
             kept &= seen.end_known | ~seen.is_line
             exact = replace(seen[kept], score=np.full(kept.sum(), 0.9))
-            rows = as_proposals(index, side, exact, street.rig.left, "true")
+            rows = as_proposals(index, side, exact, street.rig.left, "true", "centroid")
             for element, row in zip(ids[kept].tolist(), rows, strict=True):
                 found[element].append(row)
             found[FALSE] += _false(street, index, side)
@@ -108,4 +109,4 @@ def _near(street: Street, index: int) -> np.ndarray:
 
 def _provenance(detections: list[Proposal], frames: range) -> Provenance:
     used = [row.id for row in detections if row.frame_index in frames]
-    return Provenance((track_id(detections),), tuple(used))
+    return Provenance((track_id(detections),), tuple(used), 9.0)

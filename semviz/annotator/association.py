@@ -1,8 +1,11 @@
 """Decide which element a new drawing belongs to, and list elements to continue nearby.
 
-It is the selected element if that is free in the image and its rays agree, else one expected
-there, else a new one. Elements labelled a few frames away are listed if their position here is
-unknown: too far to be expected, or seen only once.
+It is the selected element if that is free in the image and its rays agree, or if a person chose it:
+poses may lie, so the disagreement is only told. Else it is an element expected there, else a new
+one. A selection far from the drawing is dropped.
+
+Elements labelled a few frames away are listed if their position here is unknown: too far to be
+expected, or seen only once.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +22,7 @@ from semviz_annotation.labels.views import PosedView
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 
 NEARBY_FRAMES = 5
 """An element is listed this many frames before and after one in which it is labelled."""
@@ -101,10 +105,29 @@ def _projection(
 
 CONSISTENT_PX = 3.0
 """Largest reprojection error (rms over the views) for a drawing to join the selected element."""
+STALE_PX = 12.0
+"""Largest distance of a drawing from a selection that stayed from the drawing before, to join it: 1
+deg for a usual camera."""
+FAR_PX = 60.0
+"""The same for an element that a person chose in this frame."""
 NEAR_EXPECTED_PX = 12.0
 """Largest distance of a drawing's ends from an element's expected ends for it to join that."""
 NEAR_CONFIDENT_PX = 3.0
 """The same for a confident proposal: a drawing further away is another element."""
+SAME_PLACE_PX = 3.0
+"""A drawing this close to a label in the same image may show the same thing."""
+
+
+@dataclass(frozen=True)
+class SelectedElement:
+    """The selected element, and whether a person chose it in this frame."""
+
+    id: str
+    is_chosen: bool = False
+
+    @classmethod
+    def of(cls, element_id: str | None, is_chosen: bool) -> "SelectedElement | None":
+        return None if element_id is None else cls(element_id, is_chosen)
 
 
 @dataclass(frozen=True)
@@ -113,31 +136,73 @@ class DraftAssociation:
 
     element_id: str | None
     note: str = ""
+    off: str = ""
+    """How badly a drawing fits the selected element that it joins nevertheless."""
 
 
 def associate_draft(
     drawing: Observation,
     class_id: int,
-    selected_id: str | None,
+    selected: SelectedElement | None,
     proposals: Iterable[LabelProposal],
     labels: Labels,
     positions: element_positions.ElementPositions,
     classes: ClassSet,
 ) -> DraftAssociation:
-    """Return the selected element if it is free in this image and the rays agree, else the nearest
-    one expected here, else None.
+    """Return the element that a drawing joins; see the module.
 
     ``proposals`` are those for the image of the drawing.
     """
-    note = ""
-    if selected_id is not None and _is_free(selected_id, drawing, class_id, labels):
-        error_px = _fit_error_px([*labels.of_element(selected_id), drawing], positions)
-        if error_px <= CONSISTENT_PX:
-            return DraftAssociation(selected_id)
-        element = labels.element(selected_id)
-        name = classes.element_name(element.class_id, element.number)
-        off = f"{error_px:.1f} px off" if np.isfinite(error_px) else "Does not fit"
-        note = f"{off} {name}, so this is a new element. To link: Ctrl click both, then P."
+    expected = _expected(drawing, class_id, proposals)
+    if selected is None or not _is_free(selected.id, drawing, class_id, labels):
+        return DraftAssociation(expected)
+    error_px = _fit_error_px([*labels.of_element(selected.id), drawing], positions)
+    if error_px <= CONSISTENT_PX:
+        return DraftAssociation(selected.id)
+    name = _name(selected.id, labels, classes)
+    off_px = _distance_from_px(selected.id, drawing, error_px, labels, positions)
+    is_measured = off_px is not None and np.isfinite(off_px)
+    off = f"{off_px:.1f} px off {name}" if is_measured else f"Does not fit {name}"
+    if selected.is_chosen and (off_px is None or off_px <= FAR_PX):
+        note = f"{off}, and kept as {name}, which you selected. U makes it a new element."
+        return DraftAssociation(selected.id, note, off)
+    if expected is not None:
+        return DraftAssociation(expected)
+    if off_px is not None and off_px <= STALE_PX:
+        note = f"{off}, and kept as {name}, which is selected. U makes it a new element."
+        return DraftAssociation(selected.id, note, off)
+    return DraftAssociation(
+        None, f"{off}, so this is a new element. To link: Ctrl click both, then P."
+    )
+
+
+def _distance_from_px(
+    element_id: str,
+    drawing: Observation,
+    error_px: float,
+    labels: Labels,
+    positions: element_positions.ElementPositions,
+) -> float | None:
+    """Distance of a drawing from where its element is expected; infinite if that is outside the
+    image, None if it is unknown.
+
+    With one other view this is about twice ``error_px``, their reprojection error.
+    """
+    ends = positions.best_ends(labels, element_id) if positions.posed([drawing]) else None
+    if ends is None:
+        return 2.0 * error_px if np.isfinite(error_px) else None
+    view = positions.view(drawing)
+    expected = _projection(element_id, drawing.side, view, ends)
+    if expected is None:
+        return float("inf")
+    mark = Mark(expected.anchor_px, expected.end_px)
+    return _distance_px(mark, drawing)
+
+
+def _expected(
+    drawing: Observation, class_id: int, proposals: Iterable[LabelProposal]
+) -> str | None:
+    """Return the nearest element of the class that is expected at the drawing; None if none is."""
     near = []
     for proposal in proposals:
         if proposal.mark is None or proposal.is_detected or proposal.class_id != class_id:
@@ -145,7 +210,51 @@ def associate_draft(
         distance_px = _distance_px(proposal.mark, drawing)
         if distance_px <= (NEAR_CONFIDENT_PX if proposal.is_confident else NEAR_EXPECTED_PX):
             near.append((distance_px, proposal.element_id))
-    return DraftAssociation(min(near)[1]) if near else DraftAssociation(None, note)
+    return min(near)[1] if near else None
+
+
+@dataclass(frozen=True)
+class LabelBelow:
+    """A label at the place of a drawing, in the same image."""
+
+    row: Observation
+    name: str
+    distance_px: float
+
+    @property
+    def text(self) -> str:
+        return f"Lies on {self.name}, {self.distance_px:.1f} px away"
+
+
+class SamePlaceError(SemvizError):
+    """A drawing lies on a label; a person decides whether it is the same element."""
+
+    def __init__(self, drawn: Observation, below: LabelBelow) -> None:
+        super().__init__(f"{below.text}. Is it the same?")
+        self.drawn = drawn
+        self.below = below
+
+
+def label_below(
+    drawing: Observation, is_line: bool, labels: Labels, classes: ClassSet
+) -> LabelBelow | None:
+    """Return the label that a drawing lies on, the nearest if several; None if there is none.
+
+    Poles lie on poles, signs on signs of any class: two signs at one place are one sign twice.
+    """
+    found = []
+    for row in labels.in_frame(drawing.frame_index, drawing.side):
+        if (row.end_px is not None) != is_line or labels.is_left_out(row.element_id):
+            continue
+        distance_px = _distance_px(Mark.of(row), drawing)
+        if distance_px <= SAME_PLACE_PX:
+            found.append(LabelBelow(row, _name(row.element_id, labels, classes), distance_px))
+    return min(found, key=lambda below: below.distance_px, default=None)
+
+
+def _name(element_id: str, labels: Labels, classes: ClassSet) -> str:
+    element = labels.element(element_id)
+    return classes.element_name(element.class_id, element.number)
 
 
 def _fit_error_px(

@@ -11,25 +11,28 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
 from semviz.annotator.element_positions import REACH_M
 from semviz.annotator.panes import Cameras
 from semviz.annotator.proposals import DETECTED_PX
 from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
-from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.semantic_map import Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.metrics.image_errors import across_px
 
 SURE_FRAMES = 3
 """A false detection seldom repeats in a position that fits one object in so many frames."""
-SURE_EXISTENCE = 0.95
+SURE_LOG_ODDS = 7.0
+"""More than 99.9 %."""
 SURE_PX = 2.0
 """Largest residual (rms) of a sure track, as for a confident proposal."""
 
@@ -53,6 +56,8 @@ class DetectionTrack:
     """All ids of label elements that would settle it; the first is ``id``."""
     detections: tuple[Proposal, ...]
     """By frame, left first; at most one in each image."""
+    log_odds: float | None
+    """Log-odds that it exists; None if the map is older."""
     residual_px: float
     """Distance (rms) of the detections from the projected element: across a pole."""
 
@@ -61,17 +66,22 @@ class DetectionTrack:
         """The frames with its detections, ascending."""
         return tuple(sorted({detection.frame_index for detection in self.detections}))
 
-    @cached_property
-    def existence(self) -> float:
-        """Probability that one of its detections is true, as far as their scores can be trusted."""
-        return float(1.0 - np.prod([1.0 - detection.score for detection in self.detections]))
+    @property
+    def existence(self) -> str:
+        """Its probability, as in ``Provenance``; ``unknown`` if the map is older."""
+        return Provenance(log_odds=self.log_odds).existence or "unknown"
+
+    @property
+    def probability(self) -> float | None:
+        return None if self.log_odds is None else float(expit(self.log_odds))
 
     @cached_property
     def is_sure(self) -> bool:
         """Whether it may be accepted together with others."""
         return (
             len(self.frames) >= SURE_FRAMES
-            and self.existence >= SURE_EXISTENCE
+            and self.log_odds is not None
+            and self.log_odds >= SURE_LOG_ODDS
             and self.residual_px <= SURE_PX
         )
 
@@ -84,9 +94,9 @@ class DetectionTrack:
         return max(zip(lengths_px, frames, strict=True))[1]
 
 
-def _doubt(track: DetectionTrack) -> tuple[bool, int, float, float]:
+def _doubt(track: DetectionTrack) -> tuple[bool, float, int, float]:
     """The sort key of tracks: the smaller, the more doubtful."""
-    return track.is_sure, len(track.frames), track.existence, -track.residual_px
+    return track.is_sure, track.log_odds or 0.0, len(track.frames), -track.residual_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +191,7 @@ def _track(
         class_id=class_id,
         label_ids=label_ids,
         detections=detections,
+        log_odds=semantic_map.provenance[row].log_odds,
         residual_px=residual_px,
     )
 

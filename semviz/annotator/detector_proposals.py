@@ -17,7 +17,8 @@ from semviz.annotator.proposals import DETECTED_PX, Detected, LabelProposal, Ref
 from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.assist.stereo_matching import stereo_pairs
 from semviz_annotation.labels.labels import Labels, proposal_id
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import derived_id
 from semviz_core.base.frame import Side
 
@@ -165,7 +166,7 @@ def _of_track(track: DetectionTrack, detection: Proposal, is_rejected: bool) -> 
         origin="detector",
         element_id=track.id,
         mark=mark_of(detection),
-        score=track.existence,
+        score=track.probability,
         is_rejected=is_rejected,
         track=track,
     )

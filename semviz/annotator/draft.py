@@ -147,36 +147,13 @@ class ElementDraft:
 
 
 @dataclass(frozen=True, config=STRICT)
-class ShownObservation:
-    """An observation as the page showed it when it was edited."""
-
-    element: Id
-    frame: Index
-    side: Side
-    anchor: Pixel
-    end: Pixel | None
-    anchor_known: bool
-    end_known: bool
-
-    def as_row(self, observation_id: str) -> Observation:
-        return Observation(
-            id=observation_id,
-            element_id=self.element,
-            frame_index=self.frame,
-            side=self.side,
-            anchor_px=self.anchor,
-            end_px=self.end,
-            anchor_known=self.anchor_known,
-            end_known=self.end_known,
-        )
-
-
-@dataclass(frozen=True, config=STRICT)
 class DraftState:
     """The selected or drawn element, for which the page requests guides and numbers."""
 
     frame_index: Index
     selected_id: Id | None = None
+    is_chosen: bool = False
+    """Whether a person chose the selected element in this frame."""
     side: Side = "left"
     """Side of the selected observation."""
     drawing: ElementDraft | None = None
@@ -309,12 +286,16 @@ class DraftPreview(Part):
     """The mark that will be saved; None if the drawing stays as it is."""
     joins: str | None
     """Name of the element that a drawing joins; None for a new one."""
+    warning: str
+    """What to look at before the drawing is saved; empty for most."""
 
 
 class LabelledFrameView(Part):
     """The labels and proposals of one frame, and the elements that may continue in it."""
 
     index: int
+    operation: int
+    """Number of the last operation in these labels."""
     panes: dict[Side, PaneView]
     elements: list[ElementView]
     proposals: list[ProposalView]

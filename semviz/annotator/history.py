@@ -63,6 +63,7 @@ class HistoryView:
         done = self._store.operations(after=operation - 1, limit=1) if operation else ()
         frame = LabelledFrameView(
             index=frame_index,
+            operation=operation,
             panes=views.pane_views(panes),
             elements=views.element_views(labels, panes, self._classes),
             proposals=[],

@@ -12,12 +12,14 @@ from typing import Generic, TypeVar
 from semviz.annotator import proposals
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.detection_refinement import RawDetection, refine_detection
+from semviz_annotation.assist.in_view import matched_element, not_sure_if_cut
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
 from semviz_annotation.assist.propagation import ReferenceView, propagate
 from semviz_annotation.assist.snap import Snapped, snap
 from semviz_annotation.assist.stereo_matching import find_correspondence
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.triangle_center import TriangleCenter
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
 
@@ -139,8 +141,16 @@ _NOT_FOUND = proposals.ImageSearchResult(None)
 class ImageWorker:
     """Searches images and caches the results. Thread-safe."""
 
-    def __init__(self, images: Images, cameras: Cameras, classes: ClassSet) -> None:
+    def __init__(
+        self,
+        images: Images,
+        cameras: Cameras,
+        classes: ClassSet,
+        triangle_center: TriangleCenter,
+    ) -> None:
+        """Marks of triangular signs follow ``triangle_center``."""
         self._images = images
+        self._triangle_center: TriangleCenter = triangle_center
         self._cameras = cameras
         self._classes = classes
         self._results: _Recent[proposals.ImageQuery, Mapping[Pane, proposals.ImageSearchResult]] = (
@@ -201,7 +211,9 @@ class ImageWorker:
         matches = find_correspondence(here, there, query.mark, class_, query.element)
         if matches is None:
             return {}
-        return {query.there: proposals.ImageSearchResult(matches.best, matches.runner_up)}
+        element = query.element or matched_element(here.view, query.mark, there.view, matches.best)
+        best = not_sure_if_cut(matches.best, element, there.view)
+        return {query.there: proposals.ImageSearchResult(best, matches.runner_up)}
 
     def _propagate(
         self, query: proposals.PropagationQuery
@@ -214,8 +226,10 @@ class ImageWorker:
         ]
         marks = propagate(views, query.element, self._classes[query.class_id])
         return {
-            image.there: proposals.ImageSearchResult(mark)
-            for image, mark in zip(query.images, marks, strict=True)
+            image.there: proposals.ImageSearchResult(
+                not_sure_if_cut(mark, query.element, view.target.view)
+            )
+            for image, mark, view in zip(query.images, marks, views, strict=True)
         }
 
     def _refine(self, query: proposals.RefinementQuery) -> dict[Pane, proposals.ImageSearchResult]:
@@ -242,7 +256,8 @@ class ImageWorker:
         image = self._marked_images.get(pane)
         if image is None:
             pixels = self._images.pixels(pane.frame_index, pane.side)
-            image = MarkedImage.of(self._cameras.view(pane.frame_index, pane.side), pixels)
+            view = self._cameras.view(pane.frame_index, pane.side)
+            image = MarkedImage.of(view, pixels, self._triangle_center)
             self._marked_images.put(pane, image)
         return image
 

@@ -338,7 +338,7 @@ def _track_entry(track: DetectionTrack) -> EntryView:
         evidence=[
             FigureView(name="Frames", value=f"{len(frames)}"),
             FigureView(name="Residual", value=f"{track.residual_px:.1f} px"),
-            FigureView(name="Existence", value=f"{int(100 * track.existence) / 100:.2f}"),
+            FigureView(name="Existence", value=track.existence),
         ],
         elements=[element],
         about=[],

@@ -5,13 +5,14 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from pydantic import ConfigDict, Field
 
 from semviz.annotator import views
-from semviz.annotator.draft import DraftPreview, DraftState, LabelledFrameView, ShownObservation
+from semviz.annotator.draft import DraftPreview, DraftState, ElementDraft, LabelledFrameView
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
 from semviz_annotation.storage.background_check import HealthState
+from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 
 Count = Annotated[int, Field(ge=0)]
@@ -34,12 +35,29 @@ class DrawnMark(protocol.Part):
     end_known: bool = True
     class_id: Index | None = None
 
+    def draft(self, class_id: int, snap: bool, asks_bottom: bool) -> ElementDraft:
+        """Return the mark as a drawing of this class."""
+        return ElementDraft(
+            side=self.side,
+            class_id=class_id,
+            anchor_px=self.anchor_px,
+            end_px=self.end_px,
+            anchor_known=self.anchor_known,
+            end_known=self.end_known,
+            snap=snap,
+            asks_bottom=asks_bottom,
+        )
+
 
 class DrawEdit(DrawnMark):
-    """Draw a mark; it joins the element ``selected_id`` if it fits."""
+    """Draw a mark; it joins the element ``selected_id`` if it fits or was chosen."""
 
     kind: Literal["draw"]
     selected_id: Id | None = None
+    is_chosen: bool = False
+    """Whether a person chose the selected element in this frame."""
+    asks_same: bool = False
+    """Whether to refuse a mark that lies on a label; see ``SamePlaceEvent``."""
     snap: bool = False
     asks_bottom: bool = False
     """Whether the server may mark the bottom as hidden."""
@@ -133,8 +151,8 @@ class ApplyEditRequest(protocol.Request):
     type: Literal["apply_edit"] = "apply_edit"
     id: Id
     edit: PageEdit
-    seen: ShownObservation | None = None
-    """The observation that it changes, as the page showed it."""
+    base: EditBase | None = None
+    """What the page had shown when the edit was begun."""
 
 
 class GoToFrameRequest(protocol.Request):
@@ -279,23 +297,28 @@ class EditSavedEvent(protocol.Event):
     """Message for the user; empty for most edits."""
 
 
-class TheirVersion(protocol.Part):
-    """An observation as others changed it, with the fields of a request's ``seen``."""
-
-    element: str
-    frame: int
-    side: Side
-    anchor: Pixel
-    end: Pixel | None
-    anchor_known: bool
-    end_known: bool
-
-
 class ConflictEvent(protocol.ErrorEvent):
-    """Others changed the observation of an edit; ``theirs`` is None if they deleted it."""
+    """An edit would overwrite what others did since; it is applied if it knows ``overwritten``."""
 
     code: Literal["conflict"] = "conflict"
-    theirs: TheirVersion | None
+    overwritten: list[str]
+    """Requests of the others."""
+    is_deleted: bool
+    """Whether the edited observation no longer exists."""
+
+
+class SamePlaceEvent(protocol.ErrorEvent):
+    """A drawing lies on a label: it may be that one's correction, or another element."""
+
+    code: Literal["conflict"] = "conflict"
+    element_id: str
+    name: str
+    """Of the element whose label that is."""
+    observation_id: str
+    """Of that label."""
+    anchor: Pixel | None
+    """Ends of the drawing, snapped; None where it is hidden, so that a known one stays."""
+    end: Pixel | None
 
 
 class DraftPreviewEvent(protocol.Event):
@@ -360,9 +383,5 @@ AnnotatorEvent: TypeAlias = (
     | ElementClickedEvent
     | protocol.ErrorEvent
     | ConflictEvent
+    | SamePlaceEvent
 )
-
-
-def their_version(row: views.ObservationView, element_id: str) -> TheirVersion:
-    """Return an observation as the start of another page's edit."""
-    return TheirVersion(**row.model_dump(exclude={"id"}), element=element_id)

@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 
 from semviz.annotator import messages
+from semviz.annotator.association import SamePlaceError
 from semviz.annotator.scene_view import AnnotatorScene, Shown
 from semviz.annotator.session import LabelSession, SavedEdit
-from semviz.annotator.views import FrameSummary, LabelsView, label_element_name, observation_view
+from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
 from semviz.web import protocol
 from semviz.web.shapes import Theme
 from semviz.web.viser_servers import ViserServers
@@ -115,8 +116,8 @@ class AnnotatorPage:
     def _go_to_frame(self, request: messages.GoToFrameRequest) -> None:
         with self._shared.lock:
             frame = self._session.frame(request.frame)
-        self._frame = request.frame
-        self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
+            self._frame = request.frame
+            self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
         self._session.images.prefetch(request.frame)
         self._redraw()
         self._search_images()
@@ -139,6 +140,8 @@ class AnnotatorPage:
                 self._save_edit(request)
             except ConflictError as error:
                 self._send(_conflict(error, request.id))
+            except SamePlaceError as error:
+                self._send(same_place(error, request.id))
             except LabelFileError as error:  # the page keeps the edit, and sends it again
                 self._send(
                     protocol.ErrorEvent(
@@ -147,7 +150,7 @@ class AnnotatorPage:
                 )
 
     def _save_edit(self, request: messages.ApplyEditRequest) -> None:
-        saved = self._session.apply(request.id, request.edit, request.seen)
+        saved = self._session.apply(request.id, request.edit, request.base)
         number = saved.operation.number
         self._send(messages.SavedOperationEvent(reply_to=request.id, operation=number))
         if saved.operation.kind in ("undo", "redo") and saved.frame is not None:
@@ -255,10 +258,9 @@ class AnnotatorPage:
             self._session.image_worker.search(query)
         if not queries:
             return
-        with self._shared.lock:
-            frame = self._session.frame(index)
-        if self._frame == index:
-            self._send(messages.LabelledFrameEvent(frame=frame))
+        with self._shared.lock:  # or a newer update could go first
+            if self._frame == index:
+                self._send(messages.LabelledFrameEvent(frame=self._session.frame(index)))
 
     # -- the 3D scene
 
@@ -323,10 +325,27 @@ class AnnotatorPage:
 
 
 def _conflict(error: ConflictError, request_id: str) -> messages.ConflictEvent:
-    """The refusal of an edit, with the observation as others changed it."""
-    row = error.current
-    theirs = None if row is None else messages.their_version(observation_view(row), row.element_id)
-    return messages.ConflictEvent(reply_to=request_id, text=str(error), theirs=theirs)
+    """The refusal of an edit that would overwrite what others did."""
+    return messages.ConflictEvent(
+        reply_to=request_id,
+        text=str(error),
+        overwritten=list(error.overwritten),
+        is_deleted=error.is_deleted,
+    )
+
+
+def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEvent:
+    """Return the question whether a drawing and the label below it are the same element."""
+    row = error.below.row
+    return messages.SamePlaceEvent(
+        reply_to=request_id,
+        text=str(error),
+        element_id=row.element_id,
+        name=error.below.name,
+        observation_id=row.id,
+        anchor=error.drawn.anchor_px if error.drawn.anchor_known else None,
+        end=error.drawn.end_px if error.drawn.end_known else None,
+    )
 
 
 HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage)

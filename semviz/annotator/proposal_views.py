@@ -56,6 +56,8 @@ class TrackView(Part):
     last: int
     """The first and last of these frames."""
     residual_px: float
+    existence: str
+    """The probability that it exists: ``98.2 %``, ``> 99.9 %`` or ``unknown``."""
 
 
 class ProposalView(ElementRef):
@@ -127,7 +129,11 @@ def track_view(track: DetectionTrack) -> TrackView:
     """Return how many frames a track has, and how well its detections agree."""
     frames = track.frames
     return TrackView(
-        frames=len(frames), first=frames[0], last=frames[-1], residual_px=track.residual_px
+        frames=len(frames),
+        first=frames[0],
+        last=frames[-1],
+        residual_px=track.residual_px,
+        existence=track.existence,
     )
 
 

@@ -17,7 +17,7 @@ from semviz.annotator.proposals import DETECTED_PX, Expected
 from semviz_annotation.assist.expected_position import expected_px
 from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px, pixel
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.mapping.placement import triangulation
 from semviz_core.common.arrays import FloatArray
 

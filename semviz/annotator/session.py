@@ -9,10 +9,16 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TypeAlias
 
 from semviz.annotator import draft, messages, views
-from semviz.annotator.association import DraftAssociation, associate_draft
+from semviz.annotator.association import (
+    DraftAssociation,
+    LabelBelow,
+    SamePlaceError,
+    SelectedElement,
+    associate_draft,
+    label_below,
+)
 from semviz.annotator.detection_tracks import DetectionTracks
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.frame_quality import FrameQuality
@@ -29,20 +35,17 @@ from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import ImageSize, RefusedError
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels import edits
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.background_check import Health
-from semviz_annotation.storage.store import Operation
+from semviz_annotation.storage.store import EditBase, Operation
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Frame, Side
 from semviz_core.common.errors import SemvizError
-
-OfOneObservation: TypeAlias = (
-    edits.MoveObservation | edits.SetKnown | edits.SwapEnds | edits.DeleteObservation
-)
 
 
 @dataclass(frozen=True)
@@ -75,14 +78,18 @@ class LabelSession:
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
-        detected = load_proposals(workspace.proposals_path, self.classes)
         self._store = workspace.open_labels()
+        self._triangle_center = self._store.labels.triangle_center
+        proposals = load_proposals(workspace.proposals_path, self.classes)
+        detected = proposals.usable(self._triangle_center)
+        self.left_out_proposals = len(proposals) - len(detected)
+        """Triangular signs whose middle is of the other definition, and whose height is unknown."""
         self._store.check_in_background()
         self.images = Images(self.source)
         cameras = Cameras(self.rig, self.source.frames)
         self._panes = Panes(cameras)
         self._positions = ElementPositions(cameras)
-        self.image_worker = ImageWorker(self.images, cameras, self.classes)
+        self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
         self.map_work = MapWork(
@@ -92,12 +99,7 @@ class LabelSession:
         )
         self._reviews = Reviews(self.map_work)
         self._selection = ProposalSelection(
-            cameras,
-            self._panes,
-            self._positions,
-            self.image_worker,
-            detected,
-            self._reviews.tracks,
+            cameras, self._panes, self._positions, self.image_worker, detected, self._reviews.tracks
         )
         self._hidden_ends = HiddenEnds(
             cameras, self._panes, self._positions, self.image_worker, self._selection
@@ -136,6 +138,7 @@ class LabelSession:
             source=self.source.map_frame.name,
             author=self.author,
             classes=list(self.classes),
+            triangle_center=self._triangle_center,
             images={
                 side: ImageSize(width=camera.width, height=camera.height)
                 for side, camera in cameras.items()
@@ -186,6 +189,7 @@ class LabelSession:
         nearby = self._selection.nearby(index, labels)
         return draft.LabelledFrameView(
             index=index,
+            operation=labels.operation,
             panes=views.pane_views(panes),
             elements=views.element_views(labels, panes, self.classes),
             proposals=proposal_views(proposals, panes, labels, self.rig, self.classes),
@@ -211,42 +215,54 @@ class LabelSession:
     # -- editing
 
     def apply(
-        self, request_id: str, edit: messages.PageEdit, seen: draft.ShownObservation | None = None
+        self, request_id: str, edit: messages.PageEdit, base: EditBase | None = None
     ) -> SavedEdit:
-        """Apply an edit; it is on disk when this returns. ``seen``: its observation as shown.
+        """Apply an edit; it is on disk when this returns. ``base``: what the page had shown.
 
         A request that is sent twice is applied once. Raise SemvizError if the edit is invalid,
-        ConflictError if the observation has changed, and LabelFileError if it cannot be written.
+        ConflictError if it overwrites what the page had not shown, and LabelFileError if it cannot
+        be written.
         """
+        self._store.check_triangles(self._triangle_center)
         match edit:
             case messages.UndoEdit():
-                return self._saved(self._store.undo(self.author, request_id))
+                return self._saved(self._store.undo(self.author, request_id, base=base))
             case messages.RedoEdit():
-                return self._saved(self._store.redo(self.author, request_id))
+                return self._saved(self._store.redo(self.author, request_id, base))
             case messages.DrawEdit():
-                return self._draw(request_id, edit)
+                return self._draw(request_id, edit, base)
             case messages.NameEdit():
                 return self._saved(self._store.name_state(edit.name, self.author, request_id))
             case messages.RestoreEdit():
-                return self._saved(self._store.restore(edit.number, self.author, request_id))
+                return self._saved(self._store.restore(edit.number, self.author, request_id, base))
             case messages.AcceptEdit():
-                return self._accept(request_id, edit.marks)
+                return self._accept(request_id, edit.marks, base)
             case (
                 messages.AcceptTracksEdit()
                 | messages.RejectTracksEdit()
                 | messages.AcceptSureTracksEdit()
             ):
-                return self._decide_tracks(request_id, edit)
+                return self._decide_tracks(request_id, edit, base)
             case _:
-                return self._change(request_id, edit, seen)
+                return self._saved(self._store.apply(edit, self.author, request_id, base=base))
 
-    def _draw(self, request_id: str, edit: messages.DrawEdit) -> SavedEdit:
+    def _draw(self, request_id: str, edit: messages.DrawEdit, base: EditBase | None) -> SavedEdit:
         """Add an observation, of the element it belongs to or of a new one."""
-        addition, note = self._addition(edit, edit.selected_id, edit.snap, edit.asks_bottom)
-        operation = self._store.apply(addition, self.author, request_id)
+        selected = SelectedElement.of(edit.selected_id, edit.is_chosen)
+        addition, note = self._addition(edit, selected, edit.snap, edit.asks_bottom)
+        is_resent = edit.observation_id in self.labels.observations
+        if edit.asks_same and edit.class_id is not None and not is_resent:
+            known = addition.anchor_known, addition.end_known
+            mark = Mark(addition.anchor_px, addition.end_px, *known)
+            drawn = mark.at(addition.frame_index, addition.side)
+            if below := self._below(drawn, edit.class_id):
+                raise SamePlaceError(drawn, below)
+        operation = self._store.apply(addition, self.author, request_id, base=base)
         return replace(self._saved(operation), note=note)
 
-    def _accept(self, request_id: str, marks: Iterable[messages.DrawnMark]) -> SavedEdit:
+    def _accept(
+        self, request_id: str, marks: Iterable[messages.DrawnMark], base: EditBase | None
+    ) -> SavedEdit:
         """Accept proposals as shown on the page: each like a drawing, all or none."""
         by_element: dict[str, list[messages.DrawnMark]] = defaultdict(list)
         for mark in marks:
@@ -254,7 +270,8 @@ class LabelSession:
         added = tuple(
             addition for group in by_element.values() for addition in self._additions(group)
         )
-        return self._saved(self._store.apply(edits.AddMany(added), self.author, request_id))
+        operation = self._store.apply(edits.AddMany(added), self.author, request_id, base=base)
+        return self._saved(operation)
 
     def _additions(self, marks: list[messages.DrawnMark]) -> Iterator[edits.AddObservation]:
         """Add the marks of one element; those of a new element join another if all of them do."""
@@ -270,32 +287,25 @@ class LabelSession:
             first = is_new and n == 0  # creates the element
             yield replace(addition, element_id=element_id, class_id=class_id if first else None)
 
-    def _decide_tracks(self, request_id: str, edit: PageTrackEdit) -> SavedEdit:
+    def _decide_tracks(
+        self, request_id: str, edit: PageTrackEdit, base: EditBase | None
+    ) -> SavedEdit:
         """Accept or reject tracks of the last map, all or none."""
         self.map_work.wait_for_first()
         decision = track_edit(edit, self._reviews.tracks())
-        return self._saved(self._store.apply(decision, self.author, request_id))
-
-    def _change(
-        self, request_id: str, edit: edits.Edit, seen: draft.ShownObservation | None
-    ) -> SavedEdit:
-        """Apply any other edit."""
-        expects = None
-        if seen is not None and isinstance(edit, OfOneObservation):
-            expects = seen.as_row(edit.observation_id)
-        return self._saved(self._store.apply(edit, self.author, request_id, expects=expects))
+        return self._saved(self._store.apply(decision, self.author, request_id, base=base))
 
     def _addition(
         self,
         mark: messages.DrawnMark,
-        selected_id: str | None = None,
+        selected: SelectedElement | None = None,
         snap: bool = False,
         asks_bottom: bool = False,
     ) -> tuple[edits.AddObservation, str]:
         """Return the edit that adds a mark, and a message for the user.
 
         Without ``class_id`` the mark belongs to ``element_id``. With one it belongs to
-        ``selected_id``, to an element expected there, or to a new ``element_id``.
+        ``selected``, to an element expected there, or to a new ``element_id``.
         """
         self._check_frame(mark.frame_index)
         pane = self._panes.pane(mark.frame_index, mark.side)
@@ -312,9 +322,9 @@ class LabelSession:
         )
         if mark.class_id is None:
             return addition, ""
-        drawn = _drawing(mark, mark.class_id, snap, asks_bottom)
-        drawing = self._snapped(drawn, mark.frame_index, selected_id)
-        association = self._associate(mark.frame_index, drawing, selected_id)
+        drawn = mark.draft(mark.class_id, snap, asks_bottom)
+        drawing = self._snapped(drawn, mark.frame_index, selected)
+        association = self._associate(mark.frame_index, drawing, selected)
         addition = replace(
             addition,
             anchor_px=drawing.anchor_px,
@@ -345,29 +355,40 @@ class LabelSession:
         """Return guides in both images, the element that a drawing joins, and its card."""
         self._check_frame(state.frame_index)
         labels = self.labels
-        association, snapped = DraftAssociation(state.selected_id), None
+        association, snapped, below = DraftAssociation(state.selected_id), None, None
+        selected = SelectedElement.of(state.selected_id, state.is_chosen)
         if state.drawing is not None:
-            drawing = self._snapped(state.drawing, state.frame_index, state.selected_id)
+            drawing = self._snapped(state.drawing, state.frame_index, selected)
             snapped = (
                 None if drawing is state.drawing else draft.snapped_view(state.drawing, drawing)
             )
             state = replace(state, drawing=drawing)
             if drawing.has_shape:
-                association = self._associate(state.frame_index, drawing, state.selected_id)
+                association = self._associate(state.frame_index, drawing, selected)
+                observation = self._drafts.observation(drawing, state.frame_index)
+                below = self._below(observation, drawing.class_id)
         element = labels.elements.get(association.element_id or "")
         name = None if element is None else views.label_element_name(element, self.classes)
         guides, card = self._drafts.describe(state, association.element_id, labels)
         joins = name if state.drawing is not None else None
-        return draft.DraftPreview(guides=guides, card=card, snapped=snapped, joins=joins)
+        warning = below.text if below else association.off
+        return draft.DraftPreview(
+            guides=guides, card=card, snapped=snapped, joins=joins, warning=warning
+        )
+
+    def _below(self, drawn: Observation, class_id: int) -> LabelBelow | None:
+        """Return the label that a drawing lies on."""
+        return label_below(drawn, self.classes[class_id].kind == "line", self.labels, self.classes)
 
     def _snapped(
-        self, drawing: draft.ElementDraft, frame_index: int, selected_id: str | None
+        self, drawing: draft.ElementDraft, frame_index: int, selected: SelectedElement | None
     ) -> draft.ElementDraft:
         """Snap a drawing to clear edges, and mark its bottom as hidden if the ground is clearly
         below; each only if the drawing asks for it."""
         moved = self._on_edges(drawing, frame_index) if drawing.snap else drawing
         if not (moved.asks_bottom and moved.end_known and moved.end_px and moved.has_shape):
             return moved
+        selected_id = None if selected is None else selected.id
         hidden = self._hidden_ends.is_hidden(moved, frame_index, selected_id, self.labels)
         return replace(moved, end_known=False) if hidden else moved
 
@@ -387,7 +408,7 @@ class LabelSession:
         )
 
     def _associate(
-        self, frame_index: int, drawing: draft.ElementDraft, selected_id: str | None
+        self, frame_index: int, drawing: draft.ElementDraft, selected: SelectedElement | None
     ) -> DraftAssociation:
         labels = self.labels
         observation = self._drafts.observation(drawing, frame_index)
@@ -396,7 +417,7 @@ class LabelSession:
         return associate_draft(
             observation,
             drawing.class_id,
-            selected_id,
+            selected,
             [proposal for proposal in proposals if proposal.pane == pane],
             labels,
             self._positions,
@@ -426,18 +447,4 @@ class LabelSession:
     def _check_frame(self, index: int) -> None:
         if index not in self.frames:
             raise RefusedError("not_found", f"frame {index} is not in this sequence")
-
-
-def _drawing(
-    mark: messages.DrawnMark, class_id: int, snap: bool, asks_bottom: bool
-) -> draft.ElementDraft:
-    return draft.ElementDraft(
-        side=mark.side,
-        class_id=class_id,
-        anchor_px=mark.anchor_px,
-        end_px=mark.end_px,
-        anchor_known=mark.anchor_known,
-        end_known=mark.end_known,
-        snap=snap,
-        asks_bottom=asks_bottom,
-    )
+        self._store.check_triangles(self._triangle_center)

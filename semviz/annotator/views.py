@@ -24,6 +24,7 @@ from semviz_annotation.labels.rows import row_elements
 from semviz_annotation.storage.store import Operation
 from semviz_core.base.classes import ClassSet, ElementClass
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import TriangleCenter
 
 VERBS = {
     "add": "Draw",
@@ -154,6 +155,8 @@ class WorkspaceView(Part):
     source: str
     author: str
     classes: list[ElementClass]
+    triangle_center: TriangleCenter
+    """What the point of a triangular sign is."""
     images: dict[Side, ImageSize]
     has_right: bool
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from statistics import median
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -26,8 +27,11 @@ if TYPE_CHECKING:
     from semviz_annotation.labels.proposals import Proposals
     from semviz_core.base.frame import Side
     from semviz_core.detection.detector import MeasureRegion
-    from semviz_core.research.training.detector_images import LabelledImages, StreetImages
-    from semviz_core.research.training.segmentation_images import SegmentationImages
+    from semviz_core.research.training.detector_images import (
+        LabelledImages,
+        PreparedImages,
+        StreetImages,
+    )
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class DetectCommand:
     """Minimum score; default: the model's own threshold."""
 
     def run(self) -> int:
+        from semviz.presentation.progress import announce_compiling
         from semviz.workspace.detect import DetectOptions, detect_images, images_of
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_core.detection.detector import load_detector
@@ -62,9 +67,13 @@ class DetectCommand:
         options = DetectOptions(self.model, self.measuring, self.least_score)
         images = images_of(workspace, parsing.parse_frames(self.frames), self._sides(workspace))
         detector = load_detector(self.model, measurement(self.measuring))
+        announce_compiling("measuring")
         start_s = perf_counter()
         proposals = detect_images(workspace, detector, options, images)
         print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
+        if detector.time_ms:
+            stages = [f"{stage} {median(ms):.0f} ms" for stage, ms in detector.time_ms.items()]
+            print(f"median time of an image: {', '.join(stages)}")
         print(
             f"{perf_counter() - start_s:.0f} s; next: semviz annotate {self.workspace}; "
             f"semviz localize {self.workspace} --observations detected"
@@ -229,6 +238,8 @@ class DetectTrainCommand:
     segmentation: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
     """Also train on these data sets of semantic segmentation: folders in Cityscapes' layout, or
     with segmentation.toml."""
+    boxes: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
+    """Also train on these data sets of boxes, in COCO or YOLO form: folders with boxes.toml."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("detector")
     """Training folder: rendered images, checkpoint, losses as JSON lines and as a plot."""
     start: Annotated[str | None, arg(name="from", metavar="WEIGHTS", help_behavior_hint="")] = None
@@ -314,8 +325,7 @@ class DetectTrainCommand:
         elif self.frames is not None or self.map is not None:
             option = "--map" if self.frames is None else "--frames"
             raise SemvizError(f"{option} selects from workspaces; name a workspace")
-        for folder in self.segmentation:
-            sources[str(folder)] = self._prepare(folder)
+        sources |= self._data_sets()
         if streets := self._streets():
             sources[REPLAYED] = self._render(streets)
         if not sources:
@@ -331,7 +341,7 @@ class DetectTrainCommand:
     def _streets(self) -> int:
         if self.streets is not None and not 0 <= self.streets <= 9_000:
             raise SemvizError(f"--streets {self.streets}: give 0 to 9000")
-        others = self.workspaces or self.segmentation
+        others = self.workspaces or self.segmentation or self.boxes
         default = STREETS_BESIDE_LABELS if others else STREETS
         return default if self.streets is None else self.streets
 
@@ -342,13 +352,19 @@ class DetectTrainCommand:
         self._make(images.render, images.missing(), "rendering streets")
         return images
 
-    def _prepare(self, folder: Path) -> "SegmentationImages":
-        """Return the images of a data set, their masks cut into elements."""
+    def _data_sets(self) -> "dict[str, PreparedImages[Any]]":
+        """Return data sets by name, their elements measured."""
+        from semviz_core.research.training.box_images import BoxImages
         from semviz_core.research.training.segmentation_images import SegmentationImages
 
-        images = SegmentationImages.of(folder, self.out / PREPARED)
-        self._make(images.prepare, images.missing(), "cutting masks into elements")
-        return images
+        prepared = self.out / PREPARED
+        data_sets: dict[str, PreparedImages[Any]] = {
+            str(folder): SegmentationImages.of(folder, prepared) for folder in self.segmentation
+        }
+        data_sets |= {f"boxes of {folder}": BoxImages.of(folder, prepared) for folder in self.boxes}
+        for name, images in data_sets.items():
+            self._make(images.prepare, images.missing(), f"measuring {name}")
+        return data_sets
 
     def _make(self, make: Callable[[int], None], numbers: Sequence[int], doing: str) -> None:
         """Call ``make`` with each number, in processes of its own."""

@@ -56,7 +56,7 @@ class DetectChooseCommand:
         workspace = parsing.open_workspace(self.workspace)
         path = self.out or default_calibration_path(workspace, self.model)
         ours = starts_with(CALIBRATION_HEADER.encode())
-        check_outputs(path, ours, force=self.force, reads=[self.workspace])
+        check_outputs(path, ours, force=self.force, reads=[self.workspace], purpose="calibration")
         choice = self._choose(workspace, DetectOptions(self.model, self.measuring))
         choice.calibration.save(path)
         print(choice.as_text())
@@ -66,7 +66,7 @@ class DetectChooseCommand:
     def _choose(self, workspace: "Workspace", options: "DetectOptions") -> "DetectorChoice":
         from semviz.commands.detect import measurement
         from semviz.research.detector_choice import calibration_images, choose
-        from semviz.research.detector_evaluation import with_stored
+        from semviz.research.detector_evaluation import stored_detector, with_stored
         from semviz.workspace.detect import detection_settings, detector_name, stored_detections
         from semviz_core.detection.detector import load_detector
 
@@ -75,9 +75,7 @@ class DetectChooseCommand:
         is_stored = all(image.stored is not None for image in images)
         detector = None if is_stored else load_detector(self.model, measurement(self.measuring))
         hash_ = str(detection_settings(options)["model"])
-        name = (
-            detector_name(detector, hash_) if detector is not None else images[0].stored.detector  # type: ignore[union-attr]  # all are stored
-        )
+        name = stored_detector(images) if detector is None else detector_name(detector, hash_)
         return choose(
             calibration_images(detector, images),
             name,

@@ -19,8 +19,8 @@ OptionalSide: TypeAlias = Annotated[
     Literal["left", "right"] | None, arg(metavar="{left,right}", help_behavior_hint="")
 ]
 ExportFormat: TypeAlias = Annotated[
-    Literal["log", "cvat", "cvat-video", "labelme", "coco"] | None,
-    arg(metavar="{log,cvat,cvat-video,labelme,coco}", help_behavior_hint=""),
+    Literal["log", "cvat", "cvat-video", "labelme", "coco", "csv"] | None,
+    arg(metavar="{log,cvat,cvat-video,labelme,coco,csv}", help_behavior_hint=""),
 ]
 ImportFormat: TypeAlias = Annotated[
     Literal["log", "cvat", "labelme", "coco"] | None,
@@ -31,10 +31,11 @@ _MARKS = {
     "log": (b'{"format": "semviz-operations"',),
     "cvat": _CVAT,  # CVAT itself writes the task's id first
     "cvat-video": _CVAT,
+    "csv": (b"frame,side,image,element,class,",),
     "coco": (b'{"info": {"description": "poles and traffic signs", "version": "1.0"}',),
 }
 """What the start of an export contains, by format."""
-_BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco"}
+_BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco", ".csv": "csv"}
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class LabelsExportCommand:
     file: Positional[Path]
     """File to write; for labelme a new folder."""
     format: ExportFormat = None
-    """Default by ending: .xml cvat, .json coco, others the log with one operation per line."""
+    """Default by ending: .xml cvat, .json coco, .csv a table that also has the pixels of the
+    recorded images, others the log with one operation per line."""
     side: OptionalSide = None
     """Images of one side only; default for cvat-video: left."""
     force: parsing.Force = False
@@ -54,6 +56,7 @@ class LabelsExportCommand:
     """Print one JSON object instead of lines: counts, and losses of the format."""
 
     def run(self) -> int:
+        from semviz.workspace.original_pixels import original_pixels
         from semviz_annotation.label_formats.exchange import export_labels
 
         workspace = parsing.open_workspace(self.workspace)
@@ -62,7 +65,8 @@ class LabelsExportCommand:
         if format_ is None or format_ == "log":
             return self._export_log(workspace)
         with workspace.open_labels() as store:
-            report = export_labels(store, self.file, format_, self.side)
+            original = original_pixels(workspace) if format_ == "csv" else None
+            report = export_labels(store, self.file, format_, self.side, original)
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
 
@@ -163,6 +167,9 @@ class LabelsProposeCommand:
         imported = proposals.read_proposals(self.file, workspace.classes, source.rig, frames)
         earlier = proposals.load_proposals(path, workspace.classes)
         kept = imported if self.replace else earlier.joined(imported)
+        has_labels = workspace.labels_path.exists()
+        center = workspace.read_labels().triangle_center if has_labels else kept.triangle_center
+        kept.following(center)  # raises if it cannot be done
         proposals.save_proposals(kept, path, workspace.classes)
         if self.json:
             print(json.dumps({"path": str(path), "read": len(imported), "kept": len(kept)}))

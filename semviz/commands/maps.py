@@ -46,6 +46,7 @@ class MapBuildCommand:
     """FIRST:END[:STEP]: use only these frames."""
     least_score: parsing.OptionalFloat = None
     """Minimum score of a detection (default: 0, all that the detector stored)."""
+    calibration: parsing.Calibration = None
     method: Literal["joint", "paper"] = "joint"
     """joint: all labels together; paper: each stereo pair alone, then DBSCAN, as a baseline."""
     sigma_px: float = 1.0
@@ -81,6 +82,8 @@ class MapBuildCommand:
         detections = None
         if tracking is not None:
             detections = read_detections(workspace, ())
+            calibration = parsing.read_calibration(workspace, self.calibration)
+            tracking = replace(tracking, calibration=calibration)
             announce_compiling("the search for tracks")
         with Steps() as steps:
             built, report = build_map(
@@ -132,8 +135,10 @@ class MapBuildCommand:
         from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 
         if self.source == "labels":
-            if self.least_score is not None:
-                raise SemvizError("--least-score is for --from detections; leave it out")
+            for name in ("least_score", "calibration"):
+                if getattr(self, name) is not None:
+                    option = name.replace("_", "-")
+                    raise SemvizError(f"--{option} is for --from detections; leave it out")
             return None
         if self.method != "joint":
             raise SemvizError("--from detections is for --method joint; leave one of them out")

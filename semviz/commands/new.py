@@ -12,12 +12,10 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace.workspace import Workspace
-    from semviz_core.base.frame import Dataset
-    from semviz_core.datasets.own_drive.drive_files import DriveFiles
-    from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
+    from collections.abc import Callable
 
-_TOPIC_WIDTH = 13
+    from semviz.workspace.workspace import Workspace
+    from semviz_core.datasets.own_drive.drive_files import DriveFiles
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,8 @@ class NewCommand:
     folder: Positional[Path]
     """Folder to create."""
     images: parsing.OptionalPath = None
-    """Folder of your own images (PNG or JPEG), of the left camera or the only one."""
+    """Folder of your own images (PNG or JPEG), of the left camera or the only one; or a recording:
+    a bag (.mcap, .bag, ROS 2 folder), nuScenes, KITTI raw or 360, EuRoC, Argoverse 2, Boreas."""
     right: parsing.OptionalPath = None
     """Folder of the right camera's images, called like the left ones."""
     calibration: parsing.OptionalPath = None
@@ -64,14 +63,19 @@ class NewCommand:
     """Images a second, if nothing tells their times."""
     most_view: float = 110.0
     """Largest field of view (deg) of the rectified images, from 10 to 160."""
+    refine_extrinsics: bool = False
+    """Take where the right camera is from matches in the images; the calibration is the start."""
+    rectify: bool = False
+    """Make all rectified images now; default: each when it is first needed."""
     strict: bool = False
     """Make nothing if there are warnings."""
     kitti: parsing.OptionalPath = None
     """Root of a KITTI odometry dataset, with sequences/ and poses/."""
-    sequence: str = "02"
-    """Sequence of the KITTI dataset."""
-    cameras: str = "2,3"
-    """Left and right camera, or one camera: 2,3 is the colour pair, 0,1 the grey pair."""
+    sequence: parsing.OptionalText = None
+    """Sequence of the KITTI dataset, default 02; scene or sequence of a recording of several."""
+    cameras: parsing.OptionalText = None
+    """Left and right camera, or one camera. KITTI's 2,3 is the colour pair (default), 0,1 the grey
+    pair; a recording's are its own names, for example topics of a bag, or CAM_FRONT."""
     simulate: parsing.OptionalInt = None
     """Seed of a simulated street."""
     frames: parsing.OptionalText = None
@@ -101,11 +105,11 @@ class NewCommand:
         self._refuse_options_of_images()
         frames = parsing.parse_frames(self.frames)
         if self.kitti is not None:
-            cameras = parsing.parse_cameras(self.cameras)
+            cameras = parsing.parse_cameras(self.cameras or "2,3")
             workspace = Workspace.create_kitti(
                 self.folder,
                 self.kitti,
-                self.sequence,
+                self.sequence or "02",
                 cameras,
                 frames,
                 self.trust_poses,
@@ -129,15 +133,38 @@ class NewCommand:
 
     def _from_images(self, images: Path) -> int:
         """Make a workspace of an own drive; what was taken for granted is printed."""
+        from semviz.commands.own_drive import rectify_all, write_row_picture
+
+        parent = self.folder.resolve().parent
+        with tempfile.TemporaryDirectory(
+            prefix=f".{self.folder.name}-", dir=parent if parent.is_dir() else None
+        ) as folder:
+            workspace, count = self._read_images(images, Path(folder) / "recorded")
+        self._print_summary(workspace, count)
+        if workspace.source.rig.right is not None:
+            write_row_picture(workspace)
+        if self.rectify:
+            rectify_all(workspace)
+        self._warn_of_poses(workspace)
+        print(f"next: semviz annotate {self.folder}")
+        return 0
+
+    def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
+        """Return the new workspace and the number of warnings; a bag's images go through
+        ``extracted``."""
+        from semviz.commands.own_drive import check_against_images, print_topic, write_refined
+        from semviz.presentation.progress import Steps
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
 
-        files = self._files(images)
-        drive = read_drive(files)
+        with Steps() as steps:
+            files = self._files(images, extracted, steps.show)
+            drive = read_drive(files)
         for topic, text in drive.statements:
-            _print_topic(topic, text)
-        warnings = [*drive.warnings, *self._check_images(files, drive)]
+            print_topic(topic, text)
+        drive, found = check_against_images(drive, self.refine_extrinsics)
+        warnings = [*drive.warnings, *found]
         if where := unusual_motion(drive.frames):
             warnings.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
@@ -149,28 +176,22 @@ class NewCommand:
             raise SemvizError(
                 f"--strict: {len(warnings)} warning{'s' * (len(warnings) > 1)}; nothing was made"
             )
-        workspace = Workspace.create_images(self.folder, files, drive, self.trust_poses)
-        self._print_summary(workspace, len(warnings))
-        self._warn_of_poses(workspace)
-        print(f"next: semviz annotate {self.folder}")
-        return 0
+        workspace = Workspace.create_images(self.folder, drive, self.trust_poses, extracted)
+        if self.refine_extrinsics:
+            write_refined(workspace, drive)
+        return workspace, len(warnings)
 
-    def _check_images(self, files: "DriveFiles", drive: "RecordedDrive") -> list[str]:
-        """Compare calibration and poses with the images, print figures and return warnings."""
-        from semviz.workspace.drive_file import DriveFile
-
-        with tempfile.TemporaryDirectory() as cache:
-            content = DriveFile.of(drive, "drive")
-            dataset = content.dataset(files.images, files.right, Path(cache))
-            warnings = [] if files.right is None else _row_warnings(dataset)
-            return warnings if drive.axes is None else warnings + _pose_warnings(dataset, drive)
-
-    def _files(self, images: Path) -> "DriveFiles":
+    def _files(
+        self, images: Path, extracted: Path, show: "Callable[[str, int, int], None]"
+    ) -> "DriveFiles":
         from semviz_core.datasets.own_drive.drive_files import DriveFiles
 
         return DriveFiles(
             images=images,
             right=self.right,
+            cameras=tuple(self.cameras.split(",")) if self.cameras else (),
+            sequence=self.sequence,
+            extracted=extracted,
             calibration=self.calibration,
             right_calibration=self.right_calibration,
             poses=self.poses,
@@ -187,6 +208,7 @@ class NewCommand:
             rate_hz=self.rate,
             most_view_deg=self.most_view,
             frames=parsing.parse_frames(self.frames),
+            show=show,
         )
 
     def _print_summary(self, workspace: "Workspace", warnings: int) -> None:
@@ -219,42 +241,3 @@ class NewCommand:
             lines = [f"poses: {suspicion}; {more}" for suspicion in suspicions(frames)]
         for line in lines:
             print(line, file=sys.stderr)
-
-
-def _row_warnings(dataset: "Dataset") -> list[str]:
-    """Print how far rows of a stereo pair are apart; return a warning if they are."""
-    from semviz_core.datasets.own_drive.row_check import LEAST_MATCHES, check_rows
-
-    rows = check_rows(dataset)
-    if rows.matches < LEAST_MATCHES:
-        _print_topic("rows", f"not checked: {rows.matches} matches")
-        return []
-    _print_topic(
-        "rows", f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)"
-    )
-    if rows.agrees:
-        return []
-    return [
-        f"rows of both images are {rows.apart_px:.1f} px apart (right {rows.offset_px:+.1f} px "
-        "lower): the calibration is not that of these images, or the cameras have moved"
-    ]
-
-
-def _pose_warnings(dataset: "Dataset", drive: "RecordedDrive") -> list[str]:
-    """Print how many matches between images agree with the poses; return a warning if few do."""
-    from semviz_core.datasets.own_drive.pose_check import check_against_images
-
-    assert drive.axes is not None
-    found = check_against_images(dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified)
-    if not found.is_known:
-        _print_topic("motion", f"not checked: {found.matches} matches between images apart")
-        return []
-    _print_topic("motion", f"{found.share:.0%} of {found.matches} matches agree with the poses")
-    if found.agrees:
-        return []
-    remedy = f"{found.remedy} fits" if found.remedy else "poses of another drive, or other axes"
-    return [f"only {found.share:.0%} of the matches between images agree with the poses: {remedy}"]
-
-
-def _print_topic(topic: str, text: str) -> None:
-    print(f"  {topic:<{_TOPIC_WIDTH}}{text}")

@@ -1,5 +1,6 @@
 """Types and parsers of options: workspaces, frame ranges, cameras, intervals, anchors."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
+    from semviz_core.base.detector_calibration import DetectorCalibration
 
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")]
@@ -18,6 +20,17 @@ OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint=
 
 Force = Annotated[
     bool, arg(help="Replace an existing file that this command did not write before.")
+]
+
+Calibration = Annotated[
+    str | None,
+    arg(
+        metavar="TEXT",
+        help_behavior_hint="",
+        help="File of 'semviz detect choose': what the detections' scores and sigmas mean, and "
+        "their rates; 'none': take them as they are. Default: the file beside the model, or in the "
+        "workspace.",
+    ),
 ]
 
 ONE_THREAD = {
@@ -32,6 +45,19 @@ def open_workspace(path: Path) -> "Workspace":
     from semviz.workspace.workspace import Workspace
 
     return Workspace.open(path)
+
+
+def read_calibration(workspace: "Workspace", given: str | None) -> "DetectorCalibration | None":
+    """Return the calibration of the workspace's detections, by option ``Calibration``, and say
+    which it is."""
+    from semviz.workspace.calibration import find_calibration
+
+    found = find_calibration(workspace, given)
+    if found is None:
+        return None
+    path, calibration = found
+    print(f"{path}: scores and rates as on {calibration.truth}", file=sys.stderr)
+    return calibration
 
 
 def parse_frames(text: str | None) -> range | None:

@@ -15,9 +15,7 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Run
-    from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.writing import ConversionTally
-    from semviz_core.base.detector_calibration import DetectorCalibration
     from semviz_core.base.frame import Frame
 
 
@@ -50,9 +48,7 @@ class LocalizeCommand:
     street's simulated detector. Default: labels, if there are any."""
     least_score: parsing.OptionalFloat = None
     """Minimum score of a detection; default: that of its detector's calibration, or 0."""
-    calibration: parsing.OptionalText = None
-    """File of 'semviz detect choose': what the detections' scores and sigmas mean, and their rates;
-    'none': take them as they are. Default: the file beside the model, or in the workspace."""
+    calibration: parsing.Calibration = None
     noise: Literal["paper", "low"] = "low"
     """Noise of the simulated detector: the paper's table, or 1 px and 0.3 deg."""
     prior_distance: str = "5:10"
@@ -77,7 +73,9 @@ class LocalizeCommand:
         observations = self.observations or workspace.default_observations
         if self.calibration is not None and observations != "detected":
             raise SemvizError("--calibration is for detections; add --observations detected")
-        calibration = self._calibration(workspace) if observations == "detected" else None
+        calibration = None
+        if observations == "detected":
+            calibration = parsing.read_calibration(workspace, self.calibration)
         least_score = self.least_score
         if least_score is None:
             least_score = 0.0 if calibration is None else calibration.least_score
@@ -117,19 +115,6 @@ class LocalizeCommand:
         print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
         print(f"next: semviz evaluate {path}; semviz serve {path}")
         return 0
-
-    def _calibration(self, workspace: "Workspace") -> "DetectorCalibration | None":
-        """Return the calibration of the workspace's detections, and say which it is."""
-        from semviz.workspace.calibration import find_calibration
-        from semviz_annotation.labels.proposals import load_proposals
-
-        processed = load_proposals(workspace.proposals_path, workspace.classes).processed
-        found = find_calibration(workspace, processed, self.calibration)
-        if found is None:
-            return None
-        path, calibration = found
-        print(f"{path}: scores and rates as on {calibration.truth}")
-        return calibration
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,12 @@ class AnnotateCommand:
 
         folder = self.workspace if self.workspace is not None else ensure_demo()
         tool = Annotator(parsing.open_workspace(folder), author=self.author)
+        if left_out := tool.session.left_out_proposals:
+            print(
+                f"warning: {left_out} proposed triangular signs are left out: their middle is "
+                "another than that of the labels, and their height is not known; detect again",
+                file=sys.stderr,
+            )
         _serve(tool, self)
         return 0
 

@@ -18,7 +18,8 @@ from semviz.web.protocol import RefusedError
 from semviz.workspace.settings import SETTINGS
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
-from semviz_annotation.labels.proposals import Proposal, load_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.storage.store import LabelStore, Writer
 from semviz_core.base.elements import Elements3D
@@ -176,11 +177,13 @@ def workspaces_near(run: Run, path: Path) -> Iterator[Workspace]:
 
 def element_card(run: Run, record: FrameRecord, element_id: int) -> views_frame.ElementCard:
     """Return the card of a map element, from the camera of one frame."""
+    provenance = provenance_of(run.semantic_map, element_id)
     return views_frame.ElementCard(
         name=run.semantic_map.name_of(element_id),
         class_id=int(mapped(run, element_id).class_id[0]),
         place=_place(mapped(run, element_id), _eye_m(record)),
         meaning=_meaning(run, element_id),
+        existence=provenance.existence if provenance else "",
         in_run=_in_run(run, element_id),
         decisions=_decisions(run, element_id),
     )

@@ -19,7 +19,7 @@ from semviz.what_if.solve import describe_sweep, free_path
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace, login_name
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.rows import review_decision
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError

@@ -61,6 +61,8 @@ class ElementCard(Part):
     place: tuple[EndView, ...]
     meaning: str
     """Basis of the sigmas."""
+    existence: str
+    """The probability that it exists, of an element from detections alone; else empty."""
     in_run: tuple[Labelled, ...]
     decisions: tuple[MapDecision, ...]
 

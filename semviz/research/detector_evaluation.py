@@ -23,6 +23,7 @@ from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import OLDER, TriangleCenter, converted
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector
@@ -47,6 +48,8 @@ class EvaluationImage:
     """Whether the ground truth is believed to hold all elements."""
     stored: "StoredDetections | None" = None
     """What ``semviz detect`` found in the image before, if it did."""
+    triangle_center: TriangleCenter = OLDER
+    """What the points of triangular signs are, in the truth and the stored detections."""
 
     @property
     def name(self) -> str:
@@ -69,7 +72,10 @@ def with_stored(
     if processed is None:
         return tuple(images)
     return tuple(
-        replace(image, stored=StoredDetections(processed.detector, as_elements(rows)))
+        replace(
+            image,
+            stored=StoredDetections(processed.detector, as_elements(rows, image.triangle_center)),
+        )
         if (image.frame_index, image.side) in processed.images
         else image
         for image in images
@@ -88,6 +94,7 @@ def street_images(
             side,
             partial(street.image, index, side),
             partial(street_truth, street, index, side, reach_m),
+            triangle_center=street.triangle_center,
         )
         for street in map(Street, range(HELD_OUT_SEED, HELD_OUT_SEED + streets))
         for index in _spread(len(street.frames), frames_a_street)
@@ -149,6 +156,7 @@ class _LabelledWorkspace:
                         partial(self._source.image, index, side),
                         partial(self._truth, index, side),
                         is_complete=state != "in work",
+                        triangle_center=self._labels.triangle_center,
                     )
 
     def _truth(self, index: int, side: Side) -> ImageGroundTruth:
@@ -260,7 +268,7 @@ def evaluate(
     )
     figures = detection_summary.detection_figures(evaluations, DEFAULT_CLASSES, least_score)
     settings = {
-        "model": _model_name(detector, images),
+        "model": stored_detector(images) if detector is None else detector.model.name,
         "measuring": measuring,
         "images": _where(images),
         "threshold": _threshold(figures.threshold, least_score),
@@ -269,9 +277,8 @@ def evaluate(
     return Evaluation(settings, tuple(_notes(images)), tuple(images), evaluations, figures)
 
 
-def _model_name(detector: Detector | None, images: Sequence[EvaluationImage]) -> str:
-    if detector is not None:
-        return detector.model.name
+def stored_detector(images: Sequence[EvaluationImage]) -> str:
+    """Return the name of the detector whose stored detections the images have."""
     stored = {image.stored.detector for image in images if image.stored is not None}
     return ", ".join(sorted(stored))
 
@@ -291,7 +298,9 @@ def evaluate_image(
         detections = detector.detect(pixels)
     except SemvizError as error:
         raise SemvizError(f"{image.name}: {error}") from None
-    return detection_summary.ImageEvaluation(detections, truth, process_time() - start_s)
+    seconds = process_time() - start_s
+    detections = converted(detections, detector.triangle_center, image.triangle_center)
+    return detection_summary.ImageEvaluation(detections, truth, seconds)
 
 
 def _threshold(threshold: float, given: float | None) -> str:

@@ -87,7 +87,9 @@ def mapped_images(
             if len(view.id):
                 read = partial(source.image, frame.index, side)
                 truth = partial(_truth, view, reach_m)
-                images.append(EvaluationImage(workspace.name, frame.index, side, read, truth))
+                image = EvaluationImage(workspace.name, frame.index, side, read, truth)
+                center = semantic_map.triangle_center
+                images.append(replace(image, triangle_center=center))
     if not images:
         raise SemvizError(
             f"{workspace.path}: no frame with a pose shows elements of map {map_name}; choose "

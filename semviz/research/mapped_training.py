@@ -21,6 +21,7 @@ from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.base.detector_model import RANGE_M
 from semviz_core.base.elements import joined
 from semviz_core.base.frame import Side
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray
 from semviz_core.common.errors import SemvizError
 
@@ -60,7 +61,7 @@ def _of_side(
         elements_in_view(semantic_map, pose, rig, side, RANGE_M[1])
         for _, pose in track(posed, f"projecting into {side} images", len(posed))
     ]
-    agreed = _agreed(workspace, side, [index for index, _ in posed], views)
+    agreed = _agreed(workspace, semantic_map, side, [index for index, _ in posed], views)
     visible = bridged(np.array(agreed).reshape(len(posed), -1))
     labelled = []
     for (index, _), view, ids in zip(posed, views, visible, strict=True):
@@ -74,7 +75,11 @@ def _of_side(
 
 
 def _agreed(
-    workspace: Workspace, side: Side, indices: Sequence[int], views: Sequence[ElementsInView]
+    workspace: Workspace,
+    semantic_map: SemanticMap,
+    side: Side,
+    indices: Sequence[int],
+    views: Sequence[ElementsInView],
 ) -> list[BoolArray]:
     """Return for each image (ids,) whether a label or detection agrees with the element."""
     labels = workspace.read_labels()
@@ -82,8 +87,8 @@ def _agreed(
     count = 1 + max((int(view.id.max()) for view in views if len(view.id)), default=-1)
     agreed = []
     for index, view in zip(indices, views, strict=True):
-        detected = as_elements(proposals.in_frame(index, side))
-        seen = joined(observe(labels, index, side)[0], detected)
+        detected = as_elements(proposals.in_frame(index, side), semantic_map.triangle_center)
+        seen = joined(observe(labels, index, side, semantic_map)[0], detected)
         rows = matched_rows(seen, view.elements)
         is_agreed = np.zeros(count, bool)
         is_agreed[view.id[rows[rows >= 0]]] = True

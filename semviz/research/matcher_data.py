@@ -22,8 +22,8 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.evaluation.problems import NEEDED_DETECTIONS, LocalizationProblem
-from semviz_core.research.training.samples import Sample
 from semviz_core.research.training.simulated_samples import HELD_OUT, make_sample
 
 CROP_M = CROP_RADIUS_M["labels"]

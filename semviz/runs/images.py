@@ -13,24 +13,20 @@ import numpy as np
 from semviz.runs.run import FrameRecord, Images, Run
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D, Elements3D
-from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.frame import Dataset, FileDataset, Side
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_IMAGE_BYTES, check_image_size, read_limited, shown
-from semviz_core.datasets.kitti import KittiSequence
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
 
 JPEG_QUALITY = 90
-_WITH_FILES = (KittiSequence, ImageFolder)
-"""Sources whose images are files."""
 
 
 def check_images_available(source: Dataset, images: Images) -> None:
     """Raise SemvizError if a source does not have the images that ``--images`` asks for."""
     if images == "both" and source.rig.right is None:
         raise SemvizError("--images both: the sequence has one camera; leave the option out")
-    if images == "reference" and not isinstance(source, _WITH_FILES):
+    if images == "reference" and not isinstance(source, FileDataset):
         raise SemvizError(
             "--images reference: a simulated street has no image files; "
             "choose embedded, both or none"
@@ -45,7 +41,7 @@ def with_images(record: FrameRecord, source: Dataset, images: Images, folder: Pa
         case "none":
             return record
         case "reference":
-            assert isinstance(source, _WITH_FILES)
+            assert isinstance(source, FileDataset)
             left = _relative(source.image_path(index, "left"), folder)
             right = _relative(source.image_path(index, "right"), folder) if has_right else ""
             return replace(record, image_file=left, image_right_file=right)

@@ -149,8 +149,9 @@ def detector_model(observations: Observations) -> DetectorModel:
     return SHIPPED_DETECTOR if observations == "detected" else SIMULATED_DETECTOR
 
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """2: priors hold the road. 3: correspondences of each pose of the search, steps of refinement.
+4: the map's definition of triangular signs, and their heights in observations.
 Older versions are read, newer ones refused."""
 APPLICATION = "semviz"
 """Application id of all runs, so that rerun keeps one layout of views for all of them."""

@@ -20,7 +20,7 @@ from pydantic.json_schema import models_json_schema
 from semviz.web.shapes import Theme
 from semviz_core.common.errors import SemvizError
 
-PROTOCOL: Literal[2] = 2
+PROTOCOL: Literal[3] = 3
 """Version of the protocol. A page of another version reloads itself."""
 
 Code = Literal["not_saved", "conflict", "invalid", "not_found", "busy", "internal"]
@@ -66,7 +66,7 @@ class HelloEvent(Event):
     """The first event on every connection."""
 
     type: Literal["hello"] = "hello"
-    protocol: Literal[2] = PROTOCOL
+    protocol: Literal[3] = PROTOCOL
     session: str
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from semviz.workspace.detect import MODEL_FILE
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposals import load_proposals
 from semviz_core.base.detector_calibration import CALIBRATION_ENDING, DetectorCalibration
 from semviz_core.common.errors import SemvizError
 
@@ -26,12 +27,14 @@ def default_calibration_path(workspace: Workspace, model: str | None) -> Path:
 
 
 def find_calibration(
-    workspace: Workspace, processed: ProcessedImages | None, given: str | None
+    workspace: Workspace, given: str | None
 ) -> tuple[Path, DetectorCalibration] | None:
-    """Return the calibration of detections with its file: the given one, or that of their model.
+    """Return the calibration of a workspace's detections with its file: the given one, or that of
+    their model.
 
     Raise SemvizError if it was made for another model.
     """
+    processed = load_proposals(workspace.proposals_path, workspace.classes).processed
     if given == NO_CALIBRATION:
         return None
     if given is not None:
@@ -49,9 +52,7 @@ def find_calibration(
 def _checked(path: Path, processed: ProcessedImages | None) -> tuple[Path, DetectorCalibration]:
     calibration = DetectorCalibration.load(path)
     detector = "unknown: they were imported" if processed is None else processed.detector
-    settings = {} if processed is None else processed.settings
-    made_for = calibration.model, calibration.measuring
-    if made_for != (settings.get("model"), settings.get("measuring")):
+    if processed is None or not calibration.is_of(processed.settings):
         raise SemvizError(
             f"{path}: made for {calibration.detector}, measured by {calibration.measuring}, but "
             f"the detector is {detector}; run 'semviz detect choose' for it, or give "

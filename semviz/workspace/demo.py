@@ -33,7 +33,7 @@ from semviz_core.localization.localizer import Localizer
 from semviz_core.simulation.layout import Section
 from semviz_core.simulation.street import Street
 
-EDITION = 4
+EDITION = 5
 """Increased with every change of the demo, so that an old one in the cache is not used."""
 
 
@@ -157,7 +157,7 @@ def _localization(workspace: Workspace, semantic_map: SemanticMap) -> localize.S
     options = localize.LocalizeOptions(
         observations="simulated", crop_radius_m=localize.CROP_RADIUS_M["simulated"], seed=SEED
     )
-    observe = observe_simulated(workspace, options.noise, options.seed)
+    observe = observe_simulated(workspace, semantic_map, options.noise, options.seed)
     prior_of = _sometimes_wrong(localize.simulated_prior(options))
     street = workspace.street
     localizer = Localizer(detector=detector_model(options.observations))

@@ -16,7 +16,8 @@ from semviz.presentation.progress import track
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.processed_images import ProcessedImages, Setting
-from semviz_annotation.labels.proposals import Proposal, Proposals, load_proposals, save_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals, load_proposals, save_proposals
 from semviz_core.base.detector_calibration import CALIBRATION_ENDING
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError

@@ -4,10 +4,13 @@ The recorded cameras, the time and pose of each image, and what was taken for gr
 named; they stay where they are. Opening a workspace needs none of the imported files again.
 """
 
+import zlib
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_core.base.frame import Frame
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 DRIVE_FILE = "drive.json"
 RECTIFIED = "rectified"
 """Folder of rectified images; it can be deleted at any time."""
+RECORDED = Path("recorded")
+"""Folder of images that were copied from a bag."""
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
@@ -65,7 +70,7 @@ class CameraEntry(_Model):
 class FrameEntry(_Model):
     """An image, or a pair."""
 
-    index: int = Field(ge=0)
+    index: int = Field(ge=0, lt=2**31)
     time_s: float
     left: ImageName
     right: ImageName | None = None
@@ -76,6 +81,8 @@ class FrameEntry(_Model):
 class DriveFile(_Model):
     """The content of the file."""
 
+    crc32: int | None = None
+    """Of what follows it in the file; None in files of earlier versions of semviz."""
     version: Literal[1] = 1
     map_frame: str
     left: CameraEntry
@@ -89,6 +96,10 @@ class DriveFile(_Model):
     """What was read and taken for granted: topic and text."""
     warnings: tuple[str, ...] = ()
     frames: Annotated[tuple[FrameEntry, ...], Field(min_length=1)]
+
+    def model_post_init(self, _: Any) -> None:
+        if any(row.index >= after.index for row, after in pairwise(self.frames)):
+            raise ValueError("frames are not in the order of their numbers")
 
     @classmethod
     def of(cls, drive: "RecordedDrive", map_frame: str) -> "DriveFile":
@@ -133,20 +144,58 @@ class DriveFile(_Model):
         )
 
     def save(self, path: Path) -> None:
-        """Write the file. Raise SemvizError if it cannot be written."""
+        """Write the file, its checksum first. Raise SemvizError if it cannot be written."""
+        content = self.model_dump_json(exclude_none=True, exclude={"crc32"}).encode()[1:]
         with replacing(path) as temporary:
-            temporary.write_text(self.model_dump_json(exclude_none=True), encoding="utf-8")
+            temporary.write_bytes(b'{"crc32":%d,' % zlib.crc32(content) + content)
 
 
 def read_drive_file(path: Path) -> DriveFile:
     """Return the content of the file. Raise SemvizError if it is missing or damaged."""
+    data = read_limited(path, MOST_TEXT_BYTES)
     try:
-        return DriveFile.model_validate_json(read_limited(path, MOST_TEXT_BYTES))
+        content = DriveFile.model_validate_json(data)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "file"
         fault = first_line(f"{where}: {first['msg']}")
         raise SemvizError(f"{path}: damaged ({fault}); run 'semviz new' again") from None
+    if content.crc32 is not None and content.crc32 != zlib.crc32(data.partition(b",")[2]):
+        raise SemvizError(
+            f"{path}: not as it was written (its checksum differs); restore it from a copy, or run "
+            "'semviz new' again. If you edited it, delete its crc32"
+        )
+    return content
+
+
+def open_drive(path: Path, images: Path, right: Path | None, cache: Path) -> ImageFolder:
+    """Return the dataset of the file ``path``; see ``DriveFile.dataset``.
+
+    Raise SemvizError if the file is missing, damaged, or its cameras are impossible.
+    """
+    content = read_drive_file(path)
+    try:
+        return content.dataset(images, right, cache)
+    except SemvizError as error:
+        raise SemvizError(f"{path}: {error}; run 'semviz new' again") from None
+
+
+def calibration_toml(rig: OriginalRig) -> str:
+    """Return the cameras as recorded in semviz's own format of calibrations."""
+    cameras = {"left": rig.left} if rig.right is None else {"left": rig.left, "right": rig.right}
+    content: dict[str, object] = {}
+    if rig.T_right_left is not None:
+        content["T_right_left"] = rig.T_right_left.as_matrix()[:3].tolist()
+    for side, camera in cameras.items():
+        fx, fy, cx, cy = CameraEntry.of(camera).intrinsics_px
+        content[side] = {
+            "size_px": [camera.width, camera.height],
+            "model": camera.model,
+            "focal_px": [fx, fy],
+            "center_px": [cx, cy],
+            "distortion": camera.distortion.tolist(),
+        }
+    return tomli_w.dumps(content)
 
 
 def _numbers(pose: Pose | None) -> tuple[float, ...] | None:

@@ -295,7 +295,9 @@ def localize_workspace(
         )
         processed = detections.processed
     else:
-        observe = observations.observe_simulated(workspace, options.noise, options.seed)
+        observe = observations.observe_simulated(
+            workspace, semantic_map, options.noise, options.seed
+        )
     prior_of = simulated_prior(options)
     return SequenceLocalization(
         source,

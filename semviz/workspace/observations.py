@@ -95,7 +95,7 @@ def observe_detected(
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         rows = detections.in_frame(frame.index, "left")
-        elements = as_elements(rows)
+        elements = as_elements(rows, semantic_map.triangle_center)
         if calibration is not None:
             elements = calibration.calibrated(elements)
         mapped = np.array([of_map.get(row.id, -1) for row in rows], dtype=np.int64)
@@ -107,11 +107,14 @@ def observe_detected(
     return observe
 
 
-def observe_simulated(workspace: Workspace, noise: NoiseName, seed: int) -> Observe:
-    """Observe a simulated street with a simulated detector of the given noise."""
+def observe_simulated(
+    workspace: Workspace, semantic_map: SemanticMap, noise: NoiseName, seed: int
+) -> Observe:
+    """Observe a simulated street, as the map defines it, with a simulated detector's noise."""
     from semviz_core.simulation.detector import SimulatedDetector
 
-    detector = SimulatedDetector(workspace.street, noise, seed)
+    street = workspace.street.following(semantic_map.triangle_center)
+    detector = SimulatedDetector(street, noise, seed)
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
         detection = detector.detect(frame.index)
@@ -133,7 +136,8 @@ _Visible = tuple[Elements2D, IntArray]
 def identify_detections(workspace: Workspace, semantic_map: SemanticMap) -> Identify:
     """Return the function that identifies detections in a workspace's images."""
     is_street = isinstance(workspace.settings.source, StreetSettings)
-    street = workspace.street if is_street else None
+    center = semantic_map.triangle_center
+    street = workspace.street.following(center) if is_street else None
     labels = workspace.read_labels()
     from_labels = bool(semantic_map.provenance) and not uses_detections(semantic_map)
 

@@ -9,11 +9,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from semviz.workspace.settings import KittiSettings
 from semviz.workspace.workspace import Workspace
-from semviz_core.base.frame import Frame, Side
+from semviz_core.base.frame import FileDataset, Frame, Side
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.validation import Calibration
 from semviz_core.pose_checks.faults import PoseCheck, check_drive
 from semviz_core.pose_checks.image_motions import (
@@ -41,7 +39,7 @@ def check_poses(
     if the images show too little motion to check anything.
     """
     _require_poses(workspace, frames)
-    source = _source_key(workspace, frames)
+    source = source_key(workspace, frames)
     motions = load_motions(motions_path(workspace), source)
     if motions is None:
         motions = measure_motions(workspace.source, frames, on_progress)
@@ -60,7 +58,7 @@ def known_check(workspace: Workspace) -> PoseCheck | None:
     frames = workspace.source.frames
     if not motions_path(workspace).is_file() or len(frames) < MIN_FRAMES:
         return None
-    motions = load_motions(motions_path(workspace), _source_key(workspace, frames))
+    motions = load_motions(motions_path(workspace), source_key(workspace, frames))
     if motions is None:
         return None
     check = check_drive(frames, motions, workspace.source.rig)
@@ -76,15 +74,22 @@ def _require_poses(workspace: Workspace, frames: Sequence[Frame]) -> None:
         )
 
 
-def _source_key(workspace: Workspace, frames: Sequence[Frame]) -> str:
+def source_key(workspace: Workspace, frames: Sequence[Frame]) -> str:
     """Return a digest of what the motions depend on: images, by size and time, and calibration."""
     source = workspace.source
     settings = workspace.settings.source.model_dump(exclude={"poses", "frames", "root"})
     parts: list[object] = [Calibration.of(source.rig).hash, settings]
     parts += [frame.index for frame in frames]
-    if isinstance(source, KittiSequence) and isinstance(workspace.settings.source, KittiSettings):
+    if isinstance(source, FileDataset):
         sides: tuple[Side, ...] = ("left", "right") if source.rig.right is not None else ("left",)
-        paths = [source.image_path(frame.index, side) for frame in frames for side in sides]
-        stats = [path.stat() if path.is_file() else None for path in paths]
-        parts += [stat and (stat.st_size, stat.st_mtime_ns) for stat in stats]
+        parts += [_file_state(source, frame.index, side) for frame in frames for side in sides]
     return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
+
+
+def _file_state(source: FileDataset, index: int, side: Side) -> tuple[int, int] | None:
+    """Return size and time of a recorded image; None if there is none."""
+    try:
+        state = source.original_path(index, side).stat()
+    except (SemvizError, OSError):
+        return None
+    return state.st_size, state.st_mtime_ns

@@ -2,12 +2,15 @@
 
     semviz.toml          settings: where the images come from
     drive.json           cameras, images and poses of an own drive; see ``drive_file``
+    recorded/            images of a bag as recorded
     rectified/           images of an own drive without distortion, made when needed
+    checks/rows.png      rows and matches of a stereo pair, from the import
     labels.db            labels and their history
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
     backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
     image_motions.safetensors  motions measured in the images; see ``pose_check``
+    detector.calibration.toml  what the scores of the detector mean, if chosen; see ``calibration``
     maps/NAME.parquet
     runs/NAME.rrd
 
@@ -16,6 +19,7 @@ The author of stored operations defaults to the login name.
 
 import getpass
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable
 from dataclasses import asdict, replace
@@ -25,7 +29,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tomli_w
 
-from semviz.workspace.drive_file import DRIVE_FILE, RECTIFIED, DriveFile, read_drive_file
+from semviz.workspace.drive_file import DRIVE_FILE, RECORDED, RECTIFIED, DriveFile, open_drive
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
@@ -42,14 +46,15 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.frame import Dataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+from semviz_core.common.limits import shown
 from semviz_core.datasets.validation import Calibration
 
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
     from semviz_annotation.storage.store import LabelStore
-    from semviz_core.datasets.own_drive.drive_files import DriveFiles
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
@@ -116,25 +121,32 @@ class Workspace:
 
     @classmethod
     def create_images(
-        cls, path: Path, files: "DriveFiles", drive: "RecordedDrive", trust_poses: bool = False
+        cls,
+        path: Path,
+        drive: "RecordedDrive",
+        trust_poses: bool = False,
+        extracted: Path | None = None,
     ) -> "Workspace":
-        """Create a workspace for an own drive, read from ``files``.
+        """Create a workspace for an own drive.
 
-        ``trust_poses`` accepts poses that jump or are inverted.
+        ``trust_poses`` accepts poses that jump or are inverted. Images in the folder ``extracted``
+        move into the workspace; others stay where they are.
         """
-        folders = {"images": files.images, "right": files.right}
-        source = {"kind": "images"} | {
-            name: os.path.relpath(folder.resolve(), path.resolve())
-            for name, folder in folders.items()
-            if folder is not None
-        }
+        folders = {"images": drive.left_folder, "right": drive.right_folder}
+        source: dict[str, object] = {"kind": "images"}
+        for name, folder in folders.items():
+            if folder is not None and extracted is not None and folder.is_relative_to(extracted):
+                source[name] = str(RECORDED / folder.relative_to(extracted))
+            elif folder is not None:
+                source[name] = os.path.relpath(folder.resolve(), path.resolve())
         settings = new_settings(path, source, trust_poses)
         content = DriveFile.of(drive, f"drive-{settings.name}")
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
-            dataset = content.dataset(files.images, files.right, Path(cache))
+            dataset = content.dataset(drive.left_folder, drive.right_folder, Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
-        workspace = cls._create(path, settings, dataset.rig)
-        content.save(path / DRIVE_FILE)
+        workspace = cls._create(path, settings, dataset.rig, content)
+        if extracted is not None and extracted.is_dir():
+            shutil.move(extracted, path / RECORDED)
         return workspace
 
     @classmethod
@@ -170,13 +182,22 @@ class Workspace:
         return workspace
 
     @classmethod
-    def _create(cls, path: Path, settings: Settings, rig: Rig) -> "Workspace":
+    def _create(
+        cls, path: Path, settings: Settings, rig: Rig, drive: DriveFile | None = None
+    ) -> "Workspace":
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
-        text = tomli_w.dumps(settings.model_dump(exclude_none=True))
-        with replacing(path / SETTINGS) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        try:
+            content = tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
+        except UnicodeEncodeError:
+            raise SemvizError(
+                f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
+            ) from None
+        if drive is not None:
+            drive.save(path / DRIVE_FILE)
+        with replacing(path / SETTINGS) as temporary:  # last: a folder without is no workspace
+            temporary.write_bytes(content)
         (path / "maps").mkdir(exist_ok=True)
         (path / "runs").mkdir(exist_ok=True)
         return cls(path, settings)
@@ -257,7 +278,8 @@ class Workspace:
         from semviz_annotation.storage.store import LabelStore
 
         rig = self.source.rig
-        store = LabelStore.open(self.labels_path, self.classes, rig)
+        center = NEW if self.labels_path.exists() else self._center_of_proposals
+        store = LabelStore.open(self.labels_path, self.classes, rig, center)
         if self.settings.calibration is None:
             self._keep_calibration(rig)
         return store
@@ -268,9 +290,16 @@ class Workspace:
         from semviz_annotation.storage.store import LabelStore
 
         if not self.labels_path.exists():
-            return Labels()
+            return Labels(triangle_center=self._center_of_proposals)
         with LabelStore.open(self.labels_path, self.classes) as store:
             return store.labels
+
+    @property
+    def _center_of_proposals(self) -> TriangleCenter:
+        """What new labels of triangular signs mark: what the stored proposals can follow."""
+        from semviz_annotation.labels.proposals import load_proposals
+
+        return load_proposals(self.proposals_path, self.classes).triangle_center
 
     @property
     def default_observations(self) -> Literal["labels", "simulated"]:
@@ -330,8 +359,7 @@ class Workspace:
                 )
         left, right = folders
         assert left is not None
-        content = read_drive_file(self.path / DRIVE_FILE)
-        return content.dataset(left, right, self.path / RECTIFIED)
+        return open_drive(self.path / DRIVE_FILE, left, right, self.path / RECTIFIED)
 
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions

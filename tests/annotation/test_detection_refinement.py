@@ -38,7 +38,9 @@ def poles(street: Street) -> list[Pair]:
 def shot_of(street: Street, frame: int, side: Side) -> MarkedImage:
     pose = street.frames[frame].T_map_camera
     assert pose is not None
-    return MarkedImage.of(rig_view(street.rig, side, pose.inverse()), street.image(frame, side))
+    return MarkedImage.of(
+        rig_view(street.rig, side, pose.inverse()), street.image(frame, side), "centroid"
+    )
 
 
 def poles_in(street: Street, frame: int) -> Iterator[Pair]:

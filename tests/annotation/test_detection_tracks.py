@@ -1,5 +1,6 @@
 """Maps of detections: true landmarks only, rejected ones never again, labels first."""
 
+import json
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import Dismissal, derived_id, review_decision
 from semviz_annotation.labels.views import rig_view
 from semviz_annotation.mapping.association.detected_drive import TRACK_NUMBER
@@ -16,9 +19,10 @@ from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildOptions, BuildReport, build_map, rebuild_map
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import POLE
+from semviz_core.base.detector_calibration import CalibratedRates, DetectorCalibration, SigmaScale
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose
-from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 
@@ -390,6 +394,29 @@ def test_the_neighbour_of_a_rejected_pole_stays():
     assert missing_and_false(kept, pair[1:], 0.25) == (0, 0)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_rejection_takes_no_other_track(seed):
+    """Poles one behind the other: each passes the others in some images."""
+    row = tuple(pole(30.0 + 4.0 * i, 5.0 + 0.25 * i, 4.0 + i) for i in range(4))
+    road = Road(count=20)
+    detections = Detector(seed, false=6.0).detect(road, row)
+    made, _ = built(road, detections)
+    tracks = dict(zip(map(_ids, made.provenance), made.elements.anchor_m, strict=True))
+    for place, origin in enumerate(made.provenance):
+        labels = left_out(accepted(made, place, detections))
+        again, report = built(road, detections, labels)
+        kept = dict(zip(map(_ids, again.provenance), again.elements.anchor_m, strict=True))
+        assert kept.keys() == tracks.keys() - {_ids(origin)}
+        for ids, anchor_m in kept.items():
+            np.testing.assert_array_equal(anchor_m, tracks[ids])
+        assert report.detections is not None
+        assert report.detections.rejected >= len(origin.observation_ids)
+
+
+def _ids(origin: Provenance) -> frozenset[str]:
+    return frozenset(origin.observation_ids)
+
+
 def test_an_accepted_track_is_mapped_once():
     road = Road()
     detections = Detector().detect(road, POLES + SIGNS)
@@ -438,6 +465,67 @@ def test_a_map_of_detections_is_rebuilt_from_them():
     )
     with pytest.raises(SemvizError, match="none of 0 detections"):
         rebuild_map(few, Labels(), road, detections=detections)
+
+
+def calibration(**rates: float) -> DetectorCalibration:
+    values = {
+        "false_detections": 3.0, "recall_near": 0.9, "recall_far": 0.8, "near_m": 20.0,
+        "far_m": 45.0, "reach_m": 1000.0, "hidden_bottoms": 0.1,
+    }  # fmt: skip
+    return DetectorCalibration(
+        detector="eye 1",
+        model="1",
+        measuring="edges",
+        truth="made up",
+        least_score=0.5,
+        scores={},
+        sigma_scale=SigmaScale(pole_across=2.0),
+        rates=(CalibratedRates(least_score=0.0, **(values | rates)),),
+    )
+
+
+def by(model: str, detections: Proposals) -> Proposals:
+    settings = {"model": model, "measuring": "edges"}
+    images = frozenset((index, side) for index in range(24) for side in sides(Road()))
+    return replace(detections, processed=ProcessedImages("eye 1", settings, images))
+
+
+def test_a_calibrated_map_is_rebuilt_with_its_calibration():
+    road = Road()
+    detections = by("1", Detector().detect(road, POLES + SIGNS))
+    raw, _ = build_map(NOBODY, road, detections=detections)
+    options = TrackOptions(calibration=calibration())
+    made, _ = build_map(NOBODY, road, detections=detections, tracking=options)
+    again, _ = rebuild_map(made, NOBODY, road, detections=detections)
+    assert again.digest == made.digest != raw.digest
+    assert again.settings == made.settings == json.loads(json.dumps(made.settings))
+    across = made.elements.covariance_m2[0, 0, 0] / raw.elements.covariance_m2[0, 0, 0]
+    assert across > 2.0  # sigma is twice as large
+    with pytest.raises(SemvizError, match="the calibration is of eye 1, but the detections"):
+        rebuild_map(made, NOBODY, road, detections=by("2", detections))
+
+
+def test_a_landmark_that_should_be_seen_more_often_is_less_sure():
+    road = Road()
+    detections = by("1", Detector(recall=0.5).detect(road, POLES))
+    odds = []
+    for recall in (0.5, 0.95):
+        options = TrackOptions(calibration=calibration(recall_near=recall, recall_far=recall))
+        made, _ = build_map(NOBODY, road, detections=detections, tracking=options)
+        odds.append(sorted((origin.log_odds or 0.0 for origin in made.provenance), reverse=True))
+    assert all(more > less for more, less in zip(*odds, strict=False))
+    assert len(POLES) <= len(odds[1]) <= len(odds[0])
+
+
+def test_a_map_knows_how_sure_elements_of_detections_are():
+    road = Road()
+    detections = Detector().detect(road, POLES + SIGNS)
+    made, report = built(road, detections)
+    assert [origin.log_odds for origin in made.provenance] == [
+        report.log_odds[origin.label_ids[0]] for origin in made.provenance
+    ]
+    labelled, _ = built(road, detections, accepted(made, 0, detections))
+    assert [origin.log_odds is None for origin in labelled.provenance].count(True) == 1
 
 
 def test_a_stop_gives_no_landmarks():

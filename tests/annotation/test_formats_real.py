@@ -55,7 +55,8 @@ def test_cvat(annotations: Path, store: LabelStore) -> None:
     report = import_labels(annotations / FILES["cvat"], store, "ann", side="left", class_map=mapped)
     assert (report.images, report.observations, report.elements) == (2, 2, 2)
     sign, pole = sorted(store.labels.in_frame(0), key=lambda row: row.end_px is not None)
-    assert sign.anchor_px == (1.5, 2.5)  # the box from (0, 2) to (4, 4), from the corner
+    # The box from (0, 2) to (4, 4), from the corner; a triangle's centroid is a sixth lower.
+    assert sign.anchor_px == pytest.approx((1.5, 2.5 + 2.0 / 6.0))
     assert (pole.anchor_px, pole.end_px) == ((0.5, 1.5), (6.5, 7.5))
     assert report.dropped["skeleton: neither line, point nor box"] == 2
     assert report.dropped["points of class rounded sign: a sign is one point, or a box"] == 1

@@ -27,6 +27,7 @@ from semviz_annotation.storage.backup import backup_labels, check_labels, restor
 from semviz_annotation.storage.database import make
 from semviz_annotation.storage.operations import CHANGES, sealed
 from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.triangle_center import TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 
@@ -137,7 +138,7 @@ def test_a_last_operation_that_is_missing_shows_in_the_tables(file):
         ("CREATE TRIGGER t AFTER INSERT ON reviews BEGIN SELECT 1; END", "were altered: t"),
         ("ALTER TABLE elements ADD COLUMN more", "its tables were altered: elements"),
         ("PRAGMA application_id = 3", "a SQLite file, but not labels"),
-        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 3"),
+        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 4"),
     ],
 )
 def test_every_planted_fault_is_found(file, statement, words):
@@ -428,10 +429,10 @@ def test_a_restoring_that_fails_changes_nothing(file, tmp_path, monkeypatch):
     edits(file, 1)
     before = check_labels(file)
 
-    def full(connection: sqlite3.Connection) -> None:
+    def full(connection: sqlite3.Connection, center: TriangleCenter) -> None:
         if connection.execute("PRAGMA database_list").fetchone()[2]:  # a file, not in memory
             connection.execute("SELECT raise_it()")
-        make(connection)
+        make(connection, center)
 
     monkeypatch.setattr("semviz_annotation.storage.backup.make", full)
     with pytest.raises(SemvizError, match="Not restored"):

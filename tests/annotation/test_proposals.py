@@ -16,8 +16,8 @@ from semviz import cli
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements, as_proposals
 from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import (
-    Proposal,
     Proposals,
     load_proposals,
     read_proposals,
@@ -259,7 +259,7 @@ def test_finds_go_there_and_back(tmp_path: Path) -> None:
     kept = load_proposals(tmp_path / "kept.parquet")
     assert kept.processed == looked
     assert kept.rows() == rows
-    back = as_elements(kept.in_frame(3))
+    back = as_elements(kept.in_frame(3), "box")
     for name, values in vars(back).items():
         np.testing.assert_array_equal(values[:2], vars(elements)[name][:2])
 

@@ -180,7 +180,7 @@ def test_on_a_street() -> None:
         pose = street.frames[index].T_map_camera
         assert pose is not None
         view = rig_view(street.rig, "left", pose.inverse())
-        shot = MarkedImage.of(view, street.image(index, "left"))
+        shot = MarkedImage.of(view, street.image(index, "left"), street.triangle_center)
         seen, ids = street.labels(index, "left")
         elements = street.truth_map.elements
         depths = view.depth_m(elements.anchor_m[np.searchsorted(elements.id, ids)])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from semviz_annotation.assist.stereo_matching import stereo_pairs
 from semviz_annotation.labels.labels import new_id
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR

@@ -258,7 +258,7 @@ def test_what_is_not_a_label_file_is_named(tmp_path, path):
     LabelStore.open(path).close()
     with sqlite3.connect(path) as other:
         other.execute("PRAGMA user_version = 99")
-    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 3"):
+    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 4"):
         LabelStore.open(path)
     assert text.read_text().startswith("poles and signs")
 
@@ -308,3 +308,18 @@ def test_damage_inside_is_named_with_its_file(path: Path, damage: str) -> None:
     damaged = pytest.raises(SemvizError, match=r"labels\.db: the label file is damaged")
     with damaged, LabelStore.open(path) as store:
         store.operations()
+
+
+@pytest.mark.parametrize("number", [int, np.float64])
+def test_numbers_of_other_types_are_kept_as_those_that_are_read_back(tmp_path, number):
+    """A program may give pixels as whole numbers, or as NumPy's."""
+    path = tmp_path / "labels.db"
+    edit = AddObservation(
+        observation_id=new_id(), element_id=new_id(), frame_index=3, side="left",
+        anchor_px=(number(100), number(50)), end_px=(number(100), number(200)), class_id=0,
+    )  # fmt: skip
+    with LabelStore.open(path) as store:
+        store.apply(edit, "ann")
+        labels = store.labels
+    with LabelStore.open(path) as again:
+        assert again.labels == labels

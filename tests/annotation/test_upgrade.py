@@ -71,7 +71,7 @@ def pole(frame: int = 0) -> AddObservation:
 @pytest.fixture
 def known(tmp_path: Path) -> LabelStore:
     """What two people and a machine did: the same in this version."""
-    store = LabelStore.open(tmp_path / "known.db")
+    store = LabelStore.open(tmp_path / "known.db", triangle_center="box")
     first, second = pole(0), pole(1)
     store.apply(first, "ann")
     store.apply(second, "bea")

@@ -12,12 +12,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from streets import street_workspace
 
-from semviz.annotator.association import CONSISTENT_PX
+from semviz.annotator.association import CONSISTENT_PX, SamePlaceError
+from semviz.annotator.draft import DraftState, ElementDraft
 from semviz.annotator.element_positions import reprojection_error_px
+from semviz.annotator.messages import UndoEdit
+from semviz.annotator.page_session import same_place
 from semviz.annotator.session import LabelSession
-from semviz_annotation.labels.labels import Observation
+from semviz_annotation.labels.edits import Dismiss
+from semviz_annotation.labels.labels import Dismissal, Observation, new_id, proposal_id
 from semviz_annotation.labels.views import rig_view
-from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.classes import POLE, TRIANGULAR
 from semviz_core.base.frame import Side
 
 
@@ -49,6 +53,26 @@ def test_left_then_right_become_one_element_in_its_true_place(session: LabelSess
     np.testing.assert_allclose(place.end_m, T_map_camera.apply(BOTTOM)[0], atol=1e-6)
 
 
+def test_a_drawing_that_is_sent_twice_is_not_asked_about(session: LabelSession) -> None:
+    """The answer to the first may be lost with the connection."""
+    edit, request = pole(session, 0, "left", asks_same=True), new_id()
+    first = do(session, edit, request)
+    again = do(session, edit, request)
+    assert again.element_id == first.element_id
+    assert len(session.labels.observations) == 1
+
+
+def test_a_hidden_end_of_a_drawing_does_not_replace_the_known_one(session: LabelSession) -> None:
+    draw(session, pole(session, 0, "left"))
+    u, v = pixel(session, BOTTOM, 0, "left")
+    short = pole(session, 0, "left", asks_same=True, end_px=[u, v - 30.0], end_known=False)
+    with pytest.raises(SamePlaceError) as asked:
+        do(session, short)
+    question = same_place(asked.value, "request")
+    assert question.anchor is not None
+    assert question.end is None
+
+
 def test_a_drawing_off_the_epipolar_line_starts_a_new_element_and_says_so(
     session: LabelSession,
 ) -> None:
@@ -56,6 +80,72 @@ def test_a_drawing_off_the_epipolar_line_starts_a_new_element_and_says_so(
     done = do(session, pole(session, 0, "right", first, shift_px=(0.0, 14.0)))
     assert done.element_id != first
     assert "px off P-01, so this is a new element" in done.note
+
+
+@pytest.mark.parametrize(
+    ("off_px", "is_chosen", "joins"),
+    [(8.6, False, True), (14.0, False, False), (14.0, True, True), (-80.0, True, False)],
+)
+def test_what_a_person_selected_counts_more_than_poses_unless_it_is_far(
+    session: LabelSession, off_px: float, is_chosen: bool, joins: bool
+) -> None:
+    """A pose that is turned by 0.7 deg moves a drawing by 8.6 px."""
+    first = draw(session, pole(session, 0, "left"))
+    right = pole(session, 0, "right", first, (0.0, off_px), is_chosen=is_chosen)
+    done = do(session, right)
+    assert (done.element_id == first) is joins
+    assert ("kept as P-01" in done.note) is joins
+    assert ("so this is a new element" in done.note) is not joins
+
+
+def test_a_chosen_element_counts_more_than_another_that_is_expected_there(
+    session: LabelSession,
+) -> None:
+    first, second = (
+        do(session, pole(session, 0, "left", shift_px=(aside, 0.0), asks_same=False)).element_id
+        for aside in (0.0, 20.0)
+    )
+    for element, aside in ((first, 0.0), (second, 20.0)):
+        draw(session, pole(session, 0, "right", element, (aside, 0.0), is_chosen=True))
+    drawn = pole(session, 1, "left", first, (20.0, 0.0))
+    assert draw(session, drawn) == second, "a selection that only stayed gives way"
+    session.apply(new_id(), UndoEdit(kind="undo"))
+    again = pole(session, 1, "left", first, (20.0, 0.0), is_chosen=True)
+    assert draw(session, again) == first
+
+
+def test_a_rejected_proposal_that_is_drawn_by_hand_stays_its_element(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    rejected = Dismissal(proposal_id(first, 2, "left"), 2, "left", "rejected", first)
+    session.apply(new_id(), Dismiss((rejected,)))
+    here = pole(session, 2, "left", first, (25.0, 0.0), is_chosen=True)
+    assert draw(session, here) == first
+    assert session.labels.dismissed_in(2) == ()
+
+
+def test_a_drawing_on_a_label_is_asked_about(session: LabelSession) -> None:
+    first = draw(session, pole(session, 0, "left"))
+    twice = pole(session, 0, "left", shift_px=(1.2, 0.0), asks_same=True)
+    with pytest.raises(SamePlaceError, match=r"Lies on P-01, 1.2 px away") as asked:
+        do(session, twice)
+    assert asked.value.below.row.element_id == first
+    assert session.labels.operation == 1
+    preview = session.preview(
+        DraftState(
+            frame_index=0,
+            drawing=ElementDraft("left", POLE, tuple(twice["anchor_px"]), tuple(twice["end_px"])),
+        )
+    )
+    assert preview.warning == "Lies on P-01, 1.2 px away"
+    assert draw(session, twice | {"asks_same": False}) != first
+    beside = pole(session, 0, "left", shift_px=(9.0, 0.0), asks_same=True)
+    assert draw(session, beside) != first
+    sign_below = sign(0, "left", (700.0, 120.0), asks_same=True)
+    draw(session, sign_below)
+    other_class = sign(0, "left", (701.0, 121.0), asks_same=True, class_id=TRIANGULAR)
+    with pytest.raises(SamePlaceError, match="Lies on O-"):
+        do(session, other_class)
 
 
 def test_another_class_never_pairs(session: LabelSession) -> None:
@@ -208,7 +298,7 @@ def test_a_wrong_disparity_does_not_pass_for_a_far_pole(session: LabelSession) -
     done = do(session, far_pole(session, 0, "right", 100.0, first, shift))
     assert done.element_id != first
     disparity = session.rig.left.K[0, 0] * session.rig.baseline_m / 100.0
-    assert done.note.startswith(f"{(30.0 - disparity) / 2.0:.1f} px off P-01")
+    assert done.note.startswith(f"{30.0 - disparity:.1f} px off P-01")
 
 
 def test_an_element_too_far_to_triangulate_is_listed_as_nearby_and_continued(

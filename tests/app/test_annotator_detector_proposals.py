@@ -25,7 +25,8 @@ from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import ReviewFrame
 from semviz_annotation.labels.labels import Labels, Observation, new_id
 from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.base.frame import Side
 from semviz_core.simulation.street import Street
@@ -224,7 +225,7 @@ def test_disagreement_of_detector_and_labels_names_the_worst_element(tmp_path: P
         for frame in range(4)
         for side in SIDES
         for proposal in as_proposals(
-            frame, side, see(frame, side).observed, street.rig.left, "true"
+            frame, side, see(frame, side).observed, street.rig.left, "true", "centroid"
         )
         if not any(
             row.side == side and np.hypot(*np.subtract(row.anchor_px, proposal.anchor_px)) < 1.0

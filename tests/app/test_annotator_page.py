@@ -406,6 +406,7 @@ def test_an_open_page_goes_on_once_the_new_address_was_opened(
     page.context.request.get(url)
     page.wait_for_selector("#saved:has-text('Saved operation 1')", timeout=60_000)
     assert len(workspace.read_labels().observations) == 1
+    page.close()  # before its server ends: it is still fetching the next images
     page_errors.clear()
 
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from annotator_page import SIDES, Served, annotating, true_detections
-from drawn_marks import do
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 from streets import street_workspace
 
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
-from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_core.base.camera import Rig
 from semviz_core.simulation.street import Street
 
@@ -313,45 +313,6 @@ def test_the_queue_keeps_its_order_though_the_clock_goes_back(
     driver.page.wait_for_selector("#saved:has-text('Saved operation 4')")
     (row,) = served.labels.observations.values()
     np.testing.assert_allclose(row.anchor_px, (702.0, 121.0), atol=0.05)
-
-
-@pytest.mark.parametrize("mine", [True, False])
-def test_two_versions_of_a_label_are_asked_about(
-    driver: LabelDriver, served: Served, mine: bool
-) -> None:
-    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
-    (row,) = served.labels.observations.values()
-    theirs = {"kind": "move", "observation_id": row.id, "anchor_px": [650.0, 110.0]}
-    served.annotator.lock.acquire()  # the page has not heard of it when it sends its own
-    try:
-        driver.page.keyboard.press("Shift+ArrowRight")
-        driver.page.wait_for_selector("#saved.saving")
-        do(served.annotator.session, theirs)
-    finally:
-        served.annotator.lock.release()
-    driver.page.wait_for_selector("#conflict:has-text('keep yours or theirs')")
-    driver.page.click(f"#conflict button:has-text('{'mine' if mine else 'theirs'}')")
-    driver.page.wait_for_selector(f"#saved:has-text('Saved operation {3 if mine else 2}')")
-    (now,) = served.labels.observations.values()
-    expected = (701.0, 120.0) if mine else (650.0, 110.0)
-    np.testing.assert_allclose(now.anchor_px, expected, atol=0.05)
-    driver.page.wait_for_selector("#conflict", state="hidden")
-
-
-def test_what_somebody_deleted_can_be_kept(driver: LabelDriver, served: Served) -> None:
-    driver.draw_sign("left", (700.0, 120.0), ROUNDED)
-    (row,) = served.labels.observations.values()
-    served.annotator.lock.acquire()
-    try:
-        driver.page.keyboard.press("Shift+ArrowRight")
-        driver.page.wait_for_selector("#saved.saving")
-        do(served.annotator.session, {"kind": "delete", "observation_id": row.id})
-    finally:
-        served.annotator.lock.release()
-    driver.page.click("#conflict button:has-text('mine')")
-    driver.page.wait_for_selector("#saved:has-text('Saved operation 3')")
-    (now,) = served.labels.observations.values()
-    np.testing.assert_allclose(now.anchor_px, (701.0, 120.0), atol=0.05)
 
 
 def test_jump_lists_lead_to_the_frames_that_want_a_visit(

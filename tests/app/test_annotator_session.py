@@ -1,6 +1,7 @@
 """Labelling without a browser: edits, undo, and updates for the page."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,12 @@ from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.assist.snap import snap
 from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import LabelElement, new_id
-from semviz_annotation.labels.proposals import Proposal, Proposals, save_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_annotation.storage.backup import backup_labels, restore_labels
-from semviz_core.base.classes import POLE, ROUNDED
+from semviz_annotation.storage.label_file import LabelFileError
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.common.errors import SemvizError
 
 
@@ -30,6 +34,23 @@ def session(tmp_path: Path) -> Iterator[LabelSession]:
     session = LabelSession(workspace, "tester")
     yield session
     session.close()
+
+
+def test_proposals_that_cannot_follow_the_labels_do_not_lock_them_out(tmp_path: Path) -> None:
+    """Triangular signs of an older detector, by their box and without a height."""
+    workspace = street_workspace(tmp_path / "street", 7, 6)
+    older = Proposal(new_id(), 0, "left", TRIANGULAR, (300.0, 100.0), None, True, False, 0.9, 1.0)
+    known = replace(older, id=new_id(), to_centroid_px=3.0)
+    workspace.open_labels().close()  # they follow the centroid from then on
+    save_proposals(Proposals.of([older, known]), workspace.proposals_path)
+    session = LabelSession(workspace, "tester")
+    try:
+        assert session.labels.triangle_center == "centroid"
+        assert session.left_out_proposals == 1
+        assert Proposals.of([older, known]).usable("centroid").anchor_px[:, 1].tolist() == [103.0]
+        assert len(Proposals.of([older, known]).usable("box")) == 2
+    finally:
+        session.close()
 
 
 def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:
@@ -304,3 +325,19 @@ def test_what_a_detector_found_is_proposed_until_it_is_labelled(tmp_path: Path) 
     origins = {proposal.origin for proposal in session.frame(0).proposals}
     assert "detector" not in origins
     session.close()
+
+
+def test_labels_put_back_with_other_triangles_must_be_reopened(
+    session: LabelSession, tmp_path: Path
+) -> None:
+    with LabelStore.open(tmp_path / "box.db", triangle_center="box"):
+        pass
+    edit = pole(session, 0, "left")
+    restore_labels(session.workspace.labels_path, tmp_path / "box.db")
+    with pytest.raises(LabelFileError, match="reopen"):
+        draw(session, edit)
+    with pytest.raises(LabelFileError, match="reopen"):
+        session.frame(0)
+    again = LabelSession(session.workspace, "tester")
+    draw(again, edit)
+    again.close()

@@ -25,7 +25,8 @@ from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels, new_id
-from semviz_annotation.labels.proposals import Proposal, load_proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.labels.rows import RowChange, review_decision
 from semviz_core.common.errors import SemvizError
 

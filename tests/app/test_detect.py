@@ -148,6 +148,21 @@ def test_other_settings_replace_only_what_was_detected(
     assert found(town).processed is None
 
 
+def test_proposals_that_no_labels_could_follow_together_are_refused(
+    town: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Triangular signs of unknown height, of both definitions: also if there are no labels yet."""
+    box = PROPOSED.replace("rounded", "triangular")
+    (tmp_path / "box.json").write_text(box)
+    centroid = box.replace('"score": 0.5', '"score": 0.5, "triangle_center": "centroid"')
+    (tmp_path / "centroid.json").write_text(centroid.replace("7.0, 8.0", "90.0, 8.0"))
+    assert not Workspace.open(town).labels_path.exists()
+    assert run("labels", "propose", town, tmp_path / "box.json", "--replace") == 0
+    assert run("labels", "propose", town, tmp_path / "centroid.json") == 2
+    assert "its height is not known" in capsys.readouterr().err
+    assert found(town).anchor_px.tolist() == [[7.0, 8.0]]
+
+
 def test_what_is_brought_in_meanwhile_stays(
     town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,7 +102,7 @@ def test_a_map_calibrates_a_detector(drive: Workspace, capsys: pytest.CaptureFix
     out = drive.path / "runs" / "calibrated.rrd"
     localize = "localize", drive.path, "--map", TRUTH, "--observations", "detected"
     assert run(*localize, "--out", out, "--images", "none") == 0
-    assert "scores and rates as on 12 images of town" in capsys.readouterr().out
+    assert "scores and rates as on 12 images of town" in capsys.readouterr().err
     recorded = load_run(out)
     assert detector_of(recorded) == calibration.detector_model(calibration.least_score)
     assert recorded.info.options["least_score"] == calibration.least_score

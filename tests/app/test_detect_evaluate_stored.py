@@ -31,6 +31,7 @@ class EverySecond:
     def __init__(self, workspace: Workspace) -> None:
         images = labelled_images(workspace, None, ("left", "right"))
         self.truths = {image.read().tobytes(): image.truth().elements for image in images}
+        self.triangle_center = workspace.read_labels().triangle_center
         self.asked = 0
 
     def detect(self, image: np.ndarray) -> Elements2D:

@@ -95,8 +95,8 @@ def test_what_makes_no_sense_is_one_line(
     assert errors.count("\n") == 1
 
 
-def test_masks_of_a_data_set_are_learned_from(train: Call, tmp_path: Path) -> None:
-    """Masks are cut once; the same command goes on with what is stored."""
+def test_data_sets_are_learned_from(train: Call, tmp_path: Path) -> None:
+    """Masks and boxes are measured once; the same command goes on with what is stored."""
     data = tmp_path / "data"
     (data / "masks").mkdir(parents=True)
     image = np.full((376, 500, 3), 90, np.uint8)
@@ -105,17 +105,22 @@ def test_masks_of_a_data_set_are_learned_from(train: Call, tmp_path: Path) -> No
     for name in ("a", "b"):
         cv2.imwrite(str(data / f"{name}.png"), image)
         cv2.imwrite(str(data / "masks" / f"{name}.png"), mask)
+        (data / f"{name}.txt").write_text(f"0 {204 / 500} {200 / 376} {8 / 500} {200 / 376}\n")
+    (data / "boxes.toml").write_text(
+        'format = "yolo"\nimages = "*.png"\nboxes = "{name}.txt"\n[classes]\n0 = "pole"\n'
+    )
     table = 'images = "*.png"\nmasks = "masks/{name}.png"\n[classes]\n1 = "pole"\n'
     (data / "segmentation.toml").write_text(table)
     out = tmp_path / "out"
+    sets = "--segmentation", data, "--boxes", data
     tiny = "--streets", 0, "--samples", 4, "--batch", 4
-    status, output, errors = train("--segmentation", data, "--out", out, *tiny)
+    status, output, errors = train(*sets, "--out", out, *tiny)
     assert status == 0, errors
     assert "finished after 4 of 4" in output
     made = sorted((out / "prepared").iterdir())
-    assert len(made) == 2
+    assert len(made) == 4
     times = [path.stat().st_mtime_ns for path in made]
-    assert train("--segmentation", data, "--out", out, *tiny)[0] == 0
+    assert train(*sets, "--out", out, *tiny)[0] == 0
     assert [path.stat().st_mtime_ns for path in made] == times
     (data / "b.png").unlink()
     status, _, errors = train("--segmentation", data, "--out", tmp_path / "new", *tiny)

@@ -148,7 +148,7 @@ def test_a_page_that_comes_back_finds_its_session(tool: EchoTool, url: str) -> N
                 asked = at(url, f"socket{query.format(ids[0] if ids else '')}")
                 async with client.ws_connect(asked) as page:
                     hello = await page.receive_json()
-                    assert (hello["type"], hello["protocol"]) == ("hello", 2)
+                    assert (hello["type"], hello["protocol"]) == ("hello", 3)
                     ids.append(hello["session"])
                     assert await page.receive_json() == echo(None, -1)
             return ids

@@ -27,19 +27,28 @@ from map_files import small_map
 from semviz.runs.codec import decode, encode
 from semviz.runs.images import frame_image, missing_image_reason
 from semviz.runs.run import Run
+from semviz.workspace.drive_file import read_drive_file
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.exchange import guess_format
 from semviz_annotation.label_formats.reading import read_bytes
 from semviz_annotation.labels.proposals import load_proposals, read_proposals
 from semviz_annotation.mapping.backdrop.backdrop import load_backdrop
+from semviz_annotation.storage.backup import import_operations, tells_its_length
+from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.pose import Pose
 from semviz_core.base.weights import read_weights
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import decode_image, read_limited, unpacked
 from semviz_core.common.parquet_footer import unpacked_columns
+from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
+from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.model_config import read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
+from semviz_core.research.evaluation.roads import kitti_road
 
 REPOSITORY = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
@@ -51,6 +60,13 @@ READERS: dict[str, Callable[[Path], object]] = {
     "weights": read_weights,
     "backdrop": load_backdrop,
     "model": lambda path: read_settings(path, OnnxSettings),
+    "log of labels": tells_its_length,
+    "labels of any format": guess_format,
+    "detector calibration": DetectorCalibration.load,
+    "drive": read_drive_file,
+    "camera": read_calibration,
+    "poses": read_poses,
+    "nerfstudio": read_nerfstudio,
 }
 TRICKS = ("a pipe", "a device", "a folder", "a long name", "endless")
 
@@ -248,8 +264,31 @@ def test_every_reader_survives_some_broken_files(tmp_path: Path) -> None:
     """The bench without guidance, a moment for each reader."""
     command = [sys.executable, str(REPOSITORY / "bench" / "fuzz.py"), "--minutes", "0.01"]
     names = ["calibration", "csv", "geojson", "map", "model", "opendrive", "settings", "weights"]
+    names += ["camera-yaml", "drive-file"]
     done = subprocess.run([*command, *names], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
     tried = re.findall(r"(\d+) inputs .* nothing else raised", done.stdout)
     assert len(tried) == len(names)
     assert min(map(int, tried)) > 5
+
+
+def test_a_log_of_empty_lines_takes_little_memory(tmp_path: Path) -> None:
+    """A line of one byte takes 34 in memory, so 200 MB would take 7 GB."""
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(b"\n" * 200_000_000)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with (
+        LabelStore.open(tmp_path / "labels.db") as store,
+        pytest.raises(SemvizError, match="line 1: not a log"),
+    ):
+        import_operations(path, store)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+
+
+def test_a_pole_map_does_not_unpack_to_gigabytes(tmp_path: Path) -> None:
+    poses, path = tmp_path / "poses.txt", tmp_path / "poles.npz"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
+    np.savez_compressed(path, poleparams=np.zeros((10_000_000, 2)))
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(SemvizError, match="unpacks to far more"):
+        kitti_road(poses, path, "road")

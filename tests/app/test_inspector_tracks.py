@@ -11,7 +11,7 @@ from semviz.inspector.label_repair import RunLabels
 from semviz.runs.run import Run, RunInfo
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 
 FRAMES = 4
 Tracked = tuple[Run, Path, list[Proposal]]

@@ -41,7 +41,12 @@ def detected_street(folder: Path) -> Workspace:
         for index in FRAMES
         for side in SIDES
         for row in as_proposals(
-            index, side, detector.detect(index, side).observed, street.rig.left, "simulated"
+            index,
+            side,
+            detector.detect(index, side).observed,
+            street.rig.left,
+            "simulated",
+            "centroid",
         )
     ]
     images = frozenset((index, side) for index in FRAMES for side in SIDES)

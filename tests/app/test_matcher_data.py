@@ -23,7 +23,7 @@ from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.research.training.samples import Sample
+from semviz_core.localization.correspondences.sample import Sample
 
 FRAMES = 36
 SLIPPED, SLIP_FRAME = 18, 6

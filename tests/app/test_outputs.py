@@ -137,7 +137,7 @@ INPUTS = {
         "times",
     },
     "detect run": {"workspace"},
-    "detect train": {"workspaces", "segmentation"},
+    "detect train": {"workspaces", "segmentation", "boxes"},
     "detect choose": {"workspace"},
     "detect evaluate": {"workspaces"},
     "map backdrop": {"workspace"},
@@ -313,7 +313,22 @@ def test_hostile_targets_stay_as_they_are(
 
 @pytest.mark.parametrize(("name", "output"), [row for row in ALL if not row.values[1].inner])
 @pytest.mark.parametrize(
-    "own", ["labels.db", "semviz.toml", "maps/truth.parquet", "maps/new.parquet", "kept/x", "maps"]
+    "own",
+    [
+        "labels.db",
+        "semviz.toml",
+        "maps/truth.parquet",
+        "maps/new.parquet",
+        "kept/x",
+        "maps",
+        "drive.json",
+        "rectified",
+        "rectified/left/000000.png",
+        "image_motions.safetensors",
+        "backdrop.safetensors",
+        "proposals.parquet",
+        "detector.calibration.toml",
+    ],
 )
 def test_a_workspace_s_own_files_stay_even_by_force(
     name: str,
@@ -324,6 +339,8 @@ def test_a_workspace_s_own_files_stay_even_by_force(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Those that do not exist yet, too: no labels.db is made that holds a table of a map."""
+    if name == "detect choose" and own == "detector.calibration.toml":
+        pytest.skip("that is what it writes")
     run: Call = partial(call, capsys)
     target = home / "W" / own
     if file_of(output, target) != target:

@@ -1,9 +1,8 @@
 """An own drive from its files to a pose: images through lenses, labels, map, localization."""
 
+import csv
 import json
 import os
-import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call
-from recorded_streets import LENSES, PINHOLE, Recording, kalibr, record
+from recorded_streets import LENSES, PINHOLE, Recording, record
 from streets import street
 
 from semviz.workspace.workspace import Workspace
@@ -19,9 +18,11 @@ from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.labels import new_id
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
-from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.simulation.street import Street
 
 FRAMES = 9
@@ -150,6 +151,39 @@ def test_a_drive_is_mapped_and_localized_as_well_as_by_a_pinhole(
     assert numbers["rre_deg"]["q3"] < 0.3
 
 
+def test_labels_are_exported_in_recorded_pixels_too(
+    town: Workspace, source: Street, recording: Recording, tmp_path: Path, semviz: Semviz
+) -> None:
+    """They are where the street's points fall through the lens that recorded it."""
+    label(town, source)
+    assert "(csv)" in semviz("labels", "export", town.path, tmp_path / "labels.csv")
+    rows = list(csv.DictReader((tmp_path / "labels.csv").open()))
+    assert len(rows) == len(town.read_labels().observations) > 8
+    rectified = town.source
+    assert isinstance(rectified, ImageFolder)
+    for row in rows:
+        side: Side = "left" if row["side"] == "left" else "right"
+        assert (recording.left.parent / row["side"] / row["image"]).is_file()
+        camera = rectified.rectified.of(side).camera
+        turn = rectified.rectified.of(side).R_original_rectified
+        for end in ("anchor", "end") if row["end_u_px"] else ("anchor",):
+            here = np.array([[float(row[f"{end}_u_px"]), float(row[f"{end}_v_px"])]])
+            there = [float(row[f"{end}_u_original_px"]), float(row[f"{end}_v_original_px"])]
+            ray = np.append(camera.normalize(here)[0], 1.0) @ turn.T
+            lens = rectified.rectified.of(side).original
+            theirs = through(lens, ray)
+            np.testing.assert_allclose(there, theirs, atol=1e-6)
+
+
+def through(lens: OriginalCamera, ray: FloatArray) -> FloatArray:
+    """OpenCV's pixel of a ray."""
+    if lens.model == "pinhole":
+        return np.asarray((lens.K @ (ray / ray[2]))[:2])
+    project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
+    pixels, _ = project(ray[None, None], np.zeros(3), np.zeros(3), lens.K, lens.distortion)
+    return np.asarray(pixels).reshape(2)
+
+
 def test_rectified_images_are_made_once_and_again_if_the_recording_is_newer(
     town: Workspace, recording: Recording
 ) -> None:
@@ -267,6 +301,23 @@ def test_poses_of_another_drive_are_refused_by_their_count(
     assert not (small / "town").exists()
 
 
+def test_motions_are_measured_again_once_a_recorded_image_is_replaced(
+    small: Path, semviz: Semviz, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    town = small / "town"
+    semviz(
+        "new", town, "--images", small / "cam",
+        "--calibration", small / "cam.toml", "--poses", kitti_poses(small, source, 6),
+    )  # fmt: skip
+    measured = []
+    for _ in range(3):
+        call(capsys, "poses", "check", town)
+        measured.append((town / "image_motions.safetensors").stat().st_mtime_ns)
+        if len(measured) == 2:
+            os.utime(small / "cam" / "image_2.jpg")  # another image, for all that is known
+    assert measured[0] == measured[1] != measured[2]
+
+
 def test_a_backward_camera_is_warned_about_and_accepted(
     small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -300,65 +351,3 @@ def test_options_of_own_images_are_refused_for_other_sources(
 ) -> None:
     code, _, err = call(capsys, "new", tmp_path / "t", "--simulate", 1, "--calibration", "a.yaml")
     assert (code, err) == (2, "semviz: --calibration needs --images FOLDER\n")
-
-
-def test_rows_that_disagree_are_measured_and_warned_about(
-    tmp_path: Path, source: Street, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The right camera is pitched by 0.2 deg since its calibration: 2.1 px at its focal length."""
-    pitched = so3_exp(np.deg2rad([0.2, 0.0, 0.0]))
-    recording = record(tmp_path, source, LENSES["brown"], range(2), pitched)
-    arguments = (
-        "new", tmp_path / "town", "--images", recording.left, "--right", recording.right,
-        "--poses", recording.poses, "--calibration",
-    )  # fmt: skip
-    code, out, err = call(capsys, *arguments, recording.kalibr, "--strict")
-    assert (code, err) == (0, "")
-    apart = re.search(r"off their row by (\d\.\d\d) px", out)
-    assert apart is not None
-    assert float(apart[1]) < 0.3
-    shutil.rmtree(tmp_path / "town")
-    old = tmp_path / "old.yaml"
-    old.write_text(kalibr(LENSES["brown"], source.rig.T_right_left or Pose.identity()))
-    code, out, err = call(capsys, *arguments, old, "--strict")
-    assert code == 2
-    found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
-    assert found is not None
-    assert float(found[1]) == pytest.approx(2.1, abs=0.3)
-
-
-@pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory, source: Street) -> Recording:
-    return record(tmp_path_factory.mktemp("short"), source, LENSES["brown"], range(4), TURNED)
-
-
-@pytest.mark.parametrize(
-    ("options", "remedy"),
-    [
-        ((), None),
-        (("--direction", "world-to-camera"), "another --direction fits"),
-        (("--camera-axes", "opengl"), "another --camera-axes fits"),
-        (("--extrinsic", "flu"), "no --extrinsic flu fits"),
-    ],
-)
-def test_poses_are_compared_with_the_images(
-    short: Recording,
-    tmp_path: Path,
-    options: tuple[str, ...],
-    remedy: str | None,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The right option is found although the left camera is turned by the rectification."""
-    code, out, err = call(
-        capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
-        "--calibration", short.kalibr, "--poses", short.poses, "--strict", *options,
-    )  # fmt: skip
-    share = re.search(r"motion +(\d+)% of (\d+) matches agree with the poses", out)
-    assert share is not None
-    if remedy is None:
-        assert (code, err) == (0, "")
-        assert int(share[1]) > 70
-    else:
-        assert code == 2
-        assert int(share[1]) < 50
-        assert f"matches between images agree with the poses: {remedy}\n" in err

@@ -146,7 +146,7 @@ def test_events_are_json_that_browsers_read() -> None:
     assert json.loads(encode(HelloEvent(session="s"))) == {
         "type": "hello",
         "reply_to": None,
-        "protocol": 2,
+        "protocol": 3,
         "session": "s",
     }
 
@@ -237,25 +237,17 @@ def test_an_edit_that_the_disk_refuses_is_refused_by_code(
     assert told == ErrorEvent(reply_to=request.id, code="not_saved", text=text, retry=True)
 
 
-def test_a_conflict_comes_with_what_others_made_of_it(opened: Any) -> None:
+def test_a_conflict_comes_with_the_requests_that_it_would_overwrite(opened: Any) -> None:
     (row,) = opened.session.labels.observations.values()
-    seen = {
-        "element": row.element_id,
-        "frame": 0,
-        "side": "left",
-        "anchor": [1.0, 2.0],
-        "end": None,
-        "anchor_known": True,
-        "end_known": False,
-    }
+    (drawn,) = opened.session._store.operations()
     move = {"kind": "move", "observation_id": row.id, "anchor_px": [5.0, 5.0]}
-    opened.page.receive(asked(edit=move, seen=seen))
+    base = {"operation": 0, "known": []}
+    opened.page.receive(asked(edit=move, base=base))
     (told,) = opened.events
     assert (told.type, told.code) == ("error", "conflict")
-    assert told.theirs.anchor == row.anchor_px
-    again = told.theirs.model_dump(mode="json")
+    assert (told.overwritten, told.is_deleted) == ([drawn.request_id], False)
     opened.events.clear()
-    opened.page.receive(asked(edit=move, seen=again))  # on what they made of it
+    opened.page.receive(asked(edit=move, base=base | {"known": told.overwritten}))
     assert [event.type for event in opened.events] == ["saved_operation", "edit_saved"]
 
 

@@ -3,7 +3,7 @@
 import json
 import random
 import tempfile
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +49,7 @@ def maps(draw: st.DrawFn) -> SemanticMap:
         end_known=draw(hnp.arrays(np.bool_, n)) & is_line,
     )
     texts = st.lists(WORDS, min_size=1, max_size=3).map(tuple)
-    provenance = st.builds(Provenance, texts, texts)
+    provenance = st.builds(Provenance, texts, texts, st.none() | FINITE)
     return SemanticMap(
         elements=elements,
         frame=MapFrame(
@@ -92,6 +92,16 @@ def test_saving_over_a_map_replaces_it_and_leaves_nothing_beside_it(tmp_path: Pa
     for _ in range(2):
         save_map(small_map(), path)
     assert [file.name for file in path.parent.iterdir()] == ["town.parquet"]
+
+
+def test_only_elements_of_detections_have_a_column_of_existence(tmp_path: Path) -> None:
+    path = tmp_path / "town.parquet"
+    for log_odds, existence in ((None, ""), (3.0, "95.2 %"), (7.0, "> 99.9 %"), (1e9, "> 99.9 %")):
+        origin = Provenance(("a",), ("b",), log_odds)
+        save_map(replace(small_map(), provenance=(origin,)), path)
+        assert ("existence_log_odds" in pq.read_schema(path).names) == (log_odds is not None)
+        assert load_map(path).provenance == (origin,)
+        assert origin.existence == existence
 
 
 def test_a_failed_save_leaves_the_old_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Lenses, their calibration files, and images made without distortion."""
 
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from streets import street
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive import rectification
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.rectification import rectify_rig
@@ -183,6 +185,12 @@ def test_a_stereo_pair_of_ros_files_has_the_baseline_of_its_projection(tmp_path:
 ROS2, KALIBR = CALIBRATIONS["ros2.yaml"], CALIBRATIONS["kalibr.yaml"]
 REFUSED = {
     "MEI": ("a.yaml", "%YAML:1.0\nmodel_type: MEI\nmirror_parameters: {xi: 2.2}\n", "MEI"),
+    "seven terms": (
+        "a.ini",
+        CALIBRATIONS["ros.ini"].replace("0.00073 0.0", "0.00073 0.0 1 1"),
+        "7 distortion terms; only 4, 5 and 8",
+    ),
+    "two cameras": ("a.ini", 2 * CALIBRATIONS["ros.ini"], "several cameras"),
     "omni": (
         "a.yaml",
         CALIBRATIONS["kalibr.yaml"].replace("camera_model: pinhole", "camera_model: omni"),
@@ -222,3 +230,18 @@ def test_what_is_not_read_is_named_in_one_line(tmp_path: Path, name: str) -> Non
         read_calibration(tmp_path / file)
     assert "\n" not in str(refused.value)
     assert file in str(refused.value)
+
+
+def test_a_large_image_is_rectified_in_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once, these 4 million pixels took 1 GB, and the largest image that is read 15 GB."""
+    K = np.array([[1200.0, 0.0, 999.5], [0.0, 1200.0, 999.5], [0.0, 0.0, 1.0]])
+    lens = OriginalCamera("fisheye", 2000, 2000, K, np.array([0.01, 0.0, 0.0, 0.0]))
+    image = np.random.default_rng(0).integers(0, 255, (2000, 2000, 3), dtype=np.uint8)
+    monkeypatch.setattr(rectification, "_BLOCK_PIXELS", 2**18)
+    tracemalloc.start()
+    made = rectify_rig(OriginalRig(lens)).left.rectify(image)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 250e6
+    monkeypatch.setattr(rectification, "_BLOCK_PIXELS", 2**30)
+    np.testing.assert_array_equal(rectify_rig(OriginalRig(lens)).left.rectify(image), made)

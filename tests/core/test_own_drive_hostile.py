@@ -1,12 +1,25 @@
 """Damaged files of own drives raise SemvizError in one line, and nothing else."""
 
+import json
 import random
+import resource
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from drive_formats import CALIBRATIONS, POSES
+from drive_formats import CALIBRATION, CALIBRATIONS, POSES, colmap, colmap_binary, nerfstudio
+from drive_layouts import (
+    argoverse2,
+    boreas,
+    comma,
+    euroc_layout,
+    gnss,
+    kitti_360,
+    kitti_raw,
+    nuscenes,
+)
 from recorded_streets import BROWN, kalibr
 
 from semviz_core.base.pose import Pose
@@ -14,9 +27,11 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import camera_poses, world_axes
+from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.lens import OriginalRig
 from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
 from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 ROUNDS = 60
@@ -78,3 +93,117 @@ def test_damaged_poses(tmp_path: Path, name: str) -> None:
             file.write_bytes(damaged(data, rng))
             assert "\n" not in refusal(read_any_poses, path)
         file.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: !!bool neither",
+        'a: !!int ""',
+        "a: !!timestamp never",
+        "a: !%0Ax y",
+        f"? 0x{'f' * 9000}\n: 1",
+        f"a: {'1:' * 3000}1.5",
+        f"distortion_model: 0x{'f' * 9000}",
+        f"a: {'1' * 5001}",
+    ],
+)
+def test_what_pyyaml_itself_does_not_survive_is_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(text)
+    said = refusal(read_camera, path)
+    assert str(path) in said
+    assert "\n" not in said
+    assert len(said) < 500
+
+
+HUGE = f"0x{'f' * 9000}"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("[50.0, 50.0]", f"[{HUGE}, 50.0]"), ('"pinhole"', HUGE)]
+)
+def test_a_number_too_large_for_python_to_print_is_refused(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(CALIBRATION)
+    assert not refusal(read_camera, path)
+    path.write_text(CALIBRATION.replace(before, after))
+    assert str(path) in refusal(read_camera, path)
+
+
+@pytest.mark.parametrize("field", ["w", "fl_x", "cx", "k1", "transform_matrix"])
+@pytest.mark.parametrize("value", [10**400, float("inf"), 1e999, None, [[10**400] * 4] * 4])
+def test_numbers_beyond_all_limits_in_nerfstudio_are_one_line(
+    tmp_path: Path, field: str, value: object
+) -> None:
+    """Found by fuzzing: OverflowError."""
+    path = nerfstudio(tmp_path)
+    content = json.loads(path.read_text())
+    assert not refusal(read_any_poses, path)
+    (content["frames"][1] if field == "transform_matrix" else content)[field] = value
+    path.write_text(json.dumps(content))
+    said = refusal(read_any_poses, path)
+    assert str(path) in said
+    assert "\n" not in said
+
+
+def test_a_model_of_lines_or_images_without_end_takes_little_memory(tmp_path: Path) -> None:
+    """A line of one byte takes 60 in memory, so 200 MB would take 12 GB."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    text, binary = colmap(tmp_path), colmap_binary(tmp_path)
+    (text / "images.txt").write_bytes(b"\n" * 200_000_000)
+    assert "more than 1000000 images" in refusal(read_any_poses, text)
+    for name in ("images.bin", "cameras.bin"):
+        content = (binary / name).read_bytes()
+        (binary / name).write_bytes(struct.pack("<Q", 2**63) + content[8:])
+        assert "more than 1000000 images" in refusal(read_any_poses, binary)
+        (binary / name).write_bytes(content)
+    assert not refusal(read_any_poses, binary)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000
+
+
+def test_line_ends_of_other_systems_in_a_model(tmp_path: Path) -> None:
+    path = colmap(tmp_path)
+    same = read_colmap(path).poses
+    for name in ("images.txt", "cameras.txt"):
+        (path / name).write_bytes((path / name).read_bytes().replace(b"\n", b"\r\n"))
+    again = read_colmap(path).poses
+    assert again.names == same.names
+    np.testing.assert_array_equal(again.matrices, same.matrices)
+
+
+LAYOUTS: dict[str, Callable[[Path], DriveFiles]] = {
+    "KITTI raw": kitti_raw,
+    "KITTI-360": kitti_360,
+    "nuScenes": nuscenes,
+    "EuRoC": euroc_layout,
+    "Argoverse 2": argoverse2,
+    "Boreas": boreas,
+    "GNSS": gnss,
+    "comma2k19": comma,
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_damaged_recordings(tmp_path: Path, name: str) -> None:
+    """Each file but the images, whose damage is seen when they are shown."""
+    drive = LAYOUTS[name](tmp_path / "drive")
+    rng = random.Random(3)
+    paths = [path for path in sorted((tmp_path / "drive").rglob("*")) if path.is_file()]
+    files = [path for path in paths if path.suffix not in (".png", ".jpg")]
+    refused = 0
+    for file in files[-12:]:
+        data = file.read_bytes()
+        for _ in range(ROUNDS // 6):
+            file.write_bytes(damaged(data, rng))
+            said = refusal(lambda _: _read(drive), file)
+            refused += bool(said)
+            assert "\n" not in said
+        file.write_bytes(data)
+    assert refused
+
+
+def _read(files: DriveFiles) -> None:
+    read_drive(files)

@@ -11,7 +11,9 @@ from drive_formats import (
     CALIBRATION,
     POSES,
     T_BODY_CAMERA,
+    check_poses,
     colmap,
+    colmap_binary,
     euroc,
     kitti,
     nerfstudio,
@@ -26,7 +28,8 @@ from drive_formats import (
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.own_drive.image_files import list_images
+from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.time_matching import poses_at_times
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
@@ -39,22 +42,6 @@ def drive(tmp_path: Path) -> DriveFiles:
         assert cv2.imwrite(str(tmp_path / "cam" / f"{stamp}.png"), np.zeros((48, 64, 3), np.uint8))
     (tmp_path / "cam.toml").write_text(CALIBRATION)
     return DriveFiles(images=tmp_path / "cam", calibration=tmp_path / "cam.toml")
-
-
-def check_poses(read: RecordedDrive) -> None:
-    """Up to the heading of the map, which no format fixes, they are the true ones.
-
-    Times since 1970 are known to 0.2 us, in which a car moves some micrometres.
-    """
-    first = read.frames[0].T_map_camera
-    assert first is not None
-    T_map_truth = first @ truth(0).inverse()
-    np.testing.assert_allclose(T_map_truth.rotation[2], [0.0, 0.0, 1.0], atol=1e-7)
-    for frame in read.frames:
-        assert frame.T_map_camera is not None
-        wanted = T_map_truth @ truth(frame.index)
-        assert angle_between(frame.T_map_camera.rotation, wanted.rotation) < 1e-5
-        np.testing.assert_allclose(frame.T_map_camera.translation, wanted.translation, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", POSES)
@@ -289,3 +276,23 @@ def test_images_without_times_need_them_for_timed_poses(drive: DriveFiles, tmp_p
     with pytest.raises(SemvizError, match="TUM poses have times, the images none; give --times"):
         read_drive(replace(drive, poses=poses))
     check_poses(read_drive(replace(drive, poses=poses, times=poses)))
+
+
+def test_cameras_in_one_folder_are_told_apart_by_a_pattern(tmp_path: Path) -> None:
+    for name in ("10_left", "9_left", "9_right", "10_right", "11_right"):
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((4, 4, 3), np.uint8))
+    names = list_images(tmp_path / "*_left.png", tmp_path / "*_right.png")
+    assert names.left == ("9_left.png", "10_left.png")
+    assert names.right == ("9_right.png", "10_right.png")
+    assert names.unpaired == 1
+    with pytest.raises(SemvizError, match="give one star"):
+        list_images(tmp_path / "*_*.png", None)
+
+
+@pytest.mark.parametrize("write", [colmap, colmap_binary])
+def test_a_folder_of_models_stands_for_its_first(
+    drive: DriveFiles, tmp_path: Path, write: Callable[[Path], Path]
+) -> None:
+    (tmp_path / "models").mkdir()
+    write(tmp_path).rename(tmp_path / "models" / "0")
+    check_poses(read_drive(replace(drive, poses=tmp_path / "models", metric=True)))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from semviz_core.base.pose import Pose
+from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.p3p_ransac import Objective, paper_pnpl
 from semviz_core.research.evaluation.problems import LocalizationProblem, make_problem
@@ -16,7 +17,6 @@ from semviz_core.research.paper.pnpl_layer import StartPoses, differentiable_pnp
 from semviz_core.research.paper.training import correspondence_loss, pose_loss, whole_loss
 from semviz_core.research.paper.transport import sinkhorn
 from semviz_core.research.training.batch import Batch
-from semviz_core.research.training.samples import Sample
 
 FRAMES = 3
 LEAST_PAIRS = 7

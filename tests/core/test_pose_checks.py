@@ -209,3 +209,17 @@ def test_motions_are_kept_for_the_same_images_only(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
     assert load_motions(path, "these images") is None
     assert load_motions(tmp_path / "none", "these images") is None
+
+
+def test_a_flipped_bit_of_kept_motions_costs_a_new_measurement(tmp_path: Path) -> None:
+    """Most flips in a matrix leave finite numbers, which would move poses in silence."""
+    _, _, motions = healthy_drive(1)
+    path = tmp_path / "motions.safetensors"
+    save_motions(motions, "these images", path)
+    content = path.read_bytes()
+    start = 8 + int.from_bytes(content[:8], "little")
+    for place in range(start, len(content), len(content) // 200):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
+        assert load_motions(path, "these images") is None
+    path.write_bytes(content.replace(b"crc32", b"other"))  # a file of an earlier version
+    assert load_motions(path, "these images") is not None

@@ -1,5 +1,7 @@
 """Data sets of semantic segmentation become elements: those that a rendered street truly shows."""
 
+import os
+import struct
 from pathlib import Path
 
 import cv2
@@ -125,6 +127,10 @@ def test_a_table_of_colours_says_the_same(cityscapes: Path, street: Street, tmp_
         ('images = "*.png"\nmasks = "m.png"\n[classes]\n5 = "pole"\n', "must hold {name}"),
         ('images = "*.png"\nmasks = "{name}"\n[classes]\nred = "pole"\n', "neither an id"),
         ('images = "*.png"\nmasks = "{name}"\n[classes]\n5 = "mast"\n', "classes.5"),
+        ('images = "../*.png"\nmasks = "{name}"\n[classes]\n5 = "pole"\n', "within the folder"),
+        ('images = "/tmp/*.png"\nmasks = "{name}"\n[classes]\n5 = "pole"\n', "within the folder"),
+        ('images = ""\nmasks = "{name}"\n[classes]\n5 = "pole"\n', "within the folder"),
+        ('images = "a**"\nmasks = "{name}"\n[classes]\n5 = "pole"\n', "images 'a\\*\\*'"),
     ],
 )
 def test_a_folder_that_is_no_data_set_is_refused(
@@ -134,4 +140,48 @@ def test_a_folder_that_is_no_data_set_is_refused(
         (tmp_path / TABLE).write_text(table)
     with pytest.raises(SemvizError, match=why) as refused:
         SegmentationImages.of(tmp_path, tmp_path / "prepared")
+    assert "\n" not in str(refused.value)
+
+
+TABLE_OF_IDS = 'images = "*.png"\nmasks = "{name}.png{name:>{9}}"\n[classes]\n5 = "pole"\n'
+
+
+def test_only_the_name_is_replaced_in_the_pattern_of_masks(tmp_path: Path) -> None:
+    """A format such as {name:>999999999} would take a gigabyte for each image."""
+    (tmp_path / TABLE).write_text(TABLE_OF_IDS)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.png").touch()
+        (tmp_path / f"{name}.png{{name:>{{9}}}}").touch()
+    assert len(SegmentationImages.of(tmp_path, tmp_path).items) == 2
+
+
+@pytest.mark.parametrize("kind", ["images", "masks"])
+@pytest.mark.parametrize("trick", ["bomb", "endless", "a pipe", "not an image"])
+@pytest.mark.timeout(20)
+def test_no_image_or_mask_of_a_data_set_is_decoded_beyond_limits(
+    tmp_path: Path, kind: str, trick: str
+) -> None:
+    for folder in ("images", "masks"):
+        (tmp_path / folder).mkdir()
+        for name in ("a.png", "b.png"):
+            cv2.imwrite(str(tmp_path / folder / name), np.zeros((40, 60), np.uint8))
+    (tmp_path / TABLE).write_text(
+        'images = "images/*.png"\nmasks = "masks/{name}.png"\n[classes]\n5 = "pole"\n'
+    )
+    SegmentationImages.of(tmp_path, tmp_path).prepare(0)
+    path = tmp_path / kind / "a.png"
+    images = SegmentationImages.of(tmp_path, tmp_path)
+    content = path.read_bytes()
+    path.unlink()
+    match trick:
+        case "bomb":
+            path.write_bytes(content[:16] + struct.pack(">II", 60_000, 60_000) + content[24:])
+        case "endless":
+            path.symlink_to("/dev/zero")
+        case "a pipe":
+            os.mkfifo(path)
+        case _:
+            path.write_bytes(b"not an image")
+    with pytest.raises(SemvizError, match=r"a\.png") as refused:
+        images.prepare(0)
     assert "\n" not in str(refused.value)

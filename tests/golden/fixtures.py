@@ -3,7 +3,7 @@
     PYTHONPATH=tests python -m golden fixtures
 
 town, lane, mono: logs of label operations. run-version-3: a run that ``semviz localize`` wrote.
-main: a map that ``semviz map build`` wrote.
+main: a map that ``semviz map build`` wrote. version-1: a log of the first version (KITTI 02).
 """
 
 import gzip

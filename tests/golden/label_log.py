@@ -22,8 +22,6 @@ from semviz_annotation.labels.edits import edit_from_json
 SEED, STEPS, FRAMES = 20, 600, 8
 AUTHORS = ("ann", "ben")
 STATES = ("unseen", "in work", "reviewed", "reviewed, empty")
-KITTI_LOG = Path(__file__).parents[2] / "docs" / "kitti02" / "labels.jsonl"
-"""A log of version 1."""
 Edit = dict[str, Any]
 
 
@@ -76,7 +74,7 @@ def chained(log: list[dict[str, Any]]) -> str:
 def _imported(folder: Path) -> Iterator[tuple[str, Any]]:
     """Import and export logs with their times, byte for byte."""
     logs = {
-        "version 1": KITTI_LOG.read_bytes(),
+        "version 1": gzip.decompress((FIXTURES / "version-1.jsonl.gz").read_bytes()),
         "town": gzip.decompress((FIXTURES / "town.jsonl.gz").read_bytes()),
         "lane": gzip.decompress((FIXTURES / "lane.jsonl.gz").read_bytes()),
     }

@@ -35,8 +35,8 @@ beforeEach(() => {
 /** An outbox with the requests that it has sent; `connection.up` is whether the page is connected. */
 function made(connection = { up: true }, workspace = "w") {
   const sent = [];
-  const outbox = new Outbox(workspace, ({ request, edit }) => {
-    if (connection.up) sent.push({ request, ...edit });
+  const outbox = new Outbox(workspace, ({ request, edit, base }) => {
+    if (connection.up) sent.push({ request, base, ...edit });
     return connection.up;
   });
   return { outbox, sent, connection };
@@ -96,7 +96,7 @@ test("entries of the previous version are sent unchanged", () => {
   localStorage.setItem("semviz.outbox.w.r", JSON.stringify(entry));
   const { outbox, sent } = made();
   outbox.flush();
-  assert.deepEqual(sent, [{ request: "r", kind: "delete", seen: { frame: 1 } }]);
+  assert.deepEqual(sent, [{ request: "r", base: undefined, kind: "delete", seen: { frame: 1 } }]);
   assert.deepEqual(outbox.find("r"), entry);
   assert.equal(outbox.find("another"), null);
   assert.equal(outbox.find(null), null);
@@ -113,14 +113,51 @@ test("an edit that could not be saved is sent again after a while, before later 
   assert.deepEqual(kinds(sent), ["one", "one"]);
 });
 
-test("a replaced edit keeps its request and its place", () => {
+test("an edit knows the page's own edits, and what the user chose to overwrite", () => {
   const { outbox, sent } = made();
-  outbox.add({ kind: "one" });
-  outbox.add({ kind: "two" });
-  outbox.replace(outbox.entries[0], { kind: "another" });
-  assert.deepEqual(kinds(sent), ["one", "another"]);
-  assert.equal(sent[0].request, sent[1].request);
-  assert.deepEqual(kinds(outbox.entries.map(({ edit }) => edit)), ["another", "two"]);
+  outbox.saw("long ago", 3);
+  outbox.saw("just now", 9);
+  for (const id of ["a", "a", "b"]) outbox.add({ kind: "move", observation_id: id }, null, 7);
+  const [first, second] = outbox.entries;
+  assert.deepEqual(sent[0].base, { operation: 7, known: ["just now"] });
+  outbox.overwrite(first, ["theirs"]);
+  assert.deepEqual(outbox.entries.map(({ base }) => base.known.includes("theirs")), [true, true, false]);
+  assert.deepEqual(sent.map(({ request }) => request), [first.request, first.request]);
+  outbox.saw(first.request, 10);
+  outbox.settle(first.request);
+  assert.deepEqual(sent.at(-1).request, second.request);
+  assert.deepEqual(sent.at(-1).base.known, ["theirs", "just now", first.request]);
+});
+
+test("what the user chose to overwrite is not extended to edits of other ends", () => {
+  const { outbox } = made();
+  outbox.add({ kind: "move", observation_id: "a", anchor_px: [1, 2], end_px: null }, null, 7);
+  outbox.add({ kind: "move", observation_id: "a", anchor_px: null, end_px: [3, 4] }, null, 7);
+  outbox.overwrite(outbox.entries[0], ["theirs"]);
+  assert.deepEqual(outbox.entries.map(({ base }) => base.known), [["theirs"], []]);
+});
+
+test("a page opened later still knows which edits of this browser were saved", () => {
+  const before = made();
+  before.outbox.add({ kind: "one" }, null, 7);
+  before.outbox.add({ kind: "two" }, null, 7);
+  before.outbox.saw(before.sent[0].request, 8);
+  before.outbox.settle(before.sent[0].request);
+  const { outbox, sent } = made();
+  outbox.flush();
+  assert.deepEqual(sent[0].base.known, [before.sent[0].request]);
+});
+
+test("a thousand unsaved edits take room for a thousand edits, and the first without room is told", () => {
+  const { outbox } = made({ up: false });
+  for (let i = 0; i < 1000; i += 1) assert.equal(outbox.add({ kind: "move", observation_id: "a" }, null, 7), true);
+  const size = Object.values(localStorage).reduce((sum, text) => sum + text.length, 0);
+  assert.ok(size < 300_000, `${size} characters`);
+  const { setItem } = FakeStorage.prototype;
+  FakeStorage.prototype.setItem = () => { throw new DOMException("full", "QuotaExceededError"); };
+  assert.equal(outbox.add({ kind: "move", observation_id: "a" }, null, 7), false);
+  FakeStorage.prototype.setItem = setItem;
+  assert.equal(outbox.entries.length, 1000);
 });
 
 test("a refusal of another edit does not release the next one", () => {

@@ -19,7 +19,7 @@ class FakeWebSocket extends EventTarget {
     this.sent.push(JSON.parse(text));
   }
 
-  open(session = "abc", protocol = 2) {
+  open(session = "abc", protocol = 3) {
     this.readyState = FakeWebSocket.OPEN;
     this.tell({ type: "hello", reply_to: null, protocol, session });
   }
@@ -154,14 +154,14 @@ test("a page of another version reloads once, then shows an error", () => {
   const socket = new PageSocket();
   socket.on("hello", () => texts.push("hello"));
   socket.on("error", ({ text }) => texts.push(text));
-  latest().open("abc", 3);
+  latest().open("abc", 4);
   assert.equal(reloads, 1);
   assert.deepEqual(texts, []);
-  latest().open("abc", 3);
+  latest().open("abc", 4);
   assert.equal(reloads, 1);
   assert.match(texts[0], /^This page is older than its server/);
   assert.equal(texts.length, 1);
-  latest().open("abc", 2); // a later update of both
-  latest().open("abc", 3);
+  latest().open("abc", 3); // a later update of both
+  latest().open("abc", 4);
   assert.equal(reloads, 2);
 });

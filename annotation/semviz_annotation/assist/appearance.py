@@ -98,8 +98,11 @@ def sign_half_size(
     key = Mark(pixel(middle_px))
     if key not in image.sizes:
         outlines = find_outlines(image, middle_px, element_class.shape, 2)
+        center = image.triangle_center
         near = [
-            outline for outline in outlines if np.linalg.norm(outline.center_px - middle_px) < 3.0
+            outline
+            for outline in outlines
+            if np.linalg.norm(outline.middle_px(center) - middle_px) < 3.0
         ]
         image.sizes[key] = np.clip(near[0].half_px if near else np.array([8.0, 8.0]), 3.0, 60.0)
     return image.sizes[key]

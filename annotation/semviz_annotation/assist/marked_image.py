@@ -16,6 +16,7 @@ from semviz_annotation.labels.views import PosedView
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.subpixel.sampling import SampledImage
@@ -29,18 +30,22 @@ class MarkedImage(SampledImage):
     """One image with its camera and pose."""
 
     view: PosedView
+    triangle_center: TriangleCenter = OLDER
+    """What marks of triangular signs are."""
     sizes: dict[Mark, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """Cache of measured widths and sizes, as one mark is propagated to many frames."""
 
     @classmethod
-    def of(cls, view: PosedView, rgb: ByteImage) -> MarkedImage:
+    def of(
+        cls, view: PosedView, rgb: ByteImage, triangle_center: TriangleCenter = OLDER
+    ) -> MarkedImage:
         """Return ``rgb`` with its view. Raise SemvizError if it has not the camera's size."""
         expected = (view.camera.height, view.camera.width, 3)
         if rgb.shape != expected or rgb.dtype != np.uint8:
             raise SemvizError(
                 f"image is {rgb.shape} of {rgb.dtype}; its camera has {expected} of uint8"
             )
-        return cls(rgb, view)
+        return cls(rgb, view, triangle_center)
 
 
 @dataclass(frozen=True)

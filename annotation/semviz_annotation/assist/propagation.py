@@ -20,7 +20,8 @@ from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
-from semviz_core.subpixel.pole_axis import Axis, across, edge_support, refine_axis, shift_line
+from semviz_core.subpixel.pole_axis import Axis, across, edge_support, shift_line
+from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sampling import Samples
 
 _MAX_CANDIDATES = 6
@@ -440,11 +441,8 @@ def _refine_sign(search: _Search, choice: ChosenOffset) -> _RefinedMark:
     sigmas = np.sqrt(np.diag(search.axes @ expected.spread_px2[0, :, 0] @ search.axes.T))
     moved = float(np.linalg.norm(offset / sigmas))
     evidence = np.array(
-        [
-            *fit, choice.total, choice.margin, moved, abs(np.log(search.scale)),
-            np.log(half.mean()),
-        ]
-    )  # fmt: skip
+        [*fit, choice.total, choice.margin, moved, abs(np.log(search.scale)), np.log(half.mean())]
+    )
     return _RefinedMark(
         clip_to_image(expected.mark, place[None], target.view.camera), offset, evidence
     )

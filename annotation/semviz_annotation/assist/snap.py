@@ -9,7 +9,8 @@ from semviz_annotation.assist.pole_ends import with_visible_ends
 from semviz_annotation.assist.score import probability
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
-from semviz_core.subpixel.pole_axis import edge_support, find_axes, refine_axis, stripe
+from semviz_core.subpixel.pole_axis import edge_support, find_axes, stripe
+from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sign_outline import find_outlines
 
 REACH_PX = 4.0
@@ -50,7 +51,7 @@ def snap(
 
     A pole's ends move across to its axis, by at most ``reach_px``. Known ends also move along it to
     its visible end, if that is clear. A sign's centre is found from a click on its face; its class
-    gives its shape.
+    gives its shape, and the image what the middle of a triangle is.
     """
     candidate = best_snap(image, mark, element_class, reach_px)
     what = "snap pole" if mark.end_px is not None else "snap sign"
@@ -102,16 +103,17 @@ def _sign(image: MarkedImage, mark: Mark, element_class: ElementClass) -> Snap |
     if not outlines:
         return None
     best = outlines[0]
-    shift = best.center_px - mark.ends_px[0]
+    middle = best.middle_px(image.triangle_center)
+    shift = middle - mark.ends_px[0]
     if np.abs(shift / best.half_px).max() > _LARGEST_SHIFT:
         return None
     margins = [
         best.score - outline.score
         for outline in outlines[1:]
-        if np.linalg.norm(outline.center_px - best.center_px) > 1.0
+        if np.linalg.norm(outline.middle_px(image.triangle_center) - middle) > 1.0
     ]
     evidence = np.array(
         [*best.evidence[1:], best.score, min([5.0, *margins]), np.abs(shift / best.half_px).max()]
     )
-    moved = replace(mark, anchor_px=pixel(best.center_px))
+    moved = replace(mark, anchor_px=pixel(middle))
     return Snap(Snapped(moved, float(np.linalg.norm(shift)), True, False), evidence)

@@ -12,7 +12,7 @@ from semviz_annotation.assist import appearance
 from semviz_annotation.assist.expected_position import SIGMA_PX, expected_px, spread_px2
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark, clip_to_image
 from semviz_annotation.assist.score import probability
-from semviz_annotation.labels.proposals import Proposal
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.views import PLAUSIBLE_DEPTH_M, PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass

@@ -15,6 +15,7 @@ from semviz_annotation.label_formats.coco import read_coco, write_coco
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
 from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
 from semviz_annotation.label_formats.labelme import labelme_files, read_labelme, write_labelme
+from semviz_annotation.label_formats.table import OriginalPixels, write_table
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
@@ -49,6 +50,10 @@ class ImportReport:
     """Count of dropped content, by what it was and why."""
     upside_down: int = 0
     """Poles whose first point is below their second; the peak should come first."""
+    triangle_points: int = 0
+    """Triangular signs marked by a point, which was taken for the centroid of the corners."""
+    triangle_boxes: int = 0
+    """Triangular signs marked by a box, which were taken to stand upright."""
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -62,6 +67,16 @@ class ImportReport:
             lines.append(f"  {self.already} were there already")
         if self.upside_down:
             lines.append(f"  {self.upside_down} poles start at their lower end; R swaps the ends")
+        if self.triangle_points:
+            lines.append(
+                f"  {self.triangle_points} triangular signs are points: taken for the centroid of "
+                "their corners, as in this workspace; the middle of a box is a sixth higher"
+            )
+        if self.triangle_boxes:
+            lines.append(
+                f"  {self.triangle_boxes} triangular signs are boxes: taken to stand upright; "
+                "move those of give-way signs"
+            )
         lines += [f"  dropped: {count} x {what}" for what, count in sorted(self.dropped.items())]
         return "\n".join(lines)
 
@@ -85,7 +100,8 @@ def import_labels(
     invalid. Nothing is imported then.
     """
     format_ = format_ or guess_format(path)
-    context = reading.LabelImportContext(store.rules, frames, side, class_map or {})
+    center = store.labels.triangle_center
+    context = reading.LabelImportContext(store.rules, frames, side, class_map or {}, center)
     parsed = _READERS[format_](path, context)
     return _commit(path, format_, parsed, store, author)
 
@@ -94,11 +110,7 @@ def guess_format(path: Path) -> ForeignFormat:
     """Return the format of a file or folder by its content. Raise SemvizError if it is unknown."""
     with reading.at(path):
         file = labelme_files(path)[0]
-        try:
-            with file.open("rb") as opened:
-                start = opened.read(2**16)
-        except OSError as error:
-            raise SemvizError(f"cannot be read ({error.strerror})") from None
+        start = reading.read_bytes(file, reading.MOST_XML_BYTES, 2**16)
         if path.is_dir():
             return "labelme"
         text = start.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -145,10 +157,12 @@ def _commit(
         already=plan.already,
         dropped=dict(parsed.dropped),
         upside_down=upside_down,
+        triangle_points=parsed.triangle_points,
+        triangle_boxes=parsed.triangle_boxes,
     )
 
 
-ExportFormat: TypeAlias = Literal["cvat", "cvat-video", "labelme", "coco"]
+ExportFormat: TypeAlias = Literal["cvat", "cvat-video", "labelme", "coco", "csv"]
 
 
 @dataclass(frozen=True)
@@ -173,13 +187,17 @@ class ExportReport:
 
 
 def export_labels(
-    store: LabelStore, path: Path, format_: ExportFormat, side: Side | None = None
+    store: LabelStore,
+    path: Path,
+    format_: ExportFormat,
+    side: Side | None = None,
+    original: OriginalPixels | None = None,
 ) -> ExportReport:
     """Write the labels of ``store``, opened with its rig, to ``path``.
 
     ``labelme`` creates the folder ``path``, the others one file. ``side`` writes the images of one
-    side only; ``cvat-video`` always has one side, default: left. Raise SemvizError if ``path``
-    cannot be written. Nothing is written then.
+    side only; ``cvat-video`` always has one side, default: left. ``original`` is what ``csv``
+    needs. Raise SemvizError if ``path`` cannot be written. Nothing is written then.
     """
     rig = store.rules.rig
     if rig is None:
@@ -193,6 +211,9 @@ def export_labels(
         write_cvat_video(context, path)
     elif format_ == "coco":
         write_coco(context, path)
+    elif format_ == "csv":
+        assert original is not None
+        write_table(context, path, original)
     else:
         kept = writing.load_sidecar(store.path.parent / KEPT)
         with new_folder(path) as folder:

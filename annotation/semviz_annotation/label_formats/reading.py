@@ -17,6 +17,7 @@ from semviz_annotation.label_formats.numbers import NumberText, box_center, quot
 from semviz_annotation.labels.rows import Observation, Pixel, Rules
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, ClassSet
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited
 
@@ -92,6 +93,10 @@ class ParsedLabels:
     images: int = 0
     dropped: "Counter[str]" = field(default_factory=Counter)
     """Count of dropped content, by what it was and why."""
+    triangle_points: int = 0
+    """Triangular signs marked by a point, which is taken for the centroid."""
+    triangle_boxes: int = 0
+    """Triangular signs marked by a box, whose centroid is that of an upright triangle."""
     kept_images: dict[tuple[Side, int], dict[str, Any]] = field(default_factory=dict)
 
     def drop(self, what: str, count: int = 1) -> None:
@@ -110,6 +115,8 @@ class LabelImportContext:
     """Side of images whose names do not state it."""
     class_map: Mapping[str, str] = field(default_factory=dict)
     """Class name in the file -> semviz class name, or ``ignore``."""
+    triangle_center: TriangleCenter = OLDER
+    """What the labels of triangular signs mark in the workspace."""
 
     def class_id(self, name: object) -> int | None:
         """Return the class that the file calls ``name``; None if it is ignored."""
@@ -204,8 +211,14 @@ class LabelImportContext:
             return points[0], points[-1]
         if form == "box":
             parsed.drop("width and height of boxes: a sign is its middle")
-            return box_center(points), None
+            u, v = box_center(points)
+            if class_id == TRIANGULAR and self.triangle_center == "centroid":
+                parsed.triangle_boxes += 1
+                v += abs(points[1][1] - points[0][1]) / 6.0  # taken to stand upright
+            return (u, v), None
         if form == "points" and len(points) == 1:
+            if class_id == TRIANGULAR and self.triangle_center == "centroid":
+                parsed.triangle_points += 1
             return points[0], None
         parsed.drop(f"{form} of class {element_class.name}: a sign is one point, or a box")
         return None
@@ -264,10 +277,13 @@ def _parts(name: str) -> list[str]:
     return name.replace("\\", "/").split("/")
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """Return a file's content. Raise SemvizError if it is missing or larger than ``most``."""
+def read_bytes(path: Path, most: int, count: int | None = None) -> bytes:
+    """Return a file's content, or its first ``count`` bytes.
+
+    Raise SemvizError if it is missing, no ordinary file, or larger than ``most``.
+    """
     try:
-        return read_limited(path, most)
+        return read_limited(path, most, count)
     except SemvizError as error:  # ``at`` names the file
         raise SemvizError(str(error).removeprefix(f"{path}: ")) from None
 

@@ -29,6 +29,7 @@ from semviz_annotation.labels.rows import (
 )
 from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -80,6 +81,8 @@ class Labels:
     """Number of the next new element. It never decreases, not even by undo."""
     operation: int = field(default=0, compare=False)
     """Number of the last durable operation in this state; 0 outside a store."""
+    triangle_center: TriangleCenter = field(default=OLDER, compare=False)
+    """What the point of a triangular sign is."""
     _numbered: Mapping[int, str] = field(default_factory=SharedDict, compare=False)
     _in_frame: Mapping[int, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
     _of_element: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
@@ -88,11 +91,22 @@ class Labels:
     _decisions_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
 
     @classmethod
-    def from_rows(cls, rows: Iterable[Row], next_number: int = 1, operation: int = 0) -> "Labels":
+    def from_rows(
+        cls,
+        rows: Iterable[Row],
+        next_number: int = 1,
+        operation: int = 0,
+        triangle_center: TriangleCenter = OLDER,
+    ) -> "Labels":
         """Return the state of ``rows``, in any order. Raise SemvizError if inconsistent."""
-        draft = Draft(cls(next_number=next_number, operation=operation), dict)
+        empty = cls(next_number=next_number, operation=operation, triangle_center=triangle_center)
+        draft = Draft(empty, dict)
         draft.fill(rows)
         return draft.labels()
+
+    def with_rows(self, rows: Iterable[Row]) -> "Labels":
+        """Return a state of other rows, with the same counters and definitions."""
+        return Labels.from_rows(rows, self.next_number, self.operation, self.triangle_center)
 
     def changed(self, changes: Iterable[RowChange]) -> "Labels":
         """Return this state with ``changes`` applied.
@@ -183,7 +197,7 @@ class Labels:
         if not left_out:
             return self
         kept = (row for row in self.rows() if left_out.isdisjoint(row_elements(row)))
-        return Labels.from_rows(kept, self.next_number, self.operation)
+        return self.with_rows(kept)
 
     def find(self, element_id: str, frame_index: int, side: Side) -> Observation | None:
         """Return the observation of an element in one image; None if there is none."""
@@ -249,6 +263,7 @@ class Draft:
         self._review_decisions = table(labels.review_decisions)
         self.next_number = labels.next_number
         self._operation = labels.operation
+        self._triangle_center = labels.triangle_center
         self._numbered = table(labels._numbered)
         self._in_frame = table(labels._in_frame)
         self._of_element = table(labels._of_element)
@@ -305,6 +320,7 @@ class Draft:
             SharedDict.of(self._review_decisions),
             self.next_number,
             self._operation,
+            self._triangle_center,
             SharedDict.of(self._numbered),
             SharedDict.of(self._in_frame),
             SharedDict.of(self._of_element),

@@ -5,9 +5,9 @@ The workspace stores Parquet. Pixel (0, 0) is the centre of the top-left pixel.
 JSON is ``{"format": "semviz-proposals", "version": 1, "proposals": [...]}``. Each proposal is
 an object of ``frame_index``, ``side``, ``class`` (a name), ``anchor_px`` [u, v] and ``score``.
 Optional fields are ``end_px`` (poles), ``anchor_known``, ``end_known``, ``sigma_px``,
-``sigma_along_px``, ``detector`` and ``id``. Parquet has the same fields as columns, points as
-``anchor_u``, ``anchor_v``, ``end_u``, ``end_v``; missing values are null. Its metadata records
-which images ``semviz detect`` has processed.
+``sigma_along_px``, ``detector``, ``id``, ``triangle_center`` and ``to_centroid_px``. Parquet has
+the same fields as columns, points as ``anchor_u``, ``anchor_v``, ``end_u``, ``end_v``; missing
+values are null. Its metadata records which images ``semviz detect`` has processed.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,10 +20,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.rows import MIN_LENGTH_PX, Id, Index, derived_id
+from semviz_annotation.labels.proposal import Proposal, proposal_content_id
+from semviz_annotation.labels.rows import MIN_LENGTH_PX, Id, Index, Pixel
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, TRIANGULAR, ClassSet
 from semviz_core.base.frame import Side
+from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -39,31 +41,6 @@ MAX_BYTES = 256 * 2**20
 MAX_UNPACKED_BYTES = 2**30
 MAX_PROPOSALS = 2_000_000
 """Limits of one file."""
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """One proposed pole or sign in one image."""
-
-    id: str
-    """Also the id of the observation that it becomes when it is accepted."""
-    frame_index: int
-    side: Side
-    class_id: int
-    anchor_px: tuple[float, float]
-    end_px: tuple[float, float] | None
-    """None for signs."""
-    anchor_known: bool
-    end_known: bool
-    """False for signs."""
-    score: float
-    """0..1; its meaning depends on the detector."""
-    sigma_px: float
-    """Standard deviation of a sign's centre along each axis, or of a pole's ends across it."""
-    sigma_along_px: float | None = None
-    """Standard deviation of a pole's ends along it; None if unknown, and for signs."""
-    detector: str = ""
-    """Name of the detector, if known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +62,10 @@ class Proposals:
     sigma_along_px: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) NaN if unknown, and for signs."""
     detector: tuple[str, ...] = ()
+    is_centroid: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
+    """(n,) whether the ``triangle_center`` is the centroid."""
+    to_centroid_px: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) NaN if unknown."""
     processed: ProcessedImages | None = None
     """The images that ``semviz detect`` has processed; None if it never ran."""
 
@@ -105,6 +86,11 @@ class Proposals:
             sigma_px=np.array([row.sigma_px for row in rows], np.float64),
             sigma_along_px=np.array([row.sigma_along_px or np.nan for row in rows], np.float64),
             detector=tuple(row.detector for row in rows),
+            is_centroid=np.array([row.triangle_center == "centroid" for row in rows], np.bool_),
+            to_centroid_px=np.array(
+                [np.nan if row.to_centroid_px is None else row.to_centroid_px for row in rows],
+                np.float64,
+            ),
             processed=processed,
         )
 
@@ -127,6 +113,8 @@ class Proposals:
             sigma_px=float(self.sigma_px[row]),
             sigma_along_px=None if np.isnan(along := self.sigma_along_px[row]) else float(along),
             detector=self.detector[row],
+            triangle_center="centroid" if self.is_centroid[row] else "box",
+            to_centroid_px=None if np.isnan(sixth := self.to_centroid_px[row]) else float(sixth),
         )
 
     def rows(self) -> tuple[Proposal, ...]:
@@ -159,14 +147,28 @@ class Proposals:
         kept = (row for row in self.rows() if row.id not in replaced)
         return Proposals.of([*kept, *newer.rows()], self.processed)
 
+    def following(self, triangle_center: TriangleCenter) -> "Proposals":
+        """Return all by one definition, as ``Proposal.following``."""
+        return Proposals.of([row.following(triangle_center) for row in self.rows()], self.processed)
+
+    def usable(self, triangle_center: TriangleCenter) -> "Proposals":
+        """Return those that can follow a definition, by it."""
+        fixed = (self.class_id == TRIANGULAR) & np.isnan(self.to_centroid_px)
+        other = self.is_centroid != (triangle_center == "centroid")
+        rows = [self[row] for row in np.flatnonzero(~(fixed & other)).tolist()]
+        return Proposals.of(rows, self.processed).following(triangle_center)
+
+    @property
+    def triangle_center(self) -> TriangleCenter:
+        """What all of them can follow: the box if a triangle there has no known height."""
+        fixed = (self.class_id == TRIANGULAR) & np.isnan(self.to_centroid_px) & ~self.is_centroid
+        return "box" if fixed.any() else NEW
+
     @property
     def detections(self) -> tuple[Proposal, ...]:
         """The proposals of the detector that ``semviz detect`` ran; all if it never ran."""
         detector = None if self.processed is None else self.processed.detector
         return tuple(row for row in self.rows() if detector is None or row.detector == detector)
-
-
-_Pixel = tuple[float, float]
 
 
 class _Row(BaseModel):
@@ -177,15 +179,17 @@ class _Row(BaseModel):
     frame_index: Index
     side: Side
     class_name: Annotated[str, Field(alias="class")]
-    anchor_px: _Pixel
+    anchor_px: Pixel
     score: Annotated[float, Field(ge=0, le=1)]
-    end_px: _Pixel | None = None
+    end_px: Pixel | None = None
     anchor_known: bool = True
     end_known: bool = True
     sigma_px: Annotated[float, Field(gt=0, le=1000)] = SIGMA_PX
     sigma_along_px: Annotated[float, Field(gt=0, le=1000)] | None = None
     detector: Annotated[str, Field(max_length=100)] = ""
     id: Id | None = None
+    triangle_center: TriangleCenter = OLDER
+    to_centroid_px: Annotated[float, Field(ge=-1e4, le=1e4)] | None = None
 
 
 class _ProposalsFile(BaseModel):
@@ -274,6 +278,12 @@ def save_proposals(proposals: Proposals, path: Path, classes: ClassSet = DEFAULT
         ),
         "detector": pa.array([name or None for name in proposals.detector], pa.string()),
     }
+    measured = ~np.isnan(proposals.to_centroid_px)
+    if measured.any() or proposals.is_centroid.any():
+        columns["triangle_center"] = pa.array(
+            ["centroid" if is_centroid else "box" for is_centroid in proposals.is_centroid]
+        )
+        columns["to_centroid_px"] = pa.array(proposals.to_centroid_px, mask=~measured)
     processed = proposals.processed
     metadata = {} if processed is None else {PROCESSED_KEY: processed.as_json()}
     table = pa.table(columns).replace_schema_metadata({FORMAT: str(VERSION)} | metadata)
@@ -296,8 +306,9 @@ def _json_rows(path: Path) -> list[_Row]:
 
 _OPTIONAL = {
     "end_u", "end_v", "anchor_known", "end_known", "sigma_px", "sigma_along_px", "detector", "id",
+    "triangle_center", "to_centroid_px",
 }  # fmt: skip
-_TEXTS = {"id", "side", "class", "detector"}
+_TEXTS = {"id", "side", "class", "detector", "triangle_center"}
 _NEEDED = {"frame_index", "side", "class", "anchor_u", "anchor_v", "score"}
 
 
@@ -400,14 +411,9 @@ def _proposal(row: _Row, classes: ClassSet, frames: Collection[int] | None) -> P
         sigma_px=row.sigma_px,
         sigma_along_px=row.sigma_along_px,
         detector=row.detector,
+        triangle_center=row.triangle_center,
+        to_centroid_px=row.to_centroid_px,
     )
-
-
-def proposal_content_id(
-    frame_index: int, side: Side, class_id: int, anchor_px: _Pixel, end_px: _Pixel | None
-) -> str:
-    """Return the id of a proposal, derived from its content."""
-    return derived_id(f"proposal {(frame_index, side, class_id, anchor_px, end_px)!r}")
 
 
 def _check_inside(path: Path, proposals: Proposals, rig: Rig) -> None:

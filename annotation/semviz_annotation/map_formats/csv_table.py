@@ -10,8 +10,9 @@ import numpy as np
 from semviz_annotation.label_formats.numbers import number, quoted
 from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, read_bytes
 from semviz_annotation.map_formats import reading
-from semviz_annotation.map_formats.writing import ConversionTally, drop_history
+from semviz_annotation.map_formats.writing import LOG_ODDS, ConversionTally, drop_history
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -20,7 +21,8 @@ ANCHOR = ("anchor_x_m", "anchor_y_m", "anchor_z_m")
 END = ("end_x_m", "end_y_m", "end_z_m")
 SIGMA = tuple(f"sigma_{name}" for name in (*ANCHOR, *END))
 KNOWN = ("anchor_known", "end_known")
-COLUMNS = ("id", "class", "frame", *ANCHOR, *END, *SIGMA, *KNOWN)
+CENTER = "triangle_center"
+COLUMNS = ("id", "class", "frame", *ANCHOR, *END, *SIGMA, *KNOWN, CENTER)
 _NEEDED = ("class", *ANCHOR)
 _FLAGS = {"true": True, "false": False, "1": True, "0": False, "": True}
 
@@ -31,7 +33,9 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
     sigmas = np.sqrt(np.diagonal(elements.covariance_m2, axis1=1, axis2=2))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    log_odds = [entry.log_odds for entry in semantic_map.provenance]
+    has_odds = any(odds is not None for odds in log_odds)
+    writer.writerow([*COLUMNS, LOG_ODDS] if has_odds else COLUMNS)
     for row, is_line in enumerate(elements.is_line.tolist()):
         name = semantic_map.classes[int(elements.class_id[row])].name
         end, end_sigmas = elements.end_m[row].tolist(), sigmas[row, 3:].tolist()
@@ -39,7 +43,9 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
             [int(elements.id[row]), name, semantic_map.frame.name, *elements.anchor_m[row].tolist(),
              *(end if is_line else [""] * 3), *sigmas[row, :3].tolist(),
              *(end_sigmas if is_line else [""] * 3),
-             *(str(bool(getattr(elements, flag)[row])).lower() for flag in KNOWN)]
+             *(str(bool(getattr(elements, flag)[row])).lower() for flag in KNOWN),
+             semantic_map.triangle_center,
+             *(["" if log_odds[row] is None else log_odds[row]] if has_odds else [])]
         )  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
@@ -62,9 +68,14 @@ def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap
         if missing:
             raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
         parsed = reading.ParsedMap(georeference=context.anchor)
+        centers = set()
         for row in rows:
             with at(f"{path}, line {rows.line_num}"):
                 _read_row(row, parsed, context)
+                centers.add(parse_triangle_center(row.get(CENTER) or None))
+        if len(centers) > 1:
+            raise SemvizError(f"box and centroid in one map; give one {CENTER} in all rows")
+        parsed.triangle_center = next(iter(centers), OLDER)
     except (UnicodeDecodeError, csv.Error) as error:
         raise SemvizError(f"not a CSV table ({error})") from None
     for name in header:

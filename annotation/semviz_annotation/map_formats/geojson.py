@@ -23,8 +23,9 @@ from semviz_annotation.label_formats.reading import (
 )
 from semviz_annotation.map_formats import reading
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
-from semviz_annotation.map_formats.writing import ConversionTally, as_json, drop_making
+from semviz_annotation.map_formats.writing import LOG_ODDS, ConversionTally, as_json, drop_making
 from semviz_core.base.semantic_map import Provenance, SemanticMap
+from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -37,7 +38,7 @@ ROAD = "road"
 """Name of the feature that holds ``SemanticMap.trajectory_m``."""
 _WGS84 = ("CRS84", "4326", "4979")
 _OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m2", "label_ids",
-                   "observation_ids", "height"})  # fmt: skip
+                   "observation_ids", LOG_ODDS, "height"})  # fmt: skip
 
 
 def write_geojson(
@@ -55,6 +56,7 @@ def write_geojson(
             "frame": semantic_map.frame.name,
             "anchor": place.origin,
             "x_heading_deg": place.x_heading_deg,
+            "triangle_center": semantic_map.triangle_center,
         },
     }
     lines = ",\n".join(as_json(feature) for feature in features)
@@ -86,6 +88,8 @@ def _features(semantic_map: SemanticMap, place: Georeference) -> list[dict[str, 
             "label_ids": provenance[row].label_ids,
             "observation_ids": provenance[row].observation_ids,
         }
+        if provenance[row].log_odds is not None:
+            properties[LOG_ODDS] = provenance[row].log_odds
         if is_line:
             properties["end_known"] = bool(elements.end_known[row])
         coordinates = [anchors[row], ends[row]] if is_line else anchors[row]
@@ -120,7 +124,8 @@ def read_geojson(path: Path, context: reading.MapImportContext) -> reading.Parse
     place = require_georeference(
         context.georeference(_anchor(about)), "the file is in longitude and latitude"
     )
-    parsed = reading.ParsedMap(georeference=place)
+    center = parse_triangle_center(about.get("triangle_center"))
+    parsed = reading.ParsedMap(georeference=place, triangle_center=center)
     for number, feature in enumerate(listed(document, "features"), 1):
         with at(f"{path}, feature {number}"):
             _read_feature(as_object(feature), bool(about), parsed, context)
@@ -170,6 +175,7 @@ def _read_feature(
         parsed.tally.drop(f"properties {quoted(name)}")
     is_line = context.classes[class_id].kind == "line"
     ends = _ends(points, is_line, ours, properties, parsed)
+    odds = properties.get(LOG_ODDS)
     if ends is not None:
         parsed.add(
             reading.ParsedElement(
@@ -179,7 +185,11 @@ def _read_feature(
                 _covariance(properties, place, is_line),
                 as_flag(properties.get("anchor_known", True), "anchor_known"),
                 as_flag(properties.get("end_known", True), "end_known"),
-                Provenance(_texts(properties, "label_ids"), _texts(properties, "observation_ids")),
+                Provenance(
+                    _texts(properties, "label_ids"),
+                    _texts(properties, "observation_ids"),
+                    None if odds is None else float(json_number(odds)),
+                ),
             )
         )
     return None

@@ -19,6 +19,7 @@ from semviz_annotation.map_formats.georeference import Georeference, require_geo
 from semviz_annotation.map_formats.sign_codes import SIGN_CODES
 from semviz_core.base.classes import POLE
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -43,6 +44,7 @@ def write_lanelet2(
     first = place.to_wgs84(np.where(lines, elements.anchor_m, below - half))
     second = place.to_wgs84(np.where(lines, elements.end_m, below + half))
     root = _root(semantic_map.frame.name, place)
+    root.set("semviz_triangle_center", semantic_map.triangle_center)
     for node_id, node in enumerate(np.stack([first, second], axis=1).reshape(-1, 3), 1):
         _add_node(root, node_id, node)
     for row, is_line in enumerate(elements.is_line.tolist()):
@@ -95,6 +97,9 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
     }
     if not is_line:
         tags["height"] = f"{writing.PLATE_M:g}"
+    odds = semantic_map.provenance[row].log_odds if semantic_map.provenance else None
+    if odds is not None:
+        tags[f"semviz:{writing.LOG_ODDS}"] = f"{odds:.3f}"
     if not elements.anchor_known[row]:
         tags[ANCHOR_KNOWN] = NO
     if is_line and not elements.end_known[row]:
@@ -110,7 +115,8 @@ def read_lanelet2(path: Path, context: reading.MapImportContext) -> reading.Pars
     place = require_georeference(
         context.georeference(_anchor(root)), "the file is in latitude and longitude"
     )
-    parsed = reading.ParsedMap(georeference=place)
+    center = parse_triangle_center(root.get("semviz_triangle_center"))
+    parsed = reading.ParsedMap(georeference=place, triangle_center=center)
     nodes = {node.get("id", ""): node for node in root.iterfind("node")}
     for way in root.iterfind("way"):
         with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):

@@ -21,6 +21,7 @@ from semviz_annotation.map_formats.writing import ConversionTally
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 
@@ -59,6 +60,8 @@ class ParsedMap:
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     georeference: Georeference | None = None
     """Position of the map on Earth, if reading the file needed it."""
+    triangle_center: TriangleCenter = OLDER
+    """What the points of triangular signs are."""
     tally: ConversionTally = field(default_factory=ConversionTally)
 
     def add(self, element: ParsedElement) -> None:
@@ -171,6 +174,7 @@ def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> Semant
         trajectory_m=parsed.trajectory_m,
         provenance=provenance if any(origin.label_ids for origin in provenance) else (),
         made_by=made_by,
+        triangle_center=parsed.triangle_center,
     )
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
 
+LOG_ODDS = "existence_log_odds"
+"""Name of ``Provenance.log_odds`` in files."""
 MOST_KINDS = 100
 """Largest number of different entries."""
 

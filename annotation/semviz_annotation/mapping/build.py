@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -45,8 +46,13 @@ PART_ID = 1_000_000
 """A landmark split off a label element has the id ``PART_ID`` * part + number."""
 
 
-def map_elements(tracks: Tracks) -> tuple[Elements3D, tuple[Provenance, ...]]:
+def map_elements(
+    tracks: Tracks, log_odds: Mapping[str, float] = MappingProxyType({})
+) -> tuple[Elements3D, tuple[Provenance, ...]]:
     """Return the landmarks with a position, sorted by id, and the provenance of each.
+
+    ``log_odds`` are those of tracks of detections, by id of their label elements. A landmark that
+    is made of several has those of the surest.
 
     The id is the smallest number of the label elements of a landmark, so it stays when labels are
     added. A landmark made only of parts of label elements has an id from ``PART_ID`` on.
@@ -67,7 +73,7 @@ def map_elements(tracks: Tracks) -> tuple[Elements3D, tuple[Provenance, ...]]:
         anchor_known=placed.anchor_known[rows],
         end_known=placed.end_known[rows],
     )
-    provenance = list(_provenance(tracks))
+    provenance = list(_provenance(tracks, log_odds))
     return elements, tuple(provenance[row] for row in rows.tolist())
 
 
@@ -80,7 +86,7 @@ def _ids(tracks: Tracks) -> IntArray:
     return ids
 
 
-def _provenance(tracks: Tracks) -> Iterator[Provenance]:
+def _provenance(tracks: Tracks, log_odds: Mapping[str, float]) -> Iterator[Provenance]:
     """Yield for each landmark its label elements (by main part, else all) and observations."""
     gathered, nodes, observations = tracks.gathered, tracks.nodes, tracks.observations
     order = np.lexsort((nodes.element, tracks.landmark))
@@ -91,9 +97,12 @@ def _provenance(tracks: Tracks) -> Iterator[Provenance]:
     for some, label_rows in zip(members, rows, strict=True):
         main = some[nodes.part[some] == 0]
         named = main if len(main) else some
+        all_ids = {gathered.elements[row].id for row in nodes.element[some].tolist()}
+        is_detected = all_ids <= log_odds.keys()
         yield Provenance(
             tuple(gathered.elements[row].id for row in nodes.element[named].tolist()),
             tuple(gathered.label_rows[row].id for row in label_rows.tolist()),
+            max((log_odds[id_] for id_ in all_ids), default=None) if is_detected else None,
         )
 
 
@@ -234,7 +243,7 @@ def settings_of(
     method = "paper" if isinstance(options, PaperOptions) else "joint"
     chosen = None if frames is None else sorted(frames)
     settings = {"method": method, "frames": chosen, **asdict(options)}
-    return settings if tracking is None else settings | {_TRACKING: asdict(tracking)}
+    return settings if tracking is None else settings | {_TRACKING: tracking.as_json()}
 
 
 def options_of(settings: Mapping[str, Any]) -> BuildSettings:
@@ -247,7 +256,7 @@ def options_of(settings: Mapping[str, Any]) -> BuildSettings:
     method, frames = given.pop("method", None), given.pop("frames", None)
     try:
         tracking = given.pop(_TRACKING, None)
-        tracking = None if tracking is None else TrackOptions(**tracking)
+        tracking = None if tracking is None else TrackOptions.from_json(tracking)
         if method == "paper":
             return BuildSettings(PaperOptions(**given), frames, tracking)
         if method == "joint":
@@ -279,9 +288,9 @@ def build_map(
     """Return the map of elements labelled in two or more images of ``frames`` (None: all).
 
     ``PaperOptions`` build the paper's map. With ``detections``, the landmarks that they show and
-    nobody has labelled are added. ``on_progress`` gets the stage, the count that is done, and the
-    total. Raise SemvizError if a labelled frame is not in the source or has no pose, or if nothing
-    can be triangulated.
+    nobody has labelled are added. Triangular signs follow ``labels``. ``on_progress`` gets the
+    stage, the count that is done, and the total. Raise SemvizError if a labelled frame is not in
+    the source or has no pose, or if nothing can be triangulated.
     """
     joined = None
     if detections is not None:
@@ -297,7 +306,7 @@ def build_map(
     if joined is not None:
         tracks = finish_detected(tracks, joined.log_odds.keys(), tracking.min_frames)
     decisions = decisions_of(tracks)
-    elements, provenance = map_elements(tracks)
+    elements, provenance = map_elements(tracks, joined.log_odds if joined else {})
     if not len(elements):
         raise SemvizError(f"nothing can be placed; the first of all: {decisions[0].reason}")
     views = tracks.gathered.views
@@ -311,6 +320,7 @@ def build_map(
         made_by=f"semviz {version('semviz')}, {options}",
         settings=settings_of(options, frames, tracking if joined else None),
         operation=labels.operation,
+        triangle_center=labels.triangle_center,
     )
     return semantic_map, BuildReport.of(semantic_map, gathered, joined)
 

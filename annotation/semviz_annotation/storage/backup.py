@@ -9,7 +9,9 @@ import json
 import os
 import shutil
 import sqlite3
+from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import count
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -30,10 +32,13 @@ from semviz_annotation.storage.integrity import (
     open_read_only,
     snapshot,
 )
+from semviz_annotation.storage.label_file import LabelFileError
 from semviz_annotation.storage.operations import NO_HASH, BrokenOperationError, Operation, sealed
 from semviz_annotation.storage.store import LabelStore
+from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+from semviz_core.common.limits import read_limited
 
 __all__ = [
     "Integrity",
@@ -157,7 +162,7 @@ def _last_number(live: sqlite3.Connection) -> str:
 def _replace_content(live: sqlite3.Connection, copy: sqlite3.Connection) -> None:
     for name in _tables(live):
         live.execute(f'DROP TABLE "{name}"')
-    make(live)
+    make(live, tables.read_triangle_center(copy))
     live.execute("DELETE FROM counters")
     for name in _tables(copy):
         rows = copy.execute(f"SELECT * FROM {name}")
@@ -211,20 +216,24 @@ def _check_unused(path: Path) -> None:
 
 
 FORMAT = "semviz-operations"
-VERSION = 3
-"""Version 1 had neither hashes nor texts, version 2 no review decisions.
+MOST_LOG_BYTES = 2**30
+"""An operation has about 500 bytes."""
+VERSION, OLDER_VERSION = 4, 3
+"""Version 1 had neither hashes nor texts, version 2 no review decisions. Version 4 marks triangular
+signs at their centroid, versions up to 3 at the middle of their box.
 
-Later logs of version 3 also tell their number of operations and the hash of the last one.
+Later logs also tell their number of operations and the hash of the last one.
 """
 _OPERATION = TypeAdapter(Operation)
 
 
 def export_operations(store: LabelStore, path: Path) -> None:
     """Write the log of ``store`` to ``path``, completely or not at all."""
-    operations = store.operations()
+    operations, center = store.operations(), store.labels.triangle_center
     header = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": OLDER_VERSION if center == OLDER else VERSION,
+        "triangle_center": center,
         "operations": len(operations),
         "hash": operations[-1].hash if operations else NO_HASH,
     }
@@ -240,7 +249,7 @@ def import_operations(path: Path, store: LabelStore) -> int:
     The store's log must be the beginning of the file's log, as in a new store. Raise SemvizError,
     naming the line, if it is not, or a line is invalid or missing. Nothing is imported then.
     """
-    imported = _read(path)
+    imported, center = _read(path)
     present = store.operations()
     for number, operation in enumerate(present, 1):
         if number > len(imported) or imported[number - 1] != operation:
@@ -248,11 +257,17 @@ def import_operations(path: Path, store: LabelStore) -> int:
                 f"{path}, line {number + 1}: not operation {number} of {store.path}, which has "
                 "labels of its own; import into a new workspace"
             )
+    newer = imported[len(present) :]
     try:
-        store.extend(imported[len(present) :])
+        if newer:
+            store.extend(newer, center)
     except BrokenOperationError as error:
         raise SemvizError(f"{path}, line {error.number + 1}: {error}; nothing imported") from None
-    return len(imported) - len(present)
+    except LabelFileError:
+        raise
+    except SemvizError as error:
+        raise SemvizError(f"{path}: {error}; nothing imported") from None
+    return len(newer)
 
 
 def tells_its_length(path: Path) -> bool:
@@ -260,21 +275,18 @@ def tells_its_length(path: Path) -> bool:
 
     Raise SemvizError if it cannot be read.
     """
-    return _read_header(path, _lines(path)[0]).operations is not None
+    return _read_header(path, next(_lines(path), b"")).operations is not None
 
 
-def _lines(path: Path) -> list[bytes]:
-    try:
-        return path.read_bytes().splitlines() or [b""]
-    except OSError as error:
-        raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+def _lines(path: Path) -> Iterator[bytes]:
+    return iter(BytesIO(read_limited(path, MOST_LOG_BYTES)))
 
 
-def _read(path: Path) -> list[Operation]:
+def _read(path: Path) -> tuple[list[Operation], TriangleCenter]:
     lines = _lines(path)
-    header = _read_header(path, lines[0])
+    header = _read_header(path, next(lines, b""))
     operations: list[Operation] = []
-    for number, line in enumerate(lines[1:], 1):
+    for number, line in enumerate(lines, 1):
         try:
             operation = _OPERATION.validate_json(line)
             if operation.number != number:
@@ -287,7 +299,7 @@ def _read(path: Path) -> list[Operation]:
             operation = sealed(operation, operations[-1].hash if operations else NO_HASH)
         operations.append(operation)
     _check_complete(path, header, operations)
-    return operations
+    return operations, header.center
 
 
 def _check_complete(path: Path, header: "_Header", operations: list[Operation]) -> None:
@@ -310,8 +322,14 @@ class _Header:
     version: Annotated[int, Field(ge=1, lt=2**31)]
     operations: Annotated[int, Field(ge=0, lt=2**53)] | None = None
     hash: str | None = None
+    triangle_center: TriangleCenter | None = None
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True)
+
+    @property
+    def center(self) -> TriangleCenter:
+        """What the labels of triangular signs mark, by the version."""
+        return OLDER if self.version <= OLDER_VERSION else NEW
 
 
 _HEADER = TypeAdapter(_Header)
@@ -325,5 +343,10 @@ def _read_header(path: Path, line: bytes) -> _Header:
     if header.version > VERSION:
         raise SemvizError(
             f"{path}: log version {header.version}, this semviz reads up to {VERSION}; update"
+        )
+    if header.triangle_center not in (None, header.center):
+        raise SemvizError(
+            f"{path}, line 1: a log of version {header.version} has triangle_center "
+            f"'{header.center}', not '{header.triangle_center}'; export it again"
         )
     return header

@@ -1,8 +1,15 @@
-"""Conflicts of an edit with the present state, explained from the log."""
+"""Conflicts of an edit with the present state, explained from the log.
+
+Edits of several people are merged by field: an end, its flag, a class, a review. An edit may write
+a field unless others wrote it after what the author had seen.
+"""
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from typing import TypeAlias
 
+from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import (
     Key,
@@ -12,13 +19,35 @@ from semviz_annotation.labels.rows import (
     ReviewDecision,
     Row,
     RowChange,
+    Rules,
     row_elements,
     row_key,
 )
 from semviz_annotation.storage import tables
-from semviz_annotation.storage.operations import ConflictError, Operation, Writer
+from semviz_annotation.storage.operations import ConflictError, EditBase, Operation, Writer
 from semviz_core.base.classes import ClassSet
 from semviz_core.common.errors import SemvizError
+
+Changes: TypeAlias = tuple[RowChange, ...]
+
+
+def written_fields(change: RowChange) -> set[str]:
+    """Return the names of the fields that a change writes; all of a new or deleted row.
+
+    Flags belong to ends, so a pole both of whose ends change is written as a whole: they may have
+    been swapped, and one of them moved, in an undo or a restored state.
+    """
+    before, after = change.before, change.after
+    names = {field.name for row in (before, after) if row is not None for field in fields(row)}
+    if before is None or after is None or _moves_both_ends(before, after):
+        return names
+    return {name for name in names if getattr(before, name) != getattr(after, name)}
+
+
+def _moves_both_ends(before: Row, after: Row) -> bool:
+    if not isinstance(before, Observation) or not isinstance(after, Observation):
+        return False
+    return before.anchor_px != after.anchor_px and before.end_px != after.end_px
 
 
 class ConflictChecker:
@@ -29,15 +58,73 @@ class ConflictChecker:
         self._labels = labels
         self._classes = classes
 
-    def check_unchanged(self, expected: Observation) -> None:
-        """Raise ConflictError if an observation differs from ``expected``."""
-        current = self._labels.observations.get(expected.id)
-        if current == expected:
-            return
-        writer = tables.last_writer(self._connection, [(Observation, expected.id)])
-        raise ConflictError(
-            f"{self._describe_change(expected, writer)}; keep yours or theirs", current
-        )
+    def changes_of(self, edit: AnyEdit, rules: Rules, base: EditBase | None) -> Changes:
+        """Return the row changes of ``edit``.
+
+        Raise ConflictError if it writes a field that others wrote after ``base``, SemvizError if it
+        is invalid.
+        """
+        try:
+            changes = tuple(edit.changes(self._labels, rules))
+        except SemvizError:
+            self._check_row_unseen(edit, base)
+            raise
+        self.check_seen(changes, base)
+        return changes
+
+    def check_seen(self, changes: Changes, base: EditBase | None) -> None:
+        """Raise ConflictError if ``changes`` write a field that others wrote after ``base``."""
+        overwritten = [
+            (operation, change)
+            for operation in self._unseen(base)
+            for change in self._overlap(changes, operation)
+        ]
+        if overwritten:
+            raise self._conflict(overwritten, is_deleted=False)
+
+    def _check_row_unseen(self, edit: AnyEdit, base: EditBase | None) -> None:
+        """Raise ConflictError if others wrote the observation of ``edit`` after ``base``.
+
+        An invalid edit may have been valid on the observation that its author saw.
+        """
+        key = (Observation, getattr(edit, "observation_id", ""))
+        written = [
+            (operation, change)
+            for operation in self._unseen(base)
+            for change in operation.changes
+            if change.key == key
+        ]
+        if written:
+            raise self._conflict(written, is_deleted=self._labels.row(key) is None)
+
+    def _unseen(self, base: EditBase | None) -> Iterator[Operation]:
+        """Iterate over the operations that the author of an edit has not seen.
+
+        A base after the last operation is of a log that a restored backup has replaced: its
+        numbers say nothing about this one, so nothing of it was seen.
+        """
+        if base is not None:
+            seen = base.operation if base.operation <= self._labels.operation else 0
+            for operation in tables.read_operations(self._connection, seen):
+                if operation.request_id not in base.known:
+                    yield operation
+
+    @staticmethod
+    def _overlap(changes: Changes, operation: Operation) -> list[RowChange]:
+        """Return those of ``changes`` that write a field that ``operation`` wrote."""
+        written = {change.key: written_fields(change) for change in operation.changes}
+        return [
+            change for change in changes if written_fields(change) & written.get(change.key, set())
+        ]
+
+    def _conflict(
+        self, overwritten: list[tuple[Operation, RowChange]], is_deleted: bool
+    ) -> ConflictError:
+        last, change = overwritten[-1]
+        row = change.before or change.after
+        why = "" if row is None else self._describe_change(row, last)
+        requests = dict.fromkeys(operation.request_id for operation, _ in overwritten)
+        return ConflictError(f"{why}; keep yours or theirs", tuple(requests), is_deleted)
 
     def check_machine(self, changes: Iterable[RowChange]) -> None:
         """Raise SemvizError if a human has ever written one of the rows."""
@@ -47,8 +134,14 @@ class ConflictChecker:
         if row is not None:
             raise SemvizError(f"{self._name(row)} is a person's work; no machine may change it")
 
-    def undo_conflict(self, changes: tuple[RowChange, ...], since: Operation) -> str | None:
+    def undo_conflict(
+        self, changes: Changes, since: Operation, base: EditBase | None
+    ) -> str | None:
         """Return why ``changes``, which undo or redo ``since``, do not apply; None if they do."""
+        try:
+            self.check_seen(changes, base)
+        except ConflictError:
+            return "it is newer than what you see; once more undoes it"
         changed = {
             change.key: change.before or change.after
             for change in changes
@@ -68,9 +161,7 @@ class ConflictChecker:
         row = changed[last[0]]
         return "it was never done" if row is None else self._describe_change(row, writer)
 
-    def _newer_rows(
-        self, changes: tuple[RowChange, ...], since: Operation
-    ) -> dict[Key, Row | None]:
+    def _newer_rows(self, changes: Changes, since: Operation) -> dict[Key, Row | None]:
         """Return other rows of the same elements that were written after ``since``."""
         result: dict[Key, Row | None] = {}
         changed = {change.key for change in changes}
@@ -86,7 +177,7 @@ class ConflictChecker:
                     result[key] = row
         return result
 
-    def _describe_change(self, row: Row, writer: Writer | None) -> str:
+    def _describe_change(self, row: Row, writer: Writer | Operation | None) -> str:
         if writer is None:
             return f"{self._name(row)} is not in the log"
         return (

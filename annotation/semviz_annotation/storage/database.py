@@ -12,13 +12,21 @@ from pydantic import ValidationError
 
 from semviz_annotation.labels.edits import first_fault
 from semviz_annotation.storage.operations import NO_HASH, sealed
-from semviz_annotation.storage.tables import operation_of_row, write_operation
+from semviz_annotation.storage.tables import (
+    CENTROID_VERSION,
+    operation_of_row,
+    write_operation,
+    write_triangle_center,
+)
+from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import new_file
 
 APPLICATION_ID = 0x53564C42
 """Identifies a SQLite file as a label file ("SVLB")."""
-VERSION = 3
+VERSION, OLDER_VERSION = CENTROID_VERSION, 3
+"""Labels whose triangles follow the box stay at version 3. Earlier versions of semviz, which would
+snap to the middle of the box, refuse those of version 4."""
 
 _STATE = """
 CREATE TABLE elements (
@@ -90,11 +98,18 @@ CREATE INDEX judgements_of_other ON judgements (other_id);
 """
 
 
-def make(connection: sqlite3.Connection) -> None:
+def make(connection: sqlite3.Connection, center: TriangleCenter = NEW) -> None:
     """Create the tables in an empty file, within the open transaction."""
     _run(connection, _STATE + _SINCE_2 + _SINCE_3)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-    connection.execute(f"PRAGMA user_version = {VERSION}")
+    define_triangles(connection, center)
+
+
+def define_triangles(connection: sqlite3.Connection, center: TriangleCenter) -> None:
+    """Store what the labels of triangular signs mark, within the open transaction."""
+    write_triangle_center(connection, center)
+    version = OLDER_VERSION if center == OLDER else VERSION
+    connection.execute(f"PRAGMA user_version = {version}")
 
 
 def upgrade(connection: sqlite3.Connection, version: int) -> None:
@@ -105,7 +120,7 @@ def upgrade(connection: sqlite3.Connection, version: int) -> None:
     if version < 2:
         _seal_operations(connection)
     _run(connection, _SINCE_3)
-    connection.execute(f"PRAGMA user_version = {VERSION}")
+    connection.execute(f"PRAGMA user_version = {OLDER_VERSION}")
 
 
 def _seal_operations(connection: sqlite3.Connection) -> None:
@@ -143,15 +158,15 @@ WAIT_S = 10.0
 """How long to wait while another program writes."""
 
 
-def connect(path: Path) -> sqlite3.Connection:
-    """Open or create a label file; upgrade an older version.
+def connect(path: Path, center: TriangleCenter = NEW) -> sqlite3.Connection:
+    """Open or create a label file; upgrade an older version. ``center`` is for a new file.
 
     Raise SemvizError if ``path`` is another file, empty, damaged, of a newer version, locked or not
     writable.
     """
     try:
         if not path.exists():
-            _create(path)
+            _create(path, center)
         check_not_empty(path)
         connection = sqlite3.connect(
             path, isolation_level=None, check_same_thread=False, timeout=WAIT_S
@@ -166,7 +181,7 @@ def connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _create(path: Path) -> None:
+def _create(path: Path, center: TriangleCenter) -> None:
     """Create a label file, complete or not at all; another process may do so at the same time.
 
     Raise SemvizError if there is a journal of a label file that was removed.
@@ -182,7 +197,7 @@ def _create(path: Path) -> None:
             connection = sqlite3.connect(temporary, isolation_level=None)
             try:
                 connection.execute("BEGIN")
-                make(connection)
+                make(connection, center)
                 connection.execute("COMMIT")
             finally:
                 connection.close()
@@ -231,7 +246,7 @@ def check_and_upgrade(connection: sqlite3.Connection, path: Path) -> None:
         raise SemvizError(
             f"{path}: labels of version {version}, this semviz reads up to {VERSION}; update"
         )
-    if version < VERSION:
+    if version < OLDER_VERSION:
         try:
             upgrade(connection, version)
         except ValidationError as error:

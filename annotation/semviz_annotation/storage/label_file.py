@@ -10,7 +10,13 @@ from typing import NamedTuple
 
 from semviz_annotation.labels.labels import Draft, Labels
 from semviz_annotation.storage import tables
-from semviz_annotation.storage.database import UNREADABLE, connect, damaged, database_error
+from semviz_annotation.storage.database import (
+    UNREADABLE,
+    connect,
+    damaged,
+    database_error,
+    define_triangles,
+)
 from semviz_annotation.storage.digest import digest_after, digest_of, write_digest
 from semviz_annotation.storage.integrity import (
     TAIL,
@@ -23,6 +29,7 @@ from semviz_annotation.storage.integrity import (
 )
 from semviz_annotation.storage.open_file import Content, OpenFile
 from semviz_annotation.storage.operations import NO_HASH, Operation
+from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
 
 
@@ -53,7 +60,7 @@ class LabelFile:
     Raise LabelFileError if the file cannot be opened, or is damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, center: TriangleCenter = NEW) -> None:
         self.path = path
         self.labels = Labels()
         self.hash = NO_HASH
@@ -63,7 +70,7 @@ class LabelFile:
         """Increases when another process replaced the content, or wrote it into the file."""
         self.damage = ""
         """Why the file is damaged, as far as known; it accepts no edits then."""
-        self.connection = connect(path)
+        self.connection = connect(path, center)
         self._lock = threading.RLock()
         self._data_version: int | None = None
         self._digest = 0
@@ -185,6 +192,22 @@ class LabelFile:
             if self.version == version:
                 self.damage = why
 
+    def with_triangles_at(self, center: TriangleCenter) -> Labels:
+        """Return the state with triangular signs marked at ``center``, within ``writing``.
+
+        Raise SemvizError if there are labels that mark something else.
+        """
+        present = self.labels.triangle_center
+        if center == present:
+            return self.labels
+        if self.labels.operation:
+            raise SemvizError(
+                f"it marks triangular signs at {describe(center)}, but {self.path} at "
+                f"{describe(present)}"
+            )
+        define_triangles(self.connection, center)
+        return replace(self.labels, triangle_center=center)
+
     def append(self, operation: Operation, labels: Labels) -> None:
         """Write an operation that leads to ``labels``, within ``writing``."""
         tables.write_operation(self.connection, operation)
@@ -206,7 +229,7 @@ class LabelFile:
             labels = tables.rewound(self.labels, tables.read_operations(self.connection, number))
         else:
             earlier = tables.read_operations(self.connection, before=number + 1)
-            labels = tables.replayed(earlier, self.labels.next_number)
+            labels = tables.replayed(earlier, self.labels)
         return replace(labels, operation=number)
 
     @contextmanager

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from semviz_annotation.labels.rows import STRICT, Id, Observation, RowChange
+from semviz_annotation.labels.rows import STRICT, Id, RowChange
 from semviz_core.common.errors import SemvizError
 
 Origin: TypeAlias = Literal["human", "machine"]
@@ -50,6 +50,20 @@ CHANGES: TypeAdapter[tuple[RowChange, ...]] = TypeAdapter(tuple[RowChange, ...])
 _OPERATION = TypeAdapter(Operation)
 
 
+@dataclass(frozen=True)
+class EditBase:
+    """What the author of an edit had seen: the operations up to one, and some later requests.
+
+    Fields that other operations wrote are not the edit's to overwrite.
+    """
+
+    operation: Annotated[int, Field(ge=0, lt=2**53)]
+    known: tuple[Id, ...] = ()
+    """Later requests that the author knows, for example one's own."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
 class Writer(NamedTuple):
     """The operation that last wrote a row."""
 
@@ -80,9 +94,11 @@ class BrokenOperationError(SemvizError):
 
 
 class ConflictError(SemvizError):
-    """An observation has changed since the author of an edit saw it."""
+    """An edit would overwrite what its author had not seen."""
 
-    def __init__(self, why: str, current: Observation | None) -> None:
+    def __init__(self, why: str, overwritten: tuple[str, ...], is_deleted: bool) -> None:
         super().__init__(why)
-        self.current = current
-        """The observation as it is now; None if it is deleted."""
+        self.overwritten = overwritten
+        """Requests of the operations that the edit would overwrite; known, it is applied."""
+        self.is_deleted = is_deleted
+        """Whether the edited observation no longer exists."""

@@ -1,9 +1,9 @@
 """Apply, undo and redo edits in a label file: an edit is durable when the call returns.
 
 Log and state are written in one transaction, in WAL mode with ``synchronous=FULL``. There is
-one writer at a time; other threads and processes wait, then read its result. If an observation
-has changed since the author saw it, the edit is refused and the error names who changed it. A
-machine's edit is refused if it touches a row that a human has written.
+one writer at a time; other threads and processes wait, then read its result. An edit that would
+overwrite what its author had not seen is refused, and the error names who wrote it. A machine's
+edit is refused if it touches a row that a human has written.
 """
 
 import sqlite3
@@ -24,10 +24,11 @@ from semviz_annotation.labels.rows import (
 from semviz_annotation.storage import tables
 from semviz_annotation.storage.background_check import BackgroundCheck, Health
 from semviz_annotation.storage.conflicts import ConflictChecker
-from semviz_annotation.storage.label_file import LabelFile
+from semviz_annotation.storage.label_file import LabelFile, LabelFileError
 from semviz_annotation.storage.operations import (
     BrokenOperationError,
     ConflictError,
+    EditBase,
     Operation,
     Origin,
     Writer,
@@ -35,11 +36,13 @@ from semviz_annotation.storage.operations import (
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
     "BrokenOperationError",
     "ConflictError",
+    "EditBase",
     "LabelStore",
     "Operation",
     "Origin",
@@ -63,15 +66,21 @@ class LabelStore:
 
     @classmethod
     def open(
-        cls, path: Path, classes: ClassSet = DEFAULT_CLASSES, rig: Rig | None = None
+        cls,
+        path: Path,
+        classes: ClassSet = DEFAULT_CLASSES,
+        rig: Rig | None = None,
+        triangle_center: TriangleCenter = NEW,
     ) -> "LabelStore":
         """Open or create ``path``; points must be inside the images of ``rig``.
+
+        A new file follows ``triangle_center``; one that exists keeps its own.
 
         Raise SemvizError if the file is no label file, of a newer version, or not writable.
         """
         if not path.parent.is_dir():
             raise SemvizError(f"{path}: there is no such folder; create it with 'semviz new'")
-        return cls(LabelFile(path), Rules(classes, rig))
+        return cls(LabelFile(path, triangle_center), Rules(classes, rig))
 
     def close(self) -> None:
         if self._check is not None:
@@ -113,6 +122,17 @@ class LabelStore:
         """
         with self._file.reading():
             return self._file.labels.operation
+
+    def check_triangles(self, center: TriangleCenter) -> None:
+        """Raise LabelFileError if triangular signs are no longer marked at ``center``.
+
+        A restored backup or an imported log may mark them otherwise.
+        """
+        if self.labels.triangle_center != center:
+            raise LabelFileError(
+                f"{self.path.name} no longer marks triangular signs at {describe(center)}; close "
+                "it and reopen it"
+            )
 
     def operations(
         self, after: int = 0, limit: int | None = None, before: int | None = None
@@ -164,33 +184,36 @@ class LabelStore:
         author: str,
         request_id: str | None = None,
         origin: Origin = "human",
-        expects: Observation | None = None,
+        base: EditBase | None = None,
     ) -> Operation:
         """Apply ``edit`` and return its operation once it is on disk.
 
-        A repeated request id returns the operation of the first request. ``expects`` is the edited
-        observation as the author saw it. A machine may add rows, and change or delete rows that no
-        human has ever written.
+        A repeated request id returns the operation of the first request. ``base`` is what the
+        author had seen; None: the present state. A machine may add rows, and change or delete rows
+        that no human has ever written.
 
-        Raise ConflictError if the observation has changed since, SemvizError if the edit is invalid
-        or cannot be saved. Nothing is changed then.
+        Raise ConflictError if the edit writes a field that others wrote after ``base``, SemvizError
+        if it is invalid or cannot be saved. Nothing is changed then.
         """
 
         def operation(number: int, request_id: str) -> Operation:
-            if expects is not None:
-                self._conflicts().check_unchanged(expects)
-            changes = tuple(edit.changes(self._file.labels, self.rules))
+            changes = self._conflicts().changes_of(edit, self.rules, base)
             return Operation(number, request_id, author, origin, _now(), edit.kind, changes)
 
         return self._commit(operation, edit.kind, author, request_id)
 
     def undo(
-        self, author: str, request_id: str | None = None, number: int | None = None
+        self,
+        author: str,
+        request_id: str | None = None,
+        number: int | None = None,
+        base: EditBase | None = None,
     ) -> Operation:
         """Undo the author's last edit that still can be undone, or edit ``number``.
 
         The undo is itself an operation. If the author's last edit conflicts with later changes, an
-        earlier one is undone, and the operation's ``text`` says which was skipped and why.
+        earlier one is undone, and the operation's ``text`` says which was skipped and why. Edits
+        that the author made on another page after ``base`` are skipped, too.
 
         Raise SemvizError if there is none; the message says who changed what since.
         """
@@ -199,7 +222,7 @@ class LabelStore:
             if number is not None and not self._file.history.stands(author, number):
                 raise SemvizError(f"Cannot undo operation {number}: it is no edit of yours.")
             numbers = self._file.history.done(author) if number is None else iter([number])
-            undone, text = self._first_applicable("undo", numbers)
+            undone, text = self._first_applicable("undo", numbers, base)
             changes = tuple(change.inverse() for change in undone.changes)
             return Operation(
                 number=new,
@@ -215,11 +238,13 @@ class LabelStore:
 
         return self._commit(operation, "undo", author, request_id)
 
-    def redo(self, author: str, request_id: str | None = None) -> Operation:
+    def redo(
+        self, author: str, request_id: str | None = None, base: EditBase | None = None
+    ) -> Operation:
         """Redo the author's last undone edit; otherwise like ``undo``."""
 
         def operation(new: int, request_id: str) -> Operation:
-            redone, text = self._first_applicable("redo", self._file.history.undone(author))
+            redone, text = self._first_applicable("redo", self._file.history.undone(author), base)
             return Operation(
                 number=new,
                 request_id=request_id,
@@ -234,16 +259,24 @@ class LabelStore:
 
         return self._commit(operation, "redo", author, request_id)
 
-    def restore(self, number: int, author: str, request_id: str | None = None) -> Operation:
+    def restore(
+        self,
+        number: int,
+        author: str,
+        request_id: str | None = None,
+        base: EditBase | None = None,
+    ) -> Operation:
         """Restore the state after operation ``number`` by a new operation, which can be undone.
 
-        Raise SemvizError if there is no such operation, or nothing has changed since.
+        Raise SemvizError if there is no such operation, or nothing has changed since, and
+        ConflictError if it takes back what others wrote after ``base``.
         """
 
         def operation(new: int, request_id: str) -> Operation:
             changes = tuple(tables.difference(self._file.labels, self._file.labels_at(number)))
             if not changes:
                 raise SemvizError(f"the labels are already those after operation {number}")
+            self._conflicts().check_seen(changes, base)
             names = {
                 operation.number: operation.text
                 for operation in tables.named_operations(self._file.connection)
@@ -272,13 +305,17 @@ class LabelStore:
 
         return self._commit(operation, "name", author, request_id)
 
-    def extend(self, operations: Iterable[Operation]) -> None:
-        """Append operations of another log unchanged, all or none.
+    def extend(
+        self, operations: Iterable[Operation], triangle_center: TriangleCenter = NEW
+    ) -> None:
+        """Append operations of another log, which follows ``triangle_center``, all or none.
 
-        Raise BrokenOperationError for the first that does not follow from those before it.
+        Raise BrokenOperationError for the first that does not follow from those before it, and
+        SemvizError if the labels here mark triangular signs otherwise.
         """
         with self._file.writing():
-            draft, hash_before = Draft(self._file.labels), self._file.hash
+            labels, hash_before = self._file.with_triangles_at(triangle_center), self._file.hash
+            draft = Draft(labels)
             history = tables.read_history(self._file.connection)
             for number, operation in enumerate(operations, self._file.labels.operation + 1):
                 try:
@@ -328,7 +365,9 @@ class LabelStore:
             elif isinstance(change.after, Observation):
                 self.rules.check(change.after, draft.class_of(change.after))
 
-    def _first_applicable(self, what: str, numbers: Iterator[int]) -> tuple[Operation, str]:
+    def _first_applicable(
+        self, what: str, numbers: Iterator[int], base: EditBase | None
+    ) -> tuple[Operation, str]:
         """Return the first of the edits that still applies, and which one was skipped and why."""
         skipped = ""
         for number in islice(numbers, MAX_UNDO_CANDIDATES):
@@ -336,7 +375,7 @@ class LabelStore:
             changes = operation.changes
             if what == "undo":
                 changes = tuple(change.inverse() for change in changes)
-            why = self._conflicts().undo_conflict(changes, operation)
+            why = self._conflicts().undo_conflict(changes, operation, base)
             if why is None:
                 return operation, skipped
             skipped = skipped or f"operation {number} ({operation.kind}): {why}"

@@ -22,6 +22,7 @@ from semviz_annotation.labels.rows import (
     row_key,
 )
 from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Writer
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 
@@ -75,12 +76,12 @@ def _move(number: int, source: dict[int, None], target: dict[int, None]) -> None
     target[number] = None
 
 
-def replayed(operations: Iterable[Operation], next_number: int) -> Labels:
-    """Return the state after ``operations``, which begin with the first of the log."""
+def replayed(operations: Iterable[Operation], labels: Labels) -> Labels:
+    """Return the state after ``operations``, the first of the log that led to ``labels``."""
     rows: dict[Key, Row | None] = {}
     for change in _changes(operations):
         rows[change.key] = change.after
-    return Labels.from_rows((row for row in rows.values() if row is not None), next_number)
+    return labels.with_rows(row for row in rows.values() if row is not None)
 
 
 def rewound(labels: Labels, operations: Iterable[Operation]) -> Labels:
@@ -119,7 +120,33 @@ def read_labels(connection: sqlite3.Connection) -> Labels:
         "SELECT coalesce(max(value), 1) FROM counters WHERE name = 'next element number'"
     ).fetchone()[0]
     last = connection.execute("SELECT coalesce(max(number), 0) FROM operations").fetchone()[0]
-    return Labels.from_rows(_rows(connection), next_number, last)
+    return Labels.from_rows(_rows(connection), next_number, last, read_triangle_center(connection))
+
+
+CENTROID_VERSION = 4
+"""Version of exactly the files whose triangular signs are labelled at their centroid."""
+_CENTROID = "triangle centroid"
+"""Name of the counter that is 1 if triangular signs are labelled at their centroid."""
+
+
+def read_triangle_center(connection: sqlite3.Connection) -> TriangleCenter:
+    """Return what the labels of triangular signs mark; older files do not say it.
+
+    Raise SemvizError if the version of the file says otherwise.
+    """
+    row = connection.execute("SELECT value FROM counters WHERE name = ?", (_CENTROID,)).fetchone()
+    is_centroid = row is not None and bool(row[0])
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if is_centroid != (version == CENTROID_VERSION):
+        raise SemvizError("what its labels of triangular signs mark contradicts its version")
+    return "centroid" if is_centroid else OLDER
+
+
+def write_triangle_center(connection: sqlite3.Connection, center: TriangleCenter) -> None:
+    """Store what the labels of triangular signs mark."""
+    connection.execute("DELETE FROM counters WHERE name = ?", (_CENTROID,))
+    if center != OLDER:
+        connection.execute("INSERT INTO counters VALUES (?, 1)", (_CENTROID,))
 
 
 _TYPES = {
@@ -201,15 +228,16 @@ def _insert(connection: sqlite3.Connection, row: Row) -> None:
 
 
 def row_values(row: Row) -> tuple[object, ...]:
-    """Return a row as the values of its table's columns."""
+    """Return a row as the values of its table's columns: as they are read back, so that whole
+    numbers of a caller's pixels become floats."""
     match row:
         case LabelElement():
             return row.id, row.number, row.class_id
         case Observation():
-            end_px = row.end_px or (None, None)
+            end_px = (None, None) if row.end_px is None else map(float, row.end_px)
             known = (row.anchor_known, row.end_known)
             place = (row.id, row.element_id, row.frame_index, row.side)
-            return *place, *row.anchor_px, *end_px, *known
+            return *place, *map(float, row.anchor_px), *end_px, *known
         case Review():
             return row.frame_index, row.state
         case Dismissal():

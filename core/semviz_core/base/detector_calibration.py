@@ -122,6 +122,10 @@ class DetectorCalibration(_Values):
         if least[0] != 0.0 or (np.diff(least) <= 0.0).any():
             raise ValueError("rates must go by ascending least_score, from 0 on")
 
+    def is_of(self, settings: Mapping[str, object]) -> bool:
+        """Return whether it is of the detections with these settings, as stored with them."""
+        return (self.model, self.measuring) == (settings.get("model"), settings.get("measuring"))
+
     def calibrated(self, detections: Elements2D) -> Elements2D:
         """Return detections (m,) with calibrated scores and sigmas."""
         return calibrated(detections, self.scores, self.sigma_scale)

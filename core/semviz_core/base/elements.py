@@ -6,7 +6,7 @@ off by the image border or hidden by a car. Its coordinates are then those of th
 point, and only the line through both ends is a measurement.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -41,6 +41,9 @@ class Elements2D:
     """(m,) False where a pole's peak is cut off or hidden."""
     end_known: arrays.BoolArray
     """(m,) False where a pole's bottom is cut off or hidden, and for points."""
+    to_centroid_px: arrays.FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(m,) rows from the middle of a triangular sign's box down to the centroid of its corners: a
+    sixth of its height, negative if it is upside down. NaN if unknown, as for all if not given."""
 
     def __post_init__(self) -> None:
         _set(self, "anchor_px", arrays.float_array(self.anchor_px, (None, 2), "anchor_px"))
@@ -50,6 +53,8 @@ class Elements2D:
         _set(self, "sigma_px", arrays.float_array(self.sigma_px, (None, 2), "sigma_px"))
         _set(self, "anchor_known", arrays.bool_array(self.anchor_known, (None,), "anchor_known"))
         _set(self, "end_known", arrays.bool_array(self.end_known, (None,), "end_known"))
+        shift = self.to_centroid_px if len(self.to_centroid_px) else np.full(len(self), np.nan)
+        _set(self, "to_centroid_px", arrays.float_array(shift, (None,), "to_centroid_px", nan=True))
         _check_lengths(self, "observed elements")
         _check_ends(self.end_px, self.end_known, "end_px")
         low, high = SIGMA_PX_RANGE
@@ -168,7 +173,7 @@ class Elements3D:
     def transformed(self, T_target_map: Pose) -> "Elements3D":
         """Return the same elements in another frame."""
         J = np.kron(np.eye(2), T_target_map.rotation)
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
         values["anchor_m"] = T_target_map.apply(self.anchor_m)
         values["end_m"] = T_target_map.apply(self.end_m)
         values["covariance_m2"] = J @ self.covariance_m2 @ J.T
@@ -191,9 +196,9 @@ def _rows_finite(points: arrays.FloatArray) -> arrays.BoolArray:
 
 
 def _check_lengths(elements: Elements2D | Elements3D, name: str) -> None:
-    lengths = {field.name: len(getattr(elements, field.name)) for field in fields(elements)}
+    lengths = {each.name: len(getattr(elements, each.name)) for each in fields(elements)}
     if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{field} {length}" for field, length in lengths.items())
+        listed = ", ".join(f"{each} {length}" for each, length in lengths.items())
         raise SemvizError(f"{name} have arrays of different lengths: {listed}; give one row each")
 
 
@@ -244,8 +249,8 @@ def _index(rows: Rows, count: int) -> arrays.IntArray:
 def _select(elements: Elements, index: arrays.IntArray) -> Elements:
     """Return rows of validated elements, without validating them again."""
     selected = object.__new__(type(elements))
-    for field in fields(elements):
-        rows = getattr(elements, field.name).take(index, axis=0)
+    for each in fields(elements):
+        rows = getattr(elements, each.name).take(index, axis=0)
         rows.flags.writeable = False
-        _set(selected, field.name, rows)
+        _set(selected, each.name, rows)
     return selected

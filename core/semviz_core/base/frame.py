@@ -7,7 +7,8 @@ from step to step. A Dataset supplies frames, (stereo) images and the rig, real 
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -195,4 +196,20 @@ class Dataset(Protocol):
 
     def image(self, index: int, side: Side) -> ByteImage:
         """Return (height, width, 3) sRGB of the frame with this ``Frame.index``."""
+        ...
+
+
+@runtime_checkable
+class FileDataset(Dataset, Protocol):
+    """A ``Dataset`` whose images are files.
+
+    Both paths raise SemvizError for a frame or side that is not there.
+    """
+
+    def image_path(self, index: int, side: Side) -> Path:
+        """Return the file with the pixels of ``image``; it is made if it is missing."""
+        ...
+
+    def original_path(self, index: int, side: Side) -> Path:
+        """Return the recorded file; another one than ``image_path`` if that is rectified."""
         ...

@@ -5,6 +5,7 @@ A file is written completely or not at all. A checksum of all values is stored w
 
 import base64
 import json
+import math
 import zlib
 from dataclasses import asdict
 from pathlib import Path
@@ -15,13 +16,16 @@ import numpy as np
 from semviz_core.base.classes import ClassSet, ElementClass
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
+from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import first_line, open_parquet, parsed_json, shown, unpacked
 
 FORMAT = "semviz-map"
-VERSION = 2
+VERSION, OLDER_VERSION = 3, 2
+"""Maps whose triangles follow the box are written as version 2. Earlier versions of semviz, which
+would take any triangle's middle for that of its box, refuse those of version 3."""
 CHECKSUM = "crc32"
 """Key of the metadata; missing in maps of earlier versions of semviz, which are not checked."""
 _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
@@ -30,6 +34,8 @@ _ORIGINS = {
     "observation_ids": "observation_ids.list.element",
 }
 """Columns of texts, and their paths in the file."""
+_LOG_ODDS = "existence_log_odds"
+"""Optional column: of elements from detections, null for others."""
 MOST_BYTES = 2 * 2**30
 MOST_VALUES = 36_000_000
 """Limits of one map: 1,000,000 elements, each with 36 numbers of covariance."""
@@ -51,6 +57,9 @@ def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
         flat = np.ascontiguousarray(getattr(elements, name)).reshape(-1)
         columns[name] = pa.FixedSizeListArray.from_arrays(pa.array(flat), width)
     provenance = semantic_map.provenance or (Provenance(),) * len(elements)
+    log_odds = [entry.log_odds for entry in provenance]
+    if any(value is not None for value in log_odds):
+        columns[_LOG_ODDS] = pa.array(log_odds, pa.float64())
     for name in ("label_ids", "observation_ids"):
         columns[name] = pa.array(
             [list(getattr(entry, name)) for entry in provenance], pa.list_(pa.string())
@@ -119,9 +128,12 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         end_known=table["end_known"].to_numpy(),
     )
     provenance = tuple(
-        Provenance(tuple(labels), tuple(observations))
-        for labels, observations in zip(
-            _texts(table["label_ids"]), _texts(table["observation_ids"]), strict=True
+        Provenance(tuple(labels), tuple(observations), odds)
+        for labels, observations, odds in zip(
+            _texts(table["label_ids"]),
+            _texts(table["observation_ids"]),
+            _log_odds(table),
+            strict=True,
         )
     )
     frame = metadata["frame"]
@@ -136,7 +148,18 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         made_by=str(metadata["made_by"]),
         settings=dict(metadata.get("settings", {})),
         operation=int(metadata["operation"]),
+        triangle_center=parse_triangle_center(metadata.get("triangle_center")),
     )
+
+
+def _log_odds(table: Any) -> list[float | None]:
+    """Return the log-odds of each element that has any."""
+    if _LOG_ODDS not in table.column_names:
+        return [None] * len(table)
+    values: list[float | None] = table[_LOG_ODDS].to_pylist()
+    if not all(value is None or math.isfinite(value) for value in values):
+        raise ValueError(f"{_LOG_ODDS} that are not finite")
+    return values
 
 
 def _texts(column: Any) -> list[list[str]]:
@@ -150,9 +173,10 @@ def _texts(column: Any) -> list[list[str]]:
 
 
 def _metadata(semantic_map: SemanticMap) -> dict[str, Any]:
+    center = semantic_map.triangle_center
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": OLDER_VERSION if center == OLDER else VERSION,
         "units": "m, z up, right-handed",
         "frame": asdict(semantic_map.frame),
         "classes": [asdict(class_) for class_ in semantic_map.classes],
@@ -161,6 +185,7 @@ def _metadata(semantic_map: SemanticMap) -> dict[str, Any]:
         "made_by": semantic_map.made_by,
         "settings": dict(semantic_map.settings),
         "operation": semantic_map.operation,
+        "triangle_center": center,
     }
 
 

@@ -6,6 +6,7 @@ unseen. A sign's footprint is its centre, height included.
 """
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.elements import Elements3D
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import FloatArray, IntArray, float_array
 from semviz_core.common.errors import SemvizError
 
@@ -37,12 +39,24 @@ class MapFrame:
 
 @dataclass(frozen=True)
 class Provenance:
-    """The labels from which one map element was made."""
+    """What one map element was made from."""
 
     label_ids: tuple[str, ...] = ()
     """UUIDs of the label elements that were merged into it."""
     observation_ids: tuple[str, ...] = ()
     """UUIDs of the observations it was triangulated from."""
+    log_odds: float | None = None
+    """Log-odds that it exists, of an element made from detections alone; None: people vouch for it,
+    or the map is older."""
+
+    @property
+    def existence(self) -> str:
+        """The probability that it exists, rounded down: ``98.2 %``, at most ``> 99.9 %``; empty
+        without log-odds."""
+        if self.log_odds is None:
+            return ""
+        tenths = int(1000.0 / (1.0 + math.exp(-min(max(self.log_odds, -700.0), 700.0))))
+        return "> 99.9 %" if tenths >= 999 else f"{tenths / 10.0:.1f} %"
 
 
 DecisionKind: TypeAlias = Literal["merge", "apart", "split", "leave out"]
@@ -88,6 +102,8 @@ class SemanticMap:
     """The settings as JSON values, to build the map again; empty if semviz did not build it."""
     operation: int = 0
     """Number of the last label operation in the map; 0 without labels."""
+    triangle_center: TriangleCenter = OLDER
+    """What the anchor of a triangular sign is."""
 
     def __post_init__(self) -> None:
         trajectory = float_array(self.trajectory_m, (None, 3), "trajectory_m")
@@ -156,10 +172,12 @@ class SemanticMap:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of the elements and the frame, to check whether a run used this map."""
+        """SHA-256 (hex) of what localization uses, to check whether a run used this map."""
         hasher = hashlib.sha256(self.frame.name.encode())
         for column in fields(Elements3D):
             hasher.update(np.ascontiguousarray(getattr(self.elements, column.name)).tobytes())
+        if self.triangle_center != OLDER:  # maps of earlier versions keep their digest
+            hasher.update(self.triangle_center.encode())
         return hasher.hexdigest()
 
 

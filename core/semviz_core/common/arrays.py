@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from semviz_core.common.errors import SemvizError
 
 FloatArray: TypeAlias = NDArray[np.float64]
+ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ByteImage: TypeAlias = NDArray[np.uint8]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
@@ -185,15 +186,28 @@ def decode_image(data: bytes, where: object, reduced: bool = False) -> ByteImage
     """
     import cv2
 
-    check_image_size(data, where)
     flags = cv2.IMREAD_REDUCED_COLOR_2 if reduced else cv2.IMREAD_COLOR
+    return np.asarray(_decoded(data, where, flags), np.uint8)
+
+
+def decode_mask(data: bytes, where: object) -> NDArray[np.uint8 | np.uint16]:
+    """Return (height, width) or (height, width, c) as stored, for example ids; see above."""
+    import cv2
+
+    return np.asarray(_decoded(data, where, cv2.IMREAD_UNCHANGED))
+
+
+def _decoded(data: bytes, where: object, flags: int) -> Any:
+    import cv2
+
+    check_image_size(data, where)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         image = None
     if image is None:
         raise SemvizError(f"{where}: not a readable PNG or JPEG image; copy it again")
-    return np.asarray(image, np.uint8)
+    return image
 
 
 def open_parquet(

@@ -109,6 +109,10 @@ class KittiSequence:
         camera = self._cameras[0 if side == "left" else 1]
         return self._folder / f"image_{camera}" / f"{index:06d}.png"
 
+    def original_path(self, index: int, side: Side) -> Path:
+        """Return an image's path: KITTI's images are rectified."""
+        return self.image_path(index, side)
+
     def _find_indices(self, wanted: range | None) -> tuple[int, ...]:
         for camera in self._cameras:
             images = self._folder / f"image_{camera}"

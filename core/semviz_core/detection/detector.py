@@ -6,14 +6,16 @@ parameter of Detector.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ClassSet
 from semviz_core.base.elements import Elements2D
+from semviz_core.base.triangle_center import OLDER, TriangleCenter, converted
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.common.jit import Stopwatch
 from semviz_core.detection.onnx_model import OnnxModel
 from semviz_core.detection.pole_axes import best_line, line_over
 from semviz_core.detection.pole_ends import pole_extent
@@ -52,8 +54,9 @@ def measure(
 ) -> Elements2D:
     """Return the elements in an image, at most one for each region, best score first.
 
-    A region outside the image or without extent shows none. Of regions of the same pole or sign,
-    the one with the best score is kept.
+    A triangular sign is at the middle of its box; ``triangle_center.converted`` converts it. A
+    region outside the image or without extent shows none. Of regions of the same pole or sign, the
+    one with the best score is kept.
     """
     ordered = sorted(regions, key=lambda region: -region.score)
     shown = [region for region in ordered if _in_image(image, region)]
@@ -86,7 +89,9 @@ def _sign(image: SampledImage, region: Region) -> MeasuredElement | None:
         return None
     sigma = (chosen_sigma_px("center", center.sigma_px),) * 2
     score = region.score * probability
-    return MeasuredElement(class_id, score, center.center_px[None], sigma, (True, False), size)
+    return MeasuredElement(
+        class_id, score, center.center_px[None], sigma, (True, False), size, center.to_centroid_px
+    )
 
 
 def _in_image(image: SampledImage, region: Region) -> bool:
@@ -118,10 +123,19 @@ class Detector:
     model: RegionModel
     measure: MeasureRegion = by_edges
     """Measures one region."""
+    triangle_center: TriangleCenter = OLDER
+    """What the point of a triangular sign is; give that of the map to localize in."""
+    time_ms: dict[str, list[float]] = field(default_factory=dict)
+    """Wall time of each image so far, by stage."""
 
     def detect(self, image: ByteImage) -> Elements2D:
         """Return the elements in an image (height, width, 3) sRGB, best score first."""
-        return measure(SampledImage(image), self.model.find(image), self.measure)
+        watch = Stopwatch()
+        regions = watch.time("network and regions", lambda: self.model.find(image))
+        found = watch.time("measuring", lambda: measure(SampledImage(image), regions, self.measure))
+        for stage, milliseconds in watch.time_ms.items():
+            self.time_ms.setdefault(stage, []).append(milliseconds)
+        return converted(found, "box", self.triangle_center)
 
 
 _KINDS = (

@@ -7,6 +7,7 @@ import numpy as np
 from semviz_core.common.arrays import FloatArray
 from semviz_core.detection.regions import Region, predicted_sigma_px
 from semviz_core.subpixel import pole_axis
+from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sampling import SampledImage
 
 SHORTEST_PX = 3.0
@@ -107,7 +108,7 @@ def line_by_edges(image: SampledImage, region: Region, first: Line) -> Line | No
     if not axes:
         return None
     chosen = next((axis for axis in axes if not _is_step(image, axis)), axes[0])
-    axis = pole_axis.refine_axis(image, chosen)
+    axis = refine_axis(image, chosen)
     margin = min([5.0, *(chosen.score - other.score for other in axes if other is not chosen)])
     moved = np.abs((axis.ends_px - first.ends_px) @ pole_axis.across(first.ends_px)).max()
     evidence = np.array(
@@ -149,7 +150,7 @@ def _by_box(region: Region) -> Line:
 
 def _by_mask(region: Region) -> Line | None:
     """Return a robust line through the centres of the mask's rows."""
-    points = mask_points(region)
+    points = region.mask_points_px
     if len(points) < 3:
         return None
     start, along = _principal(points)
@@ -168,15 +169,6 @@ def _by_mask(region: Region) -> Line | None:
         [np.log(extent[1] - extent[0] + 1.0), np.log(residual + 0.2), np.log(width)]
     )
     return Line("line by mask", start + extent[:, None] * along, width, evidence)
-
-
-def mask_points(region: Region) -> FloatArray:
-    """Return (n, 2) centres of the mask's pixels; none without a mask."""
-    if region.mask is None:
-        return np.zeros((0, 2))
-    rows, columns = np.nonzero(region.mask)
-    points = np.stack([columns, rows], axis=1).astype(np.float64)
-    return np.asarray(points + np.asarray(region.corner_px))
 
 
 def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:

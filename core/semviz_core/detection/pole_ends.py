@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.detection.pole_axes import SHORTEST_PX, Line, mask_points
+from semviz_core.detection.pole_axes import SHORTEST_PX, Line
 from semviz_core.detection.regions import Region, known, predicted_sigma_px
 from semviz_core.subpixel.pole_axis import across
 from semviz_core.subpixel.pole_ends import (
@@ -189,7 +189,7 @@ def first_ends(region: Region, line: Line, which: int) -> list[End]:
     if region.ends_px is not None:
         position = float((region.ends_px[which] - middle) @ along)
         candidates.append(End("end by model", which, position, np.array([length, slack, which])))
-    points = mask_points(region)
+    points = region.mask_points_px
     if len(points):
         places = (points - middle) @ along
         beside = np.abs((points - middle) @ across(line.ends_px)) <= line.width_px / 2.0 + 1.5

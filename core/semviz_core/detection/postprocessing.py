@@ -4,6 +4,8 @@ Overlapping boxes are suppressed (NMS), best score first. In a class map each co
 of a sign is a region. Arms and crossbars of poles are removed, and pieces along one axis joined.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +18,8 @@ from semviz_core.detection.regions import Region
 
 MOST_BOXES = 300
 """Maximum number of boxes kept, by score."""
+_ROWS_AT_ONCE = 8
+"""Rows of a class map that are turned into probabilities at a time: they fit into the cache."""
 Output = NDArray[Any]
 """A model's output: floats of any width."""
 
@@ -154,7 +158,8 @@ many times as wide as both, they are together so slender, and the mean probabili
 gap is at least the last."""
 
 
-class _Piece(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Piece:
     """The pixels of one connected component, or of a joined pole."""
 
     corner: tuple[int, int]
@@ -166,11 +171,31 @@ class _Piece(NamedTuple):
         """The first row, and the row after the last."""
         return self.corner[1], self.corner[1] + len(self.mask)
 
-    @property
+    @cached_property
     def width(self) -> float:
         """Median number of pixels in a row."""
         counts = self.mask.sum(axis=1)
         return float(np.median(counts[counts > 0]))
+
+    @cached_property
+    def centres(self) -> FloatArray:
+        """Mean column in the image of each row with pixels."""
+        counts = self.mask.sum(axis=1)
+        sums = self.mask @ np.arange(self.mask.shape[1], dtype=np.float64)
+        return np.asarray(sums[counts > 0] / counts[counts > 0] + self.corner[0])
+
+    @cached_property
+    def middle(self) -> float:
+        """Mean of the centres."""
+        return float(self.centres.mean())
+
+    @cached_property
+    def axis(self) -> FloatArray:
+        """(2,) slope in columns per row, and the column at row 0 of the image."""
+        rows = np.nonzero(self.mask.any(axis=1))[0] + self.corner[1]
+        if len(rows) < _POLE_ROWS:  # too short to tell a slope
+            return np.array([0.0, self.middle])
+        return np.polyfit(rows, self.centres, 1)
 
 
 def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
@@ -183,14 +208,27 @@ def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
     if output.ndim == 3 and len(output) == 1 and output.dtype.kind in "iu":
         if output.size and not (output.min() >= 0 and output.max() < labels):
             raise SemvizError(f"labels from {output.min()} to {output.max()}; it has {labels}")
-        odds = np.equal(output, np.arange(labels)[:, None, None]).astype(np.float32)
+        values = output
     elif output.ndim == 4 and output.shape[:2] == (1, labels) and output.dtype.kind == "f":
-        odds = softmax(output[0].astype(np.float32), 0)
+        values = output[0]
     else:
         raise SemvizError(
             f"an output of shape {output.shape} and type {output.dtype}; with {labels} labels it "
             f"is logits (1, {labels}, height, width) or a map (1, height, width) of whole numbers"
         )
+    maps = np.empty((len(classes.wanted) + 1, *values.shape[1:]), np.float32)
+    for first in range(0, values.shape[1], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        maps[:, rows] = _maps_of_rows(values[:, rows], classes)
+    return maps
+
+
+def _maps_of_rows(values: NDArray[Any], classes: ModelClasses) -> Maps:
+    """Return maps (k + 1, rows, w) of logits (classes, rows, w) or labels (1, rows, w)."""
+    if values.dtype.kind == "f":
+        odds = softmax(values.astype(np.float32), 0)
+    else:
+        odds = np.equal(values, np.arange(len(classes))[:, None, None]).astype(np.float32)
     wanted = [odds[classes.target == target].sum(axis=0) for target in classes.wanted]
     ignored = odds[classes.target == IGNORED]
     rest = ignored.max(axis=0) if len(ignored) else np.zeros(odds.shape[1:], np.float32)
@@ -285,9 +323,9 @@ def _continues(pole: _Piece, piece: _Piece) -> bool:
     gap = max(first - bottom, top - end)
     if not -2 <= gap <= bottom - top or not 0.4 <= piece.width / pole.width <= 2.5:
         return False
-    slope, column = _axis(pole)
+    slope, column = pole.axis
     row = (first + end - 1) / 2.0
-    offset = abs(float(_centres(piece).mean()) - (column + slope * row))
+    offset = abs(piece.middle - (column + slope * row))
     return bool(offset <= max(_LEAST_ASIDE_PX, _ASIDE * pole.width))
 
 
@@ -308,7 +346,7 @@ def _is_other_edge(pole: _Piece, piece: _Piece, odds: NDArray[np.float32]) -> bo
     low, high = (pick(pole.rows[k], piece.rows[k]) for k, pick in ((0, max), (1, min)))
     if high - low < max(_NEAR_ROWS, _SIDE_BY_SIDE * max(len(pole.mask), len(piece.mask))):
         return False
-    left, right = sorted((pole, piece), key=lambda each: float(_centres(each).mean()))
+    left, right = sorted((pole, piece), key=lambda each: each.middle)
     ends = [_last_columns(left, low, high), -_last_columns(right, low, high, mirrored=True)]
     between = [
         odds[row, first + 1 : last]
@@ -329,21 +367,6 @@ def _last_columns(piece: _Piece, low: int, high: int, mirrored: bool = False) ->
     signed = -columns if mirrored else columns
     lowest = int(signed.min()) - 1
     return np.asarray(np.where(mask, signed, lowest).max(axis=1), np.int64)
-
-
-def _axis(pole: _Piece) -> FloatArray:
-    """Return (2,) slope in columns per row, and the column at row 0 of the image."""
-    rows = np.nonzero(pole.mask.any(axis=1))[0] + pole.corner[1]
-    if len(rows) < _POLE_ROWS:  # too short to tell a slope
-        return np.array([0.0, _centres(pole).mean()])
-    return np.polyfit(rows, _centres(pole), 1)
-
-
-def _centres(piece: _Piece) -> FloatArray:
-    """Return the mean column in the image of each row with pixels."""
-    counts = piece.mask.sum(axis=1)
-    sums = piece.mask @ np.arange(piece.mask.shape[1], dtype=np.float64)
-    return np.asarray(sums[counts > 0] / counts[counts > 0] + piece.corner[0])
 
 
 def _joined(first: _Piece, second: _Piece) -> _Piece:

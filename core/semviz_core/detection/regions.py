@@ -11,6 +11,7 @@ seeds from 20_000; ``python bench/subpixel.py`` shows the calibration on other s
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from operator import mul
 
 import numpy as np
@@ -55,6 +56,15 @@ class Region:
         """(2,) centre of the box."""
         return np.asarray((self.box_px[:2] + self.box_px[2:]) / 2.0)
 
+    @cached_property
+    def mask_points_px(self) -> FloatArray:
+        """(n, 2) centres of the mask's pixels; none without a mask."""
+        if self.mask is None:
+            return np.zeros((0, 2))
+        rows, columns = np.nonzero(self.mask)
+        points = np.stack([columns, rows], axis=1).astype(np.float64)
+        return np.asarray(points + np.asarray(self.corner_px))
+
 
 _SAME_POLE_PX = 1.5
 """Poles closer than this plus half a width are the same."""
@@ -78,10 +88,12 @@ class MeasuredElement:
     """Whether peak (or centre) and bottom are known."""
     size_px: float
     """Width of a pole, half the shorter side of a sign."""
+    to_centroid_px: float = math.nan
+    """As in ``Elements2D``. A triangular sign's point is the middle of its box."""
 
 
 def elements(measured: Iterable[MeasuredElement]) -> Elements2D:
-    """Return the measured elements as arrays, in the same order."""
+    """Return the measured elements as arrays, in the same order; triangles by their box."""
     rows = list(measured)
     no_end = np.full((1, 2), np.nan)
     ends = np.array([np.concatenate([row.points_px, no_end])[:2] for row in rows])
@@ -94,6 +106,7 @@ def elements(measured: Iterable[MeasuredElement]) -> Elements2D:
         sigma_px=np.array([row.sigma_px for row in rows], np.float64).reshape(-1, 2),
         anchor_known=np.array([row.known[0] for row in rows], bool),
         end_known=np.array([row.known[1] for row in rows], bool),
+        to_centroid_px=np.array([row.to_centroid_px for row in rows], np.float64),
     )
 
 

@@ -9,7 +9,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES, RECTANGULAR, ROUNDED, TRIA
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.detection.regions import SHAPE, Region, predicted_sigma_px
 from semviz_core.subpixel.sampling import SampledImage
-from semviz_core.subpixel.sign_outline import Outline, fit_outlines, outline_polygon
+from semviz_core.subpixel.sign_outline import Outline, fit_outlines, outline_polygon, turns_of
 
 SHAPES = (TRIANGULAR, RECTANGULAR, ROUNDED)
 """Classified here if the model does not tell the shape."""
@@ -30,13 +30,15 @@ class SignCenter:
     kind: str
     """How it was measured: a key of ``regions.WEIGHTS``."""
     center_px: FloatArray
-    """(2,)"""
+    """(2,) of its box."""
     half_px: FloatArray
     """(2,) half its width and height."""
     evidence: FloatArray
     """(k,) of its kind."""
     polygon_px: FloatArray | None = None
     """(n, 2) its outline; None without."""
+    to_centroid_px: float = float("nan")
+    """As in ``Elements2D``."""
 
     @property
     def sigma_px(self) -> float:
@@ -55,19 +57,46 @@ def best_center(image: SampledImage, region: Region) -> tuple[int, SignCenter, f
         return region.class_id, model_center, 1.0  # a class of unknown shape
     classes = SHAPES if region.class_id is None else (region.class_id,)
     body = without_arms(region) if region.class_id is None else []
-    outlines = centers_from_outline(image, model_center, classes, body)
+    outlines = centers_from_outline(image, model_center, classes, body, turn_of_mask(region))
     class_id, probability = classes[0], 1.0
     if region.class_id is None:
         class_id, probability = likeliest_shape(region, model_center, outlines)
     candidates = [model_center, *outlines[class_id]]
-    return class_id, min(candidates, key=lambda center: center.sigma_px), probability
+    best = min(candidates, key=lambda center: center.sigma_px)
+    if class_id == TRIANGULAR and best is model_center:
+        turn = turn_of_mask(region) or _turn_of_clearest(outlines[class_id])
+        best = replace(best, to_centroid_px=turn * float(best.half_px[1]) / 3.0)
+    return class_id, best, probability
+
+
+def turn_of_mask(region: Region) -> int:
+    """Return 1 if a triangle's mask is upright, -1 if upside down (give way), 0 without mask.
+
+    An upright one is mostly above its widest row, even if the mask runs into the pole.
+    """
+    if region.mask is None or not region.mask.any():
+        return 0
+    widths = region.mask.sum(axis=1)[region.mask.any(axis=1)]
+    widest = int(np.argmax(widths))
+    return 1 if widths[:widest].sum() >= widths[widest + 1 :].sum() else -1
+
+
+def _turn_of_clearest(outlines: Sequence[SignCenter]) -> int:
+    """Return the turn of the clearest outline; upright, like most, if there is none."""
+    if not outlines:
+        return 1
+    clearest = min(outlines, key=lambda center: center.sigma_px)
+    return 1 if clearest.to_centroid_px > 0.0 else -1
 
 
 def likeliest_shape(
     region: Region, model_center: SignCenter, outlines: dict[int, list[SignCenter]]
 ) -> tuple[int, float]:
     """Return the class of the likeliest shape and its probability; the rest is for no sign."""
-    evidence = [shape_evidence(region, class_, model_center, outlines[class_]) for class_ in SHAPES]
+    regions = [region, *without_arms(region)]
+    evidence = [
+        shape_evidence(regions, class_, model_center, outlines[class_]) for class_ in SHAPES
+    ]
     odds = np.exp(np.clip(np.array(evidence) @ SHAPE, -30.0, 30.0))
     best = int(np.argmax(odds))
     return SHAPES[best], float(odds[best] / (1.0 + odds.sum()))
@@ -126,23 +155,28 @@ def centers_from_outline(
     model_center: SignCenter,
     classes: Sequence[int],
     body: Sequence[Region] = (),
+    turn: int = 0,
 ) -> dict[int, list[SignCenter]]:
     """Return for each class the centres of outlines of its shape, near the model's centre.
 
-    ``body`` are further regions near whose centres outlines may be.
+    ``body`` are further regions near whose centres outlines may be. ``turn`` is that of a
+    triangle, as in ``turn_of_mask``; 0 tries both.
     """
     shapes = [DEFAULT_CLASSES[class_].shape for class_ in classes]
+    turned = [each for shape in shapes for each in turns_of(shape)]
+    if turn:
+        turned = [each for each in turned if each != ("triangle down" if turn > 0 else "triangle")]
     about = [(model_center.center_px, model_center.half_px)]
     about += [(each.center_px, (each.box_px[2:] - each.box_px[:2] + 1.0) / 2.0) for each in body]
     fitted = [
         outline
         for middle, half in about
-        for outline in fit_outlines(image, middle, half, shapes)
+        for outline in fit_outlines(image, middle, half, turned)
         if np.linalg.norm(outline.center_px - middle) <= STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
     ]
     centers = {}
     for class_, shape in zip(classes, shapes, strict=True):
-        alike = [outline for outline in fitted if outline.shape == shape]
+        alike = [outline for outline in fitted if outline.is_of(shape)]
         centers[class_] = [_by_outline(outline, model_center, alike) for outline in alike]
     return centers
 
@@ -162,15 +196,19 @@ def _by_outline(outline: Outline, model_center: SignCenter, outlines: list[Outli
         ]
     )  # fmt: skip
     kind, polygon = "center by outline", outline_polygon(outline)
-    return SignCenter(kind, outline.center_px, outline.half_px, evidence, polygon)
+    to_centroid_px = outline.to_centroid_px
+    return SignCenter(kind, outline.center_px, outline.half_px, evidence, polygon, to_centroid_px)
 
 
 def shape_evidence(
-    region: Region, class_id: int, model_center: SignCenter, centers: list[SignCenter]
+    regions: Sequence[Region], class_id: int, model_center: SignCenter, centers: list[SignCenter]
 ) -> FloatArray:
-    """Return (k,) evidence for a class against no sign: the class, its outline and its mask."""
+    """Return (k,) evidence for a class against no sign: the class, its outline and its mask.
+
+    ``regions`` are the sign's region and those of ``without_arms``.
+    """
+    region = regions[0]
     one_hot = [float(class_id == shape) for shape in SHAPES]
-    regions = [region, *without_arms(region)]
     fill_error = 0.0
     if region.mask is not None and region.mask.any():
         share = _FILLED.get(class_id, np.pi / 4.0)

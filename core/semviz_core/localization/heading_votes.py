@@ -43,6 +43,8 @@ DEFAULT_EFFORT = Effort()
 WIDE = Effort(hypotheses=1200, polished=600, started=64, finished=40, improved=6)
 """Includes the true pose for a fix 50 m off, in clutter or without gravity, at about twice the
 runtime. The true pose need not score best."""
+OF_COUPLES = Effort(polished=300, started=32, finished=12)
+"""For the poses of couples of learned correspondences: they are fewer, and nearer to true ones."""
 
 
 BLOCK = 3

@@ -26,10 +26,16 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch, in_order
 from semviz_core.localization import refinement
 from semviz_core.localization.association import PairConstraints, posterior_match
-from semviz_core.localization.heading_votes import DEFAULT_EFFORT, WIDE
+from semviz_core.localization.correspondences.hypotheses import CoupleHypotheses
+from semviz_core.localization.correspondences.matcher import (
+    LearnedCorrespondences,
+    PairMatcher,
+    load_pair_matcher,
+)
+from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.request import check_request
-from semviz_core.localization.search import Modes, mode_near, search
+from semviz_core.localization.search import Modes, Propose, mode_near, most_voted, search
 from semviz_core.localization.status import StatusDecision, decide_status, is_likely
 from semviz_core.localization.upright import assumed_upright
 
@@ -57,8 +63,16 @@ def match_by_class(observed: Elements2D, problem: PoseProblem) -> IntArray | ref
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-EFFORTS = {"search": DEFAULT_EFFORT, "direct": DEFAULT_EFFORT, "wide": WIDE, "learned": WIDE}
+EFFORTS = {
+    "search": DEFAULT_EFFORT,
+    "direct": DEFAULT_EFFORT,
+    "wide": WIDE,
+    "learned": WIDE,
+    "correspondences": OF_COUPLES,
+}
 """The search effort of each method of this package."""
+NETWORKS = {"learned": "verifier", "correspondences": "matcher"}
+"""The network of each learned method of this package."""
 ENTRY_POINTS = "semviz.methods"
 """The entry point group of all other methods: each entry names a ``LoadMethod``."""
 NEEDED_ELEMENTS = 4
@@ -118,12 +132,11 @@ def available_methods() -> tuple[str, ...]:
     """Return ``known_methods`` without those whose weights are not shipped."""
     from semviz_core.base.weights import shipped_weights
 
-    untrained = set(EFFORTS) - {"learned"}
+    untrained = set(EFFORTS) - set(NETWORKS)
     return tuple(
         method
         for method in known_methods()
-        if method in untrained
-        or shipped_weights("verifier" if method == "learned" else method).is_file()
+        if method in untrained or shipped_weights(NETWORKS.get(method, method)).is_file()
     )
 
 
@@ -155,6 +168,8 @@ class Localizer:
             self._external_method()
         elif self.method == "learned":
             self._verifier()
+        elif self.method == "correspondences":
+            self._matcher()
         elif self.weights is not None:
             raise SemvizError(f"method {self.method} uses no weights; leave weights out")
 
@@ -204,15 +219,20 @@ class Localizer:
 
         # 1 search: the modes, poses that explain the image, best first
         prior = assumed_upright(work.prior)  # the result keeps the prior as given
-        modes, probability = self._modes(work, problem, prior, start, watch)
+        propose: Propose = most_voted
+        if self.method == "correspondences":  # P comes first, and proposes the poses
+            learned = self._correspondences(work, problem, pairing, watch)
+            work, propose = replace(work, match=learned.match), CoupleHypotheses.of(learned)
+        modes, probability = self._modes(work, problem, prior, start, propose, watch)
         found = _search_result(modes)
         work = replace(work, search=found)
         if not found.T_camera_map:
             return replace(work, reason=_nothing_fits(prior))
 
         # 2 association: P over all modes, with dustbins (the paper's eq. 3-4 has none)
-        work = replace(work, match=watch.time("match", lambda: posterior_match(
-            modes.score, modes.gain, problem.compatible)))  # fmt: skip
+        if work.match is None:
+            work = replace(work, match=watch.time("match", lambda: posterior_match(
+                modes.score, modes.gain, problem.compatible)))  # fmt: skip
 
         # 3 refinement of the best mode: eq. 8, P being Boolean, whitened and with the prior
         if pairs is None:
@@ -237,16 +257,32 @@ class Localizer:
         problem: PoseProblem,
         prior: Prior,
         start: Pose | None,
+        propose: Propose,
         watch: Stopwatch,
     ) -> tuple[Modes, FloatArray | None]:
         """Return the modes, best first, and the verifier's probability (b,) of each, if any."""
         if start is not None:
             return watch.time("search", lambda: mode_near(problem, prior, start)), None
-        modes = watch.time("search", lambda: search(problem, prior, EFFORTS[self.method]))
+        modes = watch.time("search", lambda: search(problem, prior, EFFORTS[self.method], propose))
         if self.method != "learned":
             return modes, None
         frame = work.observed, work.submap, work.camera, prior
         return watch.time("verify", lambda: self._verifier().verified(*frame, modes))
+
+    def _correspondences(
+        self, work: Localization, problem: PoseProblem, pairing: PairConstraints, watch: Stopwatch
+    ) -> LearnedCorrespondences:
+        """Return the learned correspondences, among the pairs that ``pairing`` leaves."""
+        frame = work.observed, work.submap, work.camera, work.prior
+        constraints = problem.compatible, pairing.forced
+        return watch.time("match", lambda: self._matcher().match(*frame, *constraints))
+
+    def _matcher(self) -> PairMatcher:
+        """Load the matcher.
+
+        Raise SemvizError if the weights are missing or of another network.
+        """
+        return load_pair_matcher(self.weights, self.classes)
 
     def _verifier(self) -> "ModeVerifier":
         """Load the verifier.

@@ -1,12 +1,13 @@
 """Search upright poses within the prior, and return the modes that explain the image.
 
-Module `heading_votes` proposes candidates. Module `rating` rates them, refines the best and
-rates these again. The best distinct ones are paired one-to-one and fitted, with gates that
-narrow as they converge. The distinct results are the modes, best first.
+Module `heading_votes` proposes candidates; `correspondences` is another source. Module `rating`
+rates them, refines the best and rates these again. The best distinct ones are paired one-to-one
+and fitted, with gates that narrow as they converge. The distinct results are the modes, best
+first.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -78,7 +79,42 @@ class Candidates(NamedTuple):
     score: FloatArray  # (b,)
 
 
-def search(problem: PoseProblem, prior: Prior, effort: Effort = DEFAULT_EFFORT) -> Modes:
+class ProposedCandidates(NamedTuple):
+    """Upright poses of one view, the likeliest first."""
+
+    pose: FloatArray
+    """(h, 6) as in ``heading_votes.PoseCandidates``; at most ``Effort.polished``."""
+    evaluated: int
+    """Number of poses proposed."""
+    rated: int
+    """Number of those that were rated."""
+
+
+class Propose(Protocol):
+    """A source of upright poses."""
+
+    def __call__(
+        self, problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
+    ) -> ProposedCandidates: ...
+
+
+@compiled
+def most_voted(
+    problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
+) -> ProposedCandidates:
+    """Propose the poses of the grid round the fix with the most voters, best rated first."""
+    voted = vote_headings(problem, view, prior, effort)
+    rating = rate_poses(problem, view, prior, voted.pose, VOTED_SIGMAS)
+    likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
+    return ProposedCandidates(voted.pose[likely], voted.evaluated, len(voted.pose))
+
+
+def search(
+    problem: PoseProblem,
+    prior: Prior,
+    effort: Effort = DEFAULT_EFFORT,
+    propose: Propose = most_voted,
+) -> Modes:
     """Return the modes of the pose, best first; none if no candidate passes the gates."""
     record = PriorRecord.of(prior)
     evaluated = passed = 0
@@ -87,9 +123,9 @@ def search(problem: PoseProblem, prior: Prior, effort: Effort = DEFAULT_EFFORT) 
     view_effort = _effort_per_view(effort, len(ups))
     for up in ups:
         view = upright_view(problem, up, up_sigma_rad)
-        part, proposed, rated = _view_candidates(problem, view, record, view_effort)
-        evaluated, passed = evaluated + proposed, passed + rated
-        parts.append(part)
+        proposal = propose(problem, view, record, view_effort)
+        evaluated, passed = evaluated + proposal.evaluated, passed + proposal.rated
+        parts.append(_fitted_candidates(problem, view, record, proposal.pose, view_effort))
     candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
     return Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
 
@@ -110,20 +146,13 @@ def mode_near(problem: PoseProblem, prior: Prior, T_camera_map: Pose) -> Modes:
 
 
 @compiled
-def _view_candidates(
-    problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
-) -> tuple[Candidates, int, int]:
-    """Return the best distinct candidates of a view, paired and fitted once, and the numbers of
-    candidates proposed and rated."""
-    voted = vote_headings(problem, view, prior, effort)
-    poses = voted.pose
+def _fitted_candidates(
+    problem: PoseProblem, view: UprightView, prior: PriorRecord, poses: FloatArray, effort: Effort
+) -> Candidates:
+    """Return the best distinct ones of poses (h, 6), paired and fitted once."""
     if len(poses) == 0:
-        none = Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
-        return none, voted.evaluated, 0
-    evaluated, rated = voted.evaluated, len(poses)
-    rating = rate_poses(problem, view, prior, poses, VOTED_SIGMAS)
-    likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
-    poses = refine_candidates(problem, view, poses[likely], effort.step_m)
+        return Candidates(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
+    poses = refine_candidates(problem, view, poses, effort.step_m)
     rating = rate_poses(problem, view, prior, poses, REFINED_SIGMAS)
     chosen = _distinct_best(poses, rating, effort)
     b = len(chosen)
@@ -135,7 +164,7 @@ def _view_candidates(
         match, gain = associate(problem, R, t, inverse(information) + FITTED_COVARIANCE)
         candidates.rotation[row], candidates.translation[row] = R, t
         candidates.score[row] = log_likelihood(problem, prior, R, t, match, gain)
-    return candidates, evaluated, rated
+    return candidates
 
 
 @compiled

@@ -105,7 +105,7 @@ class RigErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class PoseComparison:
     """Given poses against images, for the n pairs of consecutive frames."""
 
     innovation: FloatArray
@@ -132,7 +132,7 @@ class Comparison:
         return float((LIMIT * -np.expm1(-chi2 / LIMIT)).sum() + len(chi2) * spread)
 
 
-def compare(poses: DrivePoses, motions: ImageMotions) -> Comparison:
+def compare(poses: DrivePoses, motions: ImageMotions) -> PoseComparison:
     """Return the innovations of ``poses``, with the errors of a stereo rig estimated beside them.
 
     Raise SemvizError if the numbers of frames differ.
@@ -152,7 +152,7 @@ def compare(poses: DrivePoses, motions: ImageMotions) -> Comparison:
         sigma = _pose_sigma(innovation[used], scaled.has_stereo)
         weight = used / (1.0 + chi2 / LIMIT) ** 2
     innovation, chi2 = _innovations(scaled, error, sigma, rig)
-    return Comparison(
+    return PoseComparison(
         np.where(used[:, None], innovation, 0.0),
         np.where(used, chi2, 0.0),
         used,

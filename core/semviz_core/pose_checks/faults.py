@@ -18,13 +18,13 @@ from semviz_core.pose_checks.comparison import (
     BASELINE,
     RIGHT_U,
     RIGHT_V,
-    Comparison,
     DrivePoses,
+    PoseComparison,
     compare,
     rows_of_runs,
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
-from semviz_core.pose_checks.refinement import Refinement, refine, stretches
+from semviz_core.pose_checks.refinement import PoseRefinement, refine, stretches
 from semviz_core.pose_checks.whole_drive import (
     FLAT_M,
     Correction,
@@ -79,9 +79,9 @@ class PoseCheck:
 
     frames: tuple[Frame, ...]
     motions: ImageMotions
-    comparison: Comparison
+    comparison: PoseComparison
     """Of the poses after the corrections of the whole drive."""
-    refinement: Refinement
+    refinement: PoseRefinement
     """Of those poses, against the given ones after the same corrections."""
     faults: tuple[PoseFault, ...]
     measured: float
@@ -201,7 +201,7 @@ _EXPLANATIONS: Final = (
 )
 
 
-def _rig_faults(comparison: Comparison, rig: Rig, first: int, last: int) -> Iterator[PoseFault]:
+def _rig_faults(comparison: PoseComparison, rig: Rig, first: int, last: int) -> Iterator[PoseFault]:
     errors = comparison.rig
     scale, scale_sigma = errors.values[BASELINE], np.hypot(errors.sigma[BASELINE], SCALE_FLOOR)
     if abs(scale) > max(LEAST_SCALE, SIGMAS * scale_sigma):
@@ -236,7 +236,7 @@ def _rig_faults(comparison: Comparison, rig: Rig, first: int, last: int) -> Iter
 
 
 def _local_faults(
-    frames: Sequence[Frame], poses: DrivePoses, motions: ImageMotions, refinement: Refinement
+    frames: Sequence[Frame], poses: DrivePoses, motions: ImageMotions, refinement: PoseRefinement
 ) -> Iterator[PoseFault]:
     frozen = _frozen_frames(poses, motions)
     runs = stretches(refinement, LEAST_SHIFT_M, LEAST_TURN_RAD)
@@ -265,7 +265,7 @@ def _frozen_frames(poses: DrivePoses, motions: ImageMotions) -> BoolArray:
     return frozen
 
 
-def _largest(refinement: Refinement, first: int, last: int) -> tuple[float, float]:
+def _largest(refinement: PoseRefinement, first: int, last: int) -> tuple[float, float]:
     """Return the largest turn (rad) and shift (m) of a stretch."""
     rows = slice(first, last + 1)
     turn = np.linalg.norm(refinement.turn_rad[rows], axis=1).max()
@@ -273,7 +273,7 @@ def _largest(refinement: Refinement, first: int, last: int) -> tuple[float, floa
 
 
 def _stretch_fault(
-    kind: FaultKind, frames: Sequence[Frame], refinement: Refinement, first: int, last: int
+    kind: FaultKind, frames: Sequence[Frame], refinement: PoseRefinement, first: int, last: int
 ) -> PoseFault:
     turn, shift = _largest(refinement, first, last)
     where = (

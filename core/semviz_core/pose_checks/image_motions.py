@@ -4,13 +4,15 @@ Motions depend on images and calibration only, so one measurement serves every s
 """
 
 import json
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import safetensors.numpy
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from semviz_core.base.camera import Rig
@@ -115,11 +117,23 @@ def measure_motions(
 
 def save_motions(motions: ImageMotions, source: str, path: Path) -> None:
     """Replace ``path``. ``source`` says what the motions were measured from."""
-    header = {"method": METHOD, "source": source, "has_stereo": motions.has_stereo}
     tensors = {name: getattr(motions, name) for name in _SHAPES} | {"frames": motions.frames}
+    header = {
+        "method": METHOD,
+        "source": source,
+        "has_stereo": motions.has_stereo,
+        "crc32": _checksum(tensors, motions.has_stereo),
+    }
     content = safetensors.numpy.save(tensors, metadata={_KEY: json.dumps(header)})
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def _checksum(tensors: Mapping[str, NDArray[Any]], has_stereo: object) -> int:
+    checksum = zlib.crc32(f"{has_stereo}".encode())
+    for name in sorted(tensors):
+        checksum = zlib.crc32(np.ascontiguousarray(tensors[name]).data, checksum)
+    return checksum
 
 
 def load_motions(path: Path, source: str) -> ImageMotions | None:
@@ -135,6 +149,9 @@ def load_motions(path: Path, source: str) -> ImageMotions | None:
                 return None
             arrays = {name: file.get_tensor(name) for name in _SHAPES}
             frames = file.get_tensor("frames")
+        tensors, has_stereo = arrays | {"frames": frames}, header["has_stereo"]
+        if header.get("crc32") not in (None, _checksum(tensors, has_stereo)):
+            return None
     except (OSError, SemvizError, SafetensorError, LookupError, TypeError, ValueError):
         return None
     n = len(frames) - 1
@@ -142,4 +159,4 @@ def load_motions(path: Path, source: str) -> ImageMotions | None:
         array = arrays[name]
         if array.shape != (n, *shape) or array.dtype != np.float64 or not np.isfinite(array).all():
             return None
-    return ImageMotions(frames, bool(header["has_stereo"]), **arrays)
+    return ImageMotions(frames, bool(has_stereo), **arrays)

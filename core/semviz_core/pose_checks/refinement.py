@@ -18,8 +18,8 @@ from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.pose_checks.comparison import (
     MAD_TO_SIGMA,
-    Comparison,
     DrivePoses,
+    PoseComparison,
     rotation_vectors,
     rows_of_runs,
 )
@@ -42,7 +42,7 @@ _GEMAN = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement:
+class PoseRefinement:
     """Refined poses of n frames, and what they are worth."""
 
     poses: DrivePoses
@@ -58,7 +58,7 @@ class Refinement:
     """(n,) whether the given pose counts; else images alone place the frame."""
 
 
-def refine(poses: DrivePoses, motions: ImageMotions, comparison: Comparison) -> Refinement:
+def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison) -> PoseRefinement:
     """Return refined poses, near the given ones wherever those agree with the images.
 
     Frames without a pose stay without.
@@ -77,7 +77,7 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: Comparison) -> 
     sigma = _sigmas(adjusted, measured, comparison, prior, weight)
     counts = weight > 0.25
     off = _deviations(poses, adjusted)
-    return Refinement(
+    return PoseRefinement(
         adjusted,
         np.where(adjusted.known[:, None], off[:, 3:], 0.0),
         np.where(adjusted.known[:, None], off[:, :3], 0.0),
@@ -88,7 +88,7 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: Comparison) -> 
 
 
 def _corrected_motions(
-    poses: DrivePoses, motions: ImageMotions, comparison: Comparison
+    poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison
 ) -> Sequence[Pose | None]:
     """Return T_now_before of each pair as the images measure it; None where they do not."""
     R, t = poses.motions()
@@ -104,7 +104,7 @@ def _corrected_motions(
 
 
 def _joined(
-    poses: DrivePoses, measured: Sequence[Pose | None], comparison: Comparison
+    poses: DrivePoses, measured: Sequence[Pose | None], comparison: PoseComparison
 ) -> tuple[DrivePoses, BoolArray]:
     """Return poses without cuts, and (n,) which frames keep their given poses."""
     large = np.linalg.norm(comparison.innovation[:, :3], axis=1) > CUT_M
@@ -223,7 +223,7 @@ def _normals(
     at: DrivePoses,
     start: DrivePoses,
     measured: Sequence[Pose | None],
-    comparison: Comparison,
+    comparison: PoseComparison,
     prior: FloatArray,
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -274,7 +274,7 @@ def _adjusted(
     at: DrivePoses,
     start: DrivePoses,
     measured: Sequence[Pose | None],
-    comparison: Comparison,
+    comparison: PoseComparison,
     prior: FloatArray,
     weight: FloatArray,
 ) -> DrivePoses:
@@ -289,7 +289,7 @@ def _adjusted(
 def _sigmas(
     at: DrivePoses,
     measured: Sequence[Pose | None],
-    comparison: Comparison,
+    comparison: PoseComparison,
     prior: FloatArray,
     weight: FloatArray,
 ) -> FloatArray:
@@ -307,7 +307,9 @@ def _sigmas(
     return np.asarray(np.sqrt(np.maximum(np.column_stack([position, turn]), 0.0)))
 
 
-def stretches(refinement: Refinement, least_m: float, least_rad: float) -> list[tuple[int, int]]:
+def stretches(
+    refinement: PoseRefinement, least_m: float, least_rad: float
+) -> list[tuple[int, int]]:
     """Return first and last row of each stretch of frames that refining moves by more."""
     shift = np.linalg.norm(refinement.shift_m, axis=1)
     turn = np.linalg.norm(refinement.turn_rad, axis=1)

@@ -20,6 +20,8 @@ RECALL = {POLE: 0.66, TRIANGULAR: 0.89, RECTANGULAR: 0.87, ROUNDED: 0.79}
 FADE_M = (SIMULATED_DETECTOR.near_m, SIMULATED_DETECTOR.far_m)
 FADE = 0.4
 """Recall falls by this share between those distances."""
+FALSE_TO_CENTROID_PX = 4.0
+"""Of false positives, as of a triangle of 24 px height."""
 FALSE_POLE_SHARE = 0.7
 HIDE_BOTTOM = 0.25
 """Share of hidden bottoms among those that parked cars leave visible; with both, about half are
@@ -96,7 +98,14 @@ class SimulatedDetector:
         sigma[line, 1] = noise.pole_along_px
         score = rng.uniform(0.5, 1.0, m)
         return Elements2D(
-            anchor, end, true.class_id, score, sigma, true.anchor_known, true.end_known
+            anchor,
+            end,
+            true.class_id,
+            score,
+            sigma,
+            true.anchor_known,
+            true.end_known,
+            true.to_centroid_px,
         )
 
     def _false(self, rng: np.random.Generator) -> Elements2D:
@@ -118,6 +127,7 @@ class SimulatedDetector:
             sigma_px=np.where(is_pole[:, None], pole, np.array(sign).reshape(m, 2)),
             anchor_known=np.ones(m, dtype=bool),
             end_known=is_pole & (rng.random(m) < 0.5),
+            to_centroid_px=np.full(m, FALSE_TO_CENTROID_PX),
         )
 
 
@@ -134,4 +144,5 @@ def _hide_bottoms(labels: Elements2D, rng: np.random.Generator) -> Elements2D:
         sigma_px=labels.sigma_px,
         anchor_known=labels.anchor_known,
         end_known=labels.end_known & ~hidden,
+        to_centroid_px=labels.to_centroid_px,
     )

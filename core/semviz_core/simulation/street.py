@@ -5,6 +5,7 @@ first, near ones over them. Textures are made with the first image. The same see
 street.
 """
 
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -13,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.classes import POLE
+from semviz_core.base.classes import POLE, TRIANGULAR
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
+from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.localizability.route import CAMERA_HEIGHT_M
@@ -32,7 +34,7 @@ from semviz_core.simulation.layout import (
     StreetOptions,
     lay_out_street,
 )
-from semviz_core.simulation.objects import Car, Color
+from semviz_core.simulation.objects import Car, Color, Sign
 from semviz_core.simulation.scenery import Scenery
 
 NEAREST_M, FARTHEST_M = 3.0, 60.0
@@ -256,16 +258,27 @@ TRUTH_SIGMA_M = 0.005
 class Street:
     """A simulated street with random layout and trajectory; the same for the same seed."""
 
-    def __init__(self, seed: int, options: StreetOptions | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        options: StreetOptions | None = None,
+        triangle_center: TriangleCenter = NEW,
+    ) -> None:
         self.seed = seed
         self.options = options or StreetOptions()
+        self.triangle_center: TriangleCenter = triangle_center
         self.layout: Layout = lay_out_street(seed, self.options)
         self._map_frame = MapFrame(f"street-{seed}")
         self._rig = _rig()
         poses = camera_trajectory(self.layout.road, self.options, seed)
         self._frames = tuple(Frame(i, i / FRAME_RATE_HZ, pose) for i, pose in enumerate(poses))
         self._painter = Painter(self.layout, seed)
-        self.truth_map = _truth_map(self.layout, self._map_frame, poses)
+        self.truth_map = _truth_map(self.layout, self._map_frame, poses, triangle_center)
+        self._triangles = {
+            sign.id: np.array([sign.middle_m, _centroid_m(sign)])
+            for sign in self.layout.signs
+            if sign.class_id == TRIANGULAR
+        }
         self._visible = lru_cache(maxsize=256)(self._compute_visible)
         self._painted = lru_cache(maxsize=2)(self._paint_ranks)
 
@@ -280,6 +293,12 @@ class Street:
     @property
     def frames(self) -> tuple[Frame, ...]:
         return self._frames
+
+    def following(self, triangle_center: TriangleCenter) -> "Street":
+        """Return the same street with this middle of triangular signs in its truth."""
+        if triangle_center == self.triangle_center:
+            return self
+        return Street(self.seed, self.options, triangle_center)
 
     def image(self, index: int, side: Side) -> ByteImage:
         """Return (376, 1241, 3) sRGB of a frame; painted at each call."""
@@ -313,7 +332,13 @@ class Street:
 
     def _compute_visible(self, index: int, side: Side) -> tuple[Elements2D, IntArray]:
         painted, view = self.painted(index, side), self.view(index, side)
-        return elements_in_view(painted, self.truth_map.elements, view)
+        elements, ids = elements_in_view(painted, self.truth_map.elements, view)
+        shift = np.full(len(ids), np.nan)
+        for row, id_ in enumerate(ids.tolist()):
+            if id_ in self._triangles:
+                box, centroid = view.project(self._triangles[id_])
+                shift[row] = centroid[1] - box[1]
+        return replace(elements, to_centroid_px=shift), ids
 
     def _paint_ranks(self, index: int, side: Side) -> Painted:
         return paint_ranks(self.layout, self.view(index, side))
@@ -326,15 +351,28 @@ def _rig() -> Rig:
     return Rig(camera, camera, Pose(np.eye(3), np.array([-BASELINE_M, 0.0, 0.0])))
 
 
-def _truth_map(layout: Layout, frame: MapFrame, poses: list[Pose]) -> SemanticMap:
+def _centroid_m(sign: Sign) -> FloatArray:
+    """Return the centroid (3,) of an upright triangle's corners."""
+    return np.asarray(sign.middle_m - sign.up_m / 3.0)
+
+
+def _truth_map(
+    layout: Layout, frame: MapFrame, poses: list[Pose], triangle_center: TriangleCenter
+) -> SemanticMap:
     """Return the map of all elements without errors."""
+
+    def middle_m(sign: Sign) -> FloatArray:
+        by_box = sign.class_id != TRIANGULAR or triangle_center == "box"
+        return sign.middle_m if by_box else _centroid_m(sign)
+
     nothing = np.full(3, np.nan)
     rows = [(pole.id, pole.peak_m, pole.bottom_m, POLE) for pole in layout.poles]
-    rows += [(sign.id, sign.middle_m, nothing, sign.class_id) for sign in layout.signs]
+    rows += [(sign.id, middle_m(sign), nothing, sign.class_id) for sign in layout.signs]
     ids, anchors, ends, classes = zip(*sorted(rows, key=lambda row: row[0]), strict=True)
     return SemanticMap(
         elements=Elements3D.from_ends(ids, anchors, ends, classes, sigma_m=TRUTH_SIGMA_M),
         frame=frame,
         trajectory_m=np.array([pose.translation for pose in poses]),
         made_by="simulated street, without errors",
+        triangle_center=triangle_center,
     )

@@ -1,22 +1,20 @@
-"""Find a pole's axis near a line, and fit its two edges at sub-pixel accuracy.
+"""Find a pole's axis near a line.
 
 Candidates are two parallel edges with smooth colours between them. The strip along the line is
 straightened, and edges vote along tilted lines (a Hough transform). Each row's vote is capped, so
 one strong edge behind the pole does not dominate.
-
-In the fit, every row across the pole has three levels: left, pole and right. They are free in
-every row (variable projection; Golub and Pereyra 1973), so the background, and even the sign of
-the contrast, may change along the pole. Only the positions of the edges are shared.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.common.arrays import FloatArray
-from semviz_core.subpixel.sampling import SampledImage, Samples
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
+from semviz_core.common.jit import compiled
+from semviz_core.subpixel.sampling import SampledImage, Samples, color_at
 
 STEP_PX = 0.5
 WIDEST_PX = 42.0
@@ -24,6 +22,10 @@ _ROWS = (12, 24)
 """Least and largest number of rows along a pole; rows of longer poles are means."""
 _EDGE = 6.0
 """Slope in grey levels per px, above that around it, at which an edge has half a vote."""
+_WINDOW = 24
+"""Columns beside a pole in which edges count as clutter."""
+_EXAMINED = 40
+"""Number of best scores among which each axis is chosen."""
 _CHANGE = 8.0
 """Change in grey levels between rows at which a sample counts as half smooth."""
 
@@ -46,21 +48,32 @@ WEIGHTS = np.array([0.0, 14.4, 13.72, -3.71, 13.46, -16.31, -1.1, -0.63, -9.08, 
 outside; clutter; log width; offset; tilt; variation inside and outside."""
 
 
-def straighten(image: SampledImage, ends_px: FloatArray, offsets_px: FloatArray) -> Samples:
+@compiled
+def straighten(image: ByteImage, ends_px: FloatArray, offsets_px: FloatArray) -> Samples:
     """Return (rows, columns, 3) colours evenly along a line, at ``offsets_px`` to its right."""
-    length = float(np.linalg.norm(ends_px[1] - ends_px[0]))
-    rows = int(np.clip(length, *_ROWS))
+    du, dv = ends_px[1, 0] - ends_px[0, 0], ends_px[1, 1] - ends_px[0, 1]
+    length, right = np.hypot(du, dv), across(ends_px)
+    rows = int(min(max(length, _ROWS[0]), _ROWS[1]))
     repeats = max(1, round(length / rows))
-    share = (np.arange(rows * repeats) + 0.5) / (rows * repeats)
-    points = ends_px[0] + share[:, None] * (ends_px[1] - ends_px[0])
-    samples = image.sample(points[:, None] + offsets_px[:, None] * across(ends_px))
-    return np.asarray(samples.reshape(rows, repeats, len(offsets_px), 3).mean(axis=1))
+    strip = np.zeros((rows, len(offsets_px), 3), np.float32)
+    for part in range(rows * repeats):
+        share, row = (part + 0.5) / (rows * repeats), part // repeats
+        u, v = ends_px[0, 0] + share * du, ends_px[0, 1] + share * dv
+        for column in range(len(offsets_px)):
+            off = offsets_px[column]
+            color = color_at(image, u + off * right[0], v + off * right[1])
+            for channel in range(3):
+                strip[row, column, channel] += color[channel] / repeats
+    return strip
 
 
+@compiled
 def across(ends_px: FloatArray) -> FloatArray:
     """Return the unit vector (2,) to the right of a line (2, 2) that runs down."""
-    x, y = ends_px[1] - ends_px[0]
-    return np.asarray(np.array([y, -x]) / np.hypot(x, y))
+    x, y = ends_px[1, 0] - ends_px[0, 0], ends_px[1, 1] - ends_px[0, 1]
+    normal, length = np.empty(2), np.hypot(x, y)
+    normal[0], normal[1] = y / length, -x / length
+    return normal
 
 
 def shift_line(ends_px: FloatArray, at_first_px: float, at_last_px: float) -> FloatArray:
@@ -80,30 +93,19 @@ def find_axes(
     Their ends are within ``reach_px`` of the line's, across it.
     """
     grid = _grid(reach_px, widest_px)
-    features = _features(straighten(image, ends_px, grid.offsets), grid)
-    scores = features @ WEIGHTS
+    means = _means_along(straighten(image.image, ends_px, grid.offsets), grid.tilts)
+    inside, scores = _scores(means, grid, WEIGHTS)
+    turned = float(np.abs(across(ends_px)).max())
     axes: list[Axis] = []
-    flat = scores.reshape(-1)
-    order = np.argsort(-flat, kind="stable")[: 40 * count]
-    for at in order:
-        if len(axes) == count:
-            break
-        t, w, c = np.unravel_index(at, scores.shape)
+    for t, w, c in _best(scores, grid, turned, count).tolist():
         tilt, middle = float(grid.tilts[t]), float(grid.middles[w, c])
-        width = float(grid.widths[w])
         ends = shift_line(ends_px, middle - tilt, middle + tilt)
-        if not any(_same_axis(ends, width, axis) for axis in axes):
-            axes.append(Axis(ends, width, features[t, w, c], float(flat[at])))
+        evidence = np.array(_parts(means, grid, inside[t, w, c], t, w, c))
+        axes.append(Axis(ends, float(grid.widths[w]), evidence, float(scores[t, w, c])))
     return axes
 
 
-def _same_axis(ends_px: FloatArray, width_px: float, other: Axis) -> bool:
-    near = np.abs(ends_px - other.ends_px).max() < 1.2
-    return bool(near and abs(width_px - other.width_px) < max(1.2, 0.3 * width_px))
-
-
-@dataclass(frozen=True, eq=False)
-class _Grid:
+class _Grid(NamedTuple):
     """All tilts, widths and middles within a reach."""
 
     reach_px: float
@@ -137,90 +139,159 @@ def _grid(reach_px: float, widest_px: float) -> _Grid:
     )
 
 
-def _features(strip: Samples, grid: _Grid) -> FloatArray:
-    """Return the evidence (tilts, widths, c, k) of all axes of a grid."""
-    edge, smooth = _votes(strip)
-    index = _shear(*strip.shape[:2], tuple(grid.tilts.tolist()))
-    rows = np.arange(len(edge))[:, None]
-    edges = edge[rows, index].mean(axis=1)  # (tilts, columns)
-    smooths = smooth[rows, index].mean(axis=1)
-    varied = _log_variation(strip, index)
-    total = np.cumsum(np.stack([smooths, varied]), axis=2)
-    a, b = grid.left, grid.right
-    left, right = edges[:, a], edges[:, b]
-    inner = (total[..., b - 1] - total[..., a]) / (b - a - 1)
-    outer = (total[..., b + 6] - total[..., b + 1] + total[..., a - 2] - total[..., a - 7]) / 10.0
-    window = 24
-    low, high = np.maximum(a - window, 0), np.minimum(b + window, edges.shape[1] - 1)
-    sums = np.cumsum(edges, axis=1)
-    clutter = (sums[:, high] - sums[:, low]) / (high - low)[None]
-    inside = _inside(edges, a, b)
-    shape = left.shape
-    middle = np.broadcast_to(grid.middles, shape)
-    tilt = np.broadcast_to(grid.tilts[:, None, None], shape)
-    width = np.broadcast_to(np.log(grid.widths)[:, None], shape)
-    parts = [
-        np.ones(shape), np.minimum(left, right), np.maximum(left, right), inside, inner[0],
-        outer[0], clutter, width, (middle / grid.reach_px) ** 2, (tilt / grid.reach_px) ** 2,
-        inner[1], outer[1],
-    ]  # fmt: skip
-    return np.stack(parts, axis=-1)
+class _Means(NamedTuple):
+    """Means (tilts, columns) along tilted lines; the others are sums up to a column."""
+
+    edge: FloatArray
+    edge_sum: FloatArray
+    smooth_sum: FloatArray
+    varied_sum: FloatArray
+    """Logarithms of the colours' standard deviation along the pole."""
 
 
-def _log_variation(strip: Samples, index: NDArray[np.int64]) -> FloatArray:
-    """Return (tilts, columns) the logarithm of the colours' standard deviation along the pole."""
-    rows = np.arange(len(strip))[:, None]
-    total, square = 0.0, 0.0
-    for channel in range(3):
-        values = strip[..., channel][rows, index]
-        total = total + values.mean(axis=1) ** 2
-        square = square + (values**2).mean(axis=1)
-    return np.asarray(
-        np.log(np.sqrt(np.maximum(square - total, 0.0) / 3.0) + 3.0), dtype=np.float64
-    )
+@compiled
+def _means_along(strip: Samples, tilts: FloatArray) -> _Means:
+    rows, columns, _ = strip.shape
+    edges, smooth = edge_votes(strip), _smoothness(strip)
+    shape = (len(tilts), columns)
+    means = _Means(np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    colors = np.zeros((columns, 4))  # the sums of each channel, and of all squares
+    for t in range(len(tilts)):
+        colors[:] = 0.0
+        for row in range(rows):
+            shift = round(tilts[t] * ((row + 0.5) / rows * 2.0 - 1.0) / STEP_PX)
+            for column in range(columns):
+                at = min(max(column + shift, 0), columns - 1)
+                means.edge[t, column] += edges[row, at] / rows
+                means.smooth_sum[t, column] += smooth[row, at] / rows
+                for channel in range(3):
+                    value = np.float64(strip[row, at, channel])
+                    colors[column, channel] += value
+                    colors[column, 3] += value**2
+        for column in range(columns):
+            variance = colors[column, 3]
+            for channel in range(3):
+                variance -= colors[column, channel] ** 2 / rows
+            variance = max(variance, 0.0) / (3.0 * rows)
+            means.varied_sum[t, column] = np.log(np.sqrt(variance) + 3.0)
+            means.edge_sum[t, column] = means.edge[t, column]
+        for column in range(1, columns):
+            for total in (means.edge_sum, means.smooth_sum, means.varied_sum):
+                total[t, column] += total[t, column - 1]
+    return means
 
 
-def _inside(edges: FloatArray, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
-    """Return (tilts, widths, c) the strongest edge well between two columns."""
-    result = np.zeros((len(edges), *a.shape))
-    for w in range(6, len(a)):  # w and w - 2 share the middle
-        grown = np.maximum(edges[:, a[w] + 3], edges[:, b[w] - 3])
-        result[:, w] = np.maximum(result[:, w - 2], grown)
-    return result
+@compiled
+def _smoothness(strip: Samples) -> FloatArray:
+    """Return votes (rows, columns) for smoothness along the pole, 0 to 1."""
+    rows, columns, _ = strip.shape
+    smooth = np.empty((rows, columns))
+    for row in range(rows):
+        before = min(row, rows - 2)
+        for column in range(columns):
+            square = 0.0
+            for channel in range(3):
+                change = strip[before + 1, column, channel] - strip[before, column, channel]
+                square += change**2 / 3.0
+            smooth[row, column] = 1.0 / (1.0 + square / _CHANGE**2)
+    return smooth
 
 
-def _votes(strip: Samples) -> tuple[FloatArray, FloatArray]:
-    """Return votes (rows, columns) for an edge, and for smoothness along the pole; 0 to 1."""
-    change = np.empty_like(strip)
-    change[:-1] = strip[1:] - strip[:-1]
-    change[-1] = change[-2]
-    smooth = 1.0 / (1.0 + (change**2).mean(axis=2) / _CHANGE**2)
-    return edge_votes(strip), smooth.astype(np.float64)
+@compiled
+def _scores(means: _Means, grid: _Grid, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (tilts, widths, c) the strongest edge well between both edges, and scores."""
+    shape = (len(grid.tilts), *grid.left.shape)
+    inside, scores = np.zeros(shape), np.empty(shape)
+    for t in range(shape[0]):
+        for w in range(shape[1]):
+            for c in range(shape[2]):
+                if w >= 6:  # w and w - 2 share the middle
+                    left = means.edge[t, grid.left[w, c] + 3]
+                    right = means.edge[t, grid.right[w, c] - 3]
+                    inside[t, w, c] = max(inside[t, w - 2, c], left, right)
+                evidence = _parts(means, grid, inside[t, w, c], t, w, c)
+                score = 0.0
+                for k in range(len(evidence)):
+                    score += weights[k] * evidence[k]
+                scores[t, w, c] = score
+    return inside, scores
 
 
+@compiled
+def _parts(means: _Means, grid: _Grid, inside: float, t: int, w: int, c: int) -> tuple[float, ...]:
+    """Return the evidence of one axis of a grid, with the strongest edge inside."""
+    a, b = grid.left[w, c], grid.right[w, c]
+    left, right = means.edge[t, a], means.edge[t, b]
+    low, high = max(a - _WINDOW, 0), min(b + _WINDOW, len(grid.offsets) - 1)
+    clutter = (means.edge_sum[t, high] - means.edge_sum[t, low]) / (high - low)
+    smooth_inside, smooth_outside = _inside_and_outside(means.smooth_sum[t], a, b)
+    varied_inside, varied_outside = _inside_and_outside(means.varied_sum[t], a, b)
+    return (
+        1.0, min(left, right), max(left, right), inside, smooth_inside, smooth_outside, clutter,
+        np.log(grid.widths[w]), (grid.middles[w, c] / grid.reach_px) ** 2,
+        (grid.tilts[t] / grid.reach_px) ** 2, varied_inside, varied_outside,
+    )  # fmt: skip
+
+
+@compiled
+def _inside_and_outside(total: FloatArray, a: int, b: int) -> tuple[float, float]:
+    """Return means between two columns and beside them, from sums up to each column."""
+    outside = total[b + 6] - total[b + 1] + total[a - 2] - total[a - 7]
+    return (total[b - 1] - total[a]) / (b - a - 1), outside / 10.0
+
+
+@compiled
+def _best(scores: FloatArray, grid: _Grid, turned: float, count: int) -> IntArray:
+    """Return up to ``count`` rows (tilt, width, middle) of different axes, best first.
+
+    ``turned`` is the larger part of the unit vector across the line. Only the best scores count.
+    """
+    chosen = np.empty((count, 3), np.int64)
+    for number in range(count):
+        best, better = -np.inf, 0
+        for t, w, c in np.ndindex(scores.shape):
+            if scores[t, w, c] > best and not _is_chosen(grid, turned, t, w, c, chosen[:number]):
+                best = float(scores[t, w, c])
+                chosen[number, 0], chosen[number, 1], chosen[number, 2] = t, w, c
+        for score in scores.flat:
+            if score > best:
+                better += 1
+        if best == -np.inf or better >= _EXAMINED * count:
+            return chosen[:number]
+    return chosen
+
+
+@compiled
+def _is_chosen(grid: _Grid, turned: float, t: int, w: int, c: int, chosen: IntArray) -> bool:
+    """Whether an axis is about the same as one that was chosen."""
+    for k in range(len(chosen)):
+        other_t, other_w, other_c = chosen[k]
+        moved = abs(grid.middles[w, c] - grid.middles[other_w, other_c])
+        off = (moved + abs(grid.tilts[t] - grid.tilts[other_t])) * turned
+        wider = abs(grid.widths[w] - grid.widths[other_w])
+        if off < 1.2 and wider < max(1.2, 0.3 * grid.widths[w]):
+            return True
+    return False
+
+
+@compiled
 def edge_votes(strip: Samples) -> FloatArray:
     """Return votes (rows, columns) for an edge along a pole, 0 to 1."""
-    slope = np.zeros_like(strip)
-    # a smoothed central difference: [1 2 1] * [1 0 -1]
-    slope[:, 2:-2] = (
-        strip[:, 4:] + 2.0 * strip[:, 3:-1] - 2.0 * strip[:, 1:-3] - strip[:, :-4]
-    ) / (8.0 * STEP_PX)
-    size = np.sqrt((slope**2).mean(axis=2))
-    before, after = size.copy(), size.copy()
-    for k in range(1, 6):
-        before[:, k:] = np.minimum(before[:, k:], size[:, :-k])
-        after[:, :-k] = np.minimum(after[:, :-k], size[:, k:])
-    above = size - np.maximum(before, after)
-    square = above**2
-    return np.asarray(square / (square + _EDGE**2), dtype=np.float64)
-
-
-@lru_cache(maxsize=64)
-def _shear(rows: int, columns: int, tilts: tuple[float, ...]) -> NDArray[np.int64]:
-    """Return (tilts, rows, columns) the column of each sample of a tilted line."""
-    share = (np.arange(rows) + 0.5) / rows * 2.0 - 1.0
-    shift = np.round(np.outer(tilts, share) / STEP_PX).astype(np.int64)
-    return np.asarray(np.clip(np.arange(columns) + shift[..., None], 0, columns - 1))
+    rows, columns, _ = strip.shape
+    votes, size = np.empty((rows, columns)), np.zeros(columns)
+    for row in range(rows):
+        for k in range(2, columns - 2):
+            square = 0.0
+            for channel in range(3):  # a smoothed central difference: [1 2 1] * [1 0 -1]
+                beside = strip[row, k + 2, channel] - strip[row, k - 2, channel]
+                slope = beside + 2.0 * (strip[row, k + 1, channel] - strip[row, k - 1, channel])
+                square += (slope / (8.0 * STEP_PX)) ** 2
+            size[k] = np.sqrt(square / 3.0)
+        for k in range(columns):
+            before, after = size[max(k - 5, 0) : k + 1].min(), size[k : k + 6].min()
+            above = size[k] - max(before, after)
+            votes[row, k] = above**2 / (above**2 + _EDGE**2)
+    return votes
 
 
 def edge_support(image: SampledImage, ends_px: FloatArray, width_px: float) -> FloatArray:
@@ -231,18 +302,62 @@ def edge_support(image: SampledImage, ends_px: FloatArray, width_px: float) -> F
     """
     half = width_px / 2.0 + 4.0
     offsets = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    strip = straighten(image, ends_px, offsets)
+    strip = straighten(image.image, ends_px, offsets)
+    votes = edges_of_pole(strip, offsets, width_px)[:, :2]
+    levels = mean_colors(strip, np.abs(offsets) <= max(0.3, width_px / 4.0))
+    varied = np.abs(levels - median_color(levels)).mean()
+    either = (votes.max(axis=1) > 0.5).mean()
+    return np.array([*sorted(votes.mean(axis=0)), either, np.log(varied + 3.0)])
+
+
+@compiled
+def edges_of_pole(strip: Samples, offsets_px: FloatArray, width_px: float) -> FloatArray:
+    """Return (rows, 3) votes for the left and right edge of a pole, and their mean in all."""
     edge = edge_votes(strip)
-    left, right = (
-        edge[:, np.abs(offsets - edge_at) <= 0.75].max(axis=1)
-        for edge_at in (-width_px / 2, width_px / 2)
-    )
-    inner = np.abs(offsets) <= max(0.3, width_px / 4.0)
-    level = strip[:, inner].mean(axis=1)
-    varied = np.abs(level - np.median(level, axis=0)).mean()
-    weaker, stronger = sorted((float(left.mean()), float(right.mean())))
-    either = float((np.maximum(left, right) > 0.5).mean())
-    return np.array([weaker, stronger, either, np.log(varied + 3.0)])
+    votes = np.zeros((len(strip), 3))
+    for row in range(len(strip)):
+        for k in range(len(offsets_px)):
+            if abs(offsets_px[k] + width_px / 2.0) <= 0.75:
+                votes[row, 0] = max(votes[row, 0], edge[row, k])
+            if abs(offsets_px[k] - width_px / 2.0) <= 0.75:
+                votes[row, 1] = max(votes[row, 1], edge[row, k])
+            votes[row, 2] += edge[row, k] / len(offsets_px)
+    return votes
+
+
+@compiled
+def mean_colors(strip: Samples, used: BoolArray) -> FloatArray:
+    """Return (rows, 3) means of the used columns (columns,)."""
+    colors, count = np.zeros((len(strip), 3)), 0
+    for column in range(len(used)):
+        count += used[column]
+    for row in range(len(strip)):
+        for column in range(len(used)):
+            if used[column]:
+                for channel in range(3):
+                    colors[row, channel] += strip[row, column, channel] / count
+    return colors
+
+
+@compiled
+def median_color(colors: FloatArray) -> FloatArray:
+    """Return (3,) the median of colours (n, 3)."""
+    middle = np.empty(3)
+    for channel in range(3):
+        middle[channel] = median(colors[:, channel].copy())
+    return middle
+
+
+@compiled
+def median(values: FloatArray) -> float:
+    """Return the median of a few values (n,), and sort them; NumPy's takes seconds to compile."""
+    for k in range(1, len(values)):
+        value, at = values[k], k
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+    return float(values[(len(values) - 1) // 2] + values[len(values) // 2]) / 2.0
 
 
 def stripe(image: SampledImage, ends_px: FloatArray, width_px: float) -> float:
@@ -250,139 +365,24 @@ def stripe(image: SampledImage, ends_px: FloatArray, width_px: float) -> float:
 
     A blurred step, for example the corner of a house, has two flanks too, but no such colour.
     """
-    beside = width_px / 2.0 + 1.5
-    left, inner, right = np.moveaxis(
-        straighten(image, ends_px, np.array([-beside, 0.0, beside])), 1, 0
-    )
-    step = right - left
-    share = ((inner - left) * step).sum(axis=1) / ((step**2).sum(axis=1) + 1.0)
-    between = left + np.clip(share, 0.0, 1.0)[:, None] * step
-    off = np.sqrt(((inner - between) ** 2).mean(axis=1))
-    return float((off**2 / (off**2 + _EDGE**2)).mean())
+    return float(_stripe(image.image, ends_px, width_px))
 
 
-_MARGIN_PX = 2.0
-"""Background on each side that the profile is fitted to."""
-_BLUR_PX = 0.45
-"""Sigma of an edge: pixel width, lens and sampling."""
-_LIT_PX = 2.9
-"""Wider poles show shading."""
-_LEVEL_PRIOR = 1.0
-"""Prior that a pole's level is equal in all rows: variance of noise over variance of the level."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Profiles:
-    """Profiles of poles at middles and widths near a given one."""
-
-    offsets: FloatArray
-    """(m,) px"""
-    middles: FloatArray
-    widths: FloatArray
-    around: NDArray[np.float32]
-    """(w, c, k, m) orthonormal: the levels left and right, and the shading across a wide pole."""
-    pole: NDArray[np.float32]
-    """(w, c, m) unit vectors: the pole's own level, orthogonal to ``around``."""
-    weight: NDArray[np.float32]
-    """(w, c) its square length before normalization."""
-
-
-@lru_cache(maxsize=128)
-def _profiles(width_px: float, reach_px: float, step_px: float) -> _Profiles:
-    half = width_px / 2.0 + _MARGIN_PX
-    offsets = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    middles = np.arange(-reach_px, reach_px + step_px / 2, step_px)
-    spread = 1.0 + 0.1 * width_px
-    widths = np.linspace(max(0.8, width_px - spread), width_px + spread, 9)
-    edges = middles[None, :, None] + widths[:, None, None] * np.array([-0.5, 0.5])
-    left = _step(offsets - edges[..., :1])
-    right = _step(offsets - edges[..., 1:])
-    parts = [1.0 - left, right]
-    across = (offsets - middles[None, :, None]) / (widths[:, None, None] / 2.0)
-    if width_px > _LIT_PX:  # round poles are lit from a side
-        parts += [(left - right) * across]
-    if width_px > _LIT_PX:
-        parts += [(left - right) * across**2]
-    bases = np.linalg.qr(np.stack([*parts, left - right], axis=-1))
-    weight = bases.R[..., -1, -1] ** 2
-    Q = np.swapaxes(bases.Q, -1, -2).astype(np.float32)
-    sign = np.sign(bases.R[..., -1, -1])[..., None]
-    return _Profiles(
-        offsets, middles, widths, Q[..., :-1, :], Q[..., -1, :] * sign.astype(np.float32),
-        weight.astype(np.float32),
-    )  # fmt: skip
-
-
-def _step(x_px: FloatArray) -> FloatArray:
-    """Return a blurred edge at 0; the logistic is within 1 % of the normal distribution."""
-    return np.asarray(1.0 / (1.0 + np.exp(-1.702 / _BLUR_PX * x_px)))
-
-
-def refine_axis(image: SampledImage, axis: Axis) -> Axis:
-    """Return an axis at sub-pixel accuracy, from one within 1.5 px of it."""
-    width = axis.width_px
-    ends = axis.ends_px
-    level = None
-    for reach, step in ((1.75, 0.25), (0.5, 0.1)):
-        table = _profiles(max(1.0, round(2.0 * width) / 2.0), reach, step)
-        strip = straighten(image, ends, table.offsets)
-        cost, level = _costs(strip, table, level)
-        first, last, w = _cheapest_line(cost, table.middles)
-        ends = shift_line(ends, first, last)
-        width = float(table.widths[w])
-    return Axis(ends, width, axis.evidence, axis.score)
-
-
-def _costs(
-    strip: Samples, table: _Profiles, level: NDArray[np.float32] | None
-) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Return (rows, widths, middles) squared residuals of all profiles, and the pole's level."""
-    rows, columns, _ = strip.shape
-    w, c, k, m = table.around.shape
-    if level is None:
-        inner = np.abs(table.offsets) <= max(0.25, float(table.widths[4]) / 4.0)
-        level = np.median(strip[:, inner].mean(axis=1), axis=0)
-    data = (strip - level).transpose(1, 0, 2).reshape(columns, rows * 3)
-    around = (table.around.reshape(-1, m) @ data).reshape(w * c, k, rows, 3)
-    own = (table.pole.reshape(-1, m) @ data).reshape(w * c, rows, 3)
-    weight = table.weight.reshape(-1, 1)
-    share = weight / (weight + _LEVEL_PRIOR)
-    explained = (around**2).sum(axis=(1, 3)) + share * (own**2).sum(axis=2)
-    whole = (data**2).reshape(columns, rows, 3).sum(axis=(0, 2))
-    cost = np.asarray((whole - explained).T.reshape(rows, w, c), dtype=np.float64)
-    return cost, level
-
-
-def _cheapest_line(cost: FloatArray, middles: FloatArray) -> tuple[float, float, int]:
-    """Return start and end (px) of the cheapest line through costs (rows, widths, middles).
-
-    Third is the index of its width. A row's cost is bounded, since a sign or a car may hide it.
-    """
-    least = cost.min(axis=(1, 2), keepdims=True)
-    scale = 4.0 * (np.median(least) + 20.0)
-    bounded = (cost - least) / (cost - least + scale)
-    index = _lines(len(cost), len(middles))  # (rows, first, last)
-    rows = np.arange(len(cost))[:, None, None]
-    total = bounded.transpose(0, 2, 1)[rows, index].sum(axis=0)  # (first, last, widths)
-    i, j, w = np.unravel_index(np.argmin(total), total.shape)
-    step = middles[1] - middles[0]
-    first = middles[i] + step * _vertex(total[:, j, w], int(i))
-    last = middles[j] + step * _vertex(total[i, :, w], int(j))
-    return float(first), float(last), int(w)
-
-
-@lru_cache(maxsize=64)
-def _lines(rows: int, count: int) -> NDArray[np.int64]:
-    """Return (rows, count, count) which of ``count`` positions each line passes in each row."""
-    share = ((np.arange(rows) + 0.5) / rows)[:, None, None]
-    places = np.arange(count)
-    return np.round(places[:, None] * (1.0 - share) + places * share).astype(np.int64)
-
-
-def _vertex(values: FloatArray, at: int) -> float:
-    """Return the minimum of the parabola through the least value and its neighbours, in steps."""
-    if not 0 < at < len(values) - 1:
-        return 0.0
-    low, mid, high = values[at - 1 : at + 2]
-    bend = low + high - 2.0 * mid
-    return float(0.5 * (low - high) / bend) if bend > 0.0 else 0.0
+@compiled
+def _stripe(image: ByteImage, ends_px: FloatArray, width_px: float) -> float:
+    offsets = np.zeros(3)
+    offsets[2] = width_px / 2.0 + 1.5
+    offsets[0] = -offsets[2]
+    strip = straighten(image, ends_px, offsets)
+    differs = 0.0
+    for row in range(len(strip)):
+        inner, step = strip[row, 1] - strip[row, 0], strip[row, 2] - strip[row, 0]
+        product, length = 0.0, 1.0
+        for channel in range(3):
+            product += inner[channel] * step[channel]
+            length += step[channel] ** 2
+        share, square = min(max(product / length, 0.0), 1.0), 0.0
+        for channel in range(3):
+            square += (inner[channel] - share * step[channel]) ** 2 / 3.0
+        differs += square / (square + _EDGE**2)
+    return differs / len(strip)

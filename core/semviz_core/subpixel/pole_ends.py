@@ -10,9 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_core.common.arrays import FloatArray
-from semviz_core.subpixel.pole_axis import STEP_PX, across, edge_votes
-from semviz_core.subpixel.sampling import SampledImage
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.jit import compiled
+from semviz_core.subpixel.pole_axis import (
+    STEP_PX,
+    across,
+    edges_of_pole,
+    mean_colors,
+    median_color,
+)
+from semviz_core.subpixel.sampling import SampledImage, Samples, color_at
 
 _STEP_PX = 0.5
 _BEFORE, _AFTER = 2.0, 3.0
@@ -45,12 +52,28 @@ def visible_end(
         return None
     normal = across(np.stack([other_px, end_px]))
     half = max(0.0, width_px / 2.0 - 0.75)
-    beside = np.linspace(-half, half, 5)[:, None] * normal
-    colors = image.sample(points[:, None] + beside).mean(axis=1).astype(np.float64)
+    beside, used = np.linspace(-half, half, 5), np.ones(5, np.bool_)
+    colors = mean_colors(rows_across(image.image, points, normal, beside), used)
     body = end_px + np.linspace(0.05, 0.6, 24)[:, None] * (other_px - end_px)
-    pole = np.median(image.sample(body[:, None] + beside).mean(axis=1), axis=0)
+    pole = median_color(mean_colors(rows_across(image.image, body, normal, beside), used))
     place = _color_change(colors, pole, offsets)
     return place if place is not None and abs(place) <= most else None
+
+
+@compiled
+def rows_across(
+    image: ByteImage, points_px: FloatArray, normal: FloatArray, beside_px: FloatArray
+) -> Samples:
+    """Return colours (n, m, 3) beside points (n, 2), at distances (m,) along a normal (2,)."""
+    strip = np.empty((len(points_px), len(beside_px), 3), np.float32)
+    for row in range(len(points_px)):
+        u, v = points_px[row, 0], points_px[row, 1]
+        for column in range(len(beside_px)):
+            off = beside_px[column]
+            color = color_at(image, u + off * normal[0], v + off * normal[1])
+            for channel in range(3):
+                strip[row, column, channel] = color[channel]
+    return strip
 
 
 def _color_change(colors: FloatArray, pole: FloatArray, offsets: FloatArray) -> float | None:
@@ -137,44 +160,49 @@ def row_evidence(
     The evidence are the votes of the weaker and the stronger edge, and the likeness to the pole's
     colour.
     """
-    length = float(np.linalg.norm(end_px - other_px))
-    along = (end_px - other_px) / length
-    off = np.arange(-round(min(reach_px, _MOST_SHARE * length)), round(reach_px) + 1.0)
-    points = end_px + off[:, None] * along
+    line = np.array([other_px, end_px])
+    length = float(np.hypot(*(end_px - other_px)))
+    back = round(min(reach_px, _MOST_SHARE * length))
+    off = np.arange(-back, round(reach_px) + 1).astype(np.float64)
+    points = end_px + off[:, None] * (end_px - other_px) / length
     height, width = image.image.shape[:2]
     inside = ((points > -0.5) & (points < [width - 0.5, height - 0.5])).all(axis=1)
     off, points = off[inside], points[inside]
     if len(off) < 2:
         return off, np.zeros((len(off), 3))
-    return off, _row_votes(image, other_px, end_px, width_px, points)[0]
+    return off, _row_votes(image.image, line, width_px, points)[:, :3]
 
 
+@compiled
 def _row_votes(
-    image: SampledImage,
-    other_px: FloatArray,
-    end_px: FloatArray,
-    width_px: float,
-    points: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the evidence (n, 3) of rows whose middles are points (n, 2), and clutter (n,).
+    image: ByteImage, line_px: FloatArray, width_px: float, points: FloatArray
+) -> FloatArray:
+    """Return (n, 4) the evidence of rows of a line whose middles are points (n, 2), and clutter.
 
     Clutter is the mean vote for an edge in and beside the pole.
     """
     half = width_px / 2.0 + 4.0
     beside = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    normal = across(np.stack([other_px, end_px]))
-    strip = image.sample(points[:, None] + beside[:, None] * normal)
-    edge = edge_votes(strip)
-    sides = [
-        edge[:, np.abs(beside - at) <= 0.75].max(axis=1) for at in (-width_px / 2, width_px / 2)
-    ]
     inner = np.abs(beside) <= max(0.3, width_px / 2.0 - 0.75)
-    body = end_px + np.linspace(0.2, 0.7, 16)[:, None] * (other_px - end_px)
-    level = image.sample(body[:, None] + beside[inner][:, None] * normal).mean(axis=1)
-    difference = ((strip[:, inner].mean(axis=1) - np.median(level, axis=0)) ** 2).mean(axis=1)
-    same_color = 1.0 / (1.0 + difference / _SAME_COLOR**2)
-    votes = np.stack([np.minimum(*sides), np.maximum(*sides), same_color], axis=1)
-    return votes, edge.mean(axis=1)
+    normal = across(line_px)
+    body = np.empty((16, 2))
+    for k in range(16):
+        share = 0.2 + 0.5 * k / 15.0
+        for axis in range(2):
+            body[k, axis] = line_px[1, axis] + share * (line_px[0, axis] - line_px[1, axis])
+    pole = median_color(mean_colors(rows_across(image, body, normal, beside), inner))
+    strip = rows_across(image, points, normal, beside)
+    edges, colors = edges_of_pole(strip, beside, width_px), mean_colors(strip, inner)
+    votes = np.empty((len(points), 4))
+    for row in range(len(points)):
+        difference = 0.0
+        for channel in range(3):
+            difference += (colors[row, channel] - pole[channel]) ** 2 / 3.0
+        votes[row, 0] = min(edges[row, 0], edges[row, 1])
+        votes[row, 1] = max(edges[row, 0], edges[row, 1])
+        votes[row, 2] = 1.0 / (1.0 + difference / _SAME_COLOR**2)
+        votes[row, 3] = edges[row, 2]
+    return votes
 
 
 _LONGEST_GAP_PX, _GAP_SHARE = 6.0, 0.12
@@ -188,7 +216,7 @@ _STRAIGHT_PX = 0.75
 _BEYOND = 10
 """Number of rows after the end that tell how clear it is."""
 _AT_ONCE = 40
-"""Number of rows that are examined first; all others only if the pole does not end there."""
+"""Number of rows that are examined first; then twice as many, until the pole ends."""
 
 
 class GrownEnd(NamedTuple):
@@ -219,22 +247,28 @@ def grown_end(
     Its edges and colour may be missing in some rows. ``most_aside`` is how far the pole may be
     beside the line, per px beyond its end.
     """
-    length = float(np.linalg.norm(end_px - other_px))
-    gap = _CLEAR_ROW * max(_LONGEST_GAP_PX, _GAP_SHARE * length)
-    to_border = int(_to_border_px(image, other_px, end_px))
+    line = np.array([other_px, end_px])
+    gap = _CLEAR_ROW * max(_LONGEST_GAP_PX, _GAP_SHARE * float(np.hypot(*(end_px - other_px))))
+    to_border = int(_to_border_px(image, line))
     if to_border < _FEWEST:
         return NOT_GROWN
-    for count in (min(_AT_ONCE, to_border), to_border):
-        odds, clutter = _rows_beyond(image, other_px, end_px, width_px, most_aside, count)
+    seen = min(_AT_ONCE, to_border)
+    slopes = _slopes(most_aside, seen)
+    while True:
+        odds, clutter = _rows_beyond(image, line, width_px, slopes, seen)
         slope, last, stopped = _furthest(odds, gap)
-        if stopped:
+        if seen == to_border or (stopped and (seen == _AT_ONCE or last + _BEYOND <= seen)):
             break
+        if not stopped:
+            slopes = _slopes(most_aside, to_border)
+        seen = min(2 * seen, to_border)
     gain = float(odds[slope, :last].sum())
-    if last == count:  # at the border
+    if last == to_border:
         return GrownEnd(float(last), gain, 0.0, 0.0)
-    after = slice(last, last + _BEYOND)
-    fall, busy = float(odds[slope, after].mean()), float(clutter[slope, after].mean())
-    return GrownEnd(float(last), gain, fall, busy)
+    beyond = slice(last, last + _BEYOND)
+    return GrownEnd(
+        float(last), gain, float(odds[slope, beyond].mean()), float(clutter[slope, beyond].mean())
+    )
 
 
 def _slopes(most_aside: float, count: int) -> FloatArray:
@@ -243,40 +277,42 @@ def _slopes(most_aside: float, count: int) -> FloatArray:
     return np.zeros(1) if sure else most_aside * np.linspace(-1.0, 1.0, 5)
 
 
-def _to_border_px(image: SampledImage, other_px: FloatArray, end_px: FloatArray) -> float:
-    """Return how far beyond ``end_px`` the image ends; 0 outside."""
+def _to_border_px(image: SampledImage, line_px: FloatArray) -> float:
+    """Return how far beyond the end of a line (2, 2) the image ends; 0 outside."""
+    along = (line_px[1] - line_px[0]) / np.hypot(*(line_px[1] - line_px[0]))
     height, width = image.image.shape[:2]
-    along = (end_px - other_px) / np.linalg.norm(end_px - other_px)
-    room = np.where(along > 0.0, np.array([width, height]) - 1.0 - end_px, end_px)
+    room = np.where(along > 0.0, [width - 1.0, height - 1.0] - line_px[1], line_px[1])
     return max(0.0, float((room / np.maximum(np.abs(along), 1e-6)).min()))
 
 
+@compiled
 def _furthest(odds: FloatArray, gap: float) -> tuple[int, int, bool]:
     """Return slope and number of rows with the largest sum of log-odds (slopes, rows).
 
     Third is whether the pole ends there: whether the sum falls by ``gap`` after each maximum.
     """
-    total = np.concatenate([np.zeros((len(odds), 1)), np.cumsum(odds, axis=1)], axis=1)
-    fallen = np.maximum.accumulate(total, axis=1) - total > gap
-    reached = np.where(np.logical_or.accumulate(fallen, axis=1), -np.inf, total)
-    slope, last = np.unravel_index(np.argmax(reached), reached.shape)
-    return int(slope), int(last), bool(fallen.any(axis=1).all())
+    slope, last, largest, stopped = 0, 0, 0.0, 0
+    for k in range(len(odds)):
+        total, most = 0.0, 0.0
+        for row in range(odds.shape[1]):
+            total += odds[k, row]
+            most = max(most, total)
+            if most - total > gap:
+                stopped += 1
+                break
+            if total > largest:
+                slope, last, largest = k, row + 1, total
+    return slope, last, stopped == len(odds)
 
 
 def _rows_beyond(
-    image: SampledImage,
-    other_px: FloatArray,
-    end_px: FloatArray,
-    width_px: float,
-    most_aside: float,
-    count: int,
+    image: SampledImage, line_px: FloatArray, width_px: float, slopes: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return log-odds (slopes, count) of rows beyond an end being the pole's, and clutter."""
-    along = (end_px - other_px) / np.linalg.norm(end_px - other_px)
-    slopes = _slopes(most_aside, count)
-    steps = along + slopes[:, None] * across(np.stack([other_px, end_px]))
-    points = end_px + (np.arange(count) + 0.5)[:, None] * steps[:, None]
-    votes, clutter = _row_votes(image, other_px, end_px, width_px, points.reshape(-1, 2))
-    odds = WEIGHTS[0] - _CAUTION + votes @ WEIGHTS[1:]
-    odds = np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW)
-    return odds.reshape(-1, count), clutter.reshape(-1, count)
+    step = line_px[1] - line_px[0]
+    steps = step / np.hypot(*step) + slopes[:, None, None] * across(line_px)
+    points = line_px[1] + (np.arange(count) + 0.5)[:, None] * steps
+    votes = _row_votes(image.image, line_px, width_px, points.reshape(-1, 2))
+    odds = WEIGHTS[0] - _CAUTION + votes[:, :3] @ WEIGHTS[1:]
+    shape = (len(slopes), count)
+    return np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW).reshape(shape), votes[:, 3].reshape(shape)

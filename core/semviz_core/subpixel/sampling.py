@@ -1,15 +1,59 @@
 """Sample an image between its pixels, bilinearly, and downsample patches of it."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.jit import compiled
 
 Samples = NDArray[np.float32]
 """(rows, columns, 3) colours, 0 to 255."""
+
+
+@compiled
+def _mixed(
+    image: ByteImage,
+    x: np.uint32,
+    y: np.uint32,
+    right: np.uint32,
+    down: np.uint32,
+    du: float,
+    dv: float,
+    channel: np.uint32,
+) -> float:
+    """Return a channel's bilinear mean of four pixels at shares of the way right and down."""
+    upper = image[y, x, channel] * (1.0 - du) + image[y, right, channel] * du
+    lower = image[down, x, channel] * (1.0 - du) + image[down, right, channel] * du
+    return float(upper + dv * (lower - upper))
+
+
+@compiled
+def color_at(image: ByteImage, u: float, v: float) -> tuple[float, float, float]:
+    """Return the colour at a point, bilinearly; the border is extended, also to NaN."""
+    height, width = image.shape[:2]
+    u = min(max(u, 0.0), width - 1.0) if u == u else 0.0
+    v = min(max(v, 0.0), height - 1.0) if v == v else 0.0
+    x, y = np.uint32(u), np.uint32(v)  # unsigned: no index counts from the end
+    right, down = np.uint32(min(x + 1, width - 1)), np.uint32(min(y + 1, height - 1))
+    du, dv = u - x, v - y
+    return (  # a tuple, so that no array is allocated
+        _mixed(image, x, y, right, down, du, dv, np.uint32(0)),
+        _mixed(image, x, y, right, down, du, dv, np.uint32(1)),
+        _mixed(image, x, y, right, down, du, dv, np.uint32(2)),
+    )
+
+
+@compiled
+def _colors_at(image: ByteImage, points_px: FloatArray) -> Samples:
+    """Return (n, 3) colours at points (n, 2)."""
+    colors = np.empty((len(points_px), 3), np.float32)
+    for k in range(len(points_px)):
+        color = color_at(image, points_px[k, 0], points_px[k, 1])
+        for channel in range(3):
+            colors[k, channel] = color[channel]
+    return colors
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,26 +61,19 @@ class SampledImage:
     """An image that can be sampled between its pixels."""
 
     image: ByteImage
-    """(height, width, 3) sRGB; shared, not copied."""
+    """(height, width, 3) sRGB; shared, and copied only if its pixels are not contiguous."""
+
+    def __post_init__(self) -> None:
+        """Give all images one type: functions are compiled anew for each."""
+        image = np.ascontiguousarray(self.image).view()
+        image.flags.writeable = False
+        object.__setattr__(self, "image", image)
 
     def sample(self, points_px: FloatArray) -> Samples:
         """Return (n, m, 3) colours at points (n, m, 2), bilinearly; the border is extended."""
-        import cv2
-
-        height, width = self.image.shape[:2]
-        u, v = points_px[..., 0], points_px[..., 1]
-        reach = (float(u.min()), float(v.min()), float(u.max()), float(v.max()))
-        if not (min(reach) >= -1.0 and reach[2] <= width and reach[3] <= height):  # or NaN
-            u = np.nan_to_num(np.clip(u, -1.0, width), nan=-1.0)
-            v = np.nan_to_num(np.clip(v, -1.0, height), nan=-1.0)
-            reach = (float(u.min()), float(v.min()), float(u.max()), float(v.max()))
-        x0 = min(max(math.floor(reach[0]) - 1, 0), width - 1)
-        y0 = min(max(math.floor(reach[1]) - 1, 0), height - 1)
-        x1, y1 = max(math.ceil(reach[2]) + 2, x0 + 1), max(math.ceil(reach[3]) + 2, y0 + 1)
-        window = self.image[y0:y1, x0:x1].astype(np.float32)
-        x, y = (u - x0).astype(np.float32), (v - y0).astype(np.float32)
-        sampled = cv2.remap(window, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(sampled, dtype=np.float32)
+        places = np.ascontiguousarray(points_px, dtype=np.float64)
+        colors = _colors_at(self.image, places.reshape(-1, 2))
+        return colors.reshape(*places.shape[:-1], 3)
 
     def shrunk(self, middle_px: FloatArray, scale: float, half: int) -> Samples:
         """Return smoothed colours (2 half + 1, 2 half + 1, 3) at steps of ``scale`` px."""

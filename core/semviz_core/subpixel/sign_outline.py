@@ -14,15 +14,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.subpixel.sampling import SampledImage
+from semviz_core.base.triangle_center import TriangleCenter
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.jit import compiled
+from semviz_core.common.linalg import cholesky, solve_cholesky
+from semviz_core.subpixel.sampling import SampledImage, color_at
 
 _CORNERS = {
     "triangle": [(0.0, -1.0), (1.0, 1.0), (-1.0, 1.0)],
+    "triangle down": [(0.0, 1.0), (-1.0, -1.0), (1.0, -1.0)],
     "square": [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)],
     "diamond": [(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)],
     "pentagon": [(0.0, -1.0), (1.0, -0.24), (0.62, 1.0), (-0.62, 1.0), (-1.0, -0.24)],
 }
+_TRIANGLES = ("triangle", "triangle down")
+"""Upright, and upside down like give way."""
 _ASPECTS = {"square": (0.55, 0.75, 1.0, 1.4, 2.0)}
 """Ratios of width to height."""
 _FORESHORTENED = (0.8, 1.0)
@@ -47,8 +53,9 @@ class Outline:
     """A candidate for a sign's outline."""
 
     shape: str
+    """Its class's; ``triangle down`` for a triangle upside down."""
     center_px: FloatArray
-    """(2,)"""
+    """(2,) of its box."""
     half_px: FloatArray
     """(2,) half its width and height."""
     evidence: FloatArray
@@ -56,8 +63,31 @@ class Outline:
     score: float
     """Log-odds of being a sign's outline."""
 
+    @property
+    def to_centroid_px(self) -> float:
+        """Rows from the middle of a triangle's box to the centroid; NaN for other shapes."""
+        if self.shape not in _TRIANGLES:
+            return float("nan")
+        third = float(self.half_px[1]) / 3.0
+        return third if self.shape == "triangle" else -third
 
-@lru_cache(maxsize=8)
+    def middle_px(self, triangle_center: TriangleCenter) -> FloatArray:
+        """Return the sign's middle (2,), of a triangle as defined."""
+        if triangle_center == "box" or np.isnan(self.to_centroid_px):
+            return self.center_px
+        return np.asarray(self.center_px + np.array([0.0, self.to_centroid_px]))
+
+    def is_of(self, shape: str) -> bool:
+        """Whether it is an outline of a class's shape, upright or upside down."""
+        return self.shape in turns_of(shape)
+
+
+def turns_of(shape: str) -> tuple[str, ...]:
+    """Return the outlines of a class's shape: of a triangle upright and upside down."""
+    return _TRIANGLES if shape == "triangle" else (shape,)
+
+
+@lru_cache(maxsize=16)
 def _unit(shape: str, per_side: int) -> tuple[FloatArray, FloatArray]:
     """Return points (sides, per_side, 2) of an outline in [-1, 1], y down, and outward normals."""
     if shape == "circle":
@@ -70,7 +100,7 @@ def _unit(shape: str, per_side: int) -> tuple[FloatArray, FloatArray]:
     points = corners[:, None] * (1.0 - share) + after[:, None] * share
     along = after - corners
     normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    return points, np.asarray(np.broadcast_to(normals[:, None], points.shape))
+    return points, np.repeat(normals[:, None], per_side, axis=1)
 
 
 def _outline_points(shape: str, per_side: int, half: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -93,23 +123,28 @@ def find_outlines(
     image: SampledImage, click_px: FloatArray, shape: str, count: int = 4
 ) -> list[Outline]:
     """Return up to ``count`` outlines around a click on the inner half of a sign, best first."""
-    aspects = _ASPECTS.get(shape, _FORESHORTENED)
+    kinds = [
+        (turned, aspect)
+        for turned in turns_of(shape)
+        for aspect in _ASPECTS.get(shape, _FORESHORTENED)
+    ]
     maps = _edge_directions(image, click_px)
-    scores = np.stack([_fit_scores(maps, shape, aspect) for aspect in aspects], axis=1)
+    scores = np.stack([_fit_scores(maps, *kind) for kind in kinds], axis=1)
     flat = scores.reshape(-1)
     chosen: list[tuple[int, FloatArray]] = []
     starts: list[_Start] = []
     for at in np.argsort(-flat, kind="stable")[:400]:
-        level, aspect, row, column = np.unravel_index(at, scores.shape)
+        level, kind, row, column = np.unravel_index(at, scores.shape)
         off = np.array([column - _OFF, row - _OFF])
         if any(abs(level - other) < 2 and np.abs(off - place).max() < 3 for other, place in chosen):
             continue
         chosen.append((int(level), off))
         scale = _HALF_PX[level] / _WORK_PX
-        root = np.sqrt(aspects[aspect])
+        turned, aspect = kinds[kind]
+        root = np.sqrt(aspect)
         half = _HALF_PX[level] * np.array([root, 1.0 / root])
         search = max(1.5, 0.14 * float(half.mean()))
-        starts.append(_Start(shape, click_px + off * scale, half, search))
+        starts.append(_Start(turned, click_px + off * scale, half, search))
         if len(chosen) == count:
             break
     return sorted(_with_outer(image, starts), key=lambda outline: -outline.score)
@@ -120,7 +155,7 @@ def fit_outlines(
 ) -> list[Outline]:
     """Return outlines of a sign with about known centre and half size (2,), best first.
 
-    ``shapes`` are those that are tried.
+    ``shapes`` are those that are tried, as in ``turns_of``.
     """
     search = float(np.clip(0.35 * half_px.mean(), 2.0, 8.0))
     starts = [
@@ -185,160 +220,212 @@ class _Start(NamedTuple):
     search_px: float
 
 
-class _Shapes(NamedTuple):
-    """The outlines of n shapes, padded to the same number of sides."""
-
-    points: FloatArray
-    normals: FloatArray
-    """(n, sides, k, 2) as ``_unit``."""
-    used: BoolArray
-    """(n, sides) False for padding."""
-
-    @classmethod
-    def of(cls, shapes: Sequence[str], per_side: int) -> "_Shapes":
-        units = [_unit(shape, per_side) for shape in shapes]
-        sides = max(len(points) for points, _ in units)
-        padded = [
-            np.stack([np.resize(part, (sides, *part.shape[1:])) for part in parts])
-            for parts in zip(*units, strict=True)
-        ]
-        used = np.arange(sides) < np.array([[len(points)] for points, _ in units])
-        return cls(padded[0], padded[1], used)
-
-    def sized(self, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return points and unit normals of outlines of half sizes (n, 2), as ``points``."""
-        half = half[:, None, None]
-        turned = self.normals / half
-        return self.points * half, turned / np.linalg.norm(turned, axis=-1, keepdims=True)
-
-
 def _fit(image: SampledImage, starts: Sequence[_Start]) -> list[Outline]:
     """Return outlines fitted to the edges near them, at first within each start's search."""
-    if not starts:
-        return []
-    shapes = _Shapes.of([start.shape for start in starts], _PER_SIDE)
-    middle = np.array([start.middle_px for start in starts])
-    half = np.array([start.half_px for start in starts])
-    search = np.array([start.search_px for start in starts])
+    outlines = []
+    for start in starts:
+        unit = _unit(start.shape, _PER_SIDE)
+        place = np.array([start.middle_px, start.half_px], np.float64)
+        middle, half, evidence = _fitted(image.image, *unit, place[0], place[1], start.search_px)
+        score = float(evidence @ WEIGHTS)
+        outlines.append(Outline(start.shape, middle, half, evidence, score))
+    return outlines
+
+
+@compiled
+def _fitted(
+    image: ByteImage,
+    unit_points: FloatArray,
+    unit_normals: FloatArray,
+    first_middle: FloatArray,
+    first_half: FloatArray,
+    search_px: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centre, half size and evidence of an outline, given as ``_unit``."""
+    middle, half = first_middle.copy(), first_half.copy()
     for _ in range(4):
-        points, normals = shapes.sized(half)
-        off, weight = _edges(image, middle[:, None, None] + points, normals, search)
-        weight = weight * shapes.used[..., None]
-        moved, grown = _solve(_jacobian(points, normals, half), off, weight, 0.3 * search)
-        middle = middle + moved
-        half = np.maximum(half + grown, 2.0)
-        search = np.maximum(1.25, 0.6 * search)
-    evidence = _evidence(image, shapes, middle, half)
-    return [
-        Outline(start.shape, middle[k], half[k], evidence[k], float(evidence[k] @ WEIGHTS))
-        for k, start in enumerate(starts)
-    ]
+        points, normals = _sized(unit_points, unit_normals, half)
+        off, weight = _edges(image, middle, points, normals, search_px)
+        change = _solve(_jacobian(points, normals, half), off, weight, 0.3 * search_px)
+        for axis in range(2):
+            middle[axis] += change[axis]
+            half[axis] = max(half[axis] + change[2 + axis], 2.0)
+        search_px = max(1.25, 0.6 * search_px)
+    points, normals = _sized(unit_points, unit_normals, half)
+    off, weight = _edges(image, middle, points, normals, 1.25)
+    mean, weakest, each = 0.0, np.inf, unit_points.shape[1]
+    for first in range(0, len(points), each):
+        side = 0.0
+        for k in range(first, first + each):
+            if abs(off[k]) < 0.8:
+                side += weight[k] / each
+        mean += side * each / len(points)
+        weakest = min(weakest, side)
+    evidence = np.empty(6)
+    evidence[0], evidence[1], evidence[2] = 1.0, mean, weakest
+    evidence[3] = _log_spread(image, middle, points, normals, -1.5)
+    evidence[4] = _log_spread(image, middle, points, normals, 1.5)
+    evidence[5] = np.log((half[0] + half[1]) / 2.0)
+    return middle, half, evidence
 
 
+@compiled
+def _sized(
+    unit_points: FloatArray, unit_normals: FloatArray, half: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return points and unit normals (sides k, 2) of an outline of half size (2,)."""
+    sides, each, _ = unit_points.shape
+    points, normals = np.empty((sides * each, 2)), np.empty((sides * each, 2))
+    for k in range(sides * each):
+        unit, normal = unit_points[k // each, k % each], unit_normals[k // each, k % each]
+        length = np.hypot(normal[0] / half[0], normal[1] / half[1])
+        for axis in range(2):
+            points[k, axis] = unit[axis] * half[axis]
+            normals[k, axis] = normal[axis] / half[axis] / length
+    return points, normals
+
+
+@compiled
 def _jacobian(points: FloatArray, normals: FloatArray, half: FloatArray) -> FloatArray:
-    """Return (n, points, 4) of the distances along the normals, by centre and half size."""
-    J = np.concatenate([normals, normals * points / half[:, None, None]], axis=-1)
-    return J.reshape(len(J), -1, 4)
+    """Return (points, 4) of the distances along the normals, by centre and half size."""
+    J = np.empty((len(points), 4))
+    for k in range(len(points)):
+        for axis in range(2):
+            J[k, axis] = normals[k, axis]
+            J[k, 2 + axis] = normals[k, axis] * points[k, axis] / half[axis]
+    return J
 
 
-def _evidence(
-    image: SampledImage, shapes: _Shapes, middle: FloatArray, half: FloatArray
-) -> FloatArray:
-    """Return (n, k) the features of outlines that ``WEIGHTS`` weights."""
-    points, normals = shapes.sized(half)
-    places = middle[:, None, None] + points
-    off, weight = _edges(image, places, normals, np.full(len(half), 1.25))
-    sides = (weight * (np.abs(off) < 0.8)).mean(axis=2)
-    count = shapes.used.sum(axis=1)
-    mean = (sides * shapes.used).sum(axis=1) / count
-    weakest = np.where(shapes.used, sides, np.inf).min(axis=1)
-    spread = [
-        _log_spread(image, places + side * 1.5 * normals, shapes.used) for side in (-1.0, 1.0)
-    ]
-    size = np.log(half.mean(axis=1))
-    return np.stack([np.ones(len(half)), mean, weakest, *spread, size], axis=1)
-
-
-def _log_spread(image: SampledImage, places: FloatArray, used: BoolArray) -> FloatArray:
-    """Return (n,) the logarithm of the colours' standard deviation at places of used sides."""
-    flat = places.reshape(len(places), -1, 2)
-    colors = image.sample(flat).astype(np.float64)
-    counts = np.repeat(used, places.shape[2], axis=1)[..., None]
-    total = counts.sum(axis=1)
-    mean = (colors * counts).sum(axis=1) / total
-    square = ((colors - mean[:, None]) ** 2 * counts).sum(axis=1) / total
-    return np.asarray(np.log(np.sqrt(square).mean(axis=1) + 4.0))
+@compiled
+def _log_spread(
+    image: ByteImage, middle: FloatArray, points: FloatArray, normals: FloatArray, out_px: float
+) -> float:
+    """Return the logarithm of the colours' standard deviation, ``out_px`` outside an outline."""
+    total, square = np.zeros(3), np.zeros(3)
+    for k in range(len(points)):
+        u = middle[0] + points[k, 0] + out_px * normals[k, 0]
+        v = middle[1] + points[k, 1] + out_px * normals[k, 1]
+        color = color_at(image, u, v)
+        for channel in range(3):
+            total[channel] += color[channel] / len(points)
+            square[channel] += color[channel] ** 2 / len(points)
+    spread = 0.0
+    for channel in range(3):
+        spread += np.sqrt(max(square[channel] - total[channel] ** 2, 0.0)) / 3.0
+    return float(np.log(spread + 4.0))
 
 
 def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[_Start]:
     """Return where outlines begin that are outside a border, whose inner edge was found."""
-    shapes = _Shapes.of([outline.shape for outline in inner], 8)
-    half = np.array([outline.half_px for outline in inner])
-    middle = np.array([outline.center_px for outline in inner])
-    points, normals = shapes.sized(half)
-    most = np.clip(0.7 * half.min(axis=1), 3.0, 14.0)
-    reach = np.arange(0.0, float(most.max()) + 1.5, 0.5)
-    places = (middle[:, None, None] + points)[..., None, :] + reach[:, None] * normals[..., None, :]
-    colors = image.sample(places.reshape(-1, len(reach), 2))
-    slope = np.zeros(colors.shape[:2])
-    slope[:, 1:-1] = np.sqrt(((colors[:, 2:] - colors[:, :-2]) ** 2).mean(axis=2))
-    vote = (slope**2 / (slope**2 + _EDGE**2)).reshape(*points.shape[:3], -1).mean(axis=2)
-    count = shapes.used.sum(axis=1)[:, None]
-    mean = (vote * shapes.used[..., None]).sum(axis=1) / count
-    total = mean + np.where(shapes.used[..., None], vote, np.inf).min(axis=1)
-    total[:, :3] = 0.0
-    total[reach >= most[:, None] + 1.0] = 0.0  # the last step has no slope
-    at = total.argmax(axis=1)
-    found = np.flatnonzero(total[np.arange(len(at)), at] >= 0.5).tolist()
-    J = _jacobian(points, normals, half)
-    used = np.repeat(shapes.used, points.shape[2], axis=1)
     starts = []
-    for k in found:
-        grown = np.linalg.lstsq(J[k, used[k]], np.full(used[k].sum(), reach[at[k]]), rcond=None)[0]
-        starts.append(
-            _Start(
-                inner[k].shape, middle[k] + grown[:2], np.maximum(half[k] + grown[2:], 2.0), 1.25
-            )
-        )
+    for outline in inner:
+        unit = _unit(outline.shape, 8)
+        away = _border_px(image.image, *unit, outline.center_px, outline.half_px)
+        if away > 0.0:
+            J = _jacobian(*_sized(*unit, outline.half_px), outline.half_px)
+            grown = np.linalg.lstsq(J, np.full(len(J), away), rcond=None)[0]
+            half = np.maximum(outline.half_px + grown[2:], 2.0)
+            starts.append(_Start(outline.shape, outline.center_px + grown[:2], half, 1.25))
     return starts
 
 
+@compiled
+def _border_px(
+    image: ByteImage,
+    unit_points: FloatArray,
+    unit_normals: FloatArray,
+    middle: FloatArray,
+    half: FloatArray,
+) -> float:
+    """Return how far outside an outline another one has clear edges; 0 without."""
+    points, normals = _sized(unit_points, unit_normals, half)
+    most = min(max(0.7 * min(half[0], half[1]), 3.0), 14.0)
+    reach = np.arange(0.0, most + 1.5, 0.5)
+    sides, each, _ = unit_points.shape
+    votes = np.zeros((sides, len(reach)))
+    for k in range(len(points)):
+        slope = _slopes(image, middle, points[k], normals[k], reach)
+        for step in range(len(reach)):
+            votes[k // each, step] += slope[step] ** 2 / (slope[step] ** 2 + _EDGE**2) / each
+    best, away = 0.0, 0.0
+    for step in range(3, len(reach) - 1):  # the last step has no slope
+        total = votes[:, step].mean() + votes[:, step].min()
+        if reach[step] < most + 1.0 and total > best:
+            best, away = total, reach[step]
+    return away if best >= 0.5 else 0.0
+
+
+@compiled
+def _slopes(
+    image: ByteImage, middle: FloatArray, point: FloatArray, normal: FloatArray, reach: FloatArray
+) -> FloatArray:
+    """Return (m,) changes of colour over two steps at distances (m,) along a point's normal."""
+    colors, slope = np.empty((len(reach), 3), np.float32), np.zeros(len(reach))
+    for k in range(len(reach)):
+        u = middle[0] + point[0] + reach[k] * normal[0]
+        v = middle[1] + point[1] + reach[k] * normal[1]
+        color = color_at(image, u, v)
+        for channel in range(3):
+            colors[k, channel] = color[channel]
+    for k in range(1, len(reach) - 1):
+        square = 0.0
+        for channel in range(3):
+            square += (colors[k + 1, channel] - colors[k - 1, channel]) ** 2
+        slope[k] = np.sqrt(square / 3.0)
+    return slope
+
+
+_STEPS = np.arange(-6.0, 7.0)
+_SHARPNESS = np.exp(-0.5 * (_STEPS / (5.0 * 0.7)) ** 2)
+
+
+@compiled
 def _edges(
-    image: SampledImage, points: FloatArray, normals: FloatArray, search_px: FloatArray
+    image: ByteImage,
+    middle: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    search_px: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the offset (px) and weight (0 to 1) of the strongest edge along each normal.
-
-    Both are (n, sides, k), as the points (n, sides, k, 2); ``search_px`` is (n,).
-    """
-    reach = np.arange(-6, 7) * (search_px / 5.0)[:, None]  # (n, 13)
-    each = points.shape[1] * points.shape[2]
-    flat = points.reshape(-1, 1, 2)
-    reaches = np.repeat(reach, each, axis=0)
-    colors = image.sample(flat + reaches[..., None] * normals.reshape(-1, 1, 2))
-    slope = np.zeros(colors.shape[:2])
-    step = colors[:, 2:] - colors[:, :-2]
-    slope[:, 1:-1] = np.sqrt(np.einsum("ijk,ijk->ij", step, step) / 3.0)
-    sharpness = np.exp(-0.5 * (np.arange(-6, 7) / (5.0 * 0.7)) ** 2)
-    at = np.clip((slope * sharpness).argmax(axis=1), 1, reach.shape[1] - 2)
-    rows = np.arange(len(at))
-    mid = slope[rows, at]
-    # the centre of mass: unlike the maximum, it is not biased by sampling between pixels
-    mass = slope * (np.abs(reaches - reaches[rows, at][:, None]) < 1.05)
-    off = (mass * reaches).sum(axis=1) / (mass.sum(axis=1) + 1e-6)
-    weight = mid**2 / (mid**2 + _EDGE**2)
-    return off.reshape(points.shape[:3]), weight.reshape(points.shape[:3])
+    """Return the offset (n,) in px and weight (0 to 1) of the strongest edge along each normal."""
+    reach = _STEPS * (search_px / 5.0)
+    off, weight = np.empty(len(points)), np.empty(len(points))
+    for k in range(len(points)):
+        slope = _slopes(image, middle, points[k], normals[k], reach)
+        at, best = 1, 0.0  # neither end has a slope
+        for j in range(1, len(reach) - 1):
+            if slope[j] * _SHARPNESS[j] > best:
+                at, best = j, slope[j] * _SHARPNESS[j]
+        # the centre of mass: unlike the maximum, it is not biased by sampling between pixels
+        total, mass = 1e-6, 0.0
+        for j in range(len(reach)):
+            if abs(reach[j] - reach[at]) < 1.05:
+                total += slope[j]
+                mass += slope[j] * reach[j]
+        off[k] = mass / total
+        weight[k] = slope[at] ** 2 / (slope[at] ** 2 + _EDGE**2)
+    return off, weight
 
 
-def _solve(
-    J: FloatArray, off: FloatArray, weight: FloatArray, scale_px: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return shifts of the centres (n, 2) and growth of the half sizes; robust to outliers."""
-    off, weight = off.reshape(len(J), -1), weight.reshape(len(J), -1)
+@compiled
+def _solve(J: FloatArray, off: FloatArray, weight: FloatArray, scale_px: float) -> FloatArray:
+    """Return the shift of the centre and growth of the half size (4,); robust to outliers."""
     robust = weight
     for _ in range(3):
-        A = (J * robust[..., None]).swapaxes(1, 2)
-        right = A @ off[..., None]
-        solution = np.linalg.solve(A @ J + 1e-3 * np.eye(4), right)[..., 0]
-        left = off - (J @ solution[..., None])[..., 0]
-        robust = weight / (1.0 + (left / scale_px[:, None]) ** 2)
-    return np.asarray(solution[:, :2]), np.asarray(solution[:, 2:])
+        normal, solution = np.zeros((4, 4)), np.zeros(4)
+        for i in range(4):
+            normal[i, i] = 1e-3
+        for k in range(len(J)):
+            for i in range(4):
+                solution[i] += robust[k] * J[k, i] * off[k]
+                for j in range(4):
+                    normal[i, j] += robust[k] * J[k, i] * J[k, j]
+        cholesky(normal, 4)
+        solve_cholesky(normal, solution)
+        robust = np.empty(len(J))
+        for k in range(len(J)):
+            left = off[k]
+            for i in range(4):
+                left -= J[k, i] * solution[i]
+            robust[k] = weight[k] / (1.0 + (left / scale_px) ** 2)
+    return solution

@@ -11,6 +11,7 @@ import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
 import { proposalCommands, proposing } from "./proposals.js";
 import { reviewCommands } from "./review.js";
+import { travelCommands } from "./travel.js";
 import { SIDES, other, uuid7 } from "./values.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help.
@@ -39,7 +40,7 @@ export function commands(state, images, tools, actions) {
   };
   const keyed = state.workspace.classes.slice(0, 9).map((kind, index) => ({ ...kind, key: String(index + 1) }));
   return [
-    { key: "Click", group: "Draw", title: "Pole: peak, then bottom. Sign: middle" },
+    { key: "Click", group: "Draw", title: `Pole: peak, then bottom. Sign: middle${state.workspace.triangle_center === "centroid" ? "; of a triangle the centroid, a third of its height from its base" : ""}` },
     { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: one stroke" },
     { key: "Click", shift: true, group: "Draw", title: "Draw, even on top of an element" },
     ...keyed.map(({ id, key, name }) => ({
@@ -54,7 +55,7 @@ export function commands(state, images, tools, actions) {
     { key: "Click element", group: "Draw", title: "Select; drag moves an end, or all of it" },
     { key: "Click element", ctrl: true, group: "Draw", title: "Select a second element to link" },
     { key: "p", group: "Draw", title: "Link the two selected elements", run: edit.link },
-    { key: "u", group: "Draw", title: "Unlink: this view is another element", run: edit.unlink },
+    { key: "u", group: "Draw", title: "Unlink: this view is another element", words: "split", run: edit.unlink },
     ...keyed.filter(({ kind }) => kind === "point").map(({ id, key, name }) => ({
       key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, row: "Class of the selected sign", run: () => edit.setClass(id),
     })),
@@ -89,17 +90,21 @@ export function commands(state, images, tools, actions) {
     { key: "f", group: "View", title: "3D map; off is faster on slow machines", run: toggle("map") },
     { key: "b", shift: true, group: "View", title: "Backdrop of the 3D map", run: toggle("backdrop") },
 
-    { key: ",", group: "Frames", title: "Previous frame", run: () => step(-1) },
-    { key: ".", group: "Frames", title: "Next frame", run: () => step(1) },
+    { key: ",", group: "Frames", title: "Previous frame", row: "Previous, next frame", run: () => step(-1) },
+    { key: ".", group: "Frames", title: "Next frame", row: "Previous, next frame", run: () => step(1) },
+    ...travelCommands(state, images, actions),
     ...jumpCommands(state, actions),
-    ...reviewCommands(review),
+    ...reviewCommands(review, actions),
     { key: "Enter", group: "Frames", title: "Mark as reviewed", run: () => edit.review("reviewed") },
     { key: "Enter", shift: true, group: "Frames", title: "Mark as reviewed, empty", run: () => edit.review("reviewed, empty") },
 
     { key: "z", ctrl: true, group: "History", title: "Undo, also after a restart", run: () => actions.submit({ kind: "undo" }) },
     { key: "z", ctrl: true, shift: true, group: "History", title: "Redo", run: () => actions.submit({ kind: "redo" }) },
     { key: "h", group: "History", title: "History: go back to any operation", run: toggleHistory },
-    { key: "b", ctrl: true, group: "History", title: "Name this state", run: () => actions.nameState() },
+    { key: "o", ctrl: true, group: "History", title: "Export the labels: how", row: "Export; name this state", words: "save write file", run: () => {
+      actions.notify(`All labels are on disk. In a terminal: semviz labels export ${state.workspace.name} labels.jsonl`);
+    } },
+    { key: "b", ctrl: true, group: "History", title: "Name this state", row: "Export; name this state", run: () => actions.nameState() },
 
     { key: "t", group: "General", title: "Dark or light theme", run: () => {
       switchTheme();
@@ -177,8 +182,8 @@ export function editing(state, actions) {
       actions.submit({
         kind: "move",
         observation_id: id,
-        anchor_px: movesEnd ? anchor : shifted(anchor),
-        end_px: movesEnd ? shifted(end) : end,
+        anchor_px: movesEnd ? null : shifted(anchor),
+        end_px: movesEnd ? shifted(end) : null,
       });
     },
     remove() {

@@ -3,7 +3,7 @@
 
 /** @import {annotator} from "/static/protocol" */
 /** @import {State} from "./state.js" */
-/** @import {Proposal, Selected, ShownElement} from "./values.js" */
+/** @import {Drawing, Proposal, Selected, ShownElement} from "./values.js" */
 
 import { SIDES } from "./values.js";
 
@@ -16,9 +16,9 @@ import { SIDES } from "./values.js";
  */
 export function hints(state) {
   const { drawing, selectedElement: element, selectedCandidate: candidate, selected } = state;
-  if (drawing) return forDrawing(state.classOf(drawing.class).kind, state.preview?.snapped);
+  if (drawing) return forDrawing(state, drawing);
   const kind = state.classOf(state.classId).kind;
-  const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint("middle, or drag a box", "Click");
+  const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint(`${state.middleOf(state.classId)}, or drag a box`, "Click");
   if (state.review && !selected) return forReview(state.review.entry);
   if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
   const proposal = state.currentProposal;
@@ -68,11 +68,12 @@ function forTrack(state, { name }, { frames }) {
 }
 
 /**
- * @param {"line" | "point"} kind
- * @param {annotator.SnappedMark | null | undefined} snapped
+ * @param {State} state
+ * @param {Drawing} drawing
  */
-function forDrawing(kind, snapped) {
-  if (kind === "point") return [hint("sets the middle", "Release"), hint("cancel", "Esc")];
+function forDrawing(state, drawing) {
+  const snapped = state.preview?.snapped;
+  if (state.classOf(drawing.class).kind === "point") return [hint(`sets the ${state.middleOf(drawing.class)}`, "Release"), hint("cancel", "Esc")];
   return [
     hint("bottom", "Click"), hint("cancel", "Esc"), hint(snapped?.end_known === false ? "bottom not hidden" : "bottom hidden", "O"), hint("peak cut", "C"),
     hint("zoom", "Wheel"), hint("pan", "Right drag"),

@@ -275,7 +275,7 @@ export class Images {
     const { state } = this;
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
     const isSelected = (/** @type {{id: string}} */ { id }) => id === state.selected?.element || id === state.selected?.also;
-    if (state.aids.guides) painter.guides(state.preview?.guides[side] ?? []);
+    if (state.aids.guides) painter.guides(state.ownPreview?.guides[side] ?? []);
     for (const proposal of state.proposals.filter(({ id }) => state.aids.proposals || state.isReviewed(id))) {
       const mark = proposal.marks[side];
       const marked = { selected: isSelected(proposal), current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
@@ -296,7 +296,7 @@ export class Images {
     painter.labels(this.stage[0]);
   }
 
-  /** Paints the loupe at the bottom right; at the left if the pointer is near it.
+  /** Paints the loupe beside the pointer: right below it, or on the other side near a border.
    *
    * @param {Side} side
    * @param {CanvasRenderingContext2D} context
@@ -305,12 +305,14 @@ export class Images {
    */
   #paintLoupe(side, context, bitmap, point) {
     const { size, height, gap, zoom } = LOUPE;
-    const right = this.stage[0] - size - gap;
-    const top = this.stage[1] - height - gap;
-    const isNear = point[0] > right - 60 && point[1] > top - 60;
+    const beside = point.map((at, axis) => {
+      const room = this.stage[axis] - [size, height][axis];
+      const place = at + gap > room ? at - gap - [size, height][axis] : at + gap;
+      return Math.max(0, Math.min(place, room));
+    });
     const drawing = this.state.drawing?.side === side ? this.state.drawing : null;
     paint.loupe(context, bitmap, this.view.toImage(point), {
-      corner: [isNear ? gap : right, top],
+      corner: [beside[0], beside[1]],
       size,
       zoom,
       drawing,

@@ -20,8 +20,9 @@ import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
-import { drawnAgain, isIdle, seen, startOf } from "./pending.js";
+import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
+import { overwriting, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { State } from "./state.js";
 import { Sketch, Tools } from "./tools.js";
@@ -69,14 +70,20 @@ export class Page {
   /** Stores and sends an edit; the page shows it at once. An edit that changes nothing is dropped.
    *
    * @param {Edit} edit
+   * @param {number} since the last operation that was shown when the edit was begun
    */
-  submit(edit) {
+  submit(edit, since = this.state.lastShown) {
     const { state, outbox } = this;
     if (!outbox || !this.mayEdit() || isIdle(state.elements, edit)) return;
     this.sceneGate?.hold(false);
     const start = startOf(state.elements, edit);
-    if (start) outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class_id });
-    else outbox.add(edit);
+    const isStored = start
+      ? outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class_id }, since)
+      : outbox.add(edit, null, since);
+    if (!isStored) {
+      this.notify("Not kept: the browser has no room for more unsaved edits. Connect to the server first.", "wrong");
+      return;
+    }
     if (edit.kind === "draw") {
       state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
     }
@@ -90,23 +97,19 @@ export class Page {
     return !past;
   }
 
-  /** Resolves a conflict with the user's version or that of others.
+  /** Answers the question about a refused edit. Returns whether there was one.
    *
-   * @param {boolean} isMine
+   * @param {number} index of the answer
    */
-  resolve(isMine) {
-    const { conflict } = this.state;
-    if (!conflict) return;
-    const { request, edit, shown } = conflict.entry;
-    if (isMine && conflict.theirs) {
-      this.outbox?.replace(conflict.entry, { ...edit, seen: conflict.theirs });
-    } else {
-      this.#settle(request);
-      const again = isMine && shown && drawnAgain(edit, shown);
-      if (again) this.outbox?.add(again);
-    }
-    this.state.set({ conflict: null });
+  answer(index) {
+    const { question } = this.state;
+    const answer = question?.answers.at(index);
+    if (!answer) return false;
+    if (!this.mayEdit()) return true;
+    this.state.set({ question: null });
+    answer.run();
     this.#showPending();
+    return true;
   }
 
   /** Requests guides and numbers of the draft; one request at a time, the latest state wins. */
@@ -124,8 +127,9 @@ export class Page {
 
   async #previewOnce() {
     try {
+      const { frame, subject } = this.state;
       const { preview } = await this.socket.request("preview_draft", { draft: this.#draft() });
-      this.state.set({ preview: this.state.past ? null : preview });
+      this.state.set({ preview: this.state.past ? null : preview, previewed: { frame, subject } });
     } catch (refusal) {
       if (!(refusal instanceof Refusal)) throw refusal;
       if (refusal.code !== "offline") this.notify(refusal.message, "wrong");
@@ -138,10 +142,12 @@ export class Page {
    */
   #draft() {
     const { drawing, dragged, selected, pending, aids, frame } = this.state;
+    const held = dragged && find(this.state.elements, dragged.observation)?.observation;
     const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
     return {
       frame_index: frame ?? 0,
       selected_id: isSaved ? selected.element : null,
+      is_chosen: this.state.isChosen,
       side: selected?.side ?? "left",
       drawing: drawing && {
         side: drawing.side,
@@ -153,7 +159,7 @@ export class Page {
         snap: aids.snap && !drawing.box,
         asks_bottom: aids.snap && drawing.asks_bottom,
       },
-      moved: dragged ? { [dragged.observation]: [dragged.anchor, dragged.end] } : {},
+      moved: held ? { [held.id]: [held.anchor, held.end] } : {},
     };
   }
 
@@ -182,7 +188,8 @@ export class Page {
     /** @type {import("./values.js").Observations} */
     const here = this.state.elements.find(({ id }) => id === element)?.observations ?? {};
     const shown = side ?? (here.left || !here.right ? "left" : "right");
-    this.state.set({ selected: element ? { element, side: shown } : null, vertex: "anchor" });
+    const chosen = { element: element ?? "", frame: this.state.frame ?? -1 };
+    this.state.set({ selected: element ? { element, side: shown } : null, vertex: "anchor", chosen });
     this.preview();
   }
 
@@ -251,6 +258,7 @@ export class Page {
       this.#selectSought(); // its map may have been read only now
     });
     socket.on("saved_operation", ({ reply_to: request, operation }) => {
+      if (request !== null) this.outbox?.saw(request, operation);
       state.set({ onDisk: request === null ? null : { request, operation } });
       this.#release();
     });
@@ -309,7 +317,7 @@ export class Page {
   #saved({ reply_to: request, labels, frame, element, added, note }) {
     const { state, outbox } = this;
     const edit = outbox?.find(request)?.edit;
-    if (request !== null) this.#settle(request);
+    if (request !== null) this.settle(request);
     this.#take(labels, frame, { pending: outbox?.entries ?? [], trouble: null });
     const isDrawing = edit?.kind === "draw" || edit?.kind === "accept";
     const isSelected = edit?.kind === "draw" && state.selected?.element === edit.element_id;
@@ -330,7 +338,8 @@ export class Page {
   #refused(event) {
     const entry = this.outbox?.find(event.reply_to) ?? null;
     if (!entry) this.notify(event.text, "wrong");
-    else if ("theirs" in event) this.state.set({ conflict: { entry, text: event.text, theirs: event.theirs } });
+    else if ("overwritten" in event) this.state.set({ question: overwriting(entry, event, this) });
+    else if ("observation_id" in event) this.state.set({ question: samePlace(entry, event, this) });
     else this.#refusedEdit(entry, event);
   }
 
@@ -340,7 +349,7 @@ export class Page {
    */
   #refusedEdit(entry, { code, text, retry }) {
     const staysPending = code !== "invalid" && code !== "not_found";
-    if (!staysPending) this.#settle(entry.request);
+    if (!staysPending) this.settle(entry.request);
     else if (retry) this.outbox?.retry();
     if (!staysPending || this.state.trouble !== text) this.notify(text, "wrong"); // once, not at every retry
     this.state.set({ trouble: staysPending ? text : null });
@@ -351,17 +360,18 @@ export class Page {
   // -- pending edits
 
   /** @param {Entry} entry */
-  #send({ request, edit: { seen: start, ...edit } }) {
-    return this.socket.send("apply_edit", { edit, seen: start ?? null }, request);
+  #send({ request, edit: { seen: start, ...edit }, base }) {
+    const unknown = start ? { operation: 0, known: [] } : null; // kept by an earlier version of the page
+    return this.socket.send("apply_edit", { edit, base: base ?? unknown }, request);
   }
 
   /** Removes an edit that is on disk or was given up.
    *
    * @param {string} request
    */
-  #settle(request) {
+  settle(request) {
     this.outbox?.settle(request);
-    if (this.state.conflict?.entry.request === request) this.state.set({ conflict: null });
+    if (this.state.question?.entry.request === request) this.state.set({ question: null });
   }
 
   #showPending() {
@@ -428,5 +438,6 @@ export class Page {
   }
 }
 
-startTheme();
-Object.assign(window, { semviz: new Page() }); // for scripts that drive the page
+startTheme(() => page.sendTheme());
+const page = new Page();
+Object.assign(window, { semviz: page }); // for scripts that drive the page

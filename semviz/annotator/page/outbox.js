@@ -15,6 +15,7 @@ export class Outbox {
    */
   constructor(workspace, send) {
     this.prefix = `semviz.outbox.${workspace}.`;
+    this.savedKey = `semviz.saved.${workspace}`;
     this.send = send;
     /** @type {string | null} */
     this.sent = null; // the unanswered request
@@ -41,21 +42,50 @@ export class Outbox {
     return this.entries.find((entry) => entry.request === request) ?? null;
   }
 
-  /**
+  /** Returns whether the edit is stored: false if the browser has no room left for it.
+   *
    * @param {Edit} edit
    * @param {ShownAt | null} shown where on the page the edit was made; not sent
+   * @param {number} since the last operation that the page had shown when the edit was begun
    */
-  add(edit, shown = null) {
+  add(edit, shown, since) {
     const request = uuid7();
     const place = (this.entries.at(-1)?.place ?? 0) + 1;
-    localStorage.setItem(this.prefix + request, JSON.stringify({ request, place, edit, shown }));
+    const base = { operation: since, known: [] };
+    try {
+      localStorage.setItem(this.prefix + request, JSON.stringify({ request, place, edit, shown, base }));
+    } catch (error) {
+      if (!(error instanceof DOMException)) throw error;
+      return false;
+    }
     this.flush();
+    return true;
   }
 
   /** Sends the oldest edit, unless an answer is awaited. */
   flush() {
     const [oldest] = this.sent ? [] : this.entries;
-    if (oldest && this.send(oldest)) this.sent = oldest.request;
+    if (oldest && this.send(this.#withBase(oldest))) this.sent = oldest.request;
+  }
+
+  /** The edit, with what it may overwrite: also the edits of this browser that were saved since.
+   *
+   * @param {Entry} entry
+   * @returns {Entry}
+   */
+  #withBase(entry) {
+    if (!entry.base) return entry; // of an older page
+    const { operation, known = [] } = entry.base;
+    const own = this.saved.filter((saved) => saved.operation > operation).map(({ request }) => request);
+    return { ...entry, base: { operation, known: [...known, ...own] } };
+  }
+
+  /** The last edits of this browser that are on disk, and all since the oldest that waits.
+   *
+   * @returns {{request: string, operation: number}[]}
+   */
+  get saved() {
+    return JSON.parse(localStorage.getItem(this.savedKey) ?? "[]");
   }
 
   /** After the connection is lost: the next `flush` sends the unconfirmed edit again. */
@@ -70,7 +100,7 @@ export class Outbox {
     this.timer = setTimeout(() => this.flush(), RETRY_MS);
   }
 
-  /** Replaces an edit that the server has not applied.
+  /** Replaces an edit that the server refused.
    *
    * @param {Entry} entry
    * @param {Edit} edit
@@ -79,6 +109,32 @@ export class Outbox {
     localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, edit }));
     this.sent = null;
     this.flush();
+  }
+
+  /** Lets a refused edit, and later ones that write the same, overwrite what others did.
+   *
+   * @param {Entry} refused
+   * @param {string[]} overwritten requests of the others
+   */
+  overwrite({ request, edit }, overwritten) {
+    for (const entry of this.entries) {
+      if (entry.request !== request && !writesTheSame(entry.edit, edit)) continue;
+      const { operation, known = [] } = entry.base ?? { operation: 0 };
+      const base = { operation, known: [...known, ...overwritten] };
+      localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, base }));
+    }
+    this.sent = null;
+    this.flush();
+  }
+
+  /** Notes that an edit of this page is on disk as `operation`.
+   *
+   * @param {string} request
+   * @param {number} operation
+   */
+  saw(request, operation) {
+    const before = this.entries.length > 1 ? this.saved : this.saved.slice(-99);
+    localStorage.setItem(this.savedKey, JSON.stringify([...before, { request, operation }]));
   }
 
   /** Removes an edit that is on disk or was refused for good.
@@ -90,4 +146,17 @@ export class Outbox {
     if (this.sent === request) this.sent = null;
     this.flush();
   }
+}
+
+/** Whether two edits write the same fields of one observation.
+ *
+ * @param {Edit} first
+ * @param {Edit} second
+ */
+function writesTheSame(first, second) {
+  if (!("observation_id" in first) || !("observation_id" in second)) return false;
+  if (first.kind !== second.kind || first.observation_id !== second.observation_id) return false;
+  /** @param {object} edit */
+  const written = (edit) => Object.entries(edit).filter(([, value]) => value !== null).map(([name]) => name).sort().join();
+  return written({ ...first, seen: 0 }) === written({ ...second, seen: 0 });
 }

@@ -10,6 +10,7 @@ const ACCENT = "#4DABF7"; // the dark set is used on images in both themes
 const HANDLE_HIT = 8; // a press within this radius grabs a handle
 const GLYPH = 7;
 const SELECTED_GLYPH = 8;
+const LEVELS = [0, -16, -32, -48, -64, 28, 44, 60]; // of labels, in CSS pixels from their usual height
 const LABEL_SIZE = 11;
 
 /** @typedef {CanvasRenderingContext2D} Context */
@@ -71,7 +72,8 @@ export class Painter {
     const { score, runner_up } = mark;
     this.#proposed(proposal.class_id, mark, { selected: selected || reviewed, dash: proposal.is_confident ? [5, 4] : [1.5, 4] });
     const name = proposal.track ? `${proposal.name} · ${counted(proposal.track.frames, "frame")}` : proposal.name;
-    const parts = [name, score === null ? "" : shownScore(score), current ? this.shownKey("Space") : ""];
+    const sure = proposal.track ? proposal.track.existence : score === null ? "" : shownScore(score);
+    const parts = [name, sure, current ? this.shownKey("Space") : ""];
     const text = current ? parts.filter(Boolean).join(" · ") : name;
     this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : reviewed ? 2.5 : proposal.is_confident ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
@@ -140,27 +142,43 @@ export class Painter {
     }
   }
 
-  /** Labels, right or left of their marks. If both places are taken, the less important label is left
-   * out: a proposal before an element, a far pole before a near one; the selected one stays.
+  /** Labels, right or left of their marks; if both places are taken, above or below, with a leader. If
+   * all are, the less important label is left out: a proposal before an element, a far pole before a
+   * near one; the selected one stays.
    *
    * @param {number} width
    */
   labels(width) {
     const taken = this.texts.map(({ at: [x, y] }) => /** @type {Box} */ ([x - 6, y - 6, 12, 12])); // labels never cover a glyph
+    /** @type {{text: string, box: Box, font: number}[]} */
+    const placed = []; // their texts are drawn over all leaders
     this.texts.sort((a, b) => b.weight - a.weight || b.length - a.length);
     for (const { text, at, weight } of this.texts) {
       const font = weight > 1 ? 600 : 400;
       this.context.font = `${font} ${LABEL_SIZE}px Inter, "Liberation Sans", Arial, sans-serif`;
       const size = this.context.measureText(text).width;
       const y = Math.max(at[1] - 8, 9);
-      const boxes = [at[0] + 11, at[0] - 11 - size].map((x) => /** @type {Box} */ ([x, y - 7, size, 14]));
+      const boxes = LEVELS.flatMap((level) => [at[0] + 11, at[0] - 11 - size].map((x) => /** @type {Box} */ ([x, y - 7 + level, size, 14])));
       const free = boxes.find((box) =>
-        box[0] > 0 && box[0] + size < width && !taken.some((other) => overlap(other, box)));
+        box[0] > 0 && box[0] + size < width && box[1] > 0 && !taken.some((other) => overlap(other, box)));
       const box = free ?? (weight === 3 ? boxes[0] : null);
       if (!box) continue;
       taken.push(box);
-      drawText(this.context, text, box[0], y, { weight: font, size: LABEL_SIZE });
+      if (Math.abs(box[1] + 7 - y) > 12) this.#leader(at, box);
+      placed.push({ text, box, font });
     }
+    for (const { text, box: [x, y], font } of placed) drawText(this.context, text, x, y + 7, { weight: font, size: LABEL_SIZE });
+  }
+
+  /** A thin line from a mark to its label.
+   *
+   * @param {Point} at
+   * @param {Box} box
+   */
+  #leader(at, [x, y, w, h]) {
+    const to = /** @type {Point} */ ([x > at[0] ? x - 2 : x + w + 2, y + h / 2]);
+    this.#path([at, to], CASING, 2.2, true);
+    this.#path([at, to], "rgba(255,255,255,.55)", 1, true);
   }
 
   /**

@@ -1,5 +1,5 @@
 // @ts-check
-// The panels around the images: classes, elements, card, hints, conflicts. Rebuilt from the state.
+// The panels around the images: classes, elements, card, hints, questions. Rebuilt from the state.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Child, Click} from "/static/dom.js" */
 /** @import {Keys} from "/static/keys.js" */
@@ -17,6 +17,7 @@ import { Jumps } from "./jumps.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
 import { SIDES, counted, shownScore } from "./values.js";
+import { QuestionBar } from "./questions.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
 const MESSAGE_MS = 6000;
@@ -35,7 +36,7 @@ export class Panels {
     this.keys = keys;
     this.page = page;
     this.edit = editing(state, page);
-    this.parts = [new TopBar(state, keys, page), new Aids(state, keys), new Jumps(state, keys, page), new Strip(state, page), new Conflict(state, page), ...more];
+    this.parts = [new TopBar(state, keys, page), new Aids(state, keys), new Jumps(state, keys, page), new Strip(state, page), new QuestionBar(page), ...more];
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.queued = false;
@@ -82,7 +83,7 @@ export class Panels {
     this.parts.forEach((part) => part.show());
     this.cache.show("classes", [state.classId, state.labels.counts], () => this.#classes());
     this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected], () => this.#elements());
-    this.cache.show("card", [state.selected, state.selectedElement, state.preview, Boolean(state.drawing)], () => this.#card());
+    this.cache.show("card", [state.selected, state.selectedElement, state.preview, state.previewed, state.connected, Boolean(state.drawing)], () => this.#card());
     this.cache.show("hints", hints(state), () => hints(state).map((hint) => hintItem(hint, this.keys)));
     this.#status();
   }
@@ -144,14 +145,36 @@ export class Panels {
   #card() {
     const { state } = this;
     const { preview, drawing, selectedElement: element, selectedCandidate: candidate } = state;
-    const card = preview?.card ?? null;
+    const card = state.ownPreview?.card ?? null;
     const id = drawing?.class ?? element?.class_id ?? candidate?.class_id;
     if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
     const name = drawing ? preview?.joins ?? `New ${state.classOf(id).name}` : (element ?? candidate)?.name ?? "";
     const about = drawing ? "not saved yet" : element?.unsaved ? "kept here" : element ? state.classOf(id).name : candidate ? whyListed(candidate) : "";
-    const views = card ? el("span", { class: "push chip", text: card.views === 1 ? "1 view" : `${card.views} views` }) : null;
+    const count = card?.views ?? element?.views;
+    const views = count ? el("span", { class: "push chip", text: counted(count, "view") }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card, state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? warning(card), this.#buttons(element)];
+  }
+
+  /** Why the card lacks numbers, while the server cannot be asked. */
+  #missing() {
+    const { connected, ownPreview } = this.state;
+    return connected || ownPreview?.card ? null : el("p", { class: "about-card dim", text: "Offline: depth and errors follow." });
+  }
+
+  /** What the page itself knows of an element: its length in each image.
+   *
+   * @param {ShownElement | null} element
+   * @returns {{length_px: Partial<Record<Side, number>>}}
+   */
+  #ownLengths(element) {
+    /** @type {Partial<Record<Side, number>>} */
+    const lengths = {};
+    for (const side of SIDES) {
+      const { anchor, end } = element?.observations[side] ?? {};
+      if (anchor && end) lengths[side] = Math.hypot(anchor[0] - end[0], anchor[1] - end[1]);
+    }
+    return { length_px: lengths };
   }
 
   /** The review decisions about the element; null if there are none.
@@ -211,42 +234,14 @@ export class Panels {
       const { drawing } = state;
       if (drawing?.side === side) {
         const { name, kind } = state.classOf(drawing.class);
-        const next = kind === "line" ? "second click sets the bottom" : "release sets the middle";
+        const next = kind === "line" ? "second click sets the bottom" : `release sets the ${state.middleOf(drawing.class)}`;
         const joins = state.preview?.joins ? ` of ${state.preview.joins}` : "";
-        node.textContent = `drawing ${name}${joins}: ${next}`;
+        node.textContent = state.preview?.warning || `drawing ${name}${joins}: ${next}`;
       } else {
         const count = state.elements.filter(({ observations, left_out: isLeftOut }) => observations[side] && !isLeftOut).length;
         node.textContent = count === 1 ? "1 element" : `${count} elements`;
       }
     }
-  }
-}
-
-/** Two people changed one label: a bar below the images asks whose version to keep. */
-class Conflict {
-  /**
-   * @param {State} state
-   * @param {Pick<Page, "resolve">} page
-   */
-  constructor(state, page) {
-    this.state = state;
-    this.page = page;
-    /** @type {State["conflict"]} */
-    this.shown = null;
-  }
-
-  show() {
-    const { conflict } = this.state;
-    if (conflict === this.shown) return;
-    this.shown = conflict;
-    const bar = byId("conflict");
-    bar.hidden = conflict === null;
-    if (!conflict) return;
-    const choice = (/** @type {string} */ text, /** @type {boolean} */ isMine) =>
-      el("button", { class: "small", text, onclick: () => this.page.resolve(isMine) });
-    bar.replaceChildren(
-      el("span", { class: "fill", text: `${conflict.text} Both stay in the history.` }),
-      choice("Keep mine", true), choice("Keep theirs", false));
   }
 }
 
@@ -293,19 +288,19 @@ function hintItem({ keys: names, text }, keys) {
 }
 
 /**
- * @param {annotator.Card | null} card
+ * @param {Partial<annotator.Card>} card
  * @param {Side} side
  */
 function numbers(card, side) {
-  const lengths = card?.length_px ?? {};
+  const lengths = card.length_px ?? {};
   const length = lengths[side] ?? Object.values(lengths)[0];
   return [
-    number("Depth", card?.depth_m, "m", 1, card?.depth_sigma_m),
-    number("Height", card?.height_m, "m", 2, card?.height_sigma_m),
-    number("Ray angle", card?.angle_deg, "°", 2),
+    number("Depth", card.depth_m, "m", 1, card.depth_sigma_m),
+    number("Height", card.height_m, "m", 2, card.height_sigma_m),
+    number("Ray angle", card.angle_deg, "°", 2),
     number("Length", length, "px", 1),
-    number("Epipolar error", card?.epipolar_px, "px", 2),
-    number("RMS", card?.rms_px, "px", 2),
+    number("Epipolar error", card.epipolar_px, "px", 2),
+    number("RMS", card.rms_px, "px", 2),
   ];
 }
 
@@ -329,8 +324,8 @@ function number(name, value, unit, decimals, sigma = null) {
  */
 function aboutTrack(candidate) {
   if (!candidate || !("track" in candidate) || !candidate.track) return null;
-  const existence = candidate.score === null ? "" : `, existence ${shownScore(candidate.score)}`;
-  return el("p", { class: "about-card dim", text: `Residual ${candidate.track.residual_px.toFixed(1)} px${existence}` });
+  const { residual_px: residual, existence } = candidate.track;
+  return el("p", { class: "about-card dim", text: `Residual ${residual.toFixed(1)} px, existence ${existence}` });
 }
 
 /** @param {annotator.Card | null} card */

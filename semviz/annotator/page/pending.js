@@ -1,7 +1,7 @@
 // @ts-check
 // Shows unsaved edits as if they were applied. All functions are pure.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Edit, Entry, LocatedObservation, Observation, Observations, Proposal, ShownAt, ShownElement, Side} from "./values.js" */
+/** @import {Edit, Entry, LocatedObservation, Observation, Observations, Proposal, SeenObservation, ShownAt, ShownElement, Side} from "./values.js" */
 import { SIDES, uuid7 } from "./values.js";
 
 /** The observation that `edit` changes, as shown; null if there is none, or if it is not on disk yet,
@@ -15,10 +15,10 @@ export function startOf(elements, edit) {
   return start?.observation.frame === undefined ? null : start;
 }
 
-/** The observation in the form that the server compares with its own, to detect conflicts.
+/** The observation as it is shown, to draw it again if others delete it.
  *
  * @param {LocatedObservation} start
- * @returns {annotator.ShownObservation | undefined}
+ * @returns {SeenObservation | undefined}
  */
 export function seen({ element, observation }) {
   const { anchor, end, anchor_known, end_known, frame, side } = observation;

@@ -90,6 +90,7 @@ export function proposing(state, actions) {
         element_id: proposal.origin === "detector" ? null : proposal.id,
       }));
       actions.submit({ kind: "dismiss", dismissals });
+      if (why === "rejected" && proposal.origin !== "detector") actions.select(proposal.id); // what is drawn next continues it
       return true;
     },
     swap() {

@@ -27,13 +27,14 @@ const KEYS = ["Y", "Shift Y"]; // for the first two answers
 /** Commands for `Keys`.
  *
  * @param {Review} review
+ * @param {Pick<Page, "answer">} page
  * @returns {import("/static/keys.js").Command[]}
  */
-export function reviewCommands(review) {
+export function reviewCommands(review, page) {
   const group = "Map";
   return [
-    { key: "y", group, title: "Agree with the map", run: () => review.answer(0) },
-    { key: "y", shift: true, group, title: "Disagree with the map", run: () => review.answer(1) },
+    { key: "y", group, title: "First answer: agree, mine", run: () => page.answer(0) || review.answer(0) },
+    { key: "y", shift: true, group, title: "Second answer: disagree", run: () => page.answer(1) || review.answer(1) },
     { key: "m", shift: true, group, title: "Build the map; again: stop", run: () => review.build() },
   ];
 }

@@ -1,7 +1,7 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Conflict, Correction, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
@@ -36,6 +36,8 @@ export class State {
     this.dragged = null;
     /** @type {annotator.DraftPreview | null} */
     this.preview = null; // guides, snapped drawing and card of the draft, from the server
+    /** @type {{frame: number | null, subject: string}} */
+    this.previewed = { frame: null, subject: "" }; // what `preview` is about
     /** @type {string | null} */
     this.pointed = null; // the element of the proposal under the pointer
     /** @type {Set<string>} */
@@ -46,8 +48,9 @@ export class State {
     this.jump = "unreviewed"; // the chosen jump list; see jumps.js
     /** @type {OpenReview | null} */
     this.review = null; // the open decision or finding; see review.js
-    /** @type {Conflict | null} */
-    this.conflict = null;
+    /** @type {Question | null} */
+    this.question = null; // about a refused edit
+    this.chosen = { element: "", frame: -1 }; // what a person selected last, and where
     /** @type {Entry[]} */
     this.pending = []; // unsaved edits, oldest first
     /** @type {{request: string, operation: number} | null} */
@@ -88,6 +91,27 @@ export class State {
     return this.received;
   }
 
+  /** What the card is about: the drawing or the selected element. */
+  get subject() {
+    return this.drawing ? "drawing" : this.selected?.element ?? "";
+  }
+
+  /** Numbers and guides of the drawing or selected element; null until they have arrived. */
+  get ownPreview() {
+    return this.previewed.frame === this.frame && this.previewed.subject === this.subject ? this.preview : null;
+  }
+
+  /** Whether a person selected the selected element in this frame: it did not only stay selected. */
+  get isChosen() {
+    return this.selected?.element === this.chosen.element && this.frame === this.chosen.frame;
+  }
+
+  /** The number of the last operation that both the frame and the list of frames show. */
+  get lastShown() {
+    const { operation, frame } = this.labels;
+    return Math.min(operation, frame?.operation ?? operation);
+  }
+
   /** @param {() => void} listener */
   onChange(listener) {
     this.listeners.push(listener);
@@ -123,7 +147,8 @@ export class State {
     if (this.dragged) {
       const { observation, anchor, end } = this.dragged;
       const target = find(elements, observation);
-      if (target) Object.assign(target.observation, { anchor, end });
+      const now = target?.observation;
+      if (now) Object.assign(now, { anchor: anchor ?? now.anchor, end: end ?? now.end });
     }
     return elements;
   }
@@ -145,7 +170,7 @@ export class State {
         const placed = this.dragged?.observation === mark.id ? this.dragged : this.corrected.get(mark.id);
         if (observed.get(proposal.id)?.[side] || isSettled(this.pending, mark.id, proposal.id)) delete marks[side];
         else if (this.swapped.has(mark.id)) marks[side] = swapped(mark);
-        else if (placed) marks[side] = { ...mark, anchor: placed.anchor, end: placed.end };
+        else if (placed) marks[side] = { ...mark, anchor: placed.anchor ?? mark.anchor, end: placed.end ?? mark.end };
       }
       return { ...proposal, marks };
     }).filter(({ marks }) => SIDES.some((side) => marks[side]));
@@ -237,6 +262,16 @@ export class State {
     const elementClass = this.workspace.classes.find((candidate) => candidate.id === id);
     if (!elementClass) throw new Error(`no class ${id}`);
     return elementClass;
+  }
+
+  /** What the point of a sign is: of a triangle, what the workspace's labels mark.
+   *
+   * @param {number} id
+   * @returns {"centroid" | "middle"}
+   */
+  middleOf(id) {
+    const isCentroid = this.workspace.triangle_center === "centroid" && this.classOf(id).shape === "triangle";
+    return isCentroid ? "centroid" : "middle";
   }
 
   /** A class's colour on panels; on images it is always `color`.

@@ -10,10 +10,11 @@ import { SIDES, uuid7 } from "./values.js";
 const BESIDE = 8; // CSS pixels; a press this close outside the image counts as on its border
 const DRAG_FROM = 4; // CSS pixels; a shorter move is a click
 
-/** A press that has not ended; `held`: the observation that a drag moves.
+/** A press that has not ended; `held`: the observation that a drag moves, as
+ * it was after operation `since`.
  * @typedef {{
  *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw",
- *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null},
+ *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: number},
  * }} Press */
 
 export class Tools {
@@ -68,7 +69,7 @@ export class Tools {
     } else {
       const hit = event.shiftKey ? null : this.images.hit(side, point);
       if (hit) this.#take(press, hit, event);
-      else if (this.#begin(side, this.images.view.toImage(point))) press.mode = "draw";
+      else if (this.#begin(side, this.images.view.toImage(point), event.shiftKey)) press.mode = "draw";
     }
   }
 
@@ -115,12 +116,13 @@ export class Tools {
     if (!mark) return;
     const { anchor, end } = mark;
     press.mode = "drag";
-    press.held = { hit, grab: this.images.view.toImage(press.start), anchor, end };
+    press.held = { hit, grab: this.images.view.toImage(press.start), anchor, end, since: this.state.lastShown };
     const linked = event.ctrlKey || event.metaKey;
     const also = linked && this.state.selected ? this.state.selected.element : null;
     this.state.set({
       selected: { element: hit.element, side, also: also === hit.element ? null : also },
       vertex: hit.part === "end" ? "end" : "anchor",
+      chosen: { element: hit.element, frame: this.state.frame ?? -1 },
     });
     this.page.preview();
   }
@@ -129,8 +131,9 @@ export class Tools {
    *
    * @param {Side} side
    * @param {Point} pixel
+   * @param {boolean} onTop whether it may lie on an element without a question
    */
-  #begin(side, pixel) {
+  #begin(side, pixel, onTop = false) {
     const near = BESIDE / this.images.view.scale;
     if (!this.images.bitmap(side) || !this.#isInside(side, pixel, near) || !this.page.mayEdit()) return null;
     const anchor = this.#inside(side, pixel);
@@ -138,7 +141,7 @@ export class Tools {
     const isLine = this.state.classOf(id).kind === "line";
     /** @type {Drawing} */
     const drawing = {
-      side, class: id, anchor, end: isLine ? anchor : null, anchor_known: true, end_known: isLine, asks_bottom: isLine,
+      side, class: id, anchor, end: isLine ? anchor : null, anchor_known: true, end_known: isLine, asks_bottom: isLine, on_top: onTop,
     };
     this.state.set({ drawing });
     this.page.preview();
@@ -181,7 +184,8 @@ export class Tools {
       this.stretchTo(side, at);
     } else if (this.press?.moved) {
       const from = this.images.view.toImage(this.press.start);
-      this.state.set({ drawing: { ...drawing, box: [from, at], anchor: middle(from, at) } });
+      const share = this.state.middleOf(drawing.class) === "centroid" ? 2 / 3 : 1 / 2;
+      this.state.set({ drawing: { ...drawing, box: [from, at], anchor: inBox(from, at, share) } });
       this.page.preview();
     }
   }
@@ -198,8 +202,8 @@ export class Tools {
     const moved = (/** @type {Point} */ [u, v]) => this.#inside(side, [u + at[0] - grab[0], v + at[1] - grab[1]]);
     this.state.set({ dragged: {
       observation: hit.observation,
-      anchor: hit.part === "end" ? anchor : moved(anchor),
-      end: hit.part === "anchor" || !end ? end : moved(end),
+      anchor: hit.part === "end" ? null : moved(anchor),
+      end: hit.part === "anchor" || !end ? null : moved(end),
     } });
     this.page.preview();
   }
@@ -233,7 +237,7 @@ export class Tools {
     const { drawing, dragged } = this.state;
     this.press = null;
     if (!press) return;
-    if (press.mode === "drag" && dragged) this.#drop(dragged);
+    if (press.mode === "drag" && dragged) this.#drop(dragged, press.held?.since);
     else if (press.mode === "draw" && drawing) this.#released(press, drawing);
     else if (press.mode === "finish" && drawing?.side === side) {
       this.#finish(drawing, this.images.view.toImage(pointerAt(event)));
@@ -253,17 +257,20 @@ export class Tools {
   /** Saves a drag; that of a track's mark is kept until the track is accepted.
    *
    * @param {import("./values.js").Dragged} dragged
+   * @param {number | undefined} since the last operation that was shown when the drag began
    */
-  #drop({ observation, anchor, end }) {
+  #drop({ observation, anchor, end }, since) {
     const track = this.state.proposals.find(({ marks }) => SIDES.some((side) => marks[side]?.id === observation));
-    if (track) {
-      const corrected = new Map(this.state.corrected).set(observation, { track: track.id, anchor, end });
+    const mark = track && SIDES.map((side) => track.marks[side]).find((candidate) => candidate?.id === observation);
+    if (track && mark) {
+      const placed = { track: track.id, anchor: mark.anchor, end: mark.end };
+      const corrected = new Map(this.state.corrected).set(observation, placed);
       this.state.set({ dragged: null, corrected });
       this.page.notify(`Corrected in this image. ${this.page.keys.shown("Space")} accepts the track with it.`);
       return;
     }
     this.state.set({ dragged: null });
-    this.page.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end });
+    this.page.submit({ kind: "move", observation_id: observation, anchor_px: anchor, end_px: end }, since);
   }
 
   /** Saves a sign, or a pole drawn in one stroke; any other pole waits for its second click.
@@ -289,7 +296,7 @@ export class Tools {
    * @param {Point} anchor
    * @param {Point | null} end
    */
-  #save({ side, class: id, anchor_known, end_known, asks_bottom, box }, anchor, end) {
+  #save({ side, class: id, anchor_known, end_known, asks_bottom, box, on_top: onTop }, anchor, end) {
     const [element, observation] = [uuid7(), uuid7()];
     this.state.set({ drawing: null });
     this.page.submit({
@@ -304,6 +311,8 @@ export class Tools {
       anchor_known: anchor_known && !(end && this.#isCut(side, anchor)),
       end_known: end_known && !(end && this.#isCut(side, end)),
       selected_id: this.state.selected?.element ?? null,
+      is_chosen: this.state.isChosen,
+      asks_same: !onTop,
       snap: this.state.aids.snap && !box,
       asks_bottom: this.state.aids.snap && asks_bottom,
     });
@@ -397,9 +406,11 @@ export class Sketch {
   }
 }
 
-/**
+/** The point of a box midway across and at a share of its height from its top.
+ *
  * @param {Point} first
  * @param {Point} second
+ * @param {number} share
  * @returns {Point}
  */
-const middle = ([a, b], [c, d]) => [(a + c) / 2, (b + d) / 2];
+const inBox = ([a, b], [c, d], share) => [(a + c) / 2, Math.min(b, d) + share * Math.abs(d - b)];

@@ -8,7 +8,9 @@
 /** @typedef {annotator.ProposalView} Proposal */
 /** @typedef {annotator.LabelsView & {frame: annotator.LabelledFrameView | null}} PageLabels */
 /** @typedef {annotator.ReviewEntry & {entry: annotator.EntryView}} OpenReview */
-/** @typedef {annotator.ApplyEditRequest["edit"] & {seen?: annotator.ShownObservation}} Edit */
+/** `seen`: the observation that it changes, as the page showed it; not sent.
+ * @typedef {annotator.ApplyEditRequest["edit"] & {seen?: SeenObservation}} Edit */
+/** @typedef {{element: string, frame: number, side: Side, anchor: Point, end: Point | null, anchor_known: boolean, end_known: boolean}} SeenObservation */
 
 /** A mark as shown; with frame and side if it is on disk.
  * @typedef {Omit<annotator.ObservationView, "frame" | "side"> & {frame?: number, side?: Side}} Observation */
@@ -22,22 +24,22 @@
 /** An observation with its element.
  * @typedef {{element: ShownElement, side: Side, observation: Observation}} LocatedObservation */
 
-/** An edit that is not on disk yet.
- * @typedef {{request: string, place: number, edit: Edit, shown: ShownAt | null}} Entry */
+/** An edit that is not on disk yet; `base`: what the page had shown when it was begun.
+ * @typedef {{request: string, place: number, edit: Edit, shown: ShownAt | null, base?: annotator.EditBase}} Entry */
 
-/** An unfinished drawing; `box`: two corners of a sign's box.
+/** An unfinished drawing; `box`: two corners of a sign's box; `on_top`: it may lie on an element.
  * @typedef {{side: Side, class: number, anchor: Point, end: Point | null, box?: [Point, Point],
- *   anchor_known: boolean, end_known: boolean, asks_bottom: boolean}} Drawing */
-/** The observation being dragged.
- * @typedef {{observation: string, anchor: Point, end: Point | null}} Dragged */
+ *   anchor_known: boolean, end_known: boolean, asks_bottom: boolean, on_top?: boolean}} Drawing */
+/** The observation being dragged; an end that the drag does not move is null.
+ * @typedef {{observation: string, anchor: Point | null, end: Point | null}} Dragged */
 /** The ends by which a mark of a track was replaced before it is accepted; `track`: the track's id.
  * @typedef {{track: string, anchor: Point, end: Point | null}} Correction */
 /** The selection; `also`: a second element, to be linked.
  * @typedef {{element: string, side: Side, also?: string | null}} Selected */
 /** @typedef {{snap: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
 /** @typedef {{brightness: number, contrast: number}} Brightness */
-/** An edit whose observation others changed.
- * @typedef {{entry: Entry, theirs: annotator.ShownObservation | null, text: string}} Conflict */
+/** A refused edit, and what the user may answer; the edit waits until then.
+ * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[]}} Question */
 
 /** @type {Side[]} */
 export const SIDES = ["left", "right"];

@@ -94,9 +94,10 @@ export class SelectedCard {
   }
 
   /** @param {ElementCard} card */
-  mappedParts({ place, meaning, in_run: inRun, decisions }) {
+  mappedParts({ place, meaning, existence, in_run: inRun, decisions }) {
     const parts = [
       group("Position", placeTable(place), el("p", { class: "faint", text: meaning })),
+      ...(existence ? [group("Existence", el("p", { class: "dim", text: `${existence}, judged from its detections` }))] : []),
       group("In this run", rows(inRun)),
       el("div", { id: "selected-origins" }, ...this.originParts()),
     ];

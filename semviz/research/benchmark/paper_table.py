@@ -13,8 +13,8 @@ from semviz_core.research.evaluation.outcomes import ALL, Row
 
 SUITE = "paper"
 METHODS = (
-    "bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper", "paper with true P", "learned",
-    "wide", "search", "true matches", "bound",
+    "bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper", "paper with true P",
+    "correspondences", "learned", "wide", "search", "true matches", "bound",
 )  # fmt: skip
 """Default methods of the suite."""
 STRATA = {ALL: "all", ">= 6 true": ">= 6"}

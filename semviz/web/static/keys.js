@@ -2,7 +2,7 @@
 /* All keys of a page in one table: no clashes, any key can be changed, the help lists them all. */
 
 /** @typedef {{key: string, shift?: boolean, ctrl?: boolean}} Key */
-/** @typedef {Key & {group: string, title: string, row?: string, run?: (event?: KeyboardEvent) => void}} Command */
+/** @typedef {Key & {group: string, title: string, row?: string, words?: string, run?: (event?: KeyboardEvent) => void}} Command */
 
 /** @type {Record<string, string>} */
 const NAMES = { " ": "Space", arrowleft: "←", arrowright: "→", arrowup: "↑", arrowdown: "↓", escape: "Esc", delete: "Del" };

@@ -37,8 +37,8 @@ class Palette {
   /** Lists the commands in which every typed word begins a word. */
   #search() {
     const words = this.input.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const isMatch = (/** @type {Command} */ { group, title }) => {
-      const titleWords = `${group} ${title}`.toLowerCase().split(/[^\p{L}\p{N}]+/u);
+    const isMatch = (/** @type {Command} */ { group, title, words: others = "" }) => {
+      const titleWords = `${group} ${title} ${others}`.toLowerCase().split(/[^\p{L}\p{N}]+/u);
       return words.every((word) => titleWords.some((titleWord) => titleWord.startsWith(word)));
     };
     this.matches = this.all.filter(isMatch);

@@ -14,7 +14,7 @@ export interface ErrorEvent {
 export interface HelloEvent {
   type: "hello";
   reply_to: string | null;
-  protocol: 2;
+  protocol: 3;
   session: string;
 }
 
@@ -70,7 +70,7 @@ export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
   edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
-  seen?: ShownObservation | null;
+  base?: EditBase | null;
 }
 
 /** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
@@ -108,14 +108,15 @@ export interface CloseReviewRequest {
   id: string;
 }
 
-/** Others changed the observation of an edit; ``theirs`` is None if they deleted it. */
+/** An edit would overwrite what others did since; it is applied if it knows ``overwritten``. */
 export interface ConflictEvent {
   type: "error";
   reply_to: string | null;
   code: "conflict";
   text: string;
   retry: boolean;
-  theirs: TheirVersion | null;
+  overwritten: Array<string>;
+  is_deleted: boolean;
 }
 
 /** The ends by which a person replaced those of a detection. */
@@ -178,6 +179,7 @@ export interface DraftPreview {
   card: Card | null;
   snapped: SnappedMark | null;
   joins: string | null;
+  warning: string;
 }
 
 /** Guides and numbers of a draft. */
@@ -191,12 +193,13 @@ export interface DraftPreviewEvent {
 export interface DraftState {
   frame_index: number;
   selected_id?: string | null;
+  is_chosen?: boolean;
   side?: "left" | "right";
   drawing?: ElementDraft | null;
   moved?: Record<string, [[number, number], [number, number] | null]>;
 }
 
-/** Draw a mark; it joins the element ``selected_id`` if it fits. */
+/** Draw a mark; it joins the element ``selected_id`` if it fits or was chosen. */
 export interface DrawEdit {
   observation_id: string;
   element_id: string;
@@ -209,6 +212,8 @@ export interface DrawEdit {
   class_id?: number | null;
   kind: "draw";
   selected_id?: string | null;
+  is_chosen?: boolean;
+  asks_same?: boolean;
   snap?: boolean;
   asks_bottom?: boolean;
 }
@@ -224,6 +229,12 @@ export interface DrawnMark {
   anchor_known?: boolean;
   end_known?: boolean;
   class_id?: number | null;
+}
+
+/** What the author of an edit had seen: the operations up to one, and some later requests. Fields that other operations wrote are not the edit's to overwrite. */
+export interface EditBase {
+  operation: number;
+  known?: Array<string>;
 }
 
 /** An edit is on disk, with the labels and the frame on screen after it. */
@@ -363,6 +374,7 @@ export interface LabelledFrameEvent {
 /** The labels and proposals of one frame, and the elements that may continue in it. */
 export interface LabelledFrameView {
   index: number;
+  operation: number;
   panes: Partial<Record<"left" | "right", PaneView>>;
   elements: Array<ElementView>;
   proposals: Array<ProposalView>;
@@ -592,6 +604,20 @@ export interface RunnerUp {
   score: number;
 }
 
+/** A drawing lies on a label: it may be that one's correction, or another element. */
+export interface SamePlaceEvent {
+  type: "error";
+  reply_to: string | null;
+  code: "conflict";
+  text: string;
+  retry: boolean;
+  element_id: string;
+  name: string;
+  observation_id: string;
+  anchor: [number, number] | null;
+  end: [number, number] | null;
+}
+
 /** An edit is on disk; ``edit_saved`` follows. */
 export interface SavedOperationEvent {
   type: "saved_operation";
@@ -652,17 +678,6 @@ export interface ShowReviewRequest {
   by?: -1 | 0 | 1;
 }
 
-/** An observation as the page showed it when it was edited. */
-export interface ShownObservation {
-  element: string;
-  frame: number;
-  side: "left" | "right";
-  anchor: [number, number];
-  end: [number, number] | null;
-  anchor_known: boolean;
-  end_known: boolean;
-}
-
 /** A drawing snapped to edges; its ends move by ``by_px`` at most. */
 export interface SnappedMark {
   anchor: [number, number];
@@ -684,23 +699,13 @@ export interface SwapEnds {
   kind: "swap ends";
 }
 
-/** An observation as others changed it, with the fields of a request's ``seen``. */
-export interface TheirVersion {
-  element: string;
-  frame: number;
-  side: "left" | "right";
-  anchor: [number, number];
-  end: [number, number] | null;
-  anchor_known: boolean;
-  end_known: boolean;
-}
-
 /** A track of detections, which is accepted or rejected as a whole. */
 export interface TrackView {
   frames: number;
   first: number;
   last: number;
   residual_px: number;
+  existence: string;
 }
 
 /** Undo the author's last edit. */
@@ -738,6 +743,7 @@ export interface WorkspaceView {
   source: string;
   author: string;
   classes: Array<ElementClass>;
+  triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
   has_right: boolean;
 }
@@ -768,7 +774,7 @@ export interface Events {
   draft_preview: DraftPreviewEvent;
   edit_saved: EditSavedEvent;
   element_clicked: ElementClickedEvent;
-  error: ConflictEvent | ErrorEvent;
+  error: ConflictEvent | ErrorEvent | SamePlaceEvent;
   frame: LabelledFrameEvent;
   frame_list: FrameListEvent;
   hello: HelloEvent;
@@ -951,6 +957,7 @@ export interface ElementCard {
   class_id: number;
   place: Array<EndView>;
   meaning: string;
+  existence: string;
   in_run: Array<[string, string]>;
   decisions: Array<MapDecision>;
 }

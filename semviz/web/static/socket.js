@@ -1,7 +1,7 @@
 // @ts-check
 /* The page's connection to its server: typed JSON messages, request ids, reconnection, one session. */
 
-const PROTOCOL = 2;
+const PROTOCOL = 3;
 const FIRST_WAIT_MS = 200;
 const LONGEST_WAIT_MS = 5000;
 const RELOADED = "semviz-reloaded";

@@ -15,9 +15,19 @@ function apply(theme) {
   document.documentElement.dataset.theme = theme;
 }
 
-export function startTheme() {
-  const system = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-  apply(localStorage.getItem(STORED) ?? system);
+/** Applies the theme; until the user chooses one, it follows the system's.
+ *
+ * @param {() => void} onChange called when the system's theme changed the page's
+ */
+export function startTheme(onChange = () => {}) {
+  const system = matchMedia("(prefers-color-scheme: light)");
+  const follow = () => apply(localStorage.getItem(STORED) ?? (system.matches ? "light" : "dark"));
+  follow();
+  system.addEventListener("change", () => {
+    const before = currentTheme();
+    follow();
+    if (currentTheme() !== before) onChange();
+  });
 }
 
 /** Switches the theme, stores it and returns it. */

@@ -1,8 +1,8 @@
 """The detections of a drive beside its labels, and which of them the labels explain.
 
 Labels win: a detection on a label of its image, or of a labelled landmark, is not searched again.
-One of a landmark that a person left out is rejected, and so is a whole track that stands there:
-what was rejected never returns, whichever detector sees it.
+Detections of what a person left out are searched, and their tracks rejected afterwards
+(`rejected_tracks`): a rejection takes nothing from other tracks.
 """
 
 from collections.abc import Collection, Sequence
@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
-from semviz_annotation.labels.proposals import Proposal
-from semviz_annotation.labels.rows import Row
-from semviz_annotation.mapping.association.candidates import LandmarkPositions, ground_positions
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.rows import Row, derived_id
+from semviz_annotation.mapping.association.candidates import LandmarkPositions
 from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.nodes import ReviewConstraints, spans
@@ -42,10 +42,6 @@ _LEAST_SIGMA_PX = 0.3
 """No detector is known to be more precise."""
 _ON_LABEL_PX, _ON_LABEL_SIGMAS = 5.0, 3.0
 """A detection is on a label if it is this near, whatever the two agree on."""
-_REJECTED_POSE_M = 0.15
-"""Detections of a rejected landmark are recognized with poses this far off, of another pass ..."""
-_REJECTED_M, _REJECTED_SIGMAS = 0.25, 2.0
-"""... and tracks that stand this near to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +53,9 @@ class DetectedDrive:
     link: LinkOptions
     left_out: BoolArray
     """(n,) label elements that a person left out"""
+    left_out_with: IntArray
+    """(k,) the label element (row of n) that was left out with this detection, or -1; its label
+    stands beside the detection"""
     placed: Landmarks
     """The landmarks of the n label elements."""
     rays: GroundRays
@@ -74,9 +73,18 @@ class DetectedDrive:
         link: LinkOptions,
         frames: Collection[int] | None,
     ) -> "DetectedDrive":
-        """Gather ``labels`` and ``detections``, by image, in ``frames`` (None: all)."""
+        """Gather ``labels`` and ``detections``, by image, in ``frames`` (None: all).
+
+        A detection that is a label, too, was left out with it.
+        """
         number = max(TRACK_NUMBER, labels.next_number)
         rows: list[Row] = list(labels.rows())
+        beside = {
+            row.id: derived_id(f"beside {row.id}")
+            for row in detections
+            if row.id in labels.observations
+        }
+        detections = [replace(row, id=beside.get(row.id, row.id)) for row in detections]
         for row, detection in enumerate(detections):
             rows.append(LabelElement(detection.id, number + row, detection.class_id))
             rows.append(as_observation(detection))
@@ -84,6 +92,11 @@ class DetectedDrive:
         gathered = gather_observations(Labels.from_rows(rows), source, frames, sigma_ratio)
         views, observations = gathered.views, gathered.observations
         elements = tuple(element for element in gathered.elements if element.number < number)
+        label_of = {
+            beside[row.id]: label
+            for row, label in zip(gathered.label_rows, observations.landmark.tolist(), strict=True)
+            if row.id in beside
+        }
         is_label = np.arange(observations.count) < len(elements)
         cameras = (source.rig.left, source.rig.right or source.rig.left)
         sizes_px = np.array([(camera.width, camera.height) for camera in cameras], dtype=np.float64)
@@ -91,6 +104,9 @@ class DetectedDrive:
             gathered=gathered,
             link=link,
             left_out=ReviewConstraints.of(labels, elements).left_out,
+            left_out_with=np.array(
+                [label_of.get(row.id, -1) for row in gathered.label_rows], dtype=np.int64
+            ),
             placed=triangulate_landmarks(views, observations.only(is_label), link.place),
             rays=GroundRays.of(views, observations, link.place.sigma_px),
             images=DriveImages.of(views, sizes_px[views.is_right.astype(np.int64)], _STEP_M),
@@ -127,12 +143,12 @@ class DetectedDrive:
         return claims.where(fits), score[fits]
 
     def initial_owner(self) -> IntArray:
-        """Return for each observation (k,) whether it is ``FREE``, ``LABELLED``, ``REJECTED``, or
+        """Return for each observation (k,) whether it is ``FREE``, ``LABELLED``, or
         ``NO_LANDMARK`` (a mark on the camera).
 
         Labels of elements without a position are free: a track may give them one.
         """
-        observations, is_line = self.gathered.observations, self.gathered.observations.is_line
+        observations = self.gathered.observations
         rows = np.flatnonzero(self.is_detection)
         owner = np.where(self.is_detection, FREE, LABELLED)
         marks = marks_on_camera(
@@ -144,24 +160,29 @@ class DetectedDrive:
             self.link.place.sigma_px,
         )
         owner[rows[marks]] = NO_LANDMARK
-        detection, element = self._on_labels()
-        kind_of = is_line[rows].astype(np.int64)
-        kind = observations.of(is_line)[: len(self.left_out)].astype(np.int64)
-        for left_out, state in ((False, LABELLED), (True, REJECTED)):
-            pose_m = _REJECTED_POSE_M if left_out else self.link.pose_sigma_m
-            some = np.where(self.left_out == left_out, self.placed.failure, "not asked for")
-            claims, _ = self.explained(
-                rows, kind_of, replace(self.placed, failure=some), kind, pose_m
-            )
-            owner[rows[claims.observation]] = state
-            owner[detection[self.left_out[element] == left_out]] = state
+        owner[self.of_labels(~self.left_out, self.link.pose_sigma_m)] = LABELLED
         unplaced = np.append(~self.placed.ok, False)
+        unplaced[self.left_out_with[self.left_out_with >= 0]] = False
         last = len(self.left_out)
         owner[unplaced[np.minimum(observations.landmark, last)]] = FREE
         return owner
 
-    def _on_labels(self) -> tuple[IntArray, IntArray]:
-        """Return pairs (p,) of a detection (row) and the label element whose label it lies on."""
+    def of_labels(self, some: BoolArray, pose_m: float) -> IntArray:
+        """Return the detections on labels of ``some`` label elements (n,), or in line with their
+        landmarks, with poses ``pose_m`` off."""
+        observations, is_line = self.gathered.observations, self.gathered.observations.is_line
+        rows = np.flatnonzero(self.is_detection)
+        kind_of = is_line[rows].astype(np.int64)
+        kind = observations.of(is_line)[: len(some)].astype(np.int64)
+        failure = np.where(some, self.placed.failure, "not asked for")
+        placed = replace(self.placed, failure=failure)
+        claims, _ = self.explained(rows, kind_of, placed, kind, pose_m)
+        detection, label = self.on_labels()
+        on = some[observations.landmark[label]]
+        return np.concatenate([rows[claims.observation], detection[on]])
+
+    def on_labels(self) -> tuple[IntArray, IntArray]:
+        """Return pairs (p,) of a detection and a label that it lies on."""
         observations = self.gathered.observations
         labels = np.flatnonzero(~self.is_detection)
         labels = labels[np.argsort(observations.view[labels], kind="stable")]
@@ -175,33 +196,7 @@ class DetectedDrive:
         near = _distance_px(observations, detection, label)
         sigma_px = self.link.place.sigma_px * observations.sigma_ratio[detection, 0]
         on = near <= _ON_LABEL_PX + _ON_LABEL_SIGMAS * sigma_px
-        return detection[on], observations.landmark[label[on]]
-
-    def rejected_tracks(self, tracks: Landmarks) -> BoolArray:
-        """Return which ``tracks`` (t,) stand where a person left a landmark out."""
-        from scipy.spatial import cKDTree
-
-        result = np.zeros(len(tracks.failure), dtype=np.bool_)
-        rows = np.flatnonzero(self.left_out & self.placed.ok)
-        if not len(rows) or not len(result):
-            return result
-        at_m, _, sigma_m = ground_positions(self.placed)
-        track_m, _, track_sigma_m = ground_positions(tracks)
-        ok = np.flatnonzero(tracks.ok)
-        reach = _REJECTED_M + _REJECTED_SIGMAS * (track_sigma_m[ok] + sigma_m[rows].max())
-        near = cKDTree(at_m[rows]).query_ball_point(track_m[ok], reach)
-        for track, others in zip(ok.tolist(), near, strict=True):
-            for other in rows[np.asarray(others, dtype=np.int64)].tolist():
-                spread = _REJECTED_SIGMAS * np.hypot(track_sigma_m[track], sigma_m[other])
-                away = np.linalg.norm(track_m[track] - at_m[other])
-                is_line = np.isfinite(tracks.end_m[track, 0])
-                if is_line != np.isfinite(self.placed.end_m[other, 0]):
-                    continue
-                if not is_line:
-                    rise = tracks.anchor_m[track, 2] - self.placed.anchor_m[other, 2]
-                    away = np.hypot(away, rise)
-                result[track] |= away <= _REJECTED_M + spread
-        return result
+        return detection[on], label[on]
 
 
 def _sigma_ratio(detection: Proposal, sigma_px: float) -> tuple[float, float]:

@@ -5,14 +5,16 @@ labels, in memory, as a label element whose observations have the ids of its det
 building, decisions and lint treat labels and detections alike.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from semviz_annotation.labels.detections import calibrated
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
-from semviz_annotation.labels.proposals import Proposal, Proposals
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import Row, derived_id
 from semviz_annotation.mapping.association.detected_drive import (
     FREE,
@@ -26,10 +28,12 @@ from semviz_annotation.mapping.association.detected_drive import (
 from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.not_landmarks import moving_tracks
+from semviz_annotation.mapping.association.rejected_tracks import without_rejected
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import ObservationArray
 from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
+from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -56,12 +60,36 @@ class TrackOptions:
     """Detections with a lower score are not used."""
     min_frames: int = SearchOptions.min_frames
     """Least number of frames, at positions of their own, that detect a landmark."""
+    calibration: DetectorCalibration | None = None
+    """Scores, sigmas and rates of the detector; None: as it gave them, with assumed rates."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
         if self.min_frames < 2:
             raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 frames or more")
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "TrackOptions":
+        """Return the options of ``as_json``. Raise TypeError or ValueError if they are invalid."""
+        calibration = values.get("calibration")
+        if calibration is None:
+            return cls(**values)
+        return cls(**dict(values) | {"calibration": DetectorCalibration(**calibration)})
+
+    def as_json(self) -> dict[str, Any]:
+        """Return JSON values; without a calibration, none is named."""
+        values: dict[str, Any] = {"least_score": self.least_score, "min_frames": self.min_frames}
+        if self.calibration is not None:
+            values["calibration"] = self.calibration.model_dump(mode="json")
+        return values
+
+    def search(self, pose_sigma_m: float) -> SearchOptions:
+        """Return how tracks are searched, with poses ``pose_sigma_m`` off from frame to frame."""
+        search = SearchOptions(min_frames=self.min_frames, pose_sigma_m=pose_sigma_m)
+        if self.calibration is None:
+            return search
+        return search.of_detector(self.calibration.detector_model(self.least_score))
 
 
 @dataclass(frozen=True)
@@ -117,13 +145,15 @@ def detection_labels(
     Detections in frames without a pose do not count. Raise SemvizError like
     ``collect_observations``.
     """
+    if options.calibration is not None:
+        detections = calibrated(detections, options.calibration)
     chosen = _chosen(labels, detections, source, options, frames)
     drive = DetectedDrive.of(labels, chosen, source, link, frames)
     searched = _searched(drive, detections)
     tracks = _search(drive, searched, options, on_progress)
     tracks = _without_moving(drive, searched, tracks)
-    tracks = _without_rejected(drive, tracks)
     tracks = _with_the_rest(drive, tracks)
+    tracks = _without_rejected(drive, tracks)
     return _joined(labels, drive, tracks)
 
 
@@ -134,13 +164,15 @@ def _chosen(
     options: TrackOptions,
     frames: Collection[int] | None,
 ) -> list[Proposal]:
-    """Return the detections to use, by image; accepted ones are labels already."""
+    """Return the detections to use, by image, with those of what was left out of maps; accepted
+    ones are labels already."""
     posed = {frame.index for frame in source.frames if frame.T_map_camera is not None}
     usable = posed if frames is None else posed & set(frames)
     good = np.isin(detections.frame_index, sorted(usable))
     good &= detections.score >= options.least_score
-    rows = (detections[row] for row in np.flatnonzero(good).tolist())
-    known = labels.observations.keys() | labels.dismissals.keys()
+    center = labels.triangle_center
+    rows = (detections[row].following(center) for row in np.flatnonzero(good).tolist())
+    known = labels.without_left_out().observations.keys() | labels.dismissals.keys()
     new = (row for row in rows if row.id not in known)
     return sorted(new, key=lambda row: (row.frame_index, row.side, row.id))
 
@@ -190,10 +222,7 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        SearchOptions(
-            min_frames=options.min_frames,
-            pose_sigma_m=_WITHIN_A_PASS * drive.link.pose_sigma_m,
-        ),
+        options.search(_WITHIN_A_PASS * drive.link.pose_sigma_m),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
@@ -214,13 +243,7 @@ def _without_moving(drive: DetectedDrive, searched: BoolArray, tracks: _Tracks) 
 def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     """Give up the tracks of landmarks that a person left out."""
     _, placed, _ = _placed(drive, tracks)
-    rejected = drive.rejected_tracks(placed)
-    element = drive.gathered.observations.landmark
-    is_left_out = np.append(drive.left_out, False)[np.minimum(element, len(drive.left_out))]
-    rejected[tracks.owner[(tracks.owner >= 0) & is_left_out]] = True
-    lost = np.append(rejected, [False] * 4)[tracks.owner]
-    owner = np.where(lost & drive.is_detection, REJECTED, tracks.owner)
-    return tracks._replace(owner=np.where(lost & ~drive.is_detection, LABELLED, owner))
+    return tracks._replace(owner=without_rejected(drive, tracks.owner, placed))
 
 
 def _placed(
@@ -289,7 +312,7 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
         rows.append(_observation(detection, element_id, ends.known[row]))
         across, along = drive.sigma_ratio[detection.id]
         sigma_ratio[detection.id] = across, along * float(ends.spread[row])
-    joined = Labels.from_rows(rows, labels.next_number, labels.operation)
+    joined = labels.with_rows(rows)
     return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
 
 
@@ -305,7 +328,7 @@ def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposa
         elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
     ):
         new = [
-            detections[row_of[id_]]
+            detections[row_of[id_]].following(labels.triangle_center)
             for id_ in source.observation_ids
             if id_ in row_of and id_ not in labels.observations
         ]
@@ -314,7 +337,7 @@ def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposa
         if new and not labelled:
             rows.append(LabelElement(element_id, number, class_id))
         rows += (replace(as_observation(row), element_id=element_id) for row in new)
-    return Labels.from_rows(rows, labels.next_number, labels.operation)
+    return labels.with_rows(rows)
 
 
 def _track_id(detection_id: str, labels: Labels) -> str:

@@ -15,13 +15,11 @@ _GATES_SIGMAS = np.array([6.0, 4.0, 3.0, 3.0])
 """Within these a ray belongs to a landmark, one after the other in its refinement."""
 _TURN_RAD_PER_M = 0.025
 """Error of the camera's heading, relative to that of its position: 0.03 deg at 0.02 m."""
-_BIN_M = 10.0
-_RECALL = np.array([0.5, 0.5, 0.5, 0.5, 0.3, 0.2, 0.1, 0.1, 0.1])
-"""Assumed share of detected landmarks, by range in bins of 10 m."""
+BIN_M = 10.0
 _PRIOR_LOG_ODDS = -float(np.log(_CELLS))
 """Of a landmark in a ray's best cell: one of its cells is the best in any case."""
-_GOOD_ENDS, _END_M = 0.7, 0.1
-"""Assumed share of known ends that are where a detector says, and how well they are defined."""
+_END_M = 0.1
+"""How well the ends of poles are defined."""
 
 
 class RayScene(NamedTuple):
@@ -49,6 +47,10 @@ class RayScene(NamedTuple):
     keyframe: IntArray
     expected: BoolArray
     """(v,) whether a landmark in view is expected to be detected"""
+    recall: FloatArray
+    """Share of the landmarks in view that are detected, by range in bins of ``BIN_M``"""
+    good_ends: FloatArray
+    """(2,) share of known tops and bottoms that are where the detector says"""
 
 
 @compiled
@@ -171,7 +173,7 @@ def refined(
     free: BoolArray,
     clutter_of: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Refine candidates (s,); see ``Candidates``. Of vague positions, the log-odds are
+    """Refine candidates (s,); see ``TrackCandidates``. Of vague positions, the log-odds are
     -infinity."""
     n = len(starts)
     at, height = np.zeros((n, 2)), np.zeros(n)
@@ -240,7 +242,7 @@ def _log_odds(
     for image in range(first, last):
         distance = _is_in_view(scene, image, x, y)
         j, chi2, variance = _nearest_ray(scene, image, x, y, z, pose_m, 3.0, free)
-        share = _RECALL[min(int(distance / _BIN_M), len(_RECALL) - 1)]
+        share = scene.recall[min(int(distance / BIN_M), len(scene.recall) - 1)]
         if j < 0:
             result += np.log(1.0 - share) if distance > 0.0 and scene.expected[image] else 0.0
             continue
@@ -275,7 +277,8 @@ def _agreement_of_ends(scene: RayScene, members: IntArray, x: float, y: float, e
         return 0.0
     off = (height[:n] - np.median(height[:n])) / sigma[:n]
     density = np.exp(-0.5 * off * off) / (np.sqrt(2.0 * np.pi) * sigma[:n]) * distance[:n]
-    odds = np.log(_GOOD_ENDS * density * scene.span + 1.0 - _GOOD_ENDS)
+    good = scene.good_ends[end]
+    odds = np.log(good * density * scene.span + 1.0 - good)
     return float(odds.sum() - odds.max())
 
 

@@ -8,7 +8,7 @@ of that rating, and the search is repeated on the rest. A false detection finds 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -16,16 +16,21 @@ import numpy as np
 
 from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
 from semviz_annotation.mapping.association.ray_votes import (
+    BIN_M,
     RayScene,
     claimed,
     refined,
     voted_ranges,
 )
+from semviz_core.base.detector_model import DetectorModel
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.localizability.route import recall_at
 
 _WINDOW_M = 60.0
 """Images farther than this before or after a detection along the drive are not searched: a second
 pass makes a track of its own, and tracks are merged afterwards."""
+_RECALL_RANGE = 0.02, 0.98
+"""No landmark is missed, or found, for sure."""
 _AT_ONCE = 2000
 """Number of rays searched at once, between two reports of progress."""
 
@@ -42,6 +47,21 @@ class SearchOptions:
     """Least log-odds that it exists."""
     most_sigma_m: float = 10.0
     """Largest standard deviation of its position, in the worst direction."""
+    recall: tuple[float, ...] = (0.5, 0.5, 0.5, 0.5, 0.3, 0.2, 0.1, 0.1, 0.1)
+    """Share of the landmarks in view that are detected, by range in bins of 10 m."""
+    good_ends: tuple[float, float] = (0.7, 0.7)
+    """Share of known tops and bottoms of poles that are where the detector says."""
+
+    def of_detector(self, model: DetectorModel) -> "SearchOptions":
+        """Return these options with the measured rates of a detector."""
+        range_m = BIN_M * (np.arange(len(self.recall), dtype=np.float64) + 0.5)
+        recall = np.clip(recall_at(model, range_m), *_RECALL_RANGE)
+        top, bottom = self.good_ends
+        return replace(
+            self,
+            recall=tuple(recall.tolist()),
+            good_ends=(top, min(bottom, 1.0 - model.hidden_bottoms)),
+        )
 
 
 class FoundTracks(NamedTuple):
@@ -77,7 +97,7 @@ def search_tracks(
     for class_id in np.unique(kind[usable]).tolist():
         rows = np.flatnonzero(usable & (kind == class_id))
         rows = rows[np.argsort(image[rows], kind="stable")]
-        scene = _scene(rays, rows, image[rows], images, expected & images.is_key)
+        scene = _scene(rays, rows, image[rows], images, expected & images.is_key, options)
         found = _Search(scene, options).run(partial(_show, on_progress, done, total))
         some = found.track >= 0
         track[rows[some]] = found.track[some] + count
@@ -92,7 +112,12 @@ def _show(on_progress: Callable[[int, int], None], before: int, total: int, done
 
 
 def _scene(
-    rays: GroundRays, rows: IntArray, image: IntArray, images: DriveImages, expected: BoolArray
+    rays: GroundRays,
+    rows: IntArray,
+    image: IntArray,
+    images: DriveImages,
+    expected: BoolArray,
+    options: SearchOptions,
 ) -> RayScene:
     v = len(images.path_m)
     counts = np.bincount(image, minlength=v)
@@ -117,10 +142,12 @@ def _scene(
         area=area,
         keyframe=images.keyframe,
         expected=expected,
+        recall=np.array(options.recall),
+        good_ends=np.array(options.good_ends),
     )
 
 
-class Candidates(NamedTuple):
+class TrackCandidates(NamedTuple):
     """s candidates, each the best one on its ray."""
 
     start: IntArray
@@ -134,8 +161,8 @@ class Candidates(NamedTuple):
     frames: IntArray
     """(s,) number of camera positions that detect it"""
 
-    def where(self, rows: BoolArray) -> "Candidates":
-        return Candidates(
+    def where(self, rows: BoolArray) -> "TrackCandidates":
+        return TrackCandidates(
             self.start[rows],
             self.at_m[rows],
             self.height_m[rows],
@@ -172,7 +199,7 @@ class _Search:
             starts = candidates.start[self._free[candidates.start]]
         return FoundTracks(track, np.concatenate(places), np.concatenate(odds))
 
-    def _candidates(self, starts: IntArray, on_progress: Callable[[int], None]) -> Candidates:
+    def _candidates(self, starts: IntArray, on_progress: Callable[[int], None]) -> TrackCandidates:
         scene, options, parts = self._scene, self._options, []
         free = np.bincount(scene.image[self._free], minlength=len(scene.path))
         clutter = np.asarray(np.maximum(free, 1), dtype=np.float64)
@@ -189,11 +216,11 @@ class _Search:
                 self._free,
                 clutter,
             )
-            parts.append(Candidates(some, *values))
+            parts.append(TrackCandidates(some, *values))
             on_progress(len(self._free) - len(starts) + first + len(some))
-        return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return TrackCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _claim(self, candidates: Candidates, track: IntArray, count: int) -> IntArray:
+    def _claim(self, candidates: TrackCandidates, track: IntArray, count: int) -> IntArray:
         """Let candidates claim their rays, the best first; see ``claimed``."""
         order = np.argsort(-candidates.log_odds, kind="stable")
         return np.asarray(

@@ -13,12 +13,13 @@ import numpy as np
 
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.mapping.quality.label_links import check_frame, map_rows
+from semviz_annotation.mapping.quality.label_links import check_frame, check_triangles, map_rows
 from semviz_annotation.mapping.quality.leave_one_out import LeftOut, leave_one_out
 from semviz_annotation.mapping.quality.lint import SEVERITIES, Finding, lint
 from semviz_annotation.mapping.quality.lint_context import LintContext
 from semviz_core.base.frame import Dataset
-from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.semantic_map import Provenance, SemanticMap
+from semviz_core.base.triangle_center import describe
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.image_errors import CRITERIA, ClassAccuracy, ImageErrors
@@ -100,6 +101,7 @@ def mapping_accuracy(
     check_frame(semantic_map, source)
     if not semantic_map.provenance:
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
+    check_triangles(semantic_map, labels)
     elements = semantic_map.elements
     rows = map_rows(semantic_map)
     errors: dict[int, list[ImageErrors]] = {class_.id: [] for class_ in semantic_map.classes}
@@ -188,14 +190,37 @@ class Check:
             **self.accuracy.as_dict(),
             "lint": [asdict(finding) for finding in self.findings],
             "leave_out": [asdict(residual) for residual in self.left_out[:WORST_KEPT]],
+            "triangle_center": self.semantic_map.triangle_center,
+            "existence_log_odds": dict(self._log_odds()),
             "operations": {"map": self.semantic_map.operation, "labels": self.labels_operation},
         }
 
     def as_text(self) -> str:
         """Return the table, the worst labels and the findings."""
+        center = f"a triangular sign is {describe(self.semantic_map.triangle_center)}"
         if not self.semantic_map.provenance:
-            return "\n".join(["the map was not made from labels: only rules apply", *self._lint()])
-        return "\n".join([self.accuracy.as_text(), *self._worst(), *self._lint()])
+            unknown = "the map was not made from labels: only rules apply"
+            return "\n".join([unknown, center, *self._lint()])
+        parts = self._existence(), self._worst(), self._lint()
+        return "\n".join(
+            [self.accuracy.as_text(), center, *(line for part in parts for line in part)]
+        )
+
+    def _log_odds(self) -> Iterator[tuple[int, float]]:
+        """Yield the ids of elements from detections alone, with their log-odds."""
+        ids = self.semantic_map.elements.id.tolist()
+        for id_, origin in zip(ids, self.semantic_map.provenance, strict=False):
+            if origin.log_odds is not None:
+                yield id_, origin.log_odds
+
+    def _existence(self) -> Iterator[str]:
+        """Yield the elements from detections that are least sure to exist."""
+        rows = sorted(self._log_odds(), key=lambda row: row[1])
+        if rows:
+            yield f"\nleast sure to exist, of {len(rows)} elements from detections"
+        for id_, log_odds in rows[:WORST_LISTED]:
+            text = Provenance(log_odds=log_odds).existence
+            yield f"  {self.semantic_map.name_of(id_):<8} {text}"
 
     def _worst(self) -> Iterator[str]:
         elements, classes = self.semantic_map.elements, self.semantic_map.classes

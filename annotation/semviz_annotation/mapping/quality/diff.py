@@ -10,8 +10,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from semviz_core.base.classes import TRIANGULAR
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
+from semviz_core.base.triangle_center import OLDER, TriangleCenter, describe
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
@@ -192,6 +194,10 @@ class MapDiff:
     """Elements at the same position, but of other label elements or ids."""
     operations: tuple[int, int]
     """Last label operation of base and other; 0 without labels."""
+    triangle_centers: tuple[TriangleCenter, TriangleCenter] = (OLDER, OLDER)
+    """What the points of triangular signs are in base and other."""
+    redefined: int = 0
+    """Triangular signs whose points differ by definition; not compared, unless a metre apart."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return values for JSON."""
@@ -201,6 +207,9 @@ class MapDiff:
         """Return a line per difference; of the moves, the largest only."""
         base, other = self.operations
         lines = [f"labels known up to operation: {base}, {other}", f"unchanged: {self.unchanged}"]
+        if self.redefined:
+            was, is_ = map(describe, self.triangle_centers)
+            lines.append(f"triangular signs, not compared: {self.redefined}; at {was}, now {is_}")
         lines.append(f"moved by more than {MOVED_M * 100:g} cm: {len(self.moved)}")
         for move in self.moved[:MOVES_LISTED]:
             sigmas = "" if move.sigmas is None else f" ({move.sigmas:.1f} sigma)"
@@ -230,6 +239,9 @@ def diff_maps(base: SemanticMap, other: SemanticMap) -> MapDiff:
     base_elements, other_elements = base.elements[rows[:, 0]], other.elements[rows[:, 1]]
     distance_m, sigmas = _displacement(base_elements, other_elements)
     has_moved, other_class = distance_m > MOVED_M, base_elements.class_id != other_elements.class_id
+    redefined = (base_elements.class_id == TRIANGULAR) & ~other_class
+    redefined &= (base.triangle_center != other.triangle_center) & (distance_m < SAME_PLACE_M)
+    has_moved &= ~redefined
     moved = [
         Moved(
             name=_name(other, rows[pair, 1]),
@@ -239,7 +251,7 @@ def diff_maps(base: SemanticMap, other: SemanticMap) -> MapDiff:
         for pair in np.flatnonzero(has_moved)
     ]
     return MapDiff(
-        unchanged=int((~has_moved & ~other_class).sum()),
+        unchanged=int((~has_moved & ~other_class & ~redefined).sum()),
         moved=tuple(sorted(moved, key=lambda move: (-(move.sigmas or 0.0), -move.distance_m))),
         new=_names(other, same.new),
         gone=_names(base, same.gone),
@@ -252,6 +264,8 @@ def diff_maps(base: SemanticMap, other: SemanticMap) -> MapDiff:
         class_changed=_renamed(base, other, rows[other_class]),
         renumbered=_renamed(base, other, rows[base_elements.id != other_elements.id]),
         operations=(base.operation, other.operation),
+        triangle_centers=(base.triangle_center, other.triangle_center),
+        redefined=int(redefined.sum()),
     )
 
 

@@ -18,9 +18,11 @@ from semviz_annotation.mapping.placement.observations import (
     ViewArray,
     collect_observations,
 )
+from semviz_core.base.classes import TRIANGULAR
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.triangle_center import converted, describe
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 
@@ -109,6 +111,16 @@ def associate_labels(
     )
 
 
+def check_triangles(semantic_map: SemanticMap, labels: Labels) -> None:
+    """Raise SemvizError if labels of triangular signs mark another point than those of the map."""
+    triangular = any(row.class_id == TRIANGULAR for row in labels.elements.values())
+    if triangular and labels.triangle_center != semantic_map.triangle_center:
+        raise SemvizError(
+            f"the map has triangular signs at {describe(semantic_map.triangle_center)}, the labels "
+            f"at {describe(labels.triangle_center)}; build the map from these labels"
+        )
+
+
 UNKNOWN = -1
 """Instead of the id of a map element, for labels that are not in the map."""
 
@@ -123,7 +135,8 @@ def observe(
     """Return the m labelled elements of an image and the ids (m,) of their map elements.
 
     Elements are in the order of ``labels.in_frame``, with score 1 and ``sigma_px`` in each
-    direction. Ids follow from the map's provenance; ``UNKNOWN`` if there is none.
+    direction. Ids follow from the map's provenance; ``UNKNOWN`` if there is none. Raise SemvizError
+    if labels and map follow different definitions of triangular signs, and one is labelled here.
     """
     rows = labels.in_frame(frame_index, side)
     nothing = (np.nan, np.nan)
@@ -139,6 +152,9 @@ def observe(
         anchor_known=np.array([row.anchor_known for row in rows], dtype=np.bool_),
         end_known=np.array([row.end_known for row in rows], dtype=np.bool_),
     )
+    if semantic_map is not None:
+        center = semantic_map.triangle_center
+        elements = converted(elements, labels.triangle_center, center)
     return elements, _map_ids(rows, semantic_map)
 
 

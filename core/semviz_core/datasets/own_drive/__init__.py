@@ -5,5 +5,5 @@
 `nerfstudio` hold both. `conventions` applies what poses mean: direction, axes, body, the upward
 axis of their world. `recorded_cameras` and `recorded_drive` put it together, with `time_matching`.
 `rectification` makes images of a pinhole camera, which `image_folder` serves as a ``Dataset``;
-`row_check` and `pose_check` measure on matches (`matching`) whether rows and poses agree.
+`row_check` and `convention_check` measure on matches (`matching`) whether rows and poses agree.
 """

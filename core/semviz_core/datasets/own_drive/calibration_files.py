@@ -28,6 +28,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_toml, shown
 from semviz_core.datasets.own_drive.lens import COEFFICIENTS, LensModel, OriginalCamera
 from semviz_core.datasets.own_drive.yaml_files import numbers_of, read_yaml
+from semviz_core.datasets.trajectory import read_text
 
 _MODELS: dict[str, LensModel] = {
     "pinhole": "pinhole",
@@ -72,18 +73,21 @@ def read_calibration(path: Path, right: Path | None = None) -> CalibrationFile:
     left_file = _read_file(path)
     if right is None:
         return left_file
-    right_file = _read_file(right)
-    T_right_left = _relative_pose(left_file, right_file)
+    return stereo_calibration(left_file, _read_file(right))
+
+
+def stereo_calibration(left: CalibrationFile, right: CalibrationFile) -> CalibrationFile:
+    """Return the calibration of a pair, each camera of which has its own.
+
+    Raise SemvizError if nothing says where the right camera is.
+    """
+    T_right_left = _relative_pose(left, right)
     if T_right_left is None:
         raise SemvizError(
-            f"{right}: does not say where the right camera is (no T_BS, no baseline in its "
-            "projection matrix); give T_right_left in a TOML file, see docs/own-drive.md"
+            f"{right.path}: does not say where the right camera is (no pose in a body, no baseline "
+            "in its projection matrix); give T_right_left in a TOML file, see docs/own-drive.md"
         )
-    return replace(
-        left_file,
-        cameras=(left_file.cameras[0], right_file.cameras[0]),
-        T_right_left=T_right_left,
-    )
+    return replace(left, cameras=(left.cameras[0], right.cameras[0]), T_right_left=T_right_left)
 
 
 def _relative_pose(left: CalibrationFile, right: CalibrationFile) -> Pose | None:
@@ -100,6 +104,8 @@ def _read_file(path: Path) -> CalibrationFile:
         raise SemvizError(f"{path}: no such calibration file; name another with --calibration")
     if path.suffix == ".toml":
         return _own(path, read_toml(path))
+    if path.suffix == ".ini":
+        return camera_info(path, _ini(path))
     content = read_yaml(path)
     if content.get("model_type") == "MEI" or "mirror_parameters" in content:
         raise _unknown_model(path, "MEI (a mirror or a fisheye with xi)")
@@ -108,7 +114,7 @@ def _read_file(path: Path) -> CalibrationFile:
     if "T_BS" in content or "intrinsics" in content:
         return _euroc(path, content)
     if "distortion_model" in content or {"d", "k", "p"} <= content.keys():
-        return _ros(path, content)
+        return camera_info(path, content)
     return _opencv(path, content)
 
 
@@ -120,9 +126,10 @@ def _unknown_model(path: Path, name: str) -> SemvizError:
 
 
 def _model(path: Path, name: Any) -> LensModel:
-    model = _MODELS.get(str(name if name is not None else "").lower())
+    text = name if isinstance(name, str) else "" if name is None else type(name).__name__
+    model = _MODELS.get(text.lower())
     if model is None:
-        raise _unknown_model(path, str(name))
+        raise _unknown_model(path, text)
     return model
 
 
@@ -257,12 +264,51 @@ def _matrix_numbers(value: Any, where: str) -> FloatArray:
     return K[[0, 1, 0, 1], [0, 1, 2, 2]]
 
 
-def _ros(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
-    """Read camera_info; K and D are of the recorded images, P of ROS's rectified ones."""
+_INI_NAMES = {
+    "width": "width",
+    "height": "height",
+    "camera matrix": "k",
+    "distortion": "d",
+    "rectification": "r",
+    "projection": "p",
+}
+_INI_MODELS = {4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
+
+
+def _ini(path: Path) -> dict[str, Any]:
+    """Return the values of a ROS .ini, which names no lens model: the count of terms tells it."""
+    values: dict[str, list[float]] = {}
+    name = ""
+    for line in read_text(path).splitlines():
+        text = line.strip()
+        if text.lower() in _INI_NAMES:
+            name = _INI_NAMES[text.lower()]
+            if name in values:
+                raise SemvizError(f"{path}: several cameras; give one file for each")
+            values[name] = []
+        elif text and text[0] not in "#;[" and name:
+            values[name] += numbers_of(list(text.split()), (None,), f"{path}, {name}").tolist()
+    content: dict[str, Any] = {
+        key: row[0] if key in ("width", "height") and row else row for key, row in values.items()
+    }
+    count = len(values.get("d", ()))
+    if count not in _INI_MODELS:
+        raise SemvizError(f"{path}: {count} distortion terms; only 4, 5 and 8 are read")
+    return {**content, "distortion_model": _INI_MODELS[count]}
+
+
+def camera_info(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    """Return the calibration in a camera_info, with the names of its YAML or its message.
+
+    K and D are of the recorded images, P of ROS's rectified ones. Raise SemvizError with ``path``.
+    """
     where = str(path)
     for name in ("binning_x", "binning_y"):
         if content.get(name) not in (None, 0, 1):
             raise SemvizError(f"{path}: {name} {content[name]} is not read; record without binning")
+    roi = content.get("roi")
+    if isinstance(roi, dict) and (roi.get("x_offset") or roi.get("y_offset")):
+        raise SemvizError(f"{path}: a region of interest (roi) is not read; record whole images")
     size = [_needed(content, where, f"image_{side}", side) for side in ("width", "height")]
     coefficients = _needed(content, where, "distortion_coefficients", "d", "D")
     camera = _camera(

@@ -15,7 +15,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited, shown
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
-from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses, rotations_of
+from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses, rotations_of
+from semviz_core.datasets.trajectory import MOST_LINES
 
 _MODEL_NAMES = (  # in the order of COLMAP's numbers
     "SIMPLE_PINHOLE",
@@ -31,6 +32,7 @@ _MODEL_NAMES = (  # in the order of COLMAP's numbers
     "THIN_PRISM_FISHEYE",
 )
 _COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+_FILES = ("images.bin", "images.txt")
 _MOST_BYTES = 2**30
 _IMAGE = struct.Struct("<I7dI")
 """Id, quaternion w first, translation, id of the camera."""
@@ -47,10 +49,14 @@ class _Images:
 
 
 def is_colmap(path: Path) -> bool:
-    """Whether a path is a folder of a model, or its file of images."""
-    return path.name in ("images.txt", "images.bin") or any(
-        (path / f"images.{kind}").is_file() for kind in ("bin", "txt")
-    )
+    """Whether a path is a folder of a model, one with the folder ``0``, or a file of images."""
+    return path.name in _FILES or _file_in(path) is not None
+
+
+def _file_in(folder: Path) -> Path | None:
+    """Return a model's file of images; COLMAP's first model is in ``sparse/0``."""
+    candidates = (inner / name for inner in (folder, folder / "0") for name in _FILES)
+    return next((file for file in candidates if file.is_file()), None)
 
 
 def read_colmap(path: Path) -> PosedCameras:
@@ -58,10 +64,7 @@ def read_colmap(path: Path) -> PosedCameras:
 
     Raise SemvizError if a file is damaged, or a camera's model is not read.
     """
-    file = path
-    if path.is_dir():
-        files = [path / f"images.{kind}" for kind in ("bin", "txt")]
-        file = next(candidate for candidate in files if candidate.is_file())
+    file = _file_in(path) or path
     is_binary = file.suffix == ".bin"
     beside = file.with_name(f"cameras{file.suffix}")
     try:
@@ -106,17 +109,29 @@ def _of_rows(rows: list[_Row]) -> _Images:
 
 def _text_images(path: Path) -> Iterator[_Row]:
     """Two lines each; the second one holds the points and may be empty."""
-    lines = read_limited(path, _MOST_BYTES).decode("utf-8").splitlines()
-    content = [line for line in lines if not line.startswith("#")]
-    for line in content[::2]:
+    for line in _lines(path)[::2]:
         if line.strip():
-            words = line.split(maxsplit=9)
+            words = line.decode("utf-8").split(maxsplit=9)
             yield tuple(float(word) for word in words[1:8]), int(words[8]), words[9].strip()
+
+
+def _lines(path: Path) -> list[bytes]:
+    """Return the lines that are no comments; most hold points, and are never decoded."""
+    data = read_limited(path, _MOST_BYTES)
+    _check_count(path, data.count(b"\n") // 2)
+    return [line for line in data.split(b"\n") if not line.startswith(b"#")]
+
+
+def _check_count(path: Path, count: int) -> None:
+    """Raise SemvizError for so many entries that they would not fit into memory."""
+    if count > MOST_LINES:
+        raise SemvizError(f"{path}: more than {MOST_LINES} images or cameras; split the model")
 
 
 def _binary_images(path: Path) -> Iterator[_Row]:
     data = read_limited(path, _MOST_BYTES)
     (count,) = struct.unpack_from("<Q", data)
+    _check_count(path, count)
     place = 8
     for _ in range(count):
         _, *numbers, camera = _IMAGE.unpack_from(data, place)
@@ -129,9 +144,9 @@ def _binary_images(path: Path) -> Iterator[_Row]:
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, OriginalCamera]]:
-    for line in read_limited(path, _MOST_BYTES).decode("utf-8").splitlines():
-        if line.strip() and not line.startswith("#"):
-            number, model, width, height, *parameters = line.split()
+    for line in _lines(path):
+        if line.strip():
+            number, model, width, height, *parameters = line.decode("utf-8").split()
             values = [float(word) for word in parameters]
             yield int(number), _camera(path, model, int(width), int(height), values)
 
@@ -139,6 +154,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, OriginalCamera]]:
 def _binary_cameras(path: Path) -> Iterator[tuple[int, OriginalCamera]]:
     data = read_limited(path, _MOST_BYTES)
     (count,) = struct.unpack_from("<Q", data)
+    _check_count(path, count)
     place = 8
     for _ in range(count):
         number, model, width, height = _CAMERA.unpack_from(data, place)
@@ -169,4 +185,7 @@ def _camera(path: Path, model: str, width: int, height: int, values: list[float]
     if lens == "brown-conrady" and not any(terms):
         lens, terms = "pinhole", []
     K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
-    return OriginalCamera(lens, width, height, K, np.array(terms))
+    try:
+        return OriginalCamera(lens, width, height, K, np.array(terms))
+    except SemvizError as error:
+        raise SemvizError(f"{path}: {error}") from None

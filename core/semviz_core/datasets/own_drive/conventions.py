@@ -17,7 +17,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
-from semviz_core.datasets.own_drive.pose_files import CameraAxes, Direction, RecordedPoses
+from semviz_core.datasets.own_drive.geodesy import east_north_up, is_earth_centred
+from semviz_core.datasets.own_drive.recorded_poses import CameraAxes, Direction, RecordedPoses
 from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_text
 
 UpDirection: TypeAlias = Literal["auto", "cameras", "x", "-x", "y", "-y", "z", "-z"]
@@ -83,7 +84,7 @@ def read_extrinsic(name: str, calibration: CalibrationFile) -> tuple[Pose, str]:
     text = " ".join(read_text(path).replace(",", " ").split())
     count = 16 if len(text.split()) == 16 else 12
     try:
-        return Pose.from_matrix(parsed_numbers(text, count, str(path)).reshape(-1, 4)), path.name
+        return Pose.from_matrix(parsed_numbers(text, count, "numbers").reshape(-1, 4)), path.name
     except SemvizError as error:
         raise SemvizError(f"{path}: {error}; give T_body_camera as a 3x4 or 4x4 matrix") from None
 
@@ -121,10 +122,17 @@ def world_axes(T_world_camera: Sequence[Pose], up: UpDirection = "auto") -> Worl
     """Return the map's axes. ``auto`` takes the axis nearest to the cameras' upward direction.
 
     If none is within 20 deg, the cameras' own upward direction is taken. ``T_world_camera`` has
-    at least one pose.
+    at least one pose. Earth-centred positions get axes east, north and up at the first one.
     """
     upward = -np.mean([pose.rotation[:, 1] for pose in T_world_camera], axis=0)
     upward /= max(float(np.linalg.norm(upward)), 1e-9)
+    t = np.array([pose.translation for pose in T_world_camera])
+    if up == "auto" and is_earth_centred(t):
+        local = east_north_up(t[0])
+        tilt_deg = _angle_deg(local.rotation[2], upward)
+        if tilt_deg <= _NEAR_AXIS_DEG:
+            x_m, y_m, z_m = t[0].tolist()
+            return WorldAxes(local, "the earth's", tilt_deg, (x_m, y_m, z_m))
     nearest = max(_AXES, key=lambda name: float(_AXES[name] @ upward))
     chosen: str = up
     if up == "auto":
@@ -135,7 +143,6 @@ def world_axes(T_world_camera: Sequence[Pose], up: UpDirection = "auto") -> Worl
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     R = np.array([x, np.cross(z, x), z])
-    t = np.array([pose.translation for pose in T_world_camera])
     origin = np.zeros(3)
     if np.abs(t).max() > _FAR_M:
         origin = np.round(t[0] / 1000.0) * 1000.0

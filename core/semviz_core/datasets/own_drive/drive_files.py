@@ -1,12 +1,13 @@
 """The files of a drive as a user names them, and what replaces the conventions of formats."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.conventions import UpDirection
 from semviz_core.datasets.own_drive.image_files import TimeUnit
-from semviz_core.datasets.own_drive.pose_files import CameraAxes, Direction, QuaternionOrder
+from semviz_core.datasets.own_drive.recorded_poses import CameraAxes, Direction, QuaternionOrder
 from semviz_core.datasets.own_drive.rectification import MOST_VIEW_DEG
 from semviz_core.datasets.own_drive.time_matching import MOST_GAP_S
 
@@ -14,12 +15,24 @@ RATE_HZ = 10.0
 """Of images whose times nobody knows."""
 
 
+def _silent(what: str, done: int, of: int) -> None:
+    """Show nothing."""
+
+
 @dataclass(frozen=True)
 class DriveFiles:
     """The files of a drive, and what replaces the conventions of their formats."""
 
     images: Path
+    """Folder of images, or a recording that an adapter reads."""
     right: Path | None = None
+    cameras: tuple[str, ...] = ()
+    """Of a recording, as it names them: the left or only one, and the right one; empty: its own
+    choice."""
+    sequence: str | None = None
+    """Of a recording of several; None: the only one."""
+    extracted: Path | None = None
+    """Folder for the images of a recording that is one file."""
     calibration: Path | None = None
     """None: the cameras of ``poses``, if that is a model of COLMAP or nerfstudio."""
     right_calibration: Path | None = None
@@ -41,6 +54,8 @@ class DriveFiles:
     rate_hz: float = RATE_HZ
     most_view_deg: float = MOST_VIEW_DEG
     frames: range | None = None
+    show: Callable[[str, int, int], None] = _silent
+    """Told what is read, how much of it is done, and of how much."""
 
     def __post_init__(self) -> None:
         for name in ("scale", "most_gap_s", "rate_hz"):

@@ -16,7 +16,11 @@ from semviz_core.datasets.trajectory import MOST_LINES, read_text
 SUFFIXES = (".png", ".jpg", ".jpeg")
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
 _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_UNUSUAL = re.compile(r"[\\\x00-\x1f\x7f\ud800-\udfff]")
+"""In names of images: neither files of a drive nor other systems could hold them."""
 _LARGEST = 1e25
+MOST_PAIR_S = 0.002
+"""Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
 _TIME_DIGITS = 10
 """A name of so many digits is a time since 1970: seconds, or a smaller unit."""
 
@@ -30,25 +34,35 @@ class ImageNames:
     """As many as ``left``, or none."""
     unpaired: int = 0
     """Images without one on the other side; they are left out."""
-    by_order: bool = False
-    """Whether pairs were made in order, because the names of both sides differ."""
+    missing: int = 0
+    """Images that a recording lists and that are not there."""
+    paired: Literal["by name", "in order", "by time"] = "by name"
+    """How pairs were made; in order if no names agree, but their count."""
+
+
+def folder_of(path: Path) -> Path:
+    """Return the folder of images that a user names: itself, or ``folder/*_left.png``."""
+    return path.parent if "*" in path.name else path
 
 
 def list_images(left: Path, right: Path | None) -> ImageNames:
     """Return the images of a folder, in the order of the numbers in their names, then names.
 
-    Pairs have the same name but for the ending. If no names agree, but their count, images are
-    paired in order. Raise SemvizError if a folder has no images, or no pairs can be made.
+    A path may end with a pattern such as ``*_left.png``, for cameras in one folder. Pairs have the
+    same name but for the ending, or the same text in the place of the star. If no names agree, but
+    their count, images are paired in order. Raise SemvizError if a folder has no images, or no
+    pairs can be made.
     """
     names = _names(left)
     if right is None:
         return ImageNames(tuple(names))
     if right.resolve() == left.resolve():
         raise SemvizError(f"{right}: given for --images and --right; name the right camera's one")
-    others = {Path(name).stem: name for name in _names(right)}
-    pairs = [(name, others[Path(name).stem]) for name in names if Path(name).stem in others]
+    others = {_varying(name, right): name for name in _names(right)}
+    keys = [(_varying(name, left), name) for name in names]
+    pairs = [(name, others[key]) for key, name in keys if key in others]
     if not pairs and len(names) == len(others):
-        return ImageNames(tuple(names), tuple(others.values()), by_order=True)
+        return ImageNames(tuple(names), tuple(others.values()), paired="in order")
     if not pairs:
         raise SemvizError(
             f"{right}: {len(others)} images, and none is called like one of the {len(names)} in "
@@ -59,18 +73,72 @@ def list_images(left: Path, right: Path | None) -> ImageNames:
     return ImageNames(tuple(paired_left), tuple(paired_right), unpaired)
 
 
-def _names(folder: Path) -> list[str]:
+def _varying(name: str, path: Path) -> str:
+    """Return what tells an image from others of its camera: the name, or what a star stands for."""
+    head, _, tail = (path.name if "*" in path.name else "*").partition("*")
+    varying = name[len(head) : len(name) - len(tail)]
+    return Path(varying).stem if Path(varying).suffix.lower() in SUFFIXES else varying
+
+
+def pairs_by_time(
+    left: Sequence[str],
+    left_s: FloatArray,
+    right: Sequence[str],
+    right_s: FloatArray,
+    missing: int = 0,
+    most_apart_s: float = MOST_PAIR_S,
+) -> tuple[ImageNames, list[int]]:
+    """Pair images that were taken within ``most_apart_s``, each once; both are in order of time.
+
+    Return their names, and their rows in ``left``. Raise SemvizError if there are no pairs.
+    """
+    pairs: list[tuple[int, int]] = []
+    for row, moment in enumerate(left_s.tolist()):
+        nearest = int(np.abs(right_s - moment).argmin())
+        mutual = int(np.abs(left_s - right_s[nearest]).argmin()) == row
+        if mutual and abs(right_s[nearest] - moment) <= most_apart_s:
+            pairs.append((row, nearest))
+    if not pairs:
+        raise SemvizError(
+            f"no images of both cameras within {most_apart_s * 1e3:g} ms of each other: no stereo "
+            "pair; choose one camera"
+        )
+    names = ImageNames(
+        tuple(left[row] for row, _ in pairs),
+        tuple(right[row] for _, row in pairs),
+        unpaired=len(left) + len(right) - 2 * len(pairs),
+        missing=missing,
+        paired="by time",
+    )
+    return names, [row for row, _ in pairs]
+
+
+def _names(path: Path) -> list[str]:
+    folder, pattern = folder_of(path), path.name if "*" in path.name else "*"
     if not folder.is_dir():
         raise SemvizError(f"{folder}: no such folder of images; name another")
+    if pattern.count("*") > 1:
+        raise SemvizError(f"{path}: give one star, for what differs between images of a camera")
+    head, _, tail = pattern.partition("*")
     found = [
-        path.name
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+        file.name
+        for file in folder.iterdir()
+        if file.suffix.lower() in SUFFIXES
+        and not file.name.startswith(".")
+        and len(file.name) >= len(head) + len(tail)
+        and file.name.startswith(head)
+        and file.name.endswith(tail)
     ]
     if not found:
-        raise SemvizError(f"{folder}: a folder without images; expected .png or .jpg")
+        raise SemvizError(f"{path}: a folder without images; expected .png or .jpg")
+    wrong = next((name for name in found if _UNUSUAL.search(name)), None)
+    if wrong is not None:
+        raise SemvizError(
+            f"{folder}: an image is called {shown(wrong, 80)}, with a backslash, a control "
+            "character or bytes that are no text; rename it"
+        )
     if len(found) > MOST_LINES:
-        raise SemvizError(f"{folder}: more than {MOST_LINES} images; split the drive")
+        raise SemvizError(f"{path}: more than {MOST_LINES} images; split the drive")
     return sorted(found, key=lambda name: (_numbers_as_numbers(name), name))
 
 

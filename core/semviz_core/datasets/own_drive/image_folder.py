@@ -1,5 +1,6 @@
 """A ``Dataset`` of a folder of images, or of two for stereo, rectified as they are asked for."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +25,9 @@ class ImageFolder:
     """A ``Dataset`` of recorded images.
 
     A rectified image is made when it is first asked for, and kept in ``cache`` as PNG, so that
-    labels and measurements of all times see the same pixels. It is made again if the recorded image
-    is newer. Images that need no rectification are read as they are.
+    labels and measurements of all times see the same pixels. Its file has the recorded image's time
+    of change, and is made again if that changes. Images that need no rectification are read as they
+    are.
     """
 
     map_frame: MapFrame
@@ -59,11 +61,22 @@ class ImageFolder:
         if rectification.is_identity:
             return original
         path = self.cache / side / f"{index:06d}.png"
-        if not _is_newer(path, original):
+        changed_ns = original.stat().st_mtime_ns
+        if not path.is_file() or path.stat().st_mtime_ns != changed_ns:
+            self._check_replaceable(path)
             recorded = rectification.original
             image = _read_image(original, recorded.width, recorded.height)
-            _write_png(path, rectification.rectify(image))
+            _write_png(path, rectification.rectify(image), changed_ns)
         return path
+
+    def _check_replaceable(self, path: Path) -> None:
+        """Raise SemvizError if a link leads from the cache to somebody's image of the same name."""
+        within = self.cache.parent.resolve() / self.cache.name / path.parent.name
+        if path.exists() and path.parent.resolve() != within:
+            raise SemvizError(
+                f"{path}: not replaced, because a link leads there from {self.cache.parent}; "
+                "delete that image, or the link"
+            )
 
     def original_path(self, index: int, side: Side) -> Path:
         """Return the path of a recorded image. Raise SemvizError for a frame or side not there."""
@@ -85,13 +98,6 @@ class ImageFolder:
         return self.rectified.of(side).to_original(pixels_px)
 
 
-def _is_newer(path: Path, than: Path) -> bool:
-    try:
-        return path.stat().st_mtime_ns >= than.stat().st_mtime_ns
-    except FileNotFoundError:
-        return False
-
-
 def _read_image(path: Path, width: int, height: int) -> ByteImage:
     image = decode_image(read_limited(path, MOST_IMAGE_BYTES), path)
     if image.shape[:2] != (height, width):
@@ -103,7 +109,7 @@ def _read_image(path: Path, width: int, height: int) -> ByteImage:
     return rgb
 
 
-def _write_png(path: Path, image: ByteImage) -> None:
+def _write_png(path: Path, image: ByteImage, changed_ns: int) -> None:
     import cv2
 
     done, data = cv2.imencode(".png", image[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
@@ -111,3 +117,4 @@ def _write_png(path: Path, image: ByteImage) -> None:
         raise SemvizError(f"{path}: the rectified image cannot be written as PNG")
     with replacing(path) as temporary:
         temporary.write_bytes(data.tobytes())
+        os.utime(temporary, ns=(changed_ns, changed_ns))

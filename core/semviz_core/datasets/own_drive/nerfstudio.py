@@ -15,7 +15,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, parsed_json, read_limited, shown
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
-from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses
+from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
 
 _BROWN_NAMES, _FISHEYE_NAMES = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _MODELS: dict[str, tuple[LensModel, tuple[str, ...]]] = {
@@ -31,7 +31,7 @@ def read_nerfstudio(path: Path) -> PosedCameras:
     try:
         content = parsed_json(read_limited(path, MOST_TEXT_BYTES))
         names = [str(frame["file_path"]) for frame in content["frames"]]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise SemvizError(
             f"{path}: not nerfstudio's transforms.json ({first_line(error)}); name another file"
         ) from None
@@ -53,7 +53,7 @@ def _matrix(where: str, value: Any) -> FloatArray:
         matrix = np.array(value, dtype=np.float64)
         if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
             raise ValueError("not 4x4 finite numbers")
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SemvizError(f"{where}: transform_matrix: {first_line(error)}") from None
     try:
         rotation = nearest_rotation(matrix[:3, :3])
@@ -76,11 +76,14 @@ def _camera(where: str, table: Mapping[str, Any]) -> OriginalCamera:
         cx, cy = float(table["cx"]) - 0.5, float(table["cy"]) - 0.5
         width, height = int(table["w"]), int(table["h"])
         distortion = np.array([float(table.get(term, 0.0)) for term in coefficients])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SemvizError(
             f"{where}: fl_x, cx, cy, w and h are needed ({first_line(error)})"
         ) from None
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if model == "brown-conrady" and not distortion.any():
         model, distortion = "pinhole", np.zeros(0)
-    return OriginalCamera(model, width, height, K, distortion)
+    try:
+        return OriginalCamera(model, width, height, K, distortion)
+    except SemvizError as error:
+        raise SemvizError(f"{where}: {error}") from None

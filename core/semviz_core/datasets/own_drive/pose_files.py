@@ -1,73 +1,27 @@
 """Read poses of cameras or bodies from files of others, without a guess at what they mean.
 
-TUM, KITTI, EuRoC's CSV, KITTI-360's numbered lines; models of COLMAP and nerfstudio are read by
-``colmap_model`` and ``nerfstudio``. Poses are returned as stored, with the conventions of their
-format; ``conventions`` applies these, or what the user says instead.
+TUM, KITTI, EuRoC's CSV, KITTI-360's numbered lines, tables of GNSS (``gnss``); models of COLMAP and
+nerfstudio are read by ``colmap_model`` and ``nerfstudio``. Poses are returned as stored, with the
+conventions of their format; ``conventions`` applies these, or what the user says instead.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from semviz_core.base.pose import Pose, nearest_rotation
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
+from semviz_core.datasets.own_drive.gnss import is_gnss, read_gnss
 from semviz_core.datasets.own_drive.image_files import TimeUnit, in_seconds, is_number
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.recorded_poses import (
+    QuaternionOrder,
+    RecordedPoses,
+    rotations_of,
+)
 from semviz_core.datasets.trajectory import read_text
-
-Direction: TypeAlias = Literal["camera-to-world", "world-to-camera"]
-QuaternionOrder: TypeAlias = Literal["xyzw", "wxyz"]
-CameraAxes: TypeAlias = Literal["opencv", "opengl"]
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedPoses:
-    """Poses as a file holds them, and what its format says about them."""
-
-    path: Path
-    format: str
-    """For people: ``TUM``."""
-    matrices: FloatArray
-    """(n, 3, 4), of ``direction``."""
-    direction: Direction = "camera-to-world"
-    axes: CameraAxes = "opencv"
-    """Of the cameras: y down and z ahead, or y up and z back."""
-    of_body: bool = False
-    """Whether the format holds poses of a body, as EuRoC's does, and not of a camera."""
-    metric: bool = True
-    """Whether lengths are metres by the format's definition."""
-    time_s: FloatArray | None = None
-    """(n,) or None."""
-    time_unit: TimeUnit | None = None
-    names: tuple[str, ...] | None = None
-    """(n,) images, as the file names them, or None."""
-    indices: IntArray | None = None
-    """(n,) numbers of frames, or None. Without times, names and numbers, rows follow the images."""
-    quaternion: QuaternionOrder | None = None
-
-    @property
-    def order(self) -> str:
-        """How rows are assigned to images, for people."""
-        if self.names is not None:
-            return "by name"
-        if self.time_s is not None:
-            return "by time"
-        return "in order" if self.indices is None else "by number"
-
-
-@dataclass(frozen=True, eq=False)
-class PosedCameras:
-    """Poses of a model, and the camera of each of its images."""
-
-    poses: RecordedPoses
-    cameras: Mapping[str, OriginalCamera]
-    """By the names of the poses."""
 
 
 def read_poses(
@@ -84,12 +38,15 @@ def read_poses(
         for number, line in enumerate(read_text(path).splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
+    columns: list[str] = []
     if lines and not is_number(lines[0][1][0]):
-        _refuse_degrees(path, lines[0][1])
-        lines = lines[1:]  # the names of columns
+        columns, lines = lines[0][1], lines[1:]
     if not lines:
         raise SemvizError(f"{path}: holds no poses; name another file with --poses")
     width = len(lines[0][1])
+    if is_gnss(columns):
+        _check_width(path, lines, len(columns))
+        return read_gnss(path, columns, [row for _, row in lines], unit)
     words = [row for _, row in lines]
     values = _numbers(path, lines, width)
     if width == 8:
@@ -107,20 +64,17 @@ def read_poses(
     )
 
 
-def _refuse_degrees(path: Path, columns: list[str]) -> None:
-    if any(re.fullmatch(r"lat(itude)?(_deg)?", column.lower()) for column in columns):
-        raise SemvizError(
-            f"{path}: holds latitude and longitude, and no orientation of a camera; give poses, "
-            "for example of a SLAM system or of COLMAP"
-        )
-
-
-def _numbers(path: Path, lines: list[tuple[int, list[str]]], width: int) -> FloatArray:
+def _check_width(path: Path, lines: list[tuple[int, list[str]]], width: int) -> None:
     for number, row in lines:
         if len(row) != width:
             raise SemvizError(
                 f"{path}, line {number}: {len(row)} numbers, but the first line has {width}"
             )
+
+
+def _numbers(path: Path, lines: list[tuple[int, list[str]]], width: int) -> FloatArray:
+    _check_width(path, lines, width)
+    for number, row in lines:
         wrong = next((word for word in row if not is_number(word)), None)
         if wrong is not None:
             raise SemvizError(f"{path}, line {number}: {shown(wrong, 40)!r} is not a finite number")
@@ -149,20 +103,6 @@ def _timed(
         time_unit=unit,
         quaternion=quaternion,
     )
-
-
-def rotations_of(quaternions: FloatArray, order: QuaternionOrder, path: Path) -> FloatArray:
-    """Return rotations (n, 3, 3). Raise SemvizError if rows (n, 4) are not of length 1."""
-    from scipy.spatial.transform import Rotation
-
-    lengths = np.linalg.norm(quaternions.clip(-1e3, 1e3), axis=1)
-    wrong = np.flatnonzero((lengths < 0.99) | (lengths > 1.01))
-    if len(wrong):
-        raise SemvizError(
-            f"{path}, pose {wrong[0] + 1}: the quaternion has length {lengths[wrong[0]]:.3g}, not 1"
-        )
-    xyzw = quaternions if order == "xyzw" else np.roll(quaternions, -1, axis=1)
-    return np.asarray(Rotation.from_quat(xyzw).as_matrix()).reshape(-1, 3, 3)
 
 
 def _checked(path: Path, lines: list[tuple[int, list[str]]], matrices: FloatArray) -> FloatArray:

@@ -11,25 +11,26 @@ from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.image_files import ImageNames, size_of_images
+from semviz_core.datasets.own_drive.image_files import size_of_images
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
-from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses
+from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
+from semviz_core.datasets.own_drive.recording import Recording
 from semviz_core.datasets.own_drive.time_matching import rows_of_names
 
 
 def read_cameras(
-    files: DriveFiles, names: ImageNames, posed: PosedCameras | None
+    files: DriveFiles, recording: Recording, posed: PosedCameras | None
 ) -> tuple[OriginalRig, CalibrationFile]:
     """Return the recorded cameras and their calibration, checked against the size of the images.
 
     Raise SemvizError if there is no calibration, it is for other images, or it does not say where
     the right camera is.
     """
-    calibration = _calibration(files, names, posed)
+    calibration = _calibration(files, recording, posed)
     left = calibration.cameras[0]
-    _check_size(calibration.path, files.images, names.left, left)
-    if files.right is None:
+    _check_size(calibration.path, recording.images, recording.names.left, left)
+    if recording.right is None:
         return OriginalRig(left), calibration
     if calibration.T_right_left is None:
         raise SemvizError(
@@ -37,40 +38,43 @@ def read_cameras(
             "FILE, a TOML file with T_right_left (see docs/own-drive.md), or leave out --right"
         )
     right = calibration.cameras[1]
-    _check_size(calibration.path, files.right, names.right, right)
+    _check_size(calibration.path, recording.right, recording.names.right, right)
     return OriginalRig(left, right, calibration.T_right_left), calibration
 
 
 def _calibration(
-    files: DriveFiles, names: ImageNames, posed: PosedCameras | None
+    files: DriveFiles, recording: Recording, posed: PosedCameras | None
 ) -> CalibrationFile:
-    """Return the calibration of ``--calibration``, or that of the model of poses."""
+    """Return the calibration of ``--calibration``, of the recording, or of the model of poses."""
     if files.calibration is None:
+        if recording.calibration is not None:
+            return recording.calibration
         if posed is None or not posed.cameras:
             raise SemvizError(
                 f"{files.images}: no calibration. A guess would be wrong; give --calibration FILE "
                 "(Kalibr, ROS camera_info, OpenCV, EuRoC, or semviz's TOML)"
             )
-        return _model_calibration(files, names, posed)
+        return _model_calibration(files, recording, posed)
     path = files.calibration
     if is_colmap(path) or path.suffix == ".json":
         cameras = read_colmap(path) if is_colmap(path) else read_nerfstudio(path)
-        return _model_calibration(files, names, cameras)
+        return _model_calibration(files, recording, cameras)
     return read_calibration(path, files.right_calibration)
 
 
 def _model_calibration(
-    files: DriveFiles, names: ImageNames, posed: PosedCameras
+    files: DriveFiles, recording: Recording, posed: PosedCameras
 ) -> CalibrationFile:
     """Return the cameras of a model, and the mean pose of the right one in it, in metres."""
-    left = _camera_of(files.images, names.left, posed)
-    if files.right is None:
+    names = recording.names
+    left = _camera_of(recording.images, names.left, posed)
+    if recording.right is None:
         return CalibrationFile(posed.poses.path, posed.poses.format, (left,))
-    right = _camera_of(files.right, names.right, posed)
+    right = _camera_of(recording.right, names.right, posed)
     T = conventions.camera_poses(posed.poses, files.direction, files.axes)
     rows = zip(
-        rows_of_images(files.images, names.left, posed.poses),
-        rows_of_images(files.right, names.right, posed.poses),
+        rows_of_images(recording.images, names.left, posed.poses),
+        rows_of_images(recording.right, names.right, posed.poses),
         strict=True,
     )
     pairs = [(T[a], T[b]) for a, b in rows if a is not None and b is not None]

@@ -14,20 +14,23 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import conventions
+from semviz_core.datasets.own_drive.adapters.comma2k19 import is_comma, read_comma_poses
+from semviz_core.datasets.own_drive.adapters.registry import read_recording
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
-    list_images,
     read_times,
     times_from_names,
 )
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
-from semviz_core.datasets.own_drive.pose_files import PosedCameras, RecordedPoses, read_poses
+from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_cameras import read_cameras, rows_of_images
+from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
+from semviz_core.datasets.own_drive.recording import Recording
 from semviz_core.datasets.own_drive.rectification import RectifiedRig, rectify_rig
 from semviz_core.datasets.own_drive.time_matching import poses_at_times
 
@@ -36,6 +39,8 @@ from semviz_core.datasets.own_drive.time_matching import poses_at_times
 class RecordedDrive:
     """A drive as it was read."""
 
+    left_folder: Path
+    right_folder: Path | None
     original: OriginalRig
     rectified: RectifiedRig
     frames: tuple[Frame, ...]
@@ -61,7 +66,7 @@ class _Reading:
     warnings: list[str] = field(default_factory=list)
 
     def state(self, topic: str, text: str) -> None:
-        self.statements.append((topic, text))
+        self.statements.append((topic, shown(text, 400)))  # names of files, which may be no text
 
 
 def read_drive(files: DriveFiles) -> RecordedDrive:
@@ -70,25 +75,31 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
     Images are listed, and three of them opened for their size; none is decoded.
     """
     reading = _Reading(files)
-    names = _read_images(reading)
-    posed = _read_posed(files)
-    original, calibration = read_cameras(files, names, posed)
+    recording = read_recording(files)
+    names = recording.names
+    _state_images(reading, recording)
+    posed = _read_posed(files, recording)
+    original, calibration = read_cameras(files, recording, posed)
     _state_calibration(reading, original, calibration)
     rectified = rectify_rig(original, files.most_view_deg)
     _state_rectification(reading, rectified)
-    times = _read_times(reading, names, posed)
+    times = _read_times(reading, recording, posed)
     order = np.argsort(times.time_s, kind="stable") if files.times else np.arange(len(names.left))
     poses: list[Pose | None] = [None] * len(names.left)
     axes = None
     if posed is None:
         reading.state("poses", "none: images can be labelled, but no map built")
     else:
-        poses, axes = _read_map_poses(reading, posed.poses, names, times, calibration, rectified)
+        poses, axes = _read_map_poses(
+            reading, posed.poses, recording, times, calibration, rectified
+        )
     chosen = range(len(order)) if files.frames is None else files.frames
     rows = [(index, int(order[index])) for index in chosen if index < len(order)]
     if not rows:
         raise SemvizError(f"--frames: the drive has frames 0 to {len(order) - 1}, none of these")
     return RecordedDrive(
+        recording.images,
+        recording.right,
         original,
         rectified,
         tuple(Frame(index, float(times.time_s[row]), poses[row]) for index, row in rows),
@@ -101,29 +112,34 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
     )
 
 
-def _read_images(reading: _Reading) -> ImageNames:
-    files = reading.files
-    names = list_images(files.images, files.right)
-    text = f"{len(names.left)} in {shown(files.images, 60)}"
+def _state_images(reading: _Reading, recording: Recording) -> None:
+    names = recording.names
+    text = f"{len(names.left)} in {shown(recording.images, 60)}"
     if names.right:
-        text = f"{len(names.left)} pairs, {'in order' if names.by_order else 'by name'}"
+        text = f"{len(names.left)} pairs, {names.paired}"
     if names.unpaired:
         reading.warnings.append(f"{names.unpaired} images have none on the other side: left out")
+    if names.missing:
+        reading.warnings.append(f"{names.missing} images of the recording are missing: left out")
     reading.state("images", text)
-    return names
 
 
-def _read_posed(files: DriveFiles) -> PosedCameras | None:
+def _read_posed(files: DriveFiles, recording: Recording) -> PosedCameras | None:
     """Return the poses, with cameras if their file has some; None without poses."""
-    path = files.poses
-    if path is None:
-        return None
+    path, own = files.poses, recording.poses
+    if path is None or (own is not None and own.path == path):  # a topic of the recording
+        return None if own is None else PosedCameras(own, {})
     if is_colmap(path):
         return read_colmap(path)
     if path.suffix == ".json":
         return read_nerfstudio(path)
+    if is_comma(path):
+        return PosedCameras(read_comma_poses(path), {})
     if path.is_dir():
-        raise SemvizError(f"{path}: a folder without images.txt or images.bin; name a file")
+        raise SemvizError(
+            f"{path}: a folder without a model of COLMAP (images.txt or images.bin, also in 0) or "
+            "comma2k19's frame_positions; name a file"
+        )
     return PosedCameras(read_poses(path, files.quaternion, files.time_unit), {})
 
 
@@ -159,10 +175,12 @@ def _state_rectification(reading: _Reading, rectified: RectifiedRig) -> None:
     )
 
 
-def _read_times(reading: _Reading, names: ImageNames, posed: PosedCameras | None) -> ImageTimes:
-    files = reading.files
+def _read_times(reading: _Reading, recording: Recording, posed: PosedCameras | None) -> ImageTimes:
+    files, names = reading.files, recording.names
     if files.times is not None:
         times = read_times(files.times, names.left, files.time_unit)
+    elif recording.times is not None:
+        times = recording.times
     else:
         found = times_from_names(names.left, files.time_unit)
         needed = posed is not None and posed.poses.time_s is not None
@@ -186,7 +204,7 @@ def _read_times(reading: _Reading, names: ImageNames, posed: PosedCameras | None
 def _read_map_poses(
     reading: _Reading,
     recorded: RecordedPoses,
-    names: ImageNames,
+    recording: Recording,
     times: ImageTimes,
     calibration: CalibrationFile,
     rectified: RectifiedRig,
@@ -194,12 +212,12 @@ def _read_map_poses(
     """Return the map pose of each image's rectified camera, None where there is none."""
     files = reading.files
     T_body_camera, of_what = _extrinsic(files, recorded, calibration)
-    if not files.metric:
+    if not files.metric and not recorded.note:  # of degrees made metres
         conventions.refuse_degrees(recorded.path, recorded.matrices[:, :, 3])
     T = conventions.camera_poses(recorded, files.direction, files.axes)
     meters = _meters(files, recorded)
     T = [Pose(pose.rotation, pose.translation * meters) @ T_body_camera for pose in T]
-    found = _of_images(files, recorded, T, names, times)
+    found = _of_images(files, recorded, T, recording, times)
     posed = [pose for pose in found if pose is not None]
     axes = conventions.world_axes(posed, files.up)
     _state_poses(reading, recorded, of_what, len(posed), len(found), axes)
@@ -243,13 +261,14 @@ def _of_images(
     files: DriveFiles,
     recorded: RecordedPoses,
     T_world_camera: Sequence[Pose],
-    names: ImageNames,
+    recording: Recording,
     times: ImageTimes,
 ) -> list[Pose | None]:
     """Return the recorded pose of each image. Raise SemvizError if no image has one."""
+    names = recording.names
     count = len(names.left)
     if recorded.names is not None:
-        rows = rows_of_images(files.images, names.left, recorded)
+        rows = rows_of_images(recording.images, names.left, recorded)
         return [None if row is None else T_world_camera[row] for row in rows]
     if recorded.time_s is not None:
         found = poses_at_times(T_world_camera, recorded.time_s, times.time_s, files.most_gap_s)
@@ -306,7 +325,8 @@ def _state_poses(
         "taken as",
         f"{direction}, {files.axes or recorded.axes} camera axes"
         + ("" if order is None else f", quaternions {order}")
-        + unit,
+        + unit
+        + (f", {recorded.note}" if recorded.note else ""),
     )
     up = "the cameras' mean" if axes.up == "cameras" else axes.up
     origin = "".join(f" {value:.0f}" for value in axes.origin_m)

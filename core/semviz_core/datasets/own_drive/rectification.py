@@ -27,6 +27,8 @@ ALIGNED_RAD = 1e-6
 """Stereo pairs that are turned less against each other are rectified already."""
 _BORDER = 200
 """Points on each side of an image's border."""
+_BLOCK_PIXELS = 2**21
+"""Computed at once: 67 million pixels, the most that are read, would take 7 GB."""
 _SHRINKING = np.linspace(1.0, 0.3, 141)
 
 
@@ -82,11 +84,14 @@ class Rectification:
     @cached_property
     def _source_pixels(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         camera = self.camera
-        v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-        pixels = self.to_original(np.column_stack([u.ravel(), v.ravel()]))
-        sources = np.nan_to_num(pixels, nan=-1e4).astype(np.float32)
-        shape = (camera.height, camera.width)
-        return sources[:, 0].reshape(shape), sources[:, 1].reshape(shape)
+        maps = np.empty((2, camera.height, camera.width), dtype=np.float32)
+        step = max(1, _BLOCK_PIXELS // camera.width)
+        for top in range(0, camera.height, step):
+            rows = slice(top, min(top + step, camera.height))
+            v, u = np.mgrid[rows, : camera.width].astype(np.float64)
+            pixels = self.to_original(np.column_stack([u.ravel(), v.ravel()]))
+            maps[:, rows] = np.nan_to_num(pixels, nan=-1e4).T.reshape(2, -1, camera.width)
+        return maps[0], maps[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Measure on real matches how far rows of a rectified stereo pair are apart."""
+"""Measure on real matches how far rows of a rectified stereo pair are apart, and draw them."""
 
 from dataclasses import dataclass
 
@@ -15,6 +15,9 @@ MOST_APART_PX = 1.0
 LEAST_MATCHES = 50
 _REACH_PX = 20.0
 """Matches farther off their row are wrong matches, or those of no pair at all."""
+
+_LINE_EVERY_PX, _MAGNIFIED = 40, 10.0
+_LINE_RGB, _ON_RGB, _OFF_RGB = (255, 255, 255), (40, 90, 230), (220, 40, 30)
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,7 @@ class RowCheck:
 
 def check_rows(dataset: Dataset) -> RowCheck:
     """Match corners of up to ``PAIRS`` pairs of a stereo dataset; images that are damaged, not."""
-    rows = np.unique(np.linspace(0, len(dataset.frames) - 1, PAIRS).round().astype(int))
-    found = [np.zeros(0)]
-    for row in rows.tolist():
-        index = dataset.frames[row].index
-        try:
-            left, right = dataset.image(index, "left"), dataset.image(index, "right")
-        except SemvizError:  # raised again when this image is shown
-            continue
-        found.append(_row_distances_px(left, right))
-    distances = np.concatenate(found)
+    distances = rows_apart(matched_pairs(dataset, PAIRS))
     if len(distances) < LEAST_MATCHES:
         return RowCheck(len(distances), float("nan"), float("nan"))
     return RowCheck(
@@ -52,9 +46,50 @@ def check_rows(dataset: Dataset) -> RowCheck:
     )
 
 
-def _row_distances_px(left: ByteImage, right: ByteImage) -> FloatArray:
-    """Return the row in the right image minus that in the left one, of each match (n,)."""
+def matched_pairs(dataset: Dataset, pairs: int) -> FloatArray:
+    """Return the matches (n, 2, 2), left and right, of up to ``pairs`` pairs along the drive."""
+    rows = np.unique(np.linspace(0, len(dataset.frames) - 1, pairs).round().astype(int))
+    found = [np.zeros((0, 2, 2))]
+    for row in rows.tolist():
+        index = dataset.frames[row].index
+        try:
+            left, right = dataset.image(index, "left"), dataset.image(index, "right")
+        except SemvizError:  # raised again when this image is shown
+            continue
+        found.append(matches_near_rows(left, right))
+    return np.concatenate(found)
+
+
+def matches_near_rows(left: ByteImage, right: ByteImage) -> FloatArray:
+    """Return the matches (n, 2, 2) of a rectified pair that lie ahead and near one row."""
     places = matched_pixels(left, right)
     ahead = places[:, 0, 0] > places[:, 1, 0]
-    down = places[:, 1, 1] - places[:, 0, 1]
-    return np.asarray(down[ahead & (np.abs(down) < _REACH_PX)], dtype=np.float64)
+    return np.asarray(places[ahead & (np.abs(rows_apart(places)) < _REACH_PX)], dtype=np.float64)
+
+
+def rows_apart(places: FloatArray) -> FloatArray:
+    """Return the row in the right image minus that in the left one, of each match (n,)."""
+    return np.asarray(places[:, 1, 1] - places[:, 0, 1], dtype=np.float64)
+
+
+def draw_rows(left: ByteImage, right: ByteImage) -> ByteImage:
+    """Return both images side by side: rows as lines, matches blue on their row, red off it.
+
+    A line beside each match shows how far it is off, ten times as long.
+    """
+    import cv2
+
+    places = matches_near_rows(left, right)
+    picture = np.ascontiguousarray(np.hstack([left, right]))
+    height, width = picture.shape[:2]
+    for row in range(_LINE_EVERY_PX // 2, height, _LINE_EVERY_PX):
+        cv2.line(picture, (0, row), (width - 1, row), _LINE_RGB, 1)
+    shift = left.shape[1]
+    for (u, v), (u_right, v_right) in places.tolist():
+        apart = v_right - v
+        colour = _OFF_RGB if abs(apart) > MOST_APART_PX else _ON_RGB
+        end = (round(u_right + shift), round(v_right + _MAGNIFIED * apart))
+        cv2.circle(picture, (round(u), round(v)), 3, colour, 1, cv2.LINE_AA)
+        cv2.circle(picture, (round(u_right + shift), round(v_right)), 3, colour, 1, cv2.LINE_AA)
+        cv2.line(picture, (round(u_right + shift), round(v_right)), end, colour, 1, cv2.LINE_AA)
+    return np.asarray(picture, dtype=np.uint8)

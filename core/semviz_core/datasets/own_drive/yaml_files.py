@@ -13,6 +13,11 @@ from semviz_core.common.limits import first_line, read_limited
 MOST_YAML_BYTES = 2**18
 """A calibration has some kB; PyYAML reads about 1 MB in ten seconds."""
 _MOST_DEPTH = 40
+_BROKEN = (
+    *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError),
+    RecursionError,
+)
+"""What PyYAML raises: other than its own errors for a value that does not fit its explicit tag."""
 
 
 class _PlainLoader(yaml.SafeLoader):  # type: ignore[misc]
@@ -31,6 +36,15 @@ class _PlainLoader(yaml.SafeLoader):  # type: ignore[misc]
         return node
 
 
+def _whole_number(loader: _PlainLoader, node: Any) -> int:
+    """Numbers of more digits are no calibration, and Python refuses to print them."""
+    number = int(loader.construct_yaml_int(node))
+    if abs(number) >= 2**63:
+        raise yaml.YAMLError("a number beyond 64 bits")
+    return number
+
+
+_PlainLoader.add_constructor("tag:yaml.org,2002:int", _whole_number)
 _PlainLoader.add_constructor(
     "tag:yaml.org,2002:opencv-matrix",
     lambda loader, node: loader.construct_mapping(node, deep=True),
@@ -44,8 +58,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if text.startswith("%YAML:"):  # OpenCV's first line is not YAML
             text = text.partition("\n")[2]
         content = yaml.load(text, _PlainLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        fault = getattr(error, "problem", None) or first_line(error)
+    except _BROKEN as error:
+        fault = first_line(getattr(error, "problem", None) or error)
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         where = "" if line is None else f", line {line + 1}"
         raise SemvizError(f"{path}{where}: not readable as YAML ({fault}); repair it") from None
@@ -62,7 +76,7 @@ def numbers_of(value: Any, shape: tuple[int | None, ...], where: str) -> FloatAr
     data = value.get("data") if isinstance(value, dict) else value
     try:
         flat = [float(number) for row in _listed(data) for number in _listed(row)]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SemvizError(f"{where}: not numbers; repair it") from None
     array = float_array(flat, (None,), where)
     if None not in shape and array.size != prod(side or 0 for side in shape):

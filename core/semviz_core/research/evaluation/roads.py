@@ -15,6 +15,7 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import MOST_TEXT_BYTES, check_file, first_line
 from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
 from semviz_core.localizability.route import poses_along
 from semviz_core.simulation.map_errors import MAPPED_FROM_M
@@ -138,15 +139,20 @@ def _velodyne(calibration: Path) -> Pose:
 
 def _read_poles(path: Path) -> FloatArray:
     """Return ``poleparams`` (p, 2) of an npz file."""
+    if not path.exists():
+        raise SemvizError(f"{path}: no such file; give the sequence's pole map")
+    check_file(path, MOST_TEXT_BYTES)
     try:
         with np.load(path, allow_pickle=False) as arrays:
+            if sum(entry.file_size for entry in arrays.zip.infolist()) > MOST_TEXT_BYTES:
+                raise ValueError("it unpacks to far more than poles")
             poles = arrays["poleparams"]
-    except FileNotFoundError:
-        raise SemvizError(f"{path}: no such file; give the sequence's pole map") from None
     except KeyError:
         raise SemvizError(f"{path}: holds no 'poleparams'; is it a pole map?") from None
     except Exception as error:  # zipfile, numpy and the system each have their own
-        raise SemvizError(f"{path}: not a readable npz file ({error}); copy it again") from None
+        raise SemvizError(
+            f"{path}: not a readable npz file ({first_line(error)}); copy it again"
+        ) from None
     if poles.ndim != 2 or poles.shape[1] < 2:
         raise SemvizError(f"{path}: poleparams has shape {poles.shape}, expected (n, 2)")
     return float_array(poles[:, :2], (None, 2), f"{path}: poleparams")

@@ -1,6 +1,6 @@
-"""A learned matcher over candidate pairs of observed and mapped elements.
+"""Train the pair matcher, the network of the method `correspondences`.
 
-`candidates` forms pairs that the prior does not rule out. `couples` takes them by twos as pose
-hypotheses, and `network` lets them vote for a pose. `inference` runs it on one frame and
-`training` trains it. Results are exact under padding.
+Inference and geometry are in `semviz_core.localization.correspondences`. `prepared` batches the
+geometry, `network` is the network in torch, and `training` trains it. Results are exact under
+padding. `pose_layer` differentiates the pose of weighted PnPL with the prior by P.
 """

@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.research.pair_matcher.couples import Prepared
+from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.pair_matcher.network import ConsensusNetwork
+from semviz_core.research.pair_matcher.prepared import Prepared
 from semviz_core.research.paper.transport import sinkhorn_with_dustbins
 from semviz_core.research.training.batch import Batch
-from semviz_core.research.training.samples import Sample
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION
 from semviz_core.research.training.task import Progress, SampleSource, cosine
 
@@ -46,11 +46,11 @@ class MatcherTask:
         return self.source.held_out(number)
 
     def collate(self, items: Sequence[Sample]) -> Prepared:
-        return Prepared.of(Batch.of(items))
+        return Prepared.of(items)
 
     def losses(self, prepared: Prepared, progress: Progress) -> dict[str, Tensor]:
         """Return the mean negative log-likelihood of each element's pair, or of no pair."""
-        log_probability = log_probabilities(self.network(prepared).log_odds, prepared.batch)
+        log_probability = log_probabilities(self.network(prepared), prepared.batch)
         return {"loss": _mean_surprise(log_probability, prepared.batch)}
 
     def finish(self) -> None:
@@ -59,7 +59,7 @@ class MatcherTask:
     def figures(self, prepared: Prepared) -> dict[str, Tensor]:
         """Return the shares of true pairs among the most probable of their observed element, and
         the AUC of having no pair."""
-        log_probability = log_probabilities(self.network(prepared).log_odds, prepared.batch)
+        log_probability = log_probabilities(self.network(prepared), prepared.batch)
         pairs = _pairs(prepared.batch)
         paired = pairs.any(dim=2)
         rank = true_rank(log_probability, pairs)[paired]

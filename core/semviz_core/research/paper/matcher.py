@@ -38,7 +38,8 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.research.training.samples import PRIOR_LENGTH, Sample, split_lines
+from semviz_core.localization.correspondences.sample import PRIOR_LENGTH, Sample
+from semviz_core.research.paper.split_lines import split_lines
 
 Floats = NDArray[np.floating[Any]]
 

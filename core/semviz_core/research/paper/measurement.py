@@ -12,7 +12,7 @@ import numpy as np
 from semviz_core.base.classes import POLE
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.detection.regions import PAPER, MeasuredElement, Region
-from semviz_core.detection.sign_centers import class_by_mask
+from semviz_core.detection.sign_centers import class_by_mask, turn_of_mask
 from semviz_core.subpixel.sampling import SampledImage
 
 _GROWN = 0.1
@@ -38,7 +38,10 @@ def measure_as_in_paper(
     size = float(np.ptp(points, axis=0).min()) / 2.0
     class_id = class_by_mask(region) if region.class_id is None else region.class_id
     sigma = (PAPER[0], PAPER[0])
-    return MeasuredElement(class_id, region.score, middle[None], sigma, (True, False), size)
+    sixth = float(np.ptp(points[:, 1])) / 6.0 * (turn_of_mask(region) or 1)
+    return MeasuredElement(
+        class_id, region.score, middle[None], sigma, (True, False), size, to_centroid_px=sixth
+    )
 
 
 def edge_points(picture: SampledImage, region: Region) -> FloatArray:

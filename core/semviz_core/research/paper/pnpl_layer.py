@@ -116,8 +116,9 @@ class _PnplFunction(torch.autograd.Function):
     def backward(
         ctx: Any, by_rotation: Tensor, by_translation: Tensor, _: Tensor
     ) -> tuple[Tensor, Tensor, None, None]:
-        by_pose = _by_perturbation(
-            ctx.found, _contiguous_array(by_rotation), _contiguous_array(by_translation)
+        pose = ctx.found.rotation, ctx.found.translation
+        by_pose = by_perturbation(
+            *pose, _contiguous_array(by_rotation), _contiguous_array(by_translation)
         )
         by_point, by_line = (
             torch.from_numpy(array).to(by_rotation.device)
@@ -141,14 +142,18 @@ def _centre(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     return np.asarray(-np.einsum("bji,bj->bi", rotation, translation))
 
 
-def _by_perturbation(
-    optimum: weighted_pnpl.Optimum, by_rotation: FloatArray, by_translation: FloatArray
+def by_perturbation(
+    rotation: FloatArray,
+    translation: FloatArray,
+    by_rotation: FloatArray,
+    by_translation: FloatArray,
 ) -> FloatArray:
-    """Return the gradient (b, 6) by the left perturbation exp(xi) T, translation first."""
-    turned = by_rotation @ optimum.rotation.swapaxes(1, 2)
+    """Return the gradient (b, 6) by the left perturbation exp(xi) T, translation first, given those
+    by the rotations (b, 3, 3) and translations (b, 3)."""
+    turned = by_rotation @ rotation.swapaxes(1, 2)
     twist = turned - turned.swapaxes(1, 2)
     by_turn = np.stack([twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], axis=1)
-    by_turn += np.cross(optimum.translation, by_translation)
+    by_turn += np.cross(translation, by_translation)
     return np.concatenate([by_translation, by_turn], axis=1)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from semviz_core.common.arrays import BoolArray
-from semviz_core.research.training.samples import Sample
+from semviz_core.localization.correspondences.sample import Sample
 
 
 @dataclass(frozen=True, eq=False)

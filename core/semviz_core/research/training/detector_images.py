@@ -1,13 +1,16 @@
-"""Labelled images for detector training: rendered streets and labels, combined.
+"""Labelled images for detector training: rendered streets, data sets and labels, combined.
 
 Rendered streets are stored on disk, because rendering takes a hundred times as long as cutting
 a crop. Images of several kinds take turns, so that few images of one kind count as much as many
 of another. A number gives the same image in every process.
 """
 
+import hashlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import cv2
 import numpy as np
@@ -148,14 +151,14 @@ class StreetImages:
         """Write a street's file. Raise SemvizError if it cannot be written."""
         rng = np.random.default_rng([seed, 1])
         kind = KINDS[rng.integers(len(KINDS))]
-        street = Street(seed, StreetOptions(sections=(Section(kind, 100.0),)))
+        options = StreetOptions(sections=(Section(kind, 100.0),))
+        street = Street(seed, options, "box")  # as the network learns triangles
         arrays: dict[str, NDArray[Any]] = {"format": np.array(FORMAT)}
         for number in range(IMAGES):
             side: Side = "left" if number % 2 == 0 else "right"
             seen = _rendered(street, number * FRAMES_APART, side)
             arrays |= {f"{name}_{number}": array for name, array in seen.items()}
-        with replacing(self.path(seed)) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # none is named allow_pickle
+        save_arrays(self.path(seed), arrays)
 
     def image(self, number: int) -> LabelledImage:
         return self._read(TRAINING_SEED + number // IMAGES, number % IMAGES)
@@ -178,6 +181,55 @@ class StreetImages:
         return read_labelled(self.path(seed), f"_{number}")
 
 
+HELD_OUT_SHARE = 0.1
+"""Share of a data set that is held out: the last images by name, often other places."""
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class PreparedImages(ABC, Generic[Item]):
+    """Images of a data set whose elements ``prepare`` measures once; see ``LabelledImages``."""
+
+    folder: Path
+    prepared: Path
+    """Folder that ``prepare`` fills."""
+    items: tuple[Item, ...]
+    """Where each image and what is known of it are."""
+
+    @abstractmethod
+    def prepare(self, row: int) -> None:
+        """Measure and store an image's elements. Raise SemvizError if a file is unreadable."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]: ...
+
+    @property
+    def held_out_count(self) -> int:
+        return max(1, round(HELD_OUT_SHARE * len(self.items)))
+
+    @property
+    def count(self) -> int:
+        return len(self.items) - self.held_out_count
+
+    def image(self, number: int) -> LabelledImage:
+        return read_labelled(self.path(number))
+
+    def held_out(self, number: int) -> LabelledImage:
+        return read_labelled(self.path(self.count + number))
+
+    def missing(self) -> list[int]:
+        """Return the rows of images that are not prepared yet."""
+        return [row for row in range(len(self.items)) if not self.path(row).is_file()]
+
+    def path(self, row: int) -> Path:
+        """Return where an image's elements are stored."""
+        return self.prepared / f"{self.digest}-{row}.npz"
+
+    @cached_property
+    def digest(self) -> str:
+        return hashlib.sha256(repr(self.items).encode()).hexdigest()[:12]
+
+
 def read_labelled(path: Path, ending: str = "") -> LabelledImage:
     """Read an image written as ``stored_arrays``; ``ending`` follows the arrays' names.
 
@@ -196,13 +248,22 @@ def read_labelled(path: Path, ending: str = "") -> LabelledImage:
 def stored_arrays(
     image: ByteImage, rows: NDArray[np.uint8], elements: Elements2D
 ) -> dict[str, NDArray[Any]]:
-    """Return an image's arrays by name; ``rows`` hold 1 + an element's row, ``IGNORED`` or 0."""
+    """Return an image's arrays by name; ``rows`` hold 1 + an element's row, ``IGNORED`` or 0.
+
+    Without any element's row, an image has points and lines only, no masks.
+    """
     values = (
         _encoded(image[..., ::-1], ".jpg"), _encoded(rows, ".png"),
         elements.anchor_px, elements.end_px, elements.class_id,
         elements.anchor_known, elements.end_known,
     )  # fmt: skip
     return dict(zip(_NAMES, values, strict=True))
+
+
+def save_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write arrays as NPZ, whole or not at all. Raise SemvizError if that fails."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # none is named allow_pickle
 
 
 _NAMES = ("image", "rows", "anchor", "end", "class", "anchor_known", "end_known")
@@ -252,7 +313,8 @@ def _labelled(
     elements = Elements2D(
         anchor_px, end_px, class_id, np.ones(m), np.ones((m, 2)), anchor_known, end_known
     )
-    regions = tuple(_region(elements, row, rows) for row in range(m))
+    has_masks = m == 0 or bool(((rows > 0) & (rows < IGNORED)).any())
+    regions = tuple(_region(elements, row, rows) for row in range(m)) if has_masks else None
     return LabelledImage(image[..., ::-1], elements, regions, rows == IGNORED)
 
 

@@ -5,15 +5,13 @@ images and masks are, and which ids or colours are poles and signs. Masks are cu
 once, and measured in the image like a detector's regions; images and elements are then stored.
 """
 
-import hashlib
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
@@ -21,28 +19,39 @@ from pydantic import BaseModel, ConfigDict, Field
 from semviz_core.base.classes import POLE
 from semviz_core.common.arrays import BoolArray, ByteImage, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import replacing
+from semviz_core.common.limits import (
+    MOST_IMAGE_BYTES,
+    decode_image,
+    decode_mask,
+    first_line,
+    read_limited,
+    shown,
+)
 from semviz_core.detection.detector import by_edges, is_pole
 from semviz_core.detection.model_config import SIGN, ImagePlacement, ModelClasses, read_settings
 from semviz_core.detection.postprocessing import mask_regions
 from semviz_core.detection.regions import MeasuredElement, Region, elements
 from semviz_core.research.training.detector_images import (
     IGNORED,
-    LabelledImage,
+    PreparedImages,
     paint,
-    read_labelled,
+    save_arrays,
     stored_arrays,
 )
 from semviz_core.subpixel.sampling import SampledImage
 
 TABLE = "segmentation.toml"
-HELD_OUT_SHARE = 0.1
-"""Share of images that is held out: the last by name, which in Cityscapes are other cities."""
 SHORTEST_POLE_PX, SMALLEST_SIGN_PX = 12.0, 10.0
 """Shorter poles, and signs with a smaller side, are ignored: too small for their shape or axis."""
 MOST_ELEMENTS = 250
 """Further elements of an image are ignored, the smallest first."""
 Meaning = Literal["pole", "sign", "ignore"]
+
+
+def is_within(path: str) -> bool:
+    """Whether a path or pattern of a table is relative to its folder and stays in it."""
+    parts = PurePosixPath(path)
+    return not parts.is_absolute() and ".." not in parts.parts
 
 
 class MaskTable(BaseModel):
@@ -60,6 +69,8 @@ class MaskTable(BaseModel):
     def model_post_init(self, _: Any) -> None:
         if "{name}" not in self.masks:
             raise ValueError("masks must hold {name}, the image's name without ending")
+        if not PurePosixPath(self.images).parts or not is_within(self.images):
+            raise ValueError("images must be a pattern within the folder, like train/*.png")
         for key in self.classes:
             if not re.fullmatch(r"#[0-9a-fA-F]{6}|\d{1,5}", key):
                 raise ValueError(
@@ -77,14 +88,9 @@ CITYSCAPES = MaskTable(
 
 
 @dataclass(frozen=True)
-class SegmentationImages:
-    """Images of a data set with their masks; see ``LabelledImages``."""
+class SegmentationImages(PreparedImages[tuple[str, str]]):
+    """Images of a data set with their masks, both relative to the folder."""
 
-    folder: Path
-    prepared: Path
-    """Folder that ``prepare`` fills."""
-    pairs: tuple[tuple[str, str], ...]
-    """Image and mask, relative to the folder."""
     table: MaskTable
 
     @classmethod
@@ -95,9 +101,9 @@ class SegmentationImages:
         table = CITYSCAPES if is_cityscapes else read_settings(table_path, MaskTable)
         pairs = tuple(
             (image.relative_to(folder).as_posix(), mask)
-            for image in sorted(folder.glob(table.images))
+            for image in matching(folder, table.images, TABLE)
             for mask in [_mask_path(table, image, folder)]
-            if (folder / mask).is_file()
+            if os.path.isfile(folder / mask)  # noqa: PTH113 (Path.is_file raises if it is too long)
         )
         if len(pairs) < 2:
             raise SemvizError(
@@ -106,67 +112,40 @@ class SegmentationImages:
             )
         return cls(folder, prepared, pairs, table)
 
-    @property
-    def held_out_count(self) -> int:
-        return max(1, round(HELD_OUT_SHARE * len(self.pairs)))
-
-    @property
-    def count(self) -> int:
-        return len(self.pairs) - self.held_out_count
-
-    def image(self, number: int) -> LabelledImage:
-        return self._read(number)
-
-    def held_out(self, number: int) -> LabelledImage:
-        return self._read(self.count + number)
-
     def describe(self) -> dict[str, Any]:
         return {
             "segmentation": self.folder.name,
             "images": self.count,
             "held_out_images": self.held_out_count,
             "classes": dict(self.table.classes),
-            "content": self._digest,
+            "content": self.digest,
         }
-
-    @cached_property
-    def _digest(self) -> str:
-        return hashlib.sha256(repr(self.pairs).encode()).hexdigest()[:12]
-
-    def missing(self) -> list[int]:
-        """Return the rows of images that are not prepared yet."""
-        return [row for row in range(len(self.pairs)) if not self._path(row).is_file()]
 
     def prepare(self, row: int) -> None:
         """Cut a mask into elements, and store them. Raise SemvizError if a file is unreadable."""
-        image_path, mask_path = (self.folder / name for name in self.pairs[row])
-        image = _read(image_path, cv2.IMREAD_COLOR)[..., ::-1]
-        meaning = meanings(_read(mask_path, cv2.IMREAD_UNCHANGED), self.table.classes, mask_path)
+        image_path, mask_path = (self.folder / name for name in self.items[row])
+        image = decode_image(read_limited(image_path, MOST_IMAGE_BYTES), image_path)[..., ::-1]
+        mask = decode_mask(read_limited(mask_path, MOST_IMAGE_BYTES), mask_path)
+        meaning = meanings(mask, self.table.classes, mask_path)
         if meaning.shape != image.shape[:2]:
             raise SemvizError(f"{mask_path}: of another size than {image_path}")
-        arrays = stored_arrays(image, *labelled_mask(image, meaning))
-        with replacing(self._path(row)) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # none is named allow_pickle
+        save_arrays(self.path(row), stored_arrays(image, *labelled_mask(image, meaning)))
 
-    def _path(self, row: int) -> Path:
-        return self.prepared / f"{self._digest}-{row}.npz"
 
-    def _read(self, row: int) -> LabelledImage:
-        return read_labelled(self._path(row))
+def matching(folder: Path, pattern: str, table: str) -> list[Path]:
+    """Return the images of a pattern. Raise SemvizError, naming ``table``, if it is none."""
+    try:
+        return sorted(folder.glob(pattern))
+    except (ValueError, OSError, RecursionError) as error:
+        why = first_line(error)
+        raise SemvizError(f"{folder / table}: images {shown(pattern)!r}: {why}") from None
 
 
 def _mask_path(table: MaskTable, image: Path, folder: Path) -> str:
     if table is not CITYSCAPES:
-        return table.masks.format(name=image.stem)
+        return table.masks.replace("{name}", image.stem)
     within = image.relative_to(folder / "leftImg8bit").as_posix()
-    return table.masks.format(name=within.removesuffix("_leftImg8bit.png"))
-
-
-def _read(path: Path, flag: int) -> NDArray[Any]:
-    image = cv2.imread(str(path), flag)
-    if image is None:
-        raise SemvizError(f"{path}: not a readable image; repair or remove it")
-    return np.asarray(image)
+    return table.masks.replace("{name}", within.removesuffix("_leftImg8bit.png"))
 
 
 def meanings(mask: NDArray[Any], classes: Mapping[str, Meaning], path: Path) -> IntArray:
@@ -199,7 +178,7 @@ def labelled_mask(image: ByteImage, meaning: IntArray) -> tuple[NDArray[np.uint8
     kept: list[tuple[Region, MeasuredElement]] = []
     for region in sorted(regions, key=_pixels, reverse=True)[:MOST_ELEMENTS]:
         measured = by_edges(sampled, region, signs)
-        if measured is not None and _is_large(region):
+        if measured is not None and is_large(region):
             kept.append((region, measured))
     rows = np.where(meaning == _BACKGROUND, 0, IGNORED).astype(np.uint8)
     paint(rows, [region for region, _ in kept])
@@ -221,7 +200,8 @@ def _pixels(region: Region) -> int:
     return 0 if region.mask is None else int(region.mask.sum())
 
 
-def _is_large(region: Region) -> bool:
+def is_large(region: Region) -> bool:
+    """Return whether a region is large enough for its axis or shape to be measured."""
     width, height = region.box_px[2:] - region.box_px[:2] + 1.0
     if is_pole(region):
         return bool(height >= SHORTEST_POLE_PX)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from semviz_core.common.errors import SemvizError
+from semviz_core.localization.correspondences.sample import Sample, SampleTarget
 from semviz_core.research.evaluation import problems
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
-from semviz_core.research.training.samples import Sample, SampleTarget
 
 HELD_OUT = 1_000_000_000
 """Numbers from here on are never trained on."""

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 
 from torch import Tensor, nn
 
-from semviz_core.research.training.samples import Sample
+from semviz_core.localization.correspondences.sample import Sample
 
 Item = TypeVar("Item")
 BatchT = TypeVar("BatchT")

@@ -37,7 +37,7 @@ _REMEDIES: dict[str, Callable[[Pose], Pose]] = {
 
 
 @dataclass(frozen=True)
-class PoseCheck:
+class ConventionCheck:
     """How many matches between images agree with the poses."""
 
     matches: int
@@ -56,7 +56,9 @@ class PoseCheck:
         return not self.is_known or self.share >= LEAST_SHARE
 
 
-def check_against_images(dataset: Dataset, T_map_world: Pose, T_left_rectified: Pose) -> PoseCheck:
+def check_against_images(
+    dataset: Dataset, T_map_world: Pose, T_left_rectified: Pose
+) -> ConventionCheck:
     """Match a few pairs of successive left images, and compare them with their poses.
 
     ``T_map_world`` and ``T_left_rectified`` are what was applied to the recorded poses.
@@ -64,11 +66,11 @@ def check_against_images(dataset: Dataset, T_map_world: Pose, T_left_rectified: 
     matched = _matched(dataset)
     count = sum(len(motion.pixels) for motion in matched)
     if count < LEAST_MATCHES:
-        return PoseCheck(count, 0.0)
+        return ConventionCheck(count, 0.0)
     camera = dataset.rig.left
     share = _agreeing(camera, matched) / count
     if share >= LEAST_SHARE:
-        return PoseCheck(count, share)
+        return ConventionCheck(count, share)
     world, turn = T_map_world.inverse(), T_left_rectified.inverse()
     shares = {}
     for remedy, change in _REMEDIES.items():
@@ -80,7 +82,7 @@ def check_against_images(dataset: Dataset, T_map_world: Pose, T_left_rectified: 
         shares[remedy] = _agreeing(camera, motions) / count
     best = max(shares, key=lambda name: shares[name])
     fits = shares[best] >= max(LEAST_SHARE, 1.5 * share)
-    return PoseCheck(count, share, best if fits else "")
+    return ConventionCheck(count, share, best if fits else "")
 
 
 class _Motion(NamedTuple):

@@ -1,7 +1,6 @@
 """One frame as a matcher's sample: rays, map points around the prior, and the target.
 
-Coordinates are local: the map frame's, around ``origin_m``. For matchers that take only points
-(BPnPNet), poles become two points: anchors first, then the known bottoms.
+Coordinates are local: the map frame's, around ``origin_m``.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
 PRIOR_LENGTH = 9
-_FIX_UNIT_M = 10.0
+FIX_UNIT_M = 10.0
 _ROAD_REACH_M = 15.0
 _BRIDGE_M = 0.5
 _LEVEL = np.diag([1e-3, 300.0, 300.0])  # weight of a level road, against that of one place driven
@@ -140,53 +139,9 @@ def _prior_numbers(prior: Prior) -> FloatArray:
     if prior.up_camera is not None:
         numbers[:3] = prior.up_camera
         numbers[3] = np.log(max(prior.up_sigma_rad, _EXACT_RAD) / 0.01)
-    numbers[4] = prior.horizontal_sigma_m / _FIX_UNIT_M
+    numbers[4] = prior.horizontal_sigma_m / FIX_UNIT_M
     if prior.heading_rad is not None:
         numbers[5:7] = np.cos(prior.heading_rad), np.sin(prior.heading_rad)
         numbers[7] = np.log(max(prior.heading_sigma_rad, _EXACT_RAD) / 0.1)
     numbers[8] = prior.vertical_sigma_m
     return numbers
-
-
-def split_lines(sample: Sample) -> Sample:
-    """Return the sample as points only: first all anchors, then the known bottoms of poles.
-
-    The bottoms of a true pair are a true pair too, hidden or not.
-    """
-    seen, mapped = _bottoms(sample.seen_known), _bottoms(sample.mapped_known)
-    seen_rows = np.append(np.arange(len(sample.ray)), seen)
-    mapped_rows = np.append(np.arange(len(sample.point_m)), mapped)
-    ray = np.concatenate([sample.ray, sample.bottom_ray[seen]])
-    point_m = np.concatenate([sample.point_m, sample.bottom_m[mapped]])
-    truth = sample.truth
-    if truth is not None:
-        below = truth.pairs[np.ix_(seen, mapped)]
-        corner = np.zeros((len(sample.ray), len(mapped)), dtype=bool)
-        other = np.zeros((len(seen), len(sample.point_m)), dtype=bool)
-        pairs = np.block([[truth.pairs, corner], [other, below]])
-        truth = SampleTarget(truth.rotation, truth.translation, pairs)
-    return replace(
-        sample,
-        ray=ray,
-        bottom_ray=ray,
-        sigma_rad=sample.sigma_rad[seen_rows],
-        score=sample.score[seen_rows],
-        seen_class=sample.seen_class[seen_rows],
-        seen_known=_points_known(sample.seen_known, seen),
-        point_m=point_m,
-        bottom_m=point_m,
-        mapped_class=sample.mapped_class[mapped_rows],
-        mapped_known=_points_known(sample.mapped_known, mapped),
-        truth=truth,
-    )
-
-
-def _bottoms(known: BoolArray) -> IntArray:
-    """Return the rows of poles whose bottom is known; points have none."""
-    return np.flatnonzero(known[:, 1])
-
-
-def _points_known(known: BoolArray, bottoms: IntArray) -> BoolArray:
-    """Return (k, 2) the known flags of anchors, then bottoms; points have no end."""
-    first = np.append(known[:, 0], np.ones(len(bottoms), dtype=bool))
-    return np.column_stack([first, np.zeros(len(first), dtype=bool)])

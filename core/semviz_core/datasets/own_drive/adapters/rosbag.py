@@ -1,0 +1,283 @@
+"""Copy the images of a bag (ROS 1, ROS 2, MCAP) to files, and read its calibration and poses.
+
+Images are those of ``sensor_msgs/Image`` or ``CompressedImage``; the topic ``camera_info`` beside
+them calibrates them, ``/tf_static`` says where cameras are in the vehicle. Poses are those of
+``nav_msgs/Odometry``, or of ``NavSatFix`` with the orientation of ``Imu``. Times are those in the
+headers. Images on topics such as ``image_rect`` are rectified already. The library rosbags, an
+extra, parses the messages as plain values.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from semviz_core.base.pose import Pose
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import MOST_IMAGE_BYTES, first_line, shown
+from semviz_core.datasets.own_drive.adapters.ros_messages import (
+    FrameTree,
+    NavSat,
+    camera_info_values,
+    image_file,
+    odometry,
+    stamp_ns,
+)
+from semviz_core.datasets.own_drive.calibration_files import (
+    CalibrationFile,
+    camera_info,
+    stereo_calibration,
+)
+from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.image_files import ImageNames, ImageTimes, pairs_by_time
+from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses
+from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
+from semviz_core.datasets.trajectory import MOST_LINES
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_INFO, _ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
+_FIX, _IMU, _TF = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFMessage"
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a file .bag, .mcap or .db3, or a folder with metadata.yaml."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() and any(
+            file.suffix in (".db3", ".mcap") for file in path.iterdir()
+        )
+    return path.suffix in (".bag", ".mcap", ".db3")
+
+
+def read_bag(files: DriveFiles) -> Recording:
+    """Write the images of one camera or two to ``files.extracted``, and read the rest."""
+    if files.extracted is None:
+        raise SemvizError(f"{files.images}: a bag needs a folder for its images")
+    with _opened(files.images) as reader:
+        topics = _camera_topics(files, reader)
+        poses_topic, imu_topic = _poses_topics(files, reader)
+        content = _Content(files.extracted, topics, poses_topic)
+        wanted = {*topics, *map(_info_topic, topics), poses_topic, imu_topic, "/tf_static"}
+        kinds = {_IMU} if content.is_navsat(reader) and imu_topic is None else set()
+        connections = [
+            one for one in reader.connections if one.topic in wanted or one.msgtype in kinds
+        ]
+        total = sum(one.msgcount for one in connections)
+        messages = reader.messages(connections)
+        for done, (connection, _, data) in enumerate(messages):
+            message = reader.deserialize(data, connection.msgtype)
+            content.take(connection.topic, connection.msgtype, message)
+            if done % 50 == 0:
+                files.show("reading the bag", done, total)
+    return content.recording(files)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator["AnyReader"]:
+    """Open a bag. Raise SemvizError if rosbags is missing, or the bag is damaged."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise SemvizError(
+            f"{path}: bags are read by the library rosbags; run pip install 'semviz[ros]'"
+        ) from None
+    if not path.exists():
+        raise SemvizError(f"{path}: no such bag")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    source = path.parent if path.suffix == ".db3" else path
+    try:
+        with AnyReader([source], default_typestore=store) as reader:
+            yield reader
+    except (SemvizError, OSError):
+        raise
+    except Exception as error:  # rosbags raises what its parsers raise: KeyError, struct.error, ...
+        raise SemvizError(
+            f"{path}: a damaged bag ({first_line(repr(error))}); record or copy it again"
+        ) from None
+
+
+def _camera_topics(files: DriveFiles, reader: "AnyReader") -> tuple[str, ...]:
+    """Return the chosen topics of images; without a choice, the only one, or a left and right."""
+    known = sorted(
+        {
+            one.topic
+            for one in reader.connections
+            if one.msgtype in _IMAGES and one.msgcount and "depth" not in one.topic.lower()
+        }
+    )
+    default = known if len(known) == 1 else ()
+    sides = [[topic for topic in known if side in topic.lower()] for side in ("left", "right")]
+    if len(known) == 2 and all(len(side) == 1 for side in sides):
+        default = [side[0] for side in sides]
+    return chosen_cameras(files, known, default)
+
+
+def _poses_topics(files: DriveFiles, reader: "AnyReader") -> tuple[str | None, str | None]:
+    """Return the topic of odometry, or else of GNSS, and that of the IMU if one is chosen.
+
+    ``--poses`` of the user may name a topic, or that of GNSS and that of the IMU: ``/fix,/imu``.
+    """
+    by_kind = {
+        kind: sorted({one.topic for one in reader.connections if one.msgtype == kind})
+        for kind in (_ODOMETRY, _FIX, _IMU)
+    }
+    known = [*by_kind[_ODOMETRY], *by_kind[_FIX]]
+    if files.poses is not None:
+        poses, _, imu = str(files.poses).partition(",")
+        is_known = poses in known and (not imu or (poses in by_kind[_FIX] and imu in by_kind[_IMU]))
+        return (poses, imu or None) if is_known else (None, None)
+    topics = by_kind[_ODOMETRY] or by_kind[_FIX]
+    if len(topics) > 1:
+        raise SemvizError(
+            f"{files.images}: poses on {len(topics)} topics; choose --poses of "
+            f"{shown(', '.join(known), 300)}"
+        )
+    return (topics[0] if topics else None), None
+
+
+def _info_topic(image_topic: str) -> str:
+    return f"{image_topic.removesuffix('/compressed').rpartition('/')[0]}/camera_info"
+
+
+def _has_rectified_images(topic: str) -> bool:
+    """Whether a topic is named like those of ROS's rectification: ``image_rect``."""
+    last = topic.removesuffix("/compressed").rpartition("/")[2]
+    return re.search("(?<!di)rect", last.lower()) is not None
+
+
+def _of_rectified(info: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the camera_info of the images that rectification made: P without lens or rotation."""
+    K, R = np.reshape(info["p"], (3, 4))[:, :3], np.eye(3)
+    lens = {"distortion_model": "plumb_bob", "d": []}
+    return {**info, **lens, "k": K.ravel().tolist(), "r": R.ravel().tolist()}
+
+
+@dataclass
+class _Images:
+    """The images of a topic as they were written."""
+
+    folder: Path
+    times_ns: list[int] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    frame: str = ""
+
+    def take(self, topic: str, message: Any) -> None:
+        time_ns = stamp_ns(message, topic)
+        if self.times_ns and time_ns <= self.times_ns[-1]:
+            raise SemvizError(
+                f"{topic}: image {len(self.names) + 1} is not later than the one before; its "
+                "header has no times of its own"
+            )
+        if len(self.names) == MOST_LINES:
+            raise SemvizError(f"{topic}: more than {MOST_LINES} images; split the bag")
+        data, suffix = image_file(message, topic)
+        if len(data) > MOST_IMAGE_BYTES:
+            raise SemvizError(f"{topic}: an image of {len(data)} bytes; at most {MOST_IMAGE_BYTES}")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        name = f"{time_ns}{suffix}"
+        (self.folder / name).write_bytes(data)
+        self.frame = str(message.header.frame_id)
+        self.times_ns.append(time_ns)
+        self.names.append(name)
+
+
+class _Content:
+    """What is collected from the messages of a bag."""
+
+    def __init__(self, folder: Path, topics: Sequence[str], poses_topic: str | None) -> None:
+        sides = ("left", "right")[: len(topics)]
+        self.topics, self.poses_topic = topics, poses_topic
+        self.images = {
+            topic: _Images(folder / side) for topic, side in zip(topics, sides, strict=True)
+        }
+        self.infos: dict[str, Any] = {}
+        self.tree = FrameTree()
+        self.odometry: list[tuple[int, Pose]] = []
+        self.navsat = NavSat()
+        self.body = ""
+
+    def is_navsat(self, reader: "AnyReader") -> bool:
+        """Whether the poses are those of GNSS."""
+        kinds = {one.msgtype for one in reader.connections if one.topic == self.poses_topic}
+        return _FIX in kinds
+
+    def take(self, topic: str, kind: str, message: Any) -> None:
+        """Keep what is needed of a message."""
+        if topic in self.images:
+            self.images[topic].take(topic, message)
+        elif kind == _INFO:
+            self.infos.setdefault(topic, camera_info_values(message))
+        elif kind == _TF:
+            self.tree.take(message)
+        elif kind == _ODOMETRY:
+            self.body = str(message.child_frame_id)
+            self.odometry.append((stamp_ns(message, topic), odometry(message, topic)))
+        elif kind == _FIX and topic == self.poses_topic:
+            self.navsat.take_fix(message, topic)
+        elif kind == _IMU:
+            self.navsat.take_imu(message, topic)
+
+    def recording(self, files: DriveFiles) -> Recording:
+        """Return the recording. Raise SemvizError if it lacks images or calibration."""
+        for topic, images in self.images.items():
+            if not images.names:
+                raise SemvizError(f"{files.images}: no images on {shown(topic, 80)}")
+        sides = list(self.images.values())
+        times_s = [np.array(side.times_ns) * 1e-9 for side in sides]
+        poses = self._poses(files.poses)
+        if len(sides) == 1:
+            names, rows = ImageNames(tuple(sides[0].names)), list(range(len(sides[0].names)))
+        else:
+            names, rows = pairs_by_time(sides[0].names, times_s[0], sides[1].names, times_s[1])
+        return Recording(
+            sides[0].folder,
+            sides[1].folder if len(sides) == 2 else None,
+            names,
+            None if files.calibration is not None else self._calibration(files.images),
+            ImageTimes(times_s[0][rows], "headers of the images", "ns"),
+            poses,
+        )
+
+    def _calibration(self, bag: Path) -> CalibrationFile:
+        found = [self._camera(bag, topic) for topic in self.topics]
+        return found[0] if len(found) == 1 else stereo_calibration(*found)
+
+    def _camera(self, bag: Path, topic: str) -> CalibrationFile:
+        info = _info_topic(topic)
+        if info not in self.infos:
+            raise SemvizError(
+                f"{bag}: no {shown(info, 100)} for {shown(topic, 100)}; give --calibration FILE"
+            )
+        is_rectified = _has_rectified_images(topic)
+        values = _of_rectified(self.infos[info]) if is_rectified else self.infos[info]
+        read = camera_info(Path(f"{bag.name}:{info}"), values)
+        frame = self.images[topic].frame
+        root = self.body or self.tree.root_of(frame)
+        T = self.tree.pose(root, frame)
+        what = f"of {shown(topic, 80)}{', rectified images' if is_rectified else ''}"
+        return CalibrationFile(read.path, what, read.cameras, None, T, read.rectified)
+
+    def _poses(self, chosen: Path | None) -> RecordedPoses | None:
+        if self.poses_topic is None:
+            return None
+        path = chosen or Path(self.poses_topic)
+        if self.odometry:
+            rows = sorted(self.odometry, key=lambda row: row[0])
+            return RecordedPoses(
+                path,
+                "Odometry",
+                np.array([pose.as_matrix()[:3] for _, pose in rows]),
+                of_body=True,
+                time_s=np.array([time for time, _ in rows]) * 1e-9,
+                time_unit="ns",
+                quaternion="xyzw",
+            )
+        self.body = self.navsat.body
+        return self.navsat.poses(path, self.tree)

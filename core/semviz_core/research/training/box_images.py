@@ -1,0 +1,260 @@
+"""Labelled images from data sets of boxes, in COCO or YOLO form.
+
+``boxes.toml`` in their folder says where images and boxes are, and what is a pole or a sign. Each
+box is measured in the image once, like a detector's region. Such data sets seldom hold all poles
+and signs of an image, so that only the boxes and their surroundings are trained on.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from semviz_core.base.classes import POLE
+from semviz_core.base.elements import Elements2D
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import (
+    MOST_IMAGE_BYTES,
+    MOST_TEXT_BYTES,
+    decode_image,
+    read_limited,
+    shown,
+)
+from semviz_core.detection.detector import by_edges
+from semviz_core.detection.model_config import first_error, read_settings
+from semviz_core.detection.regions import MeasuredElement, Region, elements
+from semviz_core.research.training.detector_images import (
+    IGNORED,
+    PreparedImages,
+    save_arrays,
+    stored_arrays,
+)
+from semviz_core.research.training.segmentation_images import (
+    Meaning,
+    is_large,
+    is_within,
+    matching,
+)
+from semviz_core.subpixel.sampling import SampledImage
+
+TABLE = "boxes.toml"
+AROUND = 0.25
+"""Share of a box's shorter side around it that is trained on too, as background."""
+MOST_COCO_BYTES = 2**30
+"""Of a COCO file: that of the whole training set of COCO has 0.45 GB."""
+
+
+class BoxTable(BaseModel):
+    """The contents of ``boxes.toml``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["coco", "yolo"]
+    images: str
+    """COCO: the folder of the images. YOLO: their pattern, ``images/*.jpg``."""
+    boxes: str
+    """COCO: the JSON file. YOLO: path of an image's boxes, with its name without ending as
+    ``{name}``."""
+    classes: dict[str, Meaning] = Field(min_length=1)
+    """From names (COCO) or numbers (YOLO) to their meaning; others are not looked at."""
+
+    def model_post_init(self, _: Any) -> None:
+        if self.format == "yolo" and "{name}" not in self.boxes:
+            raise ValueError("boxes must hold {name}, the image's name without ending")
+        for key, path in (("images", self.images), ("boxes", self.boxes)):
+            if not is_within(path):
+                raise ValueError(f"{key} must be within the folder: relative, and without ..")
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of known meaning."""
+
+    meaning: Meaning
+    left_top: tuple[float, float]
+    """From the image's corner, in pixels (COCO) or shares of the image's size (YOLO)."""
+    size: tuple[float, float]
+
+
+class _CocoImage(BaseModel):
+    id: int
+    file_name: str
+
+
+class _CocoCategory(BaseModel):
+    id: int
+    name: str
+
+
+class _CocoBox(BaseModel):
+    image_id: int
+    category_id: int
+    bbox: tuple[float, float, float, float]
+    iscrowd: bool = False
+
+
+class _CocoFile(BaseModel):
+    images: list[_CocoImage]
+    categories: list[_CocoCategory]
+    annotations: list[_CocoBox]
+
+
+@dataclass(frozen=True)
+class BoxImages(PreparedImages[tuple[str, tuple[Box, ...]]]):
+    """Images of a data set, relative to the folder, with their boxes."""
+
+    table: BoxTable
+
+    @classmethod
+    def of(cls, folder: Path, prepared: Path) -> Self:
+        """Find images with boxes. Raise SemvizError if there are fewer than two, or a file is
+        damaged."""
+        table = read_settings(folder / TABLE, BoxTable)
+        read = _coco if table.format == "coco" else _yolo
+        found = sorted(read(folder, table), key=itemgetter(0))
+        items = tuple((image, boxes) for image, boxes in found if boxes)
+        if len(items) < 2:
+            raise SemvizError(
+                f"{folder}: {len(items)} images have boxes of the classes in {TABLE}; two are "
+                "needed"
+            )
+        return cls(folder, prepared, items, table)
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "boxes": self.folder.name,
+            "images": self.count,
+            "held_out_images": self.held_out_count,
+            "classes": dict(self.table.classes),
+            "content": self.digest,
+        }
+
+    def prepare(self, row: int) -> None:
+        """Measure and store the elements of an image. Raise SemvizError if it is unreadable."""
+        name, boxes = self.items[row]
+        path = self.folder / name
+        image = decode_image(read_limited(path, MOST_IMAGE_BYTES), path)[..., ::-1]
+        height, width = image.shape[:2]
+        unit = (width, height) if self.table.format == "yolo" else (1.0, 1.0)
+        boxes_px = [(box.meaning, _box_px(box, np.array(unit))) for box in boxes]
+        save_arrays(self.path(row), stored_arrays(image, *labelled_boxes(image, boxes_px)))
+
+
+def labelled_boxes(
+    image: ByteImage, boxes_px: list[tuple[Meaning, FloatArray]]
+) -> tuple[NDArray[np.uint8], Elements2D]:
+    """Return (height, width) 0 where boxes tell what is there, else ``IGNORED``, and the elements.
+
+    Boxes (4,) are left, top, right, bottom: centres of the first and last pixels. A box that is
+    small, or in which nothing can be measured, is ignored.
+    """
+    regions = {
+        row: Region(POLE if meaning == "pole" else None, 1.0, box)
+        for row, (meaning, box) in enumerate(boxes_px)
+        if meaning != "ignore"
+    }
+    signs = [region for region in regions.values() if region.class_id is None]
+    sampled = SampledImage(image)
+    measured: dict[int, MeasuredElement] = {}
+    for row, region in regions.items():
+        element = by_edges(sampled, region, signs) if is_large(region) else None
+        if element is not None:
+            measured[row] = element
+    rows = np.full(image.shape[:2], IGNORED, np.uint8)
+    for row in measured:
+        _fill(rows, boxes_px[row][1], AROUND, 0)
+    for row, (_, box) in enumerate(boxes_px):
+        if row not in measured:
+            _fill(rows, box, AROUND, IGNORED)
+    for row in measured:
+        _fill(rows, boxes_px[row][1], 0.0, 0)
+    return rows, elements(measured.values())
+
+
+def _fill(rows: NDArray[np.uint8], box_px: FloatArray, around: float, value: int) -> None:
+    """Set the pixels of a box, and those around it by a share of its shorter side."""
+    margin = around * float((box_px[2:] - box_px[:2]).min() + 1.0)
+    left, top = np.maximum(np.floor(box_px[:2] - margin), 0.0).astype(int)
+    right, bottom = np.maximum(np.ceil(box_px[2:] + margin) + 1.0, 0.0).astype(int)
+    rows[top:bottom, left:right] = value
+
+
+def _box_px(box: Box, unit: FloatArray) -> FloatArray:
+    """Return (4,) the centres of a box's first and last pixels."""
+    left_top, size = np.array(box.left_top) * unit, np.array(box.size) * unit
+    return np.concatenate([left_top, left_top + np.maximum(size - 1.0, 0.0)])
+
+
+def _coco(folder: Path, table: BoxTable) -> Iterator[tuple[str, tuple[Box, ...]]]:
+    """Yield each image of a COCO file with its boxes; groups of things are ignored.
+
+    Items of the same image are one, lest it is both trained on and held out.
+    """
+    path = folder / table.boxes
+    try:
+        content = _CocoFile.model_validate_json(read_limited(path, MOST_COCO_BYTES))
+    except ValidationError as error:
+        raise SemvizError(f"{path}: {first_error(error)}; repair it") from None
+    names = {category.id: category.name for category in content.categories}
+    files = {image.id: image.file_name for image in content.images}
+    boxes: dict[str, list[Box]] = {file: [] for file in files.values()}
+    outside = next((file for file in boxes if not is_within(file)), None)
+    if outside is not None:
+        raise SemvizError(
+            f"{path}: file_name {shown(outside, 80)!r} is not within {table.images}; repair it"
+        )
+    for item, annotation in enumerate(content.annotations, 1):
+        meaning = table.classes.get(names.get(annotation.category_id, ""))
+        if annotation.image_id not in files:
+            raise SemvizError(
+                f"{path}, item {item}: image {annotation.image_id} is not in the file"
+            )
+        if meaning is not None:
+            left, top, width, height = annotation.bbox
+            box = _checked(
+                "ignore" if annotation.iscrowd else meaning, (left, top), (width, height),
+                f"{path}, item {item}",
+            )  # fmt: skip
+            boxes[files[annotation.image_id]].append(box)
+    for file, found in boxes.items():
+        yield f"{table.images}/{file}", tuple(found)
+
+
+def _yolo(folder: Path, table: BoxTable) -> Iterator[tuple[str, tuple[Box, ...]]]:
+    """Yield each image with the boxes of its text file: class, centre and size in shares."""
+    for image in matching(folder, table.images, TABLE):
+        path = folder / table.boxes.replace("{name}", image.stem)
+        is_file = os.path.isfile(path)  # noqa: PTH113 (Path.is_file raises for too long a name)
+        boxes = _yolo_boxes(path, table.classes) if is_file else ()
+        yield image.relative_to(folder).as_posix(), tuple(boxes)
+
+
+def _yolo_boxes(path: Path, classes: Mapping[str, Meaning]) -> Iterator[Box]:
+    text = read_limited(path, MOST_TEXT_BYTES).decode("utf-8", "replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        where = f"{path}, line {number}"
+        try:
+            u, v, width, height = map(float, words[1:])
+        except ValueError:
+            raise SemvizError(f"{where}: not a class and four numbers") from None
+        meaning = classes.get(words[0])
+        if meaning is not None:
+            yield _checked(meaning, (u - width / 2.0, v - height / 2.0), (width, height), where)
+
+
+def _checked(
+    meaning: Meaning, left_top: tuple[float, float], size: tuple[float, float], where: str
+) -> Box:
+    if not np.isfinite([*left_top, *size]).all() or min(size) <= 0.0:
+        raise SemvizError(f"{where}: a box needs four finite numbers and a size above 0")
+    return Box(meaning, left_top, size)

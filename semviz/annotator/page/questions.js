@@ -1,0 +1,92 @@
+// @ts-check
+// Questions about an edit that the server refused: what they say, and what each answer does.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Page} from "./main.js" */
+/** @import {Entry, Question} from "./values.js" */
+import { byId, el } from "/static/dom.js";
+import { drawnAgain } from "./pending.js";
+import { badge } from "./widgets.js";
+
+const KEYS = ["Y", "Shift Y"]; // of the first answers
+
+/** Others changed what the edit is about: whose version stays?
+ *
+ * @param {Entry} entry
+ * @param {annotator.ConflictEvent} event
+ * @param {Page} page
+ * @returns {Question}
+ */
+export function overwriting(entry, { text, overwritten, is_deleted: isDeleted }, page) {
+  const mine = () => {
+    if (!isDeleted) {
+      page.outbox?.overwrite(entry, overwritten);
+      return;
+    }
+    const edits = editsOf(entry, page);
+    const last = edits.at(-1) ?? entry; // it was made on what the others show
+    for (const { request } of edits) page.settle(request);
+    const again = last.shown && drawnAgain(last.edit, last.shown);
+    if (again) page.outbox?.add(again, null, page.state.lastShown);
+  };
+  const theirs = () => page.settle(entry.request);
+  const answers = [{ title: "Keep mine", run: mine }, { title: "Keep theirs", run: theirs }];
+  return { entry, text: `${text} Both stay in the history.`, answers };
+}
+
+/** The unsaved edits of the observation that `entry` edits.
+ *
+ * @param {Entry} entry
+ * @param {Page} page
+ */
+function editsOf(entry, page) {
+  const id = "observation_id" in entry.edit ? entry.edit.observation_id : null;
+  return (page.outbox?.entries ?? []).filter(({ request, edit }) =>
+    request === entry.request || (id !== null && "observation_id" in edit && edit.observation_id === id));
+}
+
+/** A drawing lies on a label of another element: are they the same?
+ *
+ * @param {Entry} entry
+ * @param {annotator.SamePlaceEvent} event
+ * @param {Page} page
+ * @returns {Question}
+ */
+export function samePlace(entry, { text, name, element_id: element, observation_id: id, anchor, end }, page) {
+  const same = () => {
+    page.settle(entry.request);
+    page.select(element, "side" in entry.edit ? entry.edit.side : null);
+    if (anchor || end) page.submit({ kind: "move", observation_id: id, anchor_px: anchor, end_px: end });
+  };
+  const another = () => page.outbox?.replace(entry, { .../** @type {annotator.DrawEdit} */ (entry.edit), asks_same: false });
+  const discard = () => {
+    page.settle(entry.request);
+    page.select(element);
+  };
+  const answers = [
+    { title: `Same: move ${name} here`, run: same }, { title: "Another element", run: another }, { title: "Discard", run: discard },
+  ];
+  return { entry, text, answers };
+}
+
+/** The bar below the images that asks. */
+export class QuestionBar {
+  /** @param {Pick<Page, "state" | "keys" | "answer">} page */
+  constructor(page) {
+    this.page = page;
+    /** @type {Question | null} */
+    this.shown = null;
+  }
+
+  show() {
+    const { question } = this.page.state;
+    if (question === this.shown) return;
+    this.shown = question;
+    const bar = byId("question");
+    bar.hidden = question === null;
+    if (!question) return;
+    bar.replaceChildren(el("span", { class: "fill", text: question.text }), ...question.answers.map(({ title }, index) => {
+      const key = KEYS[index];
+      return el("button", { class: "small", onclick: () => this.page.answer(index) }, title, key ? badge(this.page.keys, key) : "");
+    }));
+  }
+}

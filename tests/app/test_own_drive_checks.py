@@ -1,0 +1,168 @@
+"""An own drive is checked against its images as it is imported: rows, extrinsics, poses."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import call
+from recorded_streets import LENSES, Recording, kalibr, record
+from streets import street
+
+from semviz.workspace.workspace import Workspace
+from semviz_core.base.pose import Pose, so3_exp, so3_log
+from semviz_core.common.arrays import ByteImage
+from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.row_check import draw_rows
+from semviz_core.simulation.street import Street
+
+TURNED = so3_exp(np.deg2rad([0.8, -1.2, 0.6]))
+"""The right camera's axes, in those of the street's."""
+ON_BGR, OFF_BGR = (230, 90, 40), (30, 40, 220)
+Semviz = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def source() -> Street:
+    return street(3, 6)
+
+
+@pytest.fixture
+def semviz(capsys: pytest.CaptureFixture[str]) -> Semviz:
+    def run(*arguments: object) -> str:
+        code, out, err = call(capsys, *arguments)
+        assert code == 0, err
+        return out
+
+    return run
+
+
+def test_rows_that_disagree_are_measured_and_warned_about(
+    tmp_path: Path, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The right camera is pitched by 0.2 deg since its calibration: 2.1 px at its focal length."""
+    pitched = so3_exp(np.deg2rad([0.2, 0.0, 0.0]))
+    recording = record(tmp_path, source, LENSES["brown"], range(2), pitched)
+    arguments = (
+        "new", tmp_path / "town", "--images", recording.left, "--right", recording.right,
+        "--poses", recording.poses, "--calibration",
+    )  # fmt: skip
+    code, out, err = call(capsys, *arguments, recording.kalibr, "--strict")
+    assert (code, err) == (0, "")
+    apart = re.search(r"off their row by (\d\.\d\d) px", out)
+    assert apart is not None
+    assert float(apart[1]) < 0.3
+    shutil.rmtree(tmp_path / "town")
+    old = tmp_path / "old.yaml"
+    old.write_text(kalibr(LENSES["brown"], source.rig.T_right_left or Pose.identity()))
+    code, out, err = call(capsys, *arguments, old, "--strict")
+    assert code == 2
+    found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(2.1, abs=0.3)
+
+
+def test_extrinsics_are_refined_from_images(tmp_path: Path, source: Street, semviz: Semviz) -> None:
+    """The right camera is turned by (0.2, 0.1, -0.15) deg since its calibration."""
+    turned = np.deg2rad([0.2, 0.1, -0.15])
+    recording = record(tmp_path, source, LENSES["brown"], range(6), so3_exp(turned))
+    old = tmp_path / "old.yaml"
+    truth = source.rig.T_right_left
+    assert truth is not None
+    old.write_text(kalibr(LENSES["brown"], truth))
+    arguments = (
+        "--images", recording.left, "--right", recording.right, "--poses", recording.poses,
+        "--calibration",
+    )  # fmt: skip
+    out = semviz("new", tmp_path / "town", *arguments, old, "--refine-extrinsics", "--strict")
+    said = re.search(r"by (\d\.\d\d) px before, (\d\.\d\d) px now", out)
+    assert said is not None
+    assert float(said[1]) > 5.0 * float(said[2])
+    refined = read_calibration(tmp_path / "town" / "calibration-refined.toml")
+    assert refined.T_right_left is not None
+    wrong = refined.T_right_left @ (Pose(so3_exp(turned).T, np.zeros(3)) @ truth).inverse()
+    left_deg = np.rad2deg(so3_log(wrong.rotation))
+    assert np.abs(left_deg[[0, 2]]).max() < 0.02
+    assert abs(left_deg[1]) < 0.1  # what rows tell least
+    assert np.linalg.norm(refined.T_right_left.translation) == pytest.approx(0.54, abs=1e-3)
+    again = semviz(
+        "new", tmp_path / "again", *arguments, tmp_path / "town" / "calibration-refined.toml"
+    )
+    first, second = (Workspace.open(tmp_path / name).source for name in ("town", "again"))
+    for one, other in zip(first.frames, second.frames, strict=True):
+        assert one.T_map_camera is not None
+        assert other.T_map_camera is not None
+        np.testing.assert_allclose(
+            one.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
+        )
+    assert "off their row by 0." in again
+
+
+def test_the_import_writes_a_picture_and_all_rectified_images(
+    tmp_path: Path, short: Recording, semviz: Semviz
+) -> None:
+    town = tmp_path / "town"
+    semviz(
+        "new", town, "--images", short.left, "--right", short.right, "--calibration", short.kalibr,
+        "--rectify",
+    )  # fmt: skip
+    names = [f"{index:06d}.png" for index in range(4)]
+    for side in ("left", "right"):
+        assert sorted(path.name for path in (town / "rectified" / side).iterdir()) == names
+    left = cv2.imread(str(town / "rectified" / "left" / names[2]))
+    picture = cv2.imread(str(town / "checks" / "rows.png"))
+    assert left is not None
+    assert picture is not None
+    assert picture.shape == (left.shape[0], 2 * left.shape[1], 3)
+    on, off = on_and_off(picture)
+    assert on > 5 * off
+    right = cv2.imread(str(town / "rectified" / "right" / names[2]))
+    assert right is not None
+    shifted = draw_rows(left, np.roll(right, 3, axis=0).astype(np.uint8))
+    on, off = on_and_off(shifted[:, :, ::-1])
+    assert off > 5 * on
+
+
+def on_and_off(picture: ByteImage) -> tuple[int, ...]:
+    """Pixels (BGR) in the colours of matches on their row and off it."""
+    return tuple(int((picture == colour).all(axis=2).sum()) for colour in (ON_BGR, OFF_BGR))
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory, source: Street) -> Recording:
+    return record(tmp_path_factory.mktemp("short"), source, LENSES["brown"], range(4), TURNED)
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        ((), None),
+        (("--direction", "world-to-camera"), "another --direction fits"),
+        (("--camera-axes", "opengl"), "another --camera-axes fits"),
+        (("--extrinsic", "flu"), "no --extrinsic flu fits"),
+    ],
+)
+def test_poses_are_compared_with_the_images(
+    short: Recording,
+    tmp_path: Path,
+    options: tuple[str, ...],
+    remedy: str | None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The right option is found although the left camera is turned by the rectification."""
+    code, out, err = call(
+        capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
+        "--calibration", short.kalibr, "--poses", short.poses, "--strict", *options,
+    )  # fmt: skip
+    share = re.search(r"motion +(\d+)% of (\d+) matches agree with the poses", out)
+    assert share is not None
+    if remedy is None:
+        assert (code, err) == (0, "")
+        assert int(share[1]) > 70
+    else:
+        assert code == 2
+        assert int(share[1]) < 50
+        assert f"matches between images agree with the poses: {remedy}\n" in err
