@@ -114,8 +114,8 @@ def _rows(
         peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
         count = min(count, 3 if peak else 2)  # bottoms may be hidden
         whiten(problem, i, j, count, EXACT_POSE, rows)
-        residuals.append(rows["residual"][:count].copy())
-        jacobians.append(rows["jacobian"][:count].copy())
+        residuals.append(rows.residual[:count].copy())
+        jacobians.append(rows.jacobian[:count].copy())
     return np.concatenate(residuals), np.concatenate(jacobians)
 
 

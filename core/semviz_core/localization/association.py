@@ -21,9 +21,10 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, int_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import compiled
 from semviz_core.localization.prior_residuals import prior_chi2
-from semviz_core.localization.problem import PoseProblem, PriorRecord, Record
+from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.residuals import (
     INLIER_CHI2,
+    Rows,
     bottom_is_given,
     fill_rows,
     hidden_odds,
@@ -163,7 +164,7 @@ def pair_gain(
     i: int,
     j: int,
     pose_covariance: FloatArray,
-    rows: Record,
+    rows: Rows,
 ) -> float:
     """Return the log-likelihood of a pair over that of a false detection; -inf if no inlier."""
     count = fill_rows(problem, R, t, i, j, rows)
@@ -186,7 +187,7 @@ def pair_gain(
 
 
 @compiled
-def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Record) -> float:
+def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Rows) -> float:
     """Return what a bottom that may be hidden adds to the gain of the rows already counted."""
     e = rows.residual[count - 1]
     seen = 1.0 - problem.setting.hidden_bottoms

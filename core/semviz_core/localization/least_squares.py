@@ -13,10 +13,11 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, rotate_left, solve_cholesky
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
-from semviz_core.localization.problem import PoseProblem, PriorRecord, Record
+from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.residuals import (
     EXACT_POSE,
     INLIER_CHI2,
+    Rows,
     bottom_is_given,
     fill_rows,
     hidden_odds,
@@ -154,7 +155,7 @@ def _linearize(
     t: FloatArray,
     match: IntArray,
     factors: FloatArray,
-    rows: Record,
+    rows: Rows,
     gradient: FloatArray,
     information: FloatArray,
 ) -> float:
@@ -180,7 +181,7 @@ def _linearize(
 @compiled
 def _add_pair(
     problem: PoseProblem,
-    rows: Record,
+    rows: Rows,
     count: int,
     odds: float,
     gradient: FloatArray,

@@ -14,7 +14,7 @@ so a bottom that may be hidden can be weighted separately. Pixels are undistorte
 
 from dataclasses import dataclass
 from math import erfc
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import chdtri  # the chi-square quantile; scipy.stats is slow to import
@@ -25,7 +25,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky
-from semviz_core.localization.problem import PoseProblem, Record
+from semviz_core.localization.problem import PoseProblem
 
 INLIER_PROBABILITY = 0.999
 """Share of true pairs that pass the inlier test when sigmas are stated truly."""
@@ -55,23 +55,29 @@ class PairResiduals:
 EXACT_POSE: FloatArray = np.zeros((6, 6))
 """Covariance of a pose without error."""
 
-ROWS = np.dtype(
-    [
-        ("residual", float, (4,)),  # pixels, then whitened
-        ("jacobian", float, (4, 6)),  # by the left perturbation of the pose
-        ("by_map", float, (4, 6)),  # by the mapped anchor and end, map axes
-        ("by_camera", float, (4, 6)),  # by anchor and end in camera axes
-        ("factor", float, (4, 4)),  # Cholesky factor of the covariance, lower triangle
-        ("length_px", float),  # of the projected pole
-    ]
-)
-"""The rows of one pair, filled by ``fill_rows`` and ``whiten``."""
+
+class Rows(NamedTuple):
+    """The rows of one pair, filled by ``fill_rows`` and ``whiten``.
+
+    Arrays, not a record: in compiled code a record only points into its array, and does not keep
+    the memory that it points to (``np.zeros(1, dtype)[0]`` is freed at once).
+    """
+
+    residual: FloatArray  # (4,) pixels, then whitened
+    jacobian: FloatArray  # (4, 6) by the left perturbation of the pose
+    by_map: FloatArray  # (4, 6) by the mapped anchor and end, map axes
+    by_camera: FloatArray  # (4, 6) by anchor and end in camera axes
+    factor: FloatArray  # (4, 4) Cholesky factor of the covariance, lower triangle
+    length_px: FloatArray  # (1,) of the projected pole
 
 
 @compiled
-def new_rows() -> Record:
-    """Return a new ROWS record; each thread needs its own."""
-    return np.zeros(1, ROWS)[0]
+def new_rows() -> Rows:
+    """Return new rows; each thread needs its own."""
+    return Rows(
+        np.zeros(4), np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((4, 4)),
+        np.zeros(1),
+    )  # fmt: skip
 
 
 def pair_residuals(
@@ -117,7 +123,7 @@ def _pair_residuals(
 
 @compiled
 def fill_rows(
-    problem: PoseProblem, R: FloatArray, t: FloatArray, i: int, j: int, rows: Record
+    problem: PoseProblem, R: FloatArray, t: FloatArray, i: int, j: int, rows: Rows
 ) -> int:
     """Fill the residuals (pixels) of observed i and mapped j, and their derivatives.
 
@@ -147,7 +153,7 @@ def fill_rows(
             slope = rows.by_camera[count, 3:]
             rows.residual[count] = _distance_along(problem, i, problem.seen[i].end_px, e, slope)
             count += 1
-        rows.length_px = _length_px(problem, a, e)
+        rows.length_px[0] = _length_px(problem, a, e)
     for row in range(count):
         _chain(rows, row, a, e, R)
     return count
@@ -155,7 +161,7 @@ def fill_rows(
 
 @compiled
 def whiten(
-    problem: PoseProblem, i: int, j: int, count: int, pose_covariance: FloatArray, rows: Record
+    problem: PoseProblem, i: int, j: int, count: int, pose_covariance: FloatArray, rows: Rows
 ) -> None:
     """Divide residuals and Jacobian by the Cholesky factor of the rows' covariance.
 
@@ -181,7 +187,7 @@ def whiten(
 
 
 @compiled
-def _add_pose_covariance(count: int, pose_covariance: FloatArray, rows: Record) -> None:
+def _add_pose_covariance(count: int, pose_covariance: FloatArray, rows: Rows) -> None:
     for row in range(count):
         for k in range(6):
             spread = 0.0
@@ -192,7 +198,7 @@ def _add_pose_covariance(count: int, pose_covariance: FloatArray, rows: Record) 
 
 
 @compiled
-def whiten_by_factor(count: int, rows: Record, sound: bool) -> None:
+def whiten_by_factor(count: int, rows: Rows, sound: bool) -> None:
     """Whiten by ``rows.factor``; make the residual infinite if the factor is not ``sound``."""
     for row in range(count):
         inverse = 1.0 / rows.factor[row, row]
@@ -209,14 +215,14 @@ def whiten_by_factor(count: int, rows: Record, sound: bool) -> None:
 
 
 @compiled
-def hidden_odds(problem: PoseProblem, count: int, rows: Record) -> float:
+def hidden_odds(problem: PoseProblem, count: int, rows: Rows) -> float:
     """Return c in the likelihood ``(1 - h) exp(-e^2 / 2) + c`` of a bottom's whitened residual e.
 
     h is the probability that the bottom is hidden; it then lies anywhere between peak and bottom,
     apart from noise. With s the row's sigma, c = h sqrt(2 pi) s / length times the chance that
     noise alone puts it as far down. Call after ``whiten``.
     """
-    h, length = problem.setting.hidden_bottoms, max(rows.length_px, 1.0)
+    h, length = problem.setting.hidden_bottoms, max(rows.length_px[0], 1.0)
     if h == 0.0:
         return 0.0
     above = 0.5 * erfc(rows.residual[count - 1] / np.sqrt(2.0))
@@ -235,7 +241,7 @@ def bottom_is_given(problem: PoseProblem, i: int, j: int, count: int) -> bool:
 
 
 @compiled
-def rows_that_count(problem: PoseProblem, i: int, j: int, count: int, rows: Record) -> int:
+def rows_that_count(problem: PoseProblem, i: int, j: int, count: int, rows: Rows) -> int:
     """Return ``count`` without the bottom's row if the bottom is more likely hidden than seen."""
     if bottom_is_given(problem, i, j, count):
         e = rows.residual[count - 1]
@@ -284,7 +290,7 @@ def _distance_along(
 
 
 @compiled
-def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Record) -> None:
+def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Rows) -> None:
     """Fill the distances of both observed ends from the projected line, and their derivatives.
 
     The line through the projections is l = K^-T (end x anchor); positive is to the right of a
@@ -325,7 +331,7 @@ def _length_px(problem: PoseProblem, a: Vector, e: Vector) -> float:
 
 
 @compiled
-def _chain(rows: Record, row: int, a: Vector, e: Vector, R: FloatArray) -> None:
+def _chain(rows: Rows, row: int, a: Vector, e: Vector, R: FloatArray) -> None:
     """Turn derivatives by camera coordinates into those by pose and by map coordinates."""
     by = rows.by_camera[row]
     by_a, by_e = (by[0], by[1], by[2]), (by[3], by[4], by[5])

@@ -82,7 +82,7 @@ def _fill(
         i, j = pairs[pair, 0], pairs[pair, 1]
         n = fill_rows(problem, R, t, i, j, rows)
         count[pair], bottom[pair] = n, n > 0 and bottom_is_given(problem, i, j, n)
-        length[pair] = rows.length_px if problem.seen[i].is_line else 0.0
+        length[pair] = rows.length_px[0] if problem.seen[i].is_line else 0.0
         residual[pair, :n] = rows.residual[:n]
         by_pose[pair, :n] = rows.jacobian[:n]
         by_element[pair, :n] = rows.by_map[:n]
