@@ -1,6 +1,10 @@
 """Residuals: exact derivatives, stated noise, and what is not known does not count."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +17,7 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Belief, Prior
 from semviz_core.base.pose import Pose
+from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import rotate_left
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows, road_height
 from semviz_core.localization.problem import PoseProblem, PriorRecord
@@ -58,12 +63,12 @@ def test_pair_jacobians_are_those_of_finite_differences(seed: int) -> None:
 
         def residual(R: np.ndarray, t: np.ndarray, i: int = i, j: int = j) -> np.ndarray:
             rows = new_rows()
-            return rows["residual"][: fill_rows(scene, R, t, i, j, rows)].copy()
+            return rows.residual[: fill_rows(scene, R, t, i, j, rows)].copy()
 
         rows = new_rows()
         count = fill_rows(scene, *start, i, j, rows)
         numeric = central(residual, start)
-        np.testing.assert_allclose(rows["jacobian"][:count], numeric, rtol=1e-4, atol=2e-3)
+        np.testing.assert_allclose(rows.jacobian[:count], numeric, rtol=1e-4, atol=2e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -75,12 +80,12 @@ def test_whitening_is_by_the_covariance_of_the_rows(seed: int) -> None:
     for i, j in problem.pairs:
         rows = new_rows()
         count = fill_rows(scene, *start, i, j, rows)
-        raw, by_map = rows["residual"][:count].copy(), rows["by_map"][:count].copy()
+        raw, by_map = rows.residual[:count].copy(), rows.by_map[:count].copy()
         across, along = problem.observed.sigma_px[i] ** 2
         noise = np.array([across, across if scene.seen["is_line"][i] else along, along, along])
         covariance = by_map @ scene.mapped["covariance_m2"][j] @ by_map.T + np.diag(noise[:count])
         whiten(scene, i, j, count, EXACT_POSE, rows)
-        chi2 = (rows["residual"][:count] ** 2).sum()
+        chi2 = (rows.residual[:count] ** 2).sum()
         assert chi2 == pytest.approx(raw @ np.linalg.solve(covariance, raw), rel=1e-9)
 
 
@@ -255,3 +260,47 @@ def test_a_bottom_that_may_be_hidden_counts_only_where_it_fits() -> None:
         found = problem_residuals(scene, Pose.identity(), PAIR)
         assert found.rows[0] == rows
         assert found.inlier[0] == fits
+
+
+@compiled
+def jacobian_after_other_arrays() -> float:
+    rows, others = new_rows(), 0
+    for size in range(1, 200):
+        others += len(np.ones(size))
+    return np.abs(rows.jacobian).max() if others else 1.0
+
+
+def test_rows_keep_their_memory() -> None:
+    """A record of a new array would be freed at once, and the next array would take its place."""
+    assert jacobian_after_other_arrays() == 0.0
+    assert jacobian_after_other_arrays.py_func() == 0.0
+
+
+CHECKED = """
+import numpy as np
+from semviz_core.localization.matched import localize_matches
+from semviz_core.research.evaluation.problems import make_problem
+
+for seed in range(3):
+    frame = make_problem(seed)
+    localize_matches(
+        frame.observed, frame.submap, frame.camera, frame.pairs, np.ones(len(frame.pairs)),
+        prior=frame.prior, method="minimal",
+    )
+print("whole")
+"""
+
+
+def test_solvers_write_only_to_their_own_memory() -> None:
+    """With glibc's checked malloc a process ends when it frees memory that was overwritten."""
+    if not any(Path("/lib").glob("*-linux-gnu/libc_malloc_debug.so.0")):
+        pytest.skip("this C library has no checked malloc")
+    checked = {
+        "LD_PRELOAD": "libc_malloc_debug.so.0",
+        "GLIBC_TUNABLES": "glibc.malloc.check=3",
+        "MALLOC_PERTURB_": "17",
+    }
+    ended = subprocess.run(
+        [sys.executable, "-c", CHECKED], env=os.environ | checked, capture_output=True, text=True
+    )
+    assert ended.stdout == "whole\n", ended.stderr
