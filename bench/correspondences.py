@@ -25,8 +25,8 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.jit import Stopwatch
 from semviz_core.localization.association import PairConstraints
-from semviz_core.localization.correspondences.hypotheses import CoupleHypotheses
 from semviz_core.localization.correspondences.matcher import (
+    CoupleHypotheses,
     LearnedCorrespondences,
     load_pair_matcher,
 )

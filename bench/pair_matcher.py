@@ -23,8 +23,8 @@ from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.localization.correspondences.hypotheses import CoupleHypotheses
 from semviz_core.localization.correspondences.matcher import (
+    CoupleHypotheses,
     LearnedCorrespondences,
     PairMatcher,
     load_pair_matcher,

@@ -46,8 +46,7 @@ class DetectChooseCommand:
     force: parsing.Force = False
 
     def run(self) -> int:
-        from semviz.workspace.calibration import default_calibration_path
-        from semviz.workspace.detect import DetectOptions
+        from semviz.workspace.detect import DetectOptions, default_calibration_path
         from semviz.workspace.outputs import check_outputs, starts_with
         from semviz_core.base.detector_calibration import CALIBRATION_HEADER
 

@@ -56,8 +56,8 @@ class LabelsExportCommand:
     """Print one JSON object instead of lines: counts, and losses of the format."""
 
     def run(self) -> int:
-        from semviz.workspace.original_pixels import original_pixels
         from semviz_annotation.label_formats.exchange import export_labels
+        from semviz_annotation.label_formats.table import original_pixels
 
         workspace = parsing.open_workspace(self.workspace)
         format_ = self.format or _BY_ENDING.get(self.file.suffix.lower())
@@ -65,7 +65,7 @@ class LabelsExportCommand:
         if format_ is None or format_ == "log":
             return self._export_log(workspace)
         with workspace.open_labels() as store:
-            original = original_pixels(workspace) if format_ == "csv" else None
+            original = original_pixels(workspace.source) if format_ == "csv" else None
             report = export_labels(store, self.file, format_, self.side, original)
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0

@@ -16,7 +16,7 @@ from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive import convention_check
+from semviz_core.datasets.own_drive import match_checks
 from semviz_core.datasets.own_drive.extrinsic_refinement import (
     RefinedExtrinsics,
     refine_extrinsics,
@@ -24,7 +24,6 @@ from semviz_core.datasets.own_drive.extrinsic_refinement import (
 )
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
-from semviz_core.datasets.own_drive.row_check import LEAST_MATCHES, check_rows, draw_rows
 
 ROW_PICTURE = Path("checks", "rows.png")
 REFINED = "calibration-refined.toml"
@@ -101,7 +100,7 @@ def write_row_picture(workspace: Workspace) -> None:
 
     source = workspace.source
     index = source.frames[len(source.frames) // 2].index
-    picture = draw_rows(source.image(index, "left"), source.image(index, "right"))
+    picture = match_checks.draw_rows(source.image(index, "left"), source.image(index, "right"))
     path = workspace.path / ROW_PICTURE
     path.parent.mkdir(exist_ok=True)
     with replacing(path) as temporary:
@@ -121,8 +120,8 @@ def rectify_all(workspace: Workspace) -> None:
 
 def _row_warnings(dataset: Dataset) -> list[str]:
     """Print how far rows of a stereo pair are apart; return a warning if they are."""
-    rows = check_rows(dataset)
-    if rows.matches < LEAST_MATCHES:
+    rows = match_checks.check_rows(dataset)
+    if rows.matches < match_checks.LEAST_ROW_MATCHES:
         print_topic("rows", f"not checked: {rows.matches} matches")
         return []
     print_topic("rows", f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)")
@@ -137,7 +136,7 @@ def _row_warnings(dataset: Dataset) -> list[str]:
 def _pose_warnings(dataset: Dataset, drive: RecordedDrive) -> list[str]:
     """Print how many matches between images agree with the poses; return a warning if few do."""
     assert drive.axes is not None
-    found = convention_check.check_against_images(
+    found = match_checks.check_poses(
         dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified
     )
     if not found.is_known:

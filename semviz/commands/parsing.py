@@ -50,7 +50,7 @@ def open_workspace(path: Path) -> "Workspace":
 def read_calibration(workspace: "Workspace", given: str | None) -> "DetectorCalibration | None":
     """Return the calibration of the workspace's detections, by option ``Calibration``, and say
     which it is."""
-    from semviz.workspace.calibration import find_calibration
+    from semviz.workspace.detect import find_calibration
 
     found = find_calibration(workspace, given)
     if found is None:

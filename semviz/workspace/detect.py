@@ -2,6 +2,9 @@
 
 An interrupted run resumes. Proposals are stored with the detector's settings and the hash of
 its files, so that proposals of different detectors are never mixed.
+
+``semviz detect choose`` writes a calibration beside the model; for the shipped model and models of
+the hub, into the workspace. It holds for one model and one way of measuring; others are refused.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,10 +18,9 @@ from typing import Literal, TypeAlias
 from semviz.presentation.progress import track
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
-from semviz_annotation.labels.processed_images import ProcessedImages, Setting
-from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal, Setting
 from semviz_annotation.labels.proposals import Proposals, load_proposals, save_proposals
-from semviz_core.base.detector_calibration import CALIBRATION_ENDING
+from semviz_core.base.detector_calibration import CALIBRATION_ENDING, DetectorCalibration
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector
@@ -35,6 +37,9 @@ MODEL_FILE = "model_file"
 """Setting: the path of the model, beside which its calibration is. Not part of its identity."""
 HASH_DIGITS = 8
 """Digits of the model's hash in the name of a detector."""
+NO_CALIBRATION = "none"
+"""Value of ``--calibration`` for scores and sigmas as the detector gave them."""
+_CALIBRATION_NAME = f"detector{CALIBRATION_ENDING}"
 
 
 @dataclass(frozen=True)
@@ -231,3 +236,50 @@ def _stamp(path: Path) -> tuple[int, int] | None:
         return None
     stat = path.stat()
     return stat.st_ino, stat.st_mtime_ns
+
+
+def default_calibration_path(workspace: Workspace, model: str | None) -> Path:
+    """Return where the calibration of a model is: beside it, or else in the workspace."""
+    path = None if model is None else Path(model)
+    if path is None or not path.exists():
+        return workspace.path / _CALIBRATION_NAME
+    return (
+        path / _CALIBRATION_NAME
+        if path.is_dir()
+        else path.with_name(path.stem + CALIBRATION_ENDING)
+    )
+
+
+def find_calibration(
+    workspace: Workspace, given: str | None
+) -> tuple[Path, DetectorCalibration] | None:
+    """Return the calibration of a workspace's detections with its file: the given one, or that of
+    their model.
+
+    Raise SemvizError if it was made for another model.
+    """
+    processed = load_proposals(workspace.proposals_path, workspace.classes).processed
+    if given == NO_CALIBRATION:
+        return None
+    if given is not None:
+        return _checked(Path(given), processed)
+    if processed is None:
+        return None
+    model = processed.settings.get(MODEL_FILE)
+    beside = default_calibration_path(workspace, None if model is None else str(model))
+    if beside.is_file():
+        return _checked(beside, processed)
+    own = workspace.path / _CALIBRATION_NAME
+    return _checked(own, processed) if own.is_file() else None
+
+
+def _checked(path: Path, processed: ProcessedImages | None) -> tuple[Path, DetectorCalibration]:
+    calibration = DetectorCalibration.load(path)
+    detector = "unknown: they were imported" if processed is None else processed.detector
+    if processed is None or not calibration.is_of(processed.settings):
+        raise SemvizError(
+            f"{path}: made for {calibration.detector}, measured by {calibration.measuring}, but "
+            f"the detector is {detector}; run 'semviz detect choose' for it, or give "
+            f"--calibration {NO_CALIBRATION}"
+        )
+    return path, calibration

@@ -23,7 +23,7 @@ from semviz.runs.writer import write_run
 from semviz.workspace import observations
 from semviz.workspace.detect import MODEL_FILE
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_core.base.camera import Camera
 from semviz_core.base.detector_calibration import DetectorCalibration
 from semviz_core.base.detector_model import NoiseName

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id
-from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import Dismissal, derived_id, review_decision
 from semviz_annotation.labels.views import rig_view

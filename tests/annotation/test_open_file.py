@@ -12,8 +12,7 @@ from random_edits import pole
 
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.backup import backup_labels, check_labels, restore_labels
-from semviz_annotation.storage.label_file import LabelFileError, NotSavedError
-from semviz_annotation.storage.open_file import OpenFile
+from semviz_annotation.storage.label_file import LabelFileError, NotSavedError, OpenFile
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.common.errors import SemvizError
 

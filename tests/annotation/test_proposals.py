@@ -15,8 +15,7 @@ from label_files import RIG
 from semviz import cli
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements, as_proposals
-from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import (
     Proposals,
     load_proposals,

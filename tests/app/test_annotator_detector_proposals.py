@@ -24,8 +24,7 @@ from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import ReviewFrame
 from semviz_annotation.labels.labels import Labels, Observation, new_id
-from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.base.frame import Side

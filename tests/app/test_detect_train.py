@@ -12,10 +12,10 @@ import torch
 from command_line import Call, call
 from safetensors.torch import load_file
 
+from semviz.research.forgetting import HeldOutRecall
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.weights import shipped_weights
 from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shipped_model
-from semviz_core.research.training.detector_check import HeldOutRecall
 from semviz_core.research.training.detector_images import StreetImages
 from semviz_core.research.training.trainer import CHECKPOINT
 

@@ -15,7 +15,7 @@ from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import LabelElement
-from semviz_annotation.labels.processed_images import ProcessedImages
+from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_annotation.labels.rows import new_id, review_decision
 from semviz_annotation.mapping.association.detected_drive import TRACK_NUMBER, as_observation

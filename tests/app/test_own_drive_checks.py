@@ -16,7 +16,7 @@ from semviz.workspace.workspace import Workspace
 from semviz_core.base.pose import Pose, so3_exp, so3_log
 from semviz_core.common.arrays import ByteImage
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.row_check import draw_rows
+from semviz_core.datasets.own_drive.match_checks import draw_rows
 from semviz_core.simulation.street import Street
 
 TURNED = so3_exp(np.deg2rad([0.8, -1.2, 0.6]))

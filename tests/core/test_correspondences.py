@@ -22,11 +22,12 @@ from semviz_core.localization.correspondences.candidate_pairs import (
     pair_distance_m,
 )
 from semviz_core.localization.correspondences.couples import FrameGeometry
-from semviz_core.localization.correspondences.hypotheses import CoupleHypotheses, consensus
 from semviz_core.localization.correspondences.matcher import (
     SUREST_PER_SEEN,
+    CoupleHypotheses,
     LearnedCorrespondences,
     PairMatcher,
+    consensus,
     load_pair_matcher,
 )
 from semviz_core.localization.correspondences.network import LEAST_ODDS

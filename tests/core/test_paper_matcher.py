@@ -11,8 +11,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.weights import NetworkWeights
 from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.paper.graph_torch import GraphMatcher, GraphNetwork
-from semviz_core.research.paper.matcher import MODELS, Matcher, graph_features
-from semviz_core.research.paper.split_lines import split_lines
+from semviz_core.research.paper.matcher import MODELS, Matcher, graph_features, split_lines
 from semviz_core.research.paper.training import PaperTask
 from semviz_core.research.training.batch import Batch
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION

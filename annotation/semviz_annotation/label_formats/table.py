@@ -13,9 +13,10 @@ from typing import TypeAlias
 import numpy as np
 
 from semviz_annotation.label_formats.writing import LabelExportContext, as_word
-from semviz_core.base.frame import Side
+from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.files import replacing
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 
 OriginalPixels: TypeAlias = Callable[[int, Side, FloatArray], tuple[str, FloatArray]]
 """The recorded image of a frame and side, and its pixels (n, 2) at those of the labelled image."""
@@ -30,6 +31,18 @@ COLUMNS = (
     *(f"end_{axis}{which}_px" for which in ("", "_original") for axis in "uv"),
     "end_known",
 )
+
+
+def original_pixels(source: Dataset) -> OriginalPixels:
+    """Return the way from a dataset's pixels to recorded ones, which only own drives have apart."""
+
+    def to_original(index: int, side: Side, pixels_px: FloatArray) -> tuple[str, FloatArray]:
+        if isinstance(source, ImageFolder):
+            name = source.original_path(index, side).name
+            return name, source.to_original(pixels_px, side)
+        return f"{side}/{index:06d}.png", pixels_px
+
+    return to_original
 
 
 def write_table(context: LabelExportContext, path: Path, original: OriginalPixels) -> None:

@@ -19,8 +19,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from semviz_annotation.labels.processed_images import ProcessedImages
-from semviz_annotation.labels.proposal import Proposal, proposal_content_id
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal, proposal_content_id
 from semviz_annotation.labels.rows import MIN_LENGTH_PX, Id, Index, Pixel
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, TRIANGULAR, ClassSet

@@ -1,8 +1,13 @@
 """Integrity check of a label file that may be in use.
 
 A file is intact if its log is unbroken and its tables follow from the log.
+
+A digest of all rows is stored with them, so that opening a file finds altered rows. It is the sum
+of the hashes of all rows: an edit updates it without reading other rows. An earlier version of
+semviz writes rows without it. The number of its operation shows that it is out of date.
 """
 
+import hashlib
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
@@ -11,7 +16,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from semviz_annotation.labels.labels import Draft, Labels
-from semviz_annotation.labels.rows import Key, Row, row_key
+from semviz_annotation.labels.rows import Key, Row, RowChange, row_key
 from semviz_annotation.storage import tables
 from semviz_annotation.storage.database import (
     UNREADABLE,
@@ -22,11 +27,56 @@ from semviz_annotation.storage.database import (
     fault,
     make,
 )
-from semviz_annotation.storage.digest import digest_of, read_digest
 from semviz_annotation.storage.operations import NO_HASH, Operation, sealed
 from semviz_core.common.errors import SemvizError
 
+_MODULUS = 2**62
+"""SQLite's integers have 63 bits."""
+_DIGEST, _NUMBER = "digest of all rows", "operation of the digest"
+
 ALTERED = "its hash is wrong; it was altered after it was written"
+Pace: TypeAlias = Callable[[], None]
+"""Called often during a check: it may sleep to slow it down, or raise to end it."""
+TAIL = 200
+"""How many of the last operations are checked when a file is opened: 0.2 ms each."""
+
+
+def digest_of(rows: Iterable[Row]) -> int:
+    """Return the digest of ``rows``, in any order."""
+    return sum(map(_row_digest, rows)) % _MODULUS
+
+
+def digest_after(digest: int, changes: Iterable[RowChange]) -> int:
+    """Return the digest after ``changes`` to the rows of ``digest``."""
+    for change in changes:
+        if change.before is not None:
+            digest -= _row_digest(change.before)
+        if change.after is not None:
+            digest += _row_digest(change.after)
+    return digest % _MODULUS
+
+
+def _row_digest(row: Row) -> int:
+    text = f"{type(row).__name__} {tables.row_values(row)!r}"
+    return int.from_bytes(hashlib.blake2b(text.encode(errors="replace"), digest_size=8).digest())
+
+
+def write_digest(connection: sqlite3.Connection, digest: int, number: int) -> None:
+    """Store the digest after operation ``number``, within the open transaction."""
+    connection.executemany(
+        "INSERT INTO counters VALUES (?, ?) ON CONFLICT DO UPDATE SET value = excluded.value",
+        [(_DIGEST, digest), (_NUMBER, number)],
+    )
+
+
+def read_digest(connection: sqlite3.Connection, number: int) -> int | None:
+    """Return the stored digest after operation ``number``; None if there is none."""
+    stored = dict(
+        connection.execute(
+            "SELECT name, value FROM counters WHERE name IN (?, ?)", (_DIGEST, _NUMBER)
+        )
+    )
+    return stored.get(_DIGEST) if stored.get(_NUMBER) == number else None
 
 
 @dataclass(frozen=True)
@@ -38,10 +88,6 @@ class Integrity:
     """Hash of the last operation: equal hashes mean equal logs."""
     elements: int
     observations: int
-
-
-Pace: TypeAlias = Callable[[], None]
-"""Called often during a check: it may sleep to slow it down, or raise to end it."""
 
 
 def no_pace() -> None:
@@ -160,10 +206,6 @@ class _LogReplay:
         }:
             raise SemvizError("the last writers of rows do not follow from the log")
         check_digest(connection, stored.operation, digest_of(stored.rows()))
-
-
-TAIL = 200
-"""How many of the last operations are checked when a file is opened: 0.2 ms each."""
 
 
 def check_opened(connection: sqlite3.Connection, labels: Labels, digest: int) -> None:

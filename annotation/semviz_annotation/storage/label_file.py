@@ -1,12 +1,13 @@
-"""An open label file with its newest state in memory."""
+"""An open label file with its newest state in memory, and a watch over the file on disk."""
 
+import os
 import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from semviz_annotation.labels.labels import Draft, Labels
 from semviz_annotation.storage import tables
@@ -17,20 +18,74 @@ from semviz_annotation.storage.database import (
     database_error,
     define_triangles,
 )
-from semviz_annotation.storage.digest import digest_after, digest_of, write_digest
 from semviz_annotation.storage.integrity import (
     TAIL,
     check_again,
     check_digest,
     check_following,
     check_opened,
+    digest_after,
+    digest_of,
     last_in_file,
     open_read_only,
+    write_digest,
 )
-from semviz_annotation.storage.open_file import Content, OpenFile
 from semviz_annotation.storage.operations import NO_HASH, Operation
 from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
+
+_Identity: TypeAlias = tuple[int, int]
+"""Device and inode."""
+Content: TypeAlias = tuple[int, int]
+"""Time (ns) and size (bytes) of the last change of a file."""
+REMEDY = "put it back, or restart semviz to use the file that is there"
+CHECKPOINT_S = 1.0
+"""How long to wait for another process's checkpoint."""
+
+
+class OpenFile:
+    """The files of an open database, as they were when it was opened.
+
+    SQLite writes on into files that were removed, renamed or replaced; what it writes there is
+    lost. A check costs 10 µs.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        real = path.resolve()  # SQLite writes its journal beside the target of a link
+        files = [path, *(real.with_name(real.name + end) for end in ("-wal", "-shm"))]
+        self._identities = [(str(file), _identity(file.stat())) for file in files]
+        self._accepted = self.content()
+
+    def check(self) -> None:
+        """Raise SemvizError if one of the files is not the opened one any more."""
+        for file, identity in self._identities:
+            try:
+                now = _identity(os.stat(file))  # noqa: PTH116 (a third of the time of Path.stat)
+            except OSError:
+                raise SemvizError(f"{Path(file).name} was removed while it was open") from None
+            if now != identity:
+                raise SemvizError(f"{Path(file).name} was replaced while it was open")
+
+    def content(self) -> Content:
+        """Return time and size of the last change of the file. Raise OSError if it is missing."""
+        status = os.stat(self._path)  # noqa: PTH116
+        return status.st_mtime_ns, status.st_size
+
+    def has_new_content(self) -> bool:
+        """Whether the file was written since ``accept_content``: by a checkpoint, or from outside.
+
+        Raise OSError if it is missing.
+        """
+        return self.content() != self._accepted
+
+    def accept_content(self) -> None:
+        """Take the file's content as it is now for the database's own."""
+        self._accepted = self.content()
+
+
+def _identity(status: os.stat_result) -> _Identity:
+    return status.st_dev, status.st_ino
 
 
 class _Written(NamedTuple):
@@ -47,11 +102,6 @@ class LabelFileError(SemvizError):
 
 class NotSavedError(LabelFileError):
     """An edit is not saved: the disk refused it, or the file is locked, damaged or missing."""
-
-
-REMEDY = "put it back, or restart semviz to use the file that is there"
-CHECKPOINT_S = 1.0
-"""How long to wait for another process's checkpoint."""
 
 
 class LabelFile:

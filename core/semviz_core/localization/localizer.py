@@ -26,8 +26,8 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch, in_order
 from semviz_core.localization import refinement
 from semviz_core.localization.association import PairConstraints, posterior_match
-from semviz_core.localization.correspondences.hypotheses import CoupleHypotheses
 from semviz_core.localization.correspondences.matcher import (
+    CoupleHypotheses,
     LearnedCorrespondences,
     PairMatcher,
     load_pair_matcher,

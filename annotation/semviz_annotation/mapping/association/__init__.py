@@ -7,6 +7,6 @@ and `candidates` drops landmarks with too few observations.
 
 `detection_tracks` adds the detections of a drive to the labels. `detected_drive` tells which of
 them the labels explain, and `not_landmarks` which show no landmark. The others become
-`ground_rays`, in which `track_search` finds tracks by the compiled loops of `ray_votes`.
-`end_heights` drops ends that do not agree, `rejected_tracks` the tracks of what was left out.
+`ground_rays`, in which `track_search` finds tracks by the compiled loops of `ray_votes`; ends
+that do not agree are dropped. `rejected_tracks` drops the tracks of what was left out.
 """

@@ -25,7 +25,7 @@ from semviz_annotation.mapping.association.detected_drive import (
     DetectedDrive,
     as_observation,
 )
-from semviz_annotation.mapping.association.end_heights import AgreedEnds, agreed_ends
+from semviz_annotation.mapping.association.ground_rays import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.not_landmarks import moving_tracks
 from semviz_annotation.mapping.association.rejected_tracks import without_rejected

@@ -15,9 +15,9 @@ from semviz_core.base.pose import Pose, skew, so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.lens import OriginalRig
+from semviz_core.datasets.own_drive.match_checks import matched_pairs
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.own_drive.rectification import rectify_rig
-from semviz_core.datasets.own_drive.row_check import matched_pairs
 
 PAIRS = 20
 LEAST_MATCHES = 200

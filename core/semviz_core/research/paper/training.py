@@ -12,9 +12,8 @@ from torch import Tensor
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.paper.graph_torch import GraphMatcher
-from semviz_core.research.paper.matcher import MODELS, options_of
+from semviz_core.research.paper.matcher import MODELS, options_of, split_lines
 from semviz_core.research.paper.pnpl_layer import differentiable_pnpl, start_poses
-from semviz_core.research.paper.split_lines import split_lines
 from semviz_core.research.training.batch import Batch, BatchTruth
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
 from semviz_core.research.training.task import Progress, SampleSource, cosine

@@ -1,0 +1,250 @@
+"""Check calibration and poses of a drive by matches between its images.
+
+Rows of a rectified pair must agree. By the poses, matches of successive images must lie on epipolar
+lines and ahead of the camera. Both are needed: along a straight road, the epipolar lines of
+inverted poses are the same, but the matches then lie behind the camera.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_core.base.camera import Camera
+from semviz_core.base.frame import Dataset
+from semviz_core.base.pose import Pose, skew
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.conventions import FLIPPED, NAMED_EXTRINSICS
+
+_FEATURES = 2000
+_RATIO = 0.8
+"""Largest ratio of the best to the second best distance (Lowe 2004)."""
+PAIRS = 5
+"""Of images, along the drive."""
+
+MOST_APART_PX = 1.0
+"""Rows: a median beyond this harms matching along them, and depth."""
+LEAST_ROW_MATCHES = 50
+_REACH_PX = 20.0
+"""Matches farther off their row are wrong matches, or those of no pair at all."""
+_LINE_EVERY_PX, _MAGNIFIED = 40, 10.0
+_LINE_RGB, _ON_RGB, _OFF_RGB = (255, 255, 255), (40, 90, 230), (220, 40, 30)
+
+LEAST_POSE_MATCHES = 60
+LEAST_SHARE = 0.5
+"""Poses: of the matches that agree with them; poses of a car's camera reach 0.8 and more."""
+_APART_M = (0.2, 6.0)
+_NEAR_LINE_PX = 2.0
+_REMEDIES: dict[str, Callable[[Pose], Pose]] = {
+    "another --direction": Pose.inverse,
+    "another --camera-axes": lambda T: T @ FLIPPED,
+    "--extrinsic flu": lambda T: T @ NAMED_EXTRINSICS["flu"],
+    "--extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"],
+    "no --extrinsic flu": lambda T: T @ NAMED_EXTRINSICS["flu"].inverse(),
+    "no --extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"].inverse(),
+}
+"""By the option, how recorded poses would change with it."""
+
+
+def matched_pixels(first: ByteImage, second: ByteImage) -> FloatArray:
+    """Return (n, 2, 2): the pixel of each match in both images. Some matches are wrong."""
+    import cv2
+
+    sift = cv2.SIFT.create(_FEATURES)  # to a fraction of a pixel, unlike ORB
+    (points, features), (others, candidates) = (
+        sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
+        for image in (first, second)
+    )
+    if features is None or candidates is None or len(candidates) < 2:
+        return np.zeros((0, 2, 2))
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(features, candidates, k=2)
+    clear = [a for a, b in pairs if a.distance < _RATIO * b.distance]
+    places = np.array([[points[m.queryIdx].pt, others[m.trainIdx].pt] for m in clear])
+    return np.asarray(places.reshape(-1, 2, 2), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class RowCheck:
+    """Matches of a few pairs, and how far they are off their row."""
+
+    matches: int
+    apart_px: float
+    """Median of the absolute distances; NaN below ``LEAST_ROW_MATCHES``."""
+    offset_px: float
+    """Median distance, right minus left: of one sign if a camera is pitched or shifted."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether rows agree; True if there are too few matches to tell."""
+        return self.matches < LEAST_ROW_MATCHES or self.apart_px <= MOST_APART_PX
+
+
+def check_rows(dataset: Dataset) -> RowCheck:
+    """Match corners of up to ``PAIRS`` pairs of a stereo dataset; images that are damaged, not."""
+    distances = rows_apart(matched_pairs(dataset, PAIRS))
+    if len(distances) < LEAST_ROW_MATCHES:
+        return RowCheck(len(distances), float("nan"), float("nan"))
+    return RowCheck(
+        len(distances), float(np.median(np.abs(distances))), float(np.median(distances))
+    )
+
+
+def matched_pairs(dataset: Dataset, pairs: int) -> FloatArray:
+    """Return the matches (n, 2, 2), left and right, of up to ``pairs`` pairs along the drive."""
+    rows = np.unique(np.linspace(0, len(dataset.frames) - 1, pairs).round().astype(int))
+    found = [np.zeros((0, 2, 2))]
+    for row in rows.tolist():
+        index = dataset.frames[row].index
+        try:
+            left, right = dataset.image(index, "left"), dataset.image(index, "right")
+        except SemvizError:  # raised again when this image is shown
+            continue
+        found.append(matches_near_rows(left, right))
+    return np.concatenate(found)
+
+
+def matches_near_rows(left: ByteImage, right: ByteImage) -> FloatArray:
+    """Return the matches (n, 2, 2) of a rectified pair that lie ahead and near one row."""
+    places = matched_pixels(left, right)
+    ahead = places[:, 0, 0] > places[:, 1, 0]
+    return np.asarray(places[ahead & (np.abs(rows_apart(places)) < _REACH_PX)], dtype=np.float64)
+
+
+def rows_apart(places: FloatArray) -> FloatArray:
+    """Return the row in the right image minus that in the left one, of each match (n,)."""
+    return np.asarray(places[:, 1, 1] - places[:, 0, 1], dtype=np.float64)
+
+
+def draw_rows(left: ByteImage, right: ByteImage) -> ByteImage:
+    """Return both images side by side: rows as lines, matches blue on their row, red off it.
+
+    A line beside each match shows how far it is off, ten times as long.
+    """
+    import cv2
+
+    places = matches_near_rows(left, right)
+    picture = np.ascontiguousarray(np.hstack([left, right]))
+    height, width = picture.shape[:2]
+    for row in range(_LINE_EVERY_PX // 2, height, _LINE_EVERY_PX):
+        cv2.line(picture, (0, row), (width - 1, row), _LINE_RGB, 1)
+    shift = left.shape[1]
+    for (u, v), (u_right, v_right) in places.tolist():
+        apart = v_right - v
+        colour = _OFF_RGB if abs(apart) > MOST_APART_PX else _ON_RGB
+        end = (round(u_right + shift), round(v_right + _MAGNIFIED * apart))
+        cv2.circle(picture, (round(u), round(v)), 3, colour, 1, cv2.LINE_AA)
+        cv2.circle(picture, (round(u_right + shift), round(v_right)), 3, colour, 1, cv2.LINE_AA)
+        cv2.line(picture, (round(u_right + shift), round(v_right)), end, colour, 1, cv2.LINE_AA)
+    return np.asarray(picture, dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class ConventionCheck:
+    """How many matches between images agree with the poses."""
+
+    matches: int
+    share: float
+    """Of the matches: within 2 px of their epipolar line, and ahead of both images."""
+    remedy: str = ""
+    """The option with which most matches would agree; empty if there is none."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there are enough matches between images apart to tell."""
+        return self.matches >= LEAST_POSE_MATCHES
+
+    @property
+    def agrees(self) -> bool:
+        return not self.is_known or self.share >= LEAST_SHARE
+
+
+def check_poses(dataset: Dataset, T_map_world: Pose, T_left_rectified: Pose) -> ConventionCheck:
+    """Match a few pairs of successive left images, and compare them with their poses.
+
+    ``T_map_world`` and ``T_left_rectified`` are what was applied to the recorded poses.
+    """
+    matched = _matched(dataset)
+    count = sum(len(motion.pixels) for motion in matched)
+    if count < LEAST_POSE_MATCHES:
+        return ConventionCheck(count, 0.0)
+    camera = dataset.rig.left
+    share = _agreeing(camera, matched) / count
+    if share >= LEAST_SHARE:
+        return ConventionCheck(count, share)
+    world, turn = T_map_world.inverse(), T_left_rectified.inverse()
+    shares = {}
+    for remedy, change in _REMEDIES.items():
+
+        def changed(T: Pose, change: Callable[[Pose], Pose] = change) -> Pose:
+            return change(world @ T @ turn) @ T_left_rectified
+
+        motions = [_Motion(m.pixels, changed(m.before), changed(m.now)) for m in matched]
+        shares[remedy] = _agreeing(camera, motions) / count
+    best = max(shares, key=lambda name: shares[name])
+    fits = shares[best] >= max(LEAST_SHARE, 1.5 * share)
+    return ConventionCheck(count, share, best if fits else "")
+
+
+class _Motion(NamedTuple):
+    """Matches (n, 2, 2) between two images, and the poses of these."""
+
+    pixels: FloatArray
+    before: Pose
+    now: Pose
+
+
+def _matched(dataset: Dataset) -> list[_Motion]:
+    """Return the matches of up to ``PAIRS`` pairs of successive images with poses."""
+    pairs = [
+        (first.index, second.index, first.T_map_camera, second.T_map_camera)
+        for first, second in pairwise(dataset.frames)
+        if first.T_map_camera is not None
+        and second.T_map_camera is not None
+        and _APART_M[0] <= _distance_m(first.T_map_camera, second.T_map_camera) <= _APART_M[1]
+    ]
+    rows = np.unique(np.linspace(0, len(pairs) - 1, PAIRS).round().astype(int)).tolist()
+    matched = []
+    for row in rows if pairs else ():
+        before, now, T_before, T_now = pairs[row]
+        try:
+            images = dataset.image(before, "left"), dataset.image(now, "left")
+        except SemvizError:  # raised again when this image is shown
+            continue
+        matched.append(_Motion(matched_pixels(*images), T_before, T_now))
+    return matched
+
+
+def _distance_m(first: Pose, second: Pose) -> float:
+    return float(np.linalg.norm(first.translation - second.translation))
+
+
+def _agreeing(camera: Camera, matched: Sequence[_Motion]) -> int:
+    """Return the number of all matches that agree with the poses."""
+    return sum(
+        int(_agrees(camera, motion.pixels, motion.now.inverse() @ motion.before).sum())
+        for motion in matched
+    )
+
+
+def _agrees(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> BoolArray:
+    """Return (n,) whether matches (n, 2, 2), before and now, agree with the motion."""
+    rays = [
+        np.column_stack([camera.normalize(pixels[:, side]), np.ones(len(pixels))])
+        for side in (0, 1)
+    ]
+    R, t = T_now_before.rotation, T_now_before.translation
+    lines = rays[0] @ (skew(t) @ R).T
+    focal = camera.K[0, 0]
+    apart = np.abs((lines * rays[1]).sum(axis=1)) / np.hypot(lines[:, 0], lines[:, 1]) * focal
+    # Depths of both rays, by least squares of depth_now * ray_now = depth_before * R ray + t.
+    turned = rays[0] @ R.T
+    a, b, c = (
+        (x * y).sum(axis=1) for x, y in ((turned, turned), (turned, rays[1]), (rays[1],) * 2)
+    )
+    d, e = turned @ t, rays[1] @ t
+    determinant = np.maximum(a * c - b * b, 1e-12)
+    before, now = (b * e - c * d) / determinant, (a * e - b * d) / determinant
+    return np.asarray((apart < _NEAR_LINE_PX) & (before > 0.0) & (now > 0.0))
