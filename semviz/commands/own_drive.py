@@ -16,12 +16,7 @@ from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive import match_checks
-from semviz_core.datasets.own_drive.extrinsic_refinement import (
-    RefinedExtrinsics,
-    refine_extrinsics,
-    with_extrinsics,
-)
+from semviz_core.datasets.own_drive import extrinsic_refinement, match_checks
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
@@ -56,16 +51,16 @@ def _dataset(drive: RecordedDrive, cache: Path) -> ImageFolder:
 def _refined(drive: RecordedDrive, cache: Path) -> RecordedDrive:
     if drive.original.T_right_left is None:
         raise SemvizError("--refine-extrinsics needs a right camera: give --right")
-    found = refine_extrinsics(_dataset(drive, cache), drive)
+    found = extrinsic_refinement.refine_extrinsics(_dataset(drive, cache), drive)
     said = _refinement_said(found, drive)
     for topic, text in said:
         print_topic(topic, text)
-    changed = with_extrinsics(drive, found.T_right_left)
+    changed = extrinsic_refinement.with_extrinsics(drive, found.T_right_left)
     return replace(changed, statements=(*changed.statements, *said))
 
 
 def _refinement_said(
-    found: RefinedExtrinsics, drive: RecordedDrive
+    found: extrinsic_refinement.RefinedExtrinsics, drive: RecordedDrive
 ) -> tuple[tuple[str, str], tuple[str, str]]:
     assert drive.original.T_right_left is not None
     R, before = found.T_right_left.rotation, drive.original.T_right_left.rotation

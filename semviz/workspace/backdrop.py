@@ -10,17 +10,12 @@ from functools import lru_cache
 from pathlib import Path
 
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.mapping.backdrop import depth_fusion
 from semviz_annotation.mapping.backdrop.backdrop import (
     Backdrop,
     BackdropSource,
     load_backdrop,
     save_backdrop,
-)
-from semviz_annotation.mapping.backdrop.depth_fusion import (
-    FusionOptions,
-    OnProgress,
-    chosen_frames,
-    fuse,
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
@@ -38,9 +33,9 @@ def backdrop_path(workspace: Workspace) -> Path:
 def ensure_backdrop(
     workspace: Workspace,
     frames: Sequence[Frame],
-    options: FusionOptions,
+    options: depth_fusion.FusionOptions,
     force: bool,
-    on_progress: OnProgress,
+    on_progress: depth_fusion.OnProgress,
 ) -> tuple[Backdrop, bool]:
     """Return the backdrop from ``frames``, and whether it was made now, or was up to date.
 
@@ -53,7 +48,7 @@ def ensure_backdrop(
         raise SemvizError(
             f"{workspace.path}: one camera; a backdrop needs stereo images, left and right"
         )
-    chosen = chosen_frames(frames)
+    chosen = depth_fusion.chosen_frames(frames)
     wanted = BackdropSource.of(source.map_frame, source.rig, chosen, options)
     if path.exists():
         try:
@@ -68,7 +63,7 @@ def ensure_backdrop(
             if existing.source.is_same(wanted):
                 return existing, False
     require_extra("semviz map backdrop", "open3d", "view3d")
-    made = Backdrop.of(fuse(source, chosen, options, on_progress), wanted)
+    made = Backdrop.of(depth_fusion.fuse(source, chosen, options, on_progress), wanted)
     save_backdrop(made, path)
     return made, True
 

@@ -434,7 +434,7 @@ def test_a_restoring_that_fails_changes_nothing(file, tmp_path, monkeypatch):
             connection.execute("SELECT raise_it()")
         make(connection, center)
 
-    monkeypatch.setattr("semviz_annotation.storage.backup.make", full)
+    monkeypatch.setattr("semviz_annotation.storage.database.make", full)
     with pytest.raises(SemvizError, match="Not restored"):
         restore_labels(file, backup)
     assert check_labels(file) == before

@@ -19,12 +19,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from semviz_annotation.labels.edits import first_fault
-from semviz_annotation.storage import tables
-from semviz_annotation.storage.database import (
-    WAIT_S,
-    database_error,
-    make,
-)
+from semviz_annotation.storage import database, tables
 from semviz_annotation.storage.integrity import (
     Integrity,
     check_labels,
@@ -66,7 +61,7 @@ def backup_labels(path: Path, target: Path) -> Integrity:
         _check_replaceable(target, copy)
         _write(copy, target)
     except sqlite3.Error as error:
-        raise database_error(error, target, "Not backed up") from None
+        raise database.database_error(error, target, "Not backed up") from None
     finally:
         copy.close()
     return integrity
@@ -95,7 +90,7 @@ def restore_labels(path: Path, backup: Path) -> tuple[Integrity, Path | None]:
                 raise
             return integrity, _replace_damaged_file(path, copy)
     except sqlite3.Error as error:
-        raise database_error(error, path, "Not restored") from None
+        raise database.database_error(error, path, "Not restored") from None
     finally:
         copy.close()
 
@@ -135,7 +130,7 @@ def _write(labels: sqlite3.Connection, path: Path) -> None:
 
 def _restore_into(path: Path, copy: sqlite3.Connection) -> Path:
     """Replace the content in one transaction, so that processes with the file open follow it."""
-    live = sqlite3.connect(path, isolation_level=None, timeout=WAIT_S)
+    live = sqlite3.connect(path, isolation_level=None, timeout=database.WAIT_S)
     try:
         live.execute("PRAGMA synchronous = FULL")
         live.execute("BEGIN IMMEDIATE")
@@ -162,7 +157,7 @@ def _last_number(live: sqlite3.Connection) -> str:
 def _replace_content(live: sqlite3.Connection, copy: sqlite3.Connection) -> None:
     for name in _tables(live):
         live.execute(f'DROP TABLE "{name}"')
-    make(live, tables.read_triangle_center(copy))
+    database.make(live, tables.read_triangle_center(copy))
     live.execute("DELETE FROM counters")
     for name in _tables(copy):
         rows = copy.execute(f"SELECT * FROM {name}")

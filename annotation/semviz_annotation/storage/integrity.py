@@ -17,16 +17,7 @@ from typing import TypeAlias
 
 from semviz_annotation.labels.labels import Draft, Labels
 from semviz_annotation.labels.rows import Key, Row, RowChange, row_key
-from semviz_annotation.storage import tables
-from semviz_annotation.storage.database import (
-    UNREADABLE,
-    check_and_upgrade,
-    check_not_empty,
-    damaged,
-    database_error,
-    fault,
-    make,
-)
+from semviz_annotation.storage import database, tables
 from semviz_annotation.storage.operations import NO_HASH, Operation, sealed
 from semviz_core.common.errors import SemvizError
 
@@ -114,7 +105,7 @@ def snapshot(path: Path) -> sqlite3.Connection:
     """
     if not path.is_file():
         raise SemvizError(f"{path}: there is no such file")
-    check_not_empty(path)
+    database.check_not_empty(path)
     memory = sqlite3.connect(":memory:", isolation_level=None)
     try:
         source = open_read_only(path)
@@ -123,11 +114,11 @@ def snapshot(path: Path) -> sqlite3.Connection:
         finally:
             source.close()
         memory.execute("BEGIN")
-        check_and_upgrade(memory, path)
+        database.check_and_upgrade(memory, path)
         memory.execute("COMMIT")
-    except UNREADABLE as error:
+    except database.UNREADABLE as error:
         memory.close()
-        raise database_error(error, path, "Not read") from None
+        raise database.database_error(error, path, "Not read") from None
     except BaseException:
         memory.close()
         raise
@@ -148,8 +139,8 @@ def check_snapshot(connection: sqlite3.Connection, path: Path, pace: Pace = no_p
         replay.follow(tables.read_operations(connection))
         replay.compare(connection)
         _check_pages(connection)
-    except (SemvizError, *UNREADABLE) as error:
-        raise damaged(path, f"{replay.where}{fault(error)}") from None
+    except (SemvizError, *database.UNREADABLE) as error:
+        raise database.damaged(path, f"{replay.where}{database.fault(error)}") from None
     labels = replay.labels
     return Integrity(replay.number, replay.hash, len(labels.elements), len(labels.observations))
 
@@ -265,7 +256,7 @@ def last_in_file(path: Path) -> tuple[int, str]:
 
 def _check_schema(connection: sqlite3.Connection) -> None:
     fresh = sqlite3.connect(":memory:", isolation_level=None)
-    make(fresh)
+    database.make(fresh)
     missing = _schema_objects(fresh) ^ _schema_objects(connection)
     fresh.close()
     if missing:

@@ -10,26 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from semviz_annotation.labels.labels import Draft, Labels
-from semviz_annotation.storage import tables
-from semviz_annotation.storage.database import (
-    UNREADABLE,
-    connect,
-    damaged,
-    database_error,
-    define_triangles,
-)
-from semviz_annotation.storage.integrity import (
-    TAIL,
-    check_again,
-    check_digest,
-    check_following,
-    check_opened,
-    digest_after,
-    digest_of,
-    last_in_file,
-    open_read_only,
-    write_digest,
-)
+from semviz_annotation.storage import database, integrity, tables
 from semviz_annotation.storage.operations import NO_HASH, Operation
 from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
@@ -120,7 +101,7 @@ class LabelFile:
         """Increases when another process replaced the content, or wrote it into the file."""
         self.damage = ""
         """Why the file is damaged, as far as known; it accepts no edits then."""
-        self.connection = connect(path, center)
+        self.connection = database.connect(path, center)
         self._lock = threading.RLock()
         self._data_version: int | None = None
         self._digest = 0
@@ -136,13 +117,13 @@ class LabelFile:
                 pass
             self._open_file = OpenFile(path)
             self._number_in_file, _ = self._former or (0, "")
-        except (OSError, *UNREADABLE) as error:
+        except (OSError, *database.UNREADABLE) as error:
             self.connection.close()
             raise LabelFileError(f"{path}: cannot be read ({error})") from None
         except BaseException:
             self.connection.close()
             raise
-        self._guard = open_read_only(path)
+        self._guard = integrity.open_read_only(path)
         """While it is open, closing ``connection`` does not write its journal to the file."""
         self._guard.execute("SELECT count(*) FROM counters").fetchone()
 
@@ -179,7 +160,7 @@ class LabelFile:
             self._advance(self._written)
             self._check_at_path()
             if self._open_file.has_new_content():  # by a checkpoint of this commit
-                self._accept_content(last_in_file(self.path)[0])
+                self._accept_content(integrity.last_in_file(self.path)[0])
 
     def check_usable(self) -> None:
         """Raise LabelFileError if what is written now would be lost. It costs 20 µs."""
@@ -211,11 +192,11 @@ class LabelFile:
             content = self._open_file.content()
             if content == self._foreign:
                 return True
-            with suppress(SemvizError, *UNREADABLE):
-                number, hash_ = last_in_file(self.path)
+            with suppress(SemvizError, *database.UNREADABLE):
+                number, hash_ = integrity.last_in_file(self.path)
                 is_ours = tables.hash_of(self.connection, number) == hash_
                 if (is_ours and number >= self._number_in_file) or (number, hash_) == self._former:
-                    check_again(self.path, self.labels.operation, self.hash)
+                    integrity.check_again(self.path, self.labels.operation, self.hash)
                     self._accept_content(number)
                     self.version += 1  # a reason to check everything again
                     return False
@@ -255,7 +236,7 @@ class LabelFile:
                 f"it marks triangular signs at {describe(center)}, but {self.path} at "
                 f"{describe(present)}"
             )
-        define_triangles(self.connection, center)
+        database.define_triangles(self.connection, center)
         return replace(self.labels, triangle_center=center)
 
     def append(self, operation: Operation, labels: Labels) -> None:
@@ -263,8 +244,8 @@ class LabelFile:
         tables.write_operation(self.connection, operation)
         tables.write_changes(self.connection, operation.changes, labels.next_number)
         before = self._written[-1].digest if self._written else self._digest
-        digest = digest_after(before, operation.changes)
-        write_digest(self.connection, digest, operation.number)
+        digest = integrity.digest_after(before, operation.changes)
+        integrity.write_digest(self.connection, digest, operation.number)
         self._written.append(_Written(operation, labels, digest))
 
     def labels_at(self, number: int) -> Labels:
@@ -300,8 +281,8 @@ class LabelFile:
                 raise SemvizError(
                     f"{refused}: a text has characters that are not Unicode."
                 ) from None
-            except UNREADABLE as error:
-                raise kind(str(database_error(error, self.path, refused))) from None
+            except database.UNREADABLE as error:
+                raise kind(str(database.database_error(error, self.path, refused))) from None
 
     def _catch_up(self, kind: type[SemvizError]) -> None:
         """Read what other processes have written since, or a backup they restored."""
@@ -311,7 +292,7 @@ class LabelFile:
         try:
             self._follow_or_load()
         except SemvizError as error:
-            raise kind(str(damaged(self.path, str(error)))) from None
+            raise kind(str(database.damaged(self.path, str(error)))) from None
         self._data_version = version
 
     def _follow_or_load(self) -> None:
@@ -323,17 +304,19 @@ class LabelFile:
         draft, digest, written = Draft(self.labels), self._digest, []
         for operation in newer:
             draft.apply(operation.changes)
-            digest = digest_after(digest, operation.changes)
+            digest = integrity.digest_after(digest, operation.changes)
             written.append(_Written(operation, draft.labels(), digest))
         if newer:
-            check_following(newer[-TAIL:], _hash_before(newer, self.hash), draft.labels())
-            check_digest(self.connection, newer[-1].number, digest)
+            integrity.check_following(
+                newer[-integrity.TAIL :], _hash_before(newer, self.hash), draft.labels()
+            )
+            integrity.check_digest(self.connection, newer[-1].number, digest)
         self._advance(written)
 
     def _load(self) -> None:
         labels = tables.read_labels(self.connection)
-        digest = digest_of(labels.rows())
-        check_opened(self.connection, labels, digest)
+        digest = integrity.digest_of(labels.rows())
+        integrity.check_opened(self.connection, labels, digest)
         history = tables.read_history(self.connection)
         self.labels, self.history = labels, history
         self.hash = tables.hash_of(self.connection, labels.operation) or NO_HASH
@@ -341,8 +324,8 @@ class LabelFile:
         self.version += 1
         self.damage = ""
         self._number_in_file, self._former = 0, None
-        with suppress(*UNREADABLE):
-            self._former = last_in_file(self.path)
+        with suppress(*database.UNREADABLE):
+            self._former = integrity.last_in_file(self.path)
 
     def _advance(self, written: Iterable[_Written]) -> None:
         for operation, labels, digest in written:
@@ -354,4 +337,6 @@ class LabelFile:
 
 def _hash_before(operations: tuple[Operation, ...], hash_before: str) -> str:
     """Return the hash before the last ``TAIL`` of ``operations``, which follow ``hash_before``."""
-    return hash_before if len(operations) <= TAIL else operations[-TAIL - 1].hash
+    return (
+        hash_before if len(operations) <= integrity.TAIL else operations[-integrity.TAIL - 1].hash
+    )

@@ -190,11 +190,17 @@ def decode_image(data: bytes, where: object, reduced: bool = False) -> ByteImage
     return np.asarray(_decoded(data, where, flags), np.uint8)
 
 
-def decode_mask(data: bytes, where: object) -> NDArray[np.uint8 | np.uint16]:
+def read_image(path: Path) -> ByteImage:
+    """Return (height, width, 3), red first, of a PNG or JPEG file; see above."""
+    return decode_image(read_limited(path, MOST_IMAGE_BYTES), path)[..., ::-1]
+
+
+def read_mask(path: Path) -> NDArray[np.uint8 | np.uint16]:
     """Return (height, width) or (height, width, c) as stored, for example ids; see above."""
     import cv2
 
-    return np.asarray(_decoded(data, where, cv2.IMREAD_UNCHANGED))
+    data = read_limited(path, MOST_IMAGE_BYTES)
+    return np.asarray(_decoded(data, path, cv2.IMREAD_UNCHANGED))
 
 
 def _decoded(data: bytes, where: object, flags: int) -> Any:

@@ -20,15 +20,9 @@ from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common import limits
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import (
-    MOST_IMAGE_BYTES,
-    check_pixels,
-    decode_image,
-    image_size,
-    read_limited,
-)
 from semviz_core.datasets.trajectory import (
     T_MAP_WORLD,
     TrajectoryFile,
@@ -95,7 +89,7 @@ class KittiSequence:
                 f"{path}: image is {width}x{height}, but the sequence's first image is "
                 f"{expected.width}x{expected.height}; all must be of one size"
             )
-        image = decode_image(data, path)
+        image = limits.decode_image(data, path)
         rgb: ByteImage = np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
         return rgb
 
@@ -240,14 +234,14 @@ def _image_size(path: Path) -> tuple[int, int]:
     return _png_size(_read_png(path, _HEADER_BYTES), path)
 
 
-def _read_png(path: Path, count: int = MOST_IMAGE_BYTES) -> bytes:
+def _read_png(path: Path, count: int = limits.MOST_IMAGE_BYTES) -> bytes:
     """Return the first ``count`` bytes of a PNG file.
 
     Raise SemvizError if it is missing, too large, or none.
     """
     if not path.exists():
         raise SemvizError(f"{path}: no such image; copy it there or choose other frames")
-    data = read_limited(path, MOST_IMAGE_BYTES, count)
+    data = limits.read_limited(path, limits.MOST_IMAGE_BYTES, count)
     if not data.startswith(_PNG_START):
         raise SemvizError(f"{path}: not a PNG image; copy it again")
     return data
@@ -258,10 +252,10 @@ def _png_size(data: bytes, path: Path) -> tuple[int, int]:
 
     Raise SemvizError if no image of this size is read.
     """
-    size = image_size(data)
+    size = limits.image_size(data)
     if size is None:
         raise SemvizError(f"{path}: the PNG image is cut off; copy it again")
     if 0 in size:
         raise SemvizError(f"{path}: the PNG image is {size[0]}x{size[1]}; copy it again")
-    check_pixels(*size, path)
+    limits.check_pixels(*size, path)
     return size

@@ -13,7 +13,7 @@ from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import MOST_IMAGE_BYTES, decode_image, read_limited
+from semviz_core.common.limits import read_image
 from semviz_core.datasets.own_drive.rectification import RectifiedRig
 
 _PNG_LEVEL = 1
@@ -99,14 +99,13 @@ class ImageFolder:
 
 
 def _read_image(path: Path, width: int, height: int) -> ByteImage:
-    image = decode_image(read_limited(path, MOST_IMAGE_BYTES), path)
+    image = read_image(path)
     if image.shape[:2] != (height, width):
         raise SemvizError(
             f"{path}: image is {image.shape[1]}x{image.shape[0]}, but its camera's are "
             f"{width}x{height}; all must be of one size"
         )
-    rgb: ByteImage = np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
-    return rgb
+    return np.ascontiguousarray(image, dtype=np.uint8)
 
 
 def _write_png(path: Path, image: ByteImage, changed_ns: int) -> None:

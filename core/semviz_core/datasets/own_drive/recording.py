@@ -11,14 +11,9 @@ from typing import TypeAlias
 
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
+from semviz_core.datasets.own_drive import image_files
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.image_files import (
-    ImageNames,
-    ImageTimes,
-    folder_of,
-    list_images,
-)
 from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses
 
 
@@ -29,9 +24,9 @@ class Recording:
     images: Path
     """Folder of the left, or the only, camera."""
     right: Path | None
-    names: ImageNames
+    names: image_files.ImageNames
     calibration: CalibrationFile | None = None
-    times: ImageTimes | None = None
+    times: image_files.ImageTimes | None = None
     """Of each pair; None: not known."""
     poses: RecordedPoses | None = None
 
@@ -43,9 +38,9 @@ camera of ``DriveFiles.cameras``."""
 
 def read_image_folders(files: DriveFiles) -> Recording:
     """Return the images of one or two folders. Raise SemvizError if they hold no pairs."""
-    names = list_images(files.images, files.right)
-    right = None if files.right is None else folder_of(files.right)
-    return Recording(folder_of(files.images), right, names)
+    names = image_files.list_images(files.images, files.right)
+    right = None if files.right is None else image_files.folder_of(files.right)
+    return Recording(image_files.folder_of(files.images), right, names)
 
 
 def chosen_cameras(

@@ -20,13 +20,7 @@ from semviz_core.base.classes import POLE
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import (
-    MOST_IMAGE_BYTES,
-    MOST_TEXT_BYTES,
-    decode_image,
-    read_limited,
-    shown,
-)
+from semviz_core.common.limits import MOST_TEXT_BYTES, read_image, read_limited, shown
 from semviz_core.detection.detector import by_edges
 from semviz_core.detection.model_config import first_error, read_settings
 from semviz_core.detection.regions import MeasuredElement, Region, elements
@@ -140,7 +134,7 @@ class BoxImages(PreparedImages[tuple[str, tuple[Box, ...]]]):
         """Measure and store the elements of an image. Raise SemvizError if it is unreadable."""
         name, boxes = self.items[row]
         path = self.folder / name
-        image = decode_image(read_limited(path, MOST_IMAGE_BYTES), path)[..., ::-1]
+        image = read_image(path)
         height, width = image.shape[:2]
         unit = (width, height) if self.table.format == "yolo" else (1.0, 1.0)
         boxes_px = [(box.meaning, _box_px(box, np.array(unit))) for box in boxes]

@@ -19,14 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from semviz_core.base.classes import POLE
 from semviz_core.common.arrays import BoolArray, ByteImage, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import (
-    MOST_IMAGE_BYTES,
-    decode_image,
-    decode_mask,
-    first_line,
-    read_limited,
-    shown,
-)
+from semviz_core.common.limits import first_line, read_image, read_mask, shown
 from semviz_core.detection.detector import by_edges, is_pole
 from semviz_core.detection.model_config import SIGN, ImagePlacement, ModelClasses, read_settings
 from semviz_core.detection.postprocessing import mask_regions
@@ -124,8 +117,7 @@ class SegmentationImages(PreparedImages[tuple[str, str]]):
     def prepare(self, row: int) -> None:
         """Cut a mask into elements, and store them. Raise SemvizError if a file is unreadable."""
         image_path, mask_path = (self.folder / name for name in self.items[row])
-        image = decode_image(read_limited(image_path, MOST_IMAGE_BYTES), image_path)[..., ::-1]
-        mask = decode_mask(read_limited(mask_path, MOST_IMAGE_BYTES), mask_path)
+        image, mask = read_image(image_path), read_mask(mask_path)
         meaning = meanings(mask, self.table.classes, mask_path)
         if meaning.shape != image.shape[:2]:
             raise SemvizError(f"{mask_path}: of another size than {image_path}")
