@@ -333,7 +333,7 @@ class DetectTrainCommand:
         return sources
 
     def _mapped_sides(self, workspace: "Workspace", frames: range | None) -> "list[LabelledSide]":
-        from semviz.research.mapped_training import mapped_sides
+        from semviz.research.mapped_elements import mapped_sides
 
         assert self.map is not None
         return mapped_sides(workspace, self.map, frames)

@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from semviz_core.research.paper.graph_torch import (
     GraphNetwork,
-    Rows,
+    RealRows,
     context_norm,
     edge_mean,
     nearest,
@@ -60,7 +60,7 @@ def test_a_layer_is_the_average_of_a_perceptron_over_anchors_and_edges(
     n = 12
     layer = network.layers[0]
     features = network.inlet(elements(n))
-    rows = Rows.of(all_real(n), torch.float64)
+    rows = RealRows.of(all_real(n), torch.float64)
     normal = context_norm(features, rows.share)
     distance = torch.cdist(normal, normal) + torch.diag(torch.full((n,), torch.inf))
     near = distance.topk(NEIGHBOURS, largest=False).indices
@@ -110,5 +110,7 @@ def test_the_nearest_are_of_the_same_frame() -> None:
 
 
 def near(features: Tensor, real: Tensor, neighbours: int) -> list[list[int]]:
-    found: list[list[int]] = nearest(features, Rows.of(real, torch.float32), neighbours).tolist()
+    found: list[list[int]] = nearest(
+        features, RealRows.of(real, torch.float32), neighbours
+    ).tolist()
     return found

@@ -1,4 +1,4 @@
-"""Exact conversion of coordinates between pixel origins.
+"""Numbers of label files: read and written exactly, and converted between pixel origins.
 
 CVAT and labelme put (0, 0) at the top-left CORNER of an image: in both, points run from 0 to
 its width (CVAT's ``fitPoints``; labelme's ``outOfPixmap``, issue 278). Here (0, 0) is the

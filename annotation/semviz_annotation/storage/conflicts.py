@@ -1,4 +1,4 @@
-"""Conflicts of an edit with the present state, explained from the log.
+"""Find conflicts of an edit with what others wrote meanwhile, and explain them from the log.
 
 Edits of several people are merged by field: an end, its flag, a class, a review. An edit may write
 a field unless others wrote it after what the author had seen.

@@ -1,4 +1,4 @@
-"""Opening and creating of a label file, schema upgrades, and messages for SQLite errors.
+"""Create, open and upgrade the SQLite database of a label file, and word its errors.
 
 An upgrade is one transaction: it happens completely or not at all.
 """

@@ -73,7 +73,7 @@ class GraphNetwork(nn.Module):
     def forward(self, elements: Tensor, real: Tensor) -> Tensor:
         """Return features (b, n, CHANNELS) of elements (b, n, inputs); ``real`` (b, n) excludes
         padding."""
-        rows = Rows.of(real, elements.dtype)
+        rows = RealRows.of(real, elements.dtype)
         features = self.inlet(elements)
         for layer in self.layers:
             features = layer(features, rows)
@@ -82,7 +82,7 @@ class GraphNetwork(nn.Module):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RealRows:
     """The r real elements of a batch as rows. Leaving out padding saves a quarter of a step."""
 
     share: Tensor
@@ -97,7 +97,7 @@ class Rows:
     """(r, n) True for elements of its frame that are no neighbours: itself and padding."""
 
     @classmethod
-    def of(cls, real: Tensor, kind: torch.dtype) -> "Rows":
+    def of(cls, real: Tensor, kind: torch.dtype) -> "RealRows":
         n = real.shape[1]
         share = (real / real.sum(dim=1, keepdim=True).clamp(min=1)).to(kind)
         place = real.flatten().nonzero()[:, 0]
@@ -116,7 +116,7 @@ class _EdgeLayer(nn.Module):
         )  # of anchor and of neighbour
         self.after = nn.Linear(matcher.CHANNELS, matcher.CHANNELS)
 
-    def forward(self, features: Tensor, rows: Rows) -> Tensor:
+    def forward(self, features: Tensor, rows: RealRows) -> Tensor:
         normal = context_norm(features, rows.share)
         near = nearest(normal.detach(), rows, self.neighbours)
         elements = normal.flatten(0, 1).index_select(0, rows.place)
@@ -135,7 +135,7 @@ def context_norm(features: Tensor, share: Tensor) -> Tensor:
     return centred * torch.rsqrt(variance + matcher.EPSILON)
 
 
-def nearest(features: Tensor, rows: Rows, neighbours: int) -> Tensor:
+def nearest(features: Tensor, rows: RealRows, neighbours: int) -> Tensor:
     """Return (r, neighbours) the rows of the nearest others in the frame by features (b, n, c).
 
     If there are fewer others, the element itself fills up: an edge of length 0.
