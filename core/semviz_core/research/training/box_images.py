@@ -24,12 +24,7 @@ from semviz_core.common.limits import MOST_TEXT_BYTES, read_image, read_limited,
 from semviz_core.detection.detector import by_edges
 from semviz_core.detection.model_config import first_error, read_settings
 from semviz_core.detection.regions import MeasuredElement, Region, elements
-from semviz_core.research.training.detector_images import (
-    IGNORED,
-    PreparedImages,
-    save_arrays,
-    stored_arrays,
-)
+from semviz_core.research.training.detector_images import IGNORED, PreparedImages
 from semviz_core.research.training.segmentation_images import (
     Meaning,
     is_large,
@@ -122,13 +117,7 @@ class BoxImages(PreparedImages[tuple[str, tuple[Box, ...]]]):
         return cls(folder, prepared, items, table)
 
     def describe(self) -> dict[str, Any]:
-        return {
-            "boxes": self.folder.name,
-            "images": self.count,
-            "held_out_images": self.held_out_count,
-            "classes": dict(self.table.classes),
-            "content": self.digest,
-        }
+        return self._described("boxes", self.table.classes)
 
     def prepare(self, row: int) -> None:
         """Measure and store the elements of an image. Raise SemvizError if it is unreadable."""
@@ -138,7 +127,7 @@ class BoxImages(PreparedImages[tuple[str, tuple[Box, ...]]]):
         height, width = image.shape[:2]
         unit = (width, height) if self.table.format == "yolo" else (1.0, 1.0)
         boxes_px = [(box.meaning, _box_px(box, np.array(unit))) for box in boxes]
-        save_arrays(self.path(row), stored_arrays(image, *labelled_boxes(image, boxes_px)))
+        self._store(row, image, *labelled_boxes(image, boxes_px))
 
 
 def labelled_boxes(

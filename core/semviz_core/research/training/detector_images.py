@@ -7,6 +7,7 @@ of another. A number gives the same image in every process.
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -224,6 +225,22 @@ class PreparedImages(ABC, Generic[Item]):
     def path(self, row: int) -> Path:
         """Return where an image's elements are stored."""
         return self.prepared / f"{self.digest}-{row}.npz"
+
+    def _described(self, kind: str, classes: Mapping[str, str]) -> dict[str, Any]:
+        """Return the description of a data set, whose name has the key ``kind``."""
+        return {
+            kind: self.folder.name,
+            "images": self.count,
+            "held_out_images": self.held_out_count,
+            "classes": dict(classes),
+            "content": self.digest,
+        }
+
+    def _store(
+        self, row: int, image: ByteImage, rows: NDArray[np.uint8], elements: Elements2D
+    ) -> None:
+        """Store the elements of an image; ``rows`` as in ``stored_arrays``."""
+        save_arrays(self.path(row), stored_arrays(image, rows, elements))
 
     @cached_property
     def digest(self) -> str:

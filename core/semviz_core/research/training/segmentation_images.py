@@ -24,13 +24,7 @@ from semviz_core.detection.detector import by_edges, is_pole
 from semviz_core.detection.model_config import SIGN, ImagePlacement, ModelClasses, read_settings
 from semviz_core.detection.postprocessing import mask_regions
 from semviz_core.detection.regions import MeasuredElement, Region, elements
-from semviz_core.research.training.detector_images import (
-    IGNORED,
-    PreparedImages,
-    paint,
-    save_arrays,
-    stored_arrays,
-)
+from semviz_core.research.training.detector_images import IGNORED, PreparedImages, paint
 from semviz_core.subpixel.sampling import SampledImage
 
 TABLE = "segmentation.toml"
@@ -106,13 +100,7 @@ class SegmentationImages(PreparedImages[tuple[str, str]]):
         return cls(folder, prepared, pairs, table)
 
     def describe(self) -> dict[str, Any]:
-        return {
-            "segmentation": self.folder.name,
-            "images": self.count,
-            "held_out_images": self.held_out_count,
-            "classes": dict(self.table.classes),
-            "content": self.digest,
-        }
+        return self._described("segmentation", self.table.classes)
 
     def prepare(self, row: int) -> None:
         """Cut a mask into elements, and store them. Raise SemvizError if a file is unreadable."""
@@ -121,7 +109,7 @@ class SegmentationImages(PreparedImages[tuple[str, str]]):
         meaning = meanings(mask, self.table.classes, mask_path)
         if meaning.shape != image.shape[:2]:
             raise SemvizError(f"{mask_path}: of another size than {image_path}")
-        save_arrays(self.path(row), stored_arrays(image, *labelled_mask(image, meaning)))
+        self._store(row, image, *labelled_mask(image, meaning))
 
 
 def matching(folder: Path, pattern: str, table: str) -> list[Path]:
