@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import hypothesis
 import platformdirs
@@ -70,11 +70,11 @@ def kitti_pole_map(kitti_root: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def open3d() -> None:
-    """Clusters the paper's maps. It comes by pip, but needs libraries of the system."""
+def open3d() -> Any:
+    """Fuses backdrops, and clusters as the paper does. It needs libraries of the system."""
     try:
-        importlib.import_module("open3d")
-    except ImportError as error:
+        return importlib.import_module("open3d")
+    except (ImportError, OSError) as error:
         skip_or_fail(f"open3d cannot be imported ({error}); install {' '.join(OPEN3D_NEEDS)}")
 
 
@@ -113,7 +113,12 @@ def chromium_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[
     names = ("chromium", "chromium-browser", "google-chrome")
     system = next(filter(None, map(shutil.which, names)), None)
     folder = tmp_path_factory.mktemp("fonts")
-    with sync_api.sync_playwright() as playwright:
+    driver = sync_api.sync_playwright()
+    try:
+        playwright = driver.start()
+    except Exception as error:
+        skip_or_fail(f"Playwright does not start ({error}); install chromium and libatomic1")
+    try:
 
         @cache
         def launched(fonts: str) -> "Browser":
@@ -127,6 +132,8 @@ def chromium_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[
                 skip_or_fail(f"no Chromium starts ({said}); install chromium")
 
         yield launched
+    finally:
+        playwright.stop()
 
 
 @pytest.fixture(scope="session")

@@ -109,7 +109,6 @@ def test_ids_stay_over_rebuilds_and_links(world):
     assert np.array_equal(after.elements.id, before.elements.id)
 
 
-@pytest.mark.usefixtures("open3d")
 def test_given_identity_is_kept_however_far_apart(world):
     """Metres of noise in depth: DBSCAN tears the pairs apart, the annotator does not."""
     far = replace(world, landmarks={1: (1, np.array([55.0, 3.0, 3.0]), None)})
@@ -366,10 +365,8 @@ WAYS = (
 
 
 @pytest.mark.parametrize("options", WAYS)
-def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options, request):
+def test_a_map_can_be_built_again_as_it_was(world, tmp_path, options):
     """From its file; labels that are another way now make another map."""
-    if isinstance(options, PaperOptions):
-        request.getfixturevalue("open3d")
     labels = world.labels()
     path = tmp_path / "main.parquet"
     built, _ = build_map(labels, world, options, frames=range(1, 4))

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import skip_or_fail
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -19,8 +18,6 @@ from semviz_annotation.mapping.paper_baseline import PaperOptions, dbscan
 from semviz_annotation.mapping.placement.triangulation import triangulate
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-
-pytestmark = pytest.mark.usefixtures("open3d")
 
 
 def each_frame_anew(labels: Labels) -> Labels:
@@ -123,15 +120,6 @@ def test_what_is_left_out_is_said(world):
         build_map(labels, world, PaperOptions(min_points=6))
     with pytest.raises(SemvizError, match="eps_m must be positive, not 0"):
         PaperOptions(eps_m=0.0)
-
-
-@pytest.fixture(scope="session")
-def open3d() -> Any:
-    try:
-        import open3d
-    except (ImportError, OSError) as error:  # a system library that it needs may be missing
-        skip_or_fail(f"open3d cannot be imported ({error}); pip install '.[view3d]' brings it")
-    return open3d
 
 
 def clustered_by_open3d(open3d: Any, points: FloatArray, eps: float, least: int) -> IntArray:
