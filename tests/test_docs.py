@@ -4,10 +4,13 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 from serving import fetch, serving
+
+from semviz.cli import main
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
@@ -28,38 +31,60 @@ def name_of(page: Path) -> str:
     return page.relative_to(REPOSITORY).as_posix()
 
 
-def run(command: str, folder: Path, environment: dict[str, str]) -> None:
-    done = subprocess.run(
-        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+def semviz(words: list[str]) -> None:
+    """Run a command in this process, which has imported and compiled already."""
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert not ended.value.code, shlex.join(["semviz", *words])
 
 
-def start_and_ask(command: str, folder: Path, environment: dict[str, str]) -> None:
+def run(words: list[str], folder: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{shlex.join(words)}\n{done.stdout}\n{done.stderr}"
+
+
+def start_and_ask(command: str, environment: dict[str, str], folder: Path | None = None) -> None:
     """Start a server as documented and ask for its page."""
     with serving(shlex.split(command), environment, folder) as address:
         assert b"semviz" in fetch(address)
+
+
+@cache
+def serve_demo(environment: tuple[tuple[str, str], ...]) -> None:
+    """``semviz serve``, once for all pages that have it."""
+    start_and_ask("semviz serve", dict(environment))
 
 
 @pytest.mark.realdata
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", COMMAND_PAGES, ids=name_of)
 def test_commands_of_page(
-    page: Path, tmp_path: Path, environment: dict[str, str], kitti_root: Path
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    environment: dict[str, str],
+    kitti_root: Path,
 ) -> None:
     (tmp_path / "docs").symlink_to(REPOSITORY / "docs")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", environment["XDG_CACHE_HOME"])
     for line in commands_of(page):
         for command in line.replace("/data/kitti", str(kitti_root)).split("&&"):
             command = command.split(" #")[0].strip()
             if command.startswith(SETUP):
                 continue
-            words = shlex.split(command)
-            if words[:1] == ["semviz"] and words[1] in SERVERS:
-                start_and_ask(command, tmp_path, environment)
-            elif words[:2] == ["semviz", "open"]:
-                run(f"{sys.executable} -m rerun rrd verify {words[2]}", tmp_path, environment)
+            program, *words = shlex.split(command)
+            if program == "python":
+                run([sys.executable, *words], tmp_path, environment)
+            elif words == ["serve"]:
+                serve_demo(tuple(environment.items()))
+            elif words[0] in SERVERS:
+                start_and_ask(command, environment, tmp_path)
+            elif words[0] == "open":
+                verify = [sys.executable, "-m", "rerun", "rrd", "verify", words[1]]
+                run(verify, tmp_path, environment)
             else:
-                run(command, tmp_path, environment)
+                semviz(words)
 
 
 def test_every_documented_line_is_known() -> None:

@@ -1,6 +1,7 @@
 """The inspector's page in a real browser: what people do, and what they then see."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from inspector_page import (
     open_page,
     pixels,
     record_street,
+    settle,
     wait_for,
 )
 from streets import street
@@ -30,7 +32,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.localization.localizer import Localizer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, WebSocketRoute
 
 pytestmark = pytest.mark.browser
 
@@ -246,6 +248,47 @@ def test_keys_faster_than_the_server_end_at_the_right_frame(url: str, page: "Pag
     page.keyboard.press(",")
     wait_for(page, lambda: in_url(page, "frame") == "14", "frame 14")
     wait_for(page, lambda: page.locator("#status").text_content() == "Cannot", "its status")
+
+
+def test_a_key_back_to_the_frame_shown_wins_over_an_answer_on_its_way(
+    url: str, page: "Page"
+) -> None:
+    """The frame shown is painted once more before that answer comes."""
+    late: list[Callable[[], None]] = []
+    asked: list[int] = []
+
+    def between(socket: "WebSocketRoute") -> None:
+        server = socket.connect_to_server()
+
+        def pass_down(message: str | bytes) -> None:
+            if asked and json.loads(message)["type"] == "frame":
+                late.append(lambda: socket.send(message))
+            else:
+                socket.send(message)
+
+        def pass_up(message: str | bytes) -> None:
+            request = json.loads(message)
+            if request["type"] == "go_to_position":
+                asked.append(request["position"])
+            server.send(message)
+
+        server.on_message(pass_down)
+        socket.on_message(pass_up)
+
+    page.route_web_socket("**/socket*", between)
+    open_flat(page, url)
+    page.keyboard.press(".")
+    page.keyboard.press(",")
+    wait_for(page, lambda: len(late) == 1, "the answer to the first key")
+    page.keyboard.press("r")  # paints the image
+    settle(page)
+    late.pop()()
+    wait_for(page, lambda: len(late) == 1, "the answer to the second key")
+    late.pop()()
+    wait_for(page, lambda: in_url(page, "residuals") == "no", "an address that is up to date")
+    assert asked == [1, 0]
+    assert in_url(page, "frame") == "10"
+    assert page.locator("#frame-number").text_content() == "Frame 10 of 18"
 
 
 def test_a_broken_run_is_said_in_one_line_and_the_page_lives_on(url: str, page: "Page") -> None:

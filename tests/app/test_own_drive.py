@@ -13,6 +13,7 @@ from command_line import call
 from recorded_streets import LENSES, PINHOLE, Recording, record
 from streets import street
 
+from semviz.cli import main
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.labels import new_id
@@ -120,19 +121,27 @@ def inside(workspace: Workspace, *pixels: FloatArray) -> bool:
     )
 
 
-@pytest.fixture
-def town(tmp_path: Path, recording: Recording, semviz: Semviz) -> Workspace:
-    semviz(
-        "new", tmp_path / "town", "--images", recording.left, "--right", recording.right,
+@pytest.fixture(scope="module")
+def town(
+    tmp_path_factory: pytest.TempPathFactory, recording: Recording, source: Street
+) -> Workspace:
+    """The recording as a workspace, labelled. Tests add a map and a run."""
+    path = tmp_path_factory.mktemp("workspaces") / "town"
+    words = (
+        "new", path, "--images", recording.left, "--right", recording.right,
         "--calibration", recording.kalibr, "--poses", recording.poses, "--strict",
     )  # fmt: skip
-    return Workspace.open(tmp_path / "town")
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    assert not ended.value.code
+    workspace = Workspace.open(path)
+    label(workspace, source)
+    return workspace
 
 
 def test_a_drive_is_mapped_and_localized_as_well_as_by_a_pinhole(
     town: Workspace, source: Street, semviz: Semviz
 ) -> None:
-    label(town, source)
     semviz("map", "build", town.path)
     built = town.read_map("main").elements
     truth = source.truth_map.elements
@@ -152,10 +161,9 @@ def test_a_drive_is_mapped_and_localized_as_well_as_by_a_pinhole(
 
 
 def test_labels_are_exported_in_recorded_pixels_too(
-    town: Workspace, source: Street, recording: Recording, tmp_path: Path, semviz: Semviz
+    town: Workspace, recording: Recording, tmp_path: Path, semviz: Semviz
 ) -> None:
     """They are where the street's points fall through the lens that recorded it."""
-    label(town, source)
     assert "(csv)" in semviz("labels", "export", town.path, tmp_path / "labels.csv")
     rows = list(csv.DictReader((tmp_path / "labels.csv").open()))
     assert len(rows) == len(town.read_labels().observations) > 8

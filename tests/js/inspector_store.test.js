@@ -37,8 +37,43 @@ test("a frame that was left meanwhile is passed, and the last one stays", () => 
   assert.equal(store.receive(frameAt(1)), true); // on to the third
   assert.deepEqual([store.target, store.waiting, store.position], [3, false, 1]);
   assert.equal(store.receive(frameAt(3)), false);
+  assert.equal(store.hasArrived, true);
   assert.equal(store.finishStep(150), 50); // since the first frame was left
   assert.equal(store.isStepping, false);
+});
+
+test("back to the frame shown while the next one is on its way: it arrives, and is left again", () => {
+  const store = opened();
+  store.setTarget(1, 100);
+  store.waiting = true;
+  store.setTarget(0, 110);
+  assert.equal(store.hasArrived, false); // painting this frame ends nothing
+  assert.equal(store.receive(frameAt(1)), true);
+  assert.equal(store.target, 0);
+  store.waiting = true;
+  assert.equal(store.receive(frameAt(0)), false);
+  assert.equal(store.hasArrived, true);
+});
+
+test("a key at the end of the run leaves no frame", () => {
+  const store = opened();
+  store.setTarget(-1, 100);
+  assert.equal(store.isStepping, false);
+});
+
+test("another run opens at its own frame, whatever was stepped to before", () => {
+  const store = opened();
+  store.setTarget(3, 100);
+  store.run = { name: "b", frames: store.run.frames };
+  assert.equal(store.receive(frameAt(0)), false);
+  assert.equal(store.target, 0);
+});
+
+test("the same run, sent again after a break, goes on to the frame stepped to", () => {
+  const store = opened();
+  store.setTarget(3, 100);
+  store.run = { ...store.run };
+  assert.equal(store.receive(frameAt(0)), true);
 });
 
 test("a frame chosen by the server stays", () => {
@@ -53,4 +88,6 @@ test("after a refusal the page stays at its frame", () => {
   store.waiting = true;
   store.cancel();
   assert.deepEqual([store.target, store.waiting], [0, false]);
+  assert.equal(store.receive(frameAt(1)), false); // refused was something else
+  assert.equal(store.target, 1);
 });

@@ -58,7 +58,7 @@ def fit_record(
     prior: PriorRecord,
     T_camera_map: Pose,
     pairs: IntArray,
-    iterations: int = 20,
+    iterations: int | np.int64 = 20,
 ) -> PairFit:
     """Return ``fit_pairs`` for a prior and belief given as a record."""
     match = as_match(problem, pairs)
@@ -89,7 +89,7 @@ def fit(
     R: FloatArray,
     t: FloatArray,
     match: IntArray,
-    iterations: int,
+    iterations: int | np.int64,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return rotation, translation, information (6, 6) and the trace of the iterations.
 

@@ -160,11 +160,14 @@ class PriorRecord(NamedTuple):
 
 
 def _near_fix(road_m: FloatArray, prior: Prior) -> FloatArray:
-    """Return the part of the road near the prior's fix, or all of it where no part is near."""
+    """Return the part of the road near the prior's fix, or all of it where no part is near.
+
+    Always a copy: for a read-only array the whole search would be compiled once more.
+    """
     off = road_m[:, :2] - prior.position_m[:2]
     reach = ROAD_SIGMAS * prior.horizontal_sigma_m + ROAD_WIDER_M
     near = (off * off).sum(axis=1) < reach * reach
-    return np.ascontiguousarray(road_m[near] if near.any() else road_m)
+    return np.array(road_m[near] if near.any() else road_m, order="C")
 
 
 def perpendicular(unit: FloatArray) -> FloatArray:

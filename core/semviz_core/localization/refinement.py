@@ -21,7 +21,8 @@ from semviz_core.localization.least_squares import as_match, fit, fit_record
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.residuals import EXACT_POSE, new_rows, problem_residuals
 
-ITERATIONS = 8
+ITERATIONS = np.int64(8)
+"""NumPy's, here and below: for plain integers the fit is compiled once more each."""
 
 
 @compiled
@@ -95,7 +96,7 @@ MOST_SIGMA_RAD = float(np.deg2rad(5.0))
 START_COVARIANCE: FloatArray = np.diag([0.15**2] * 3 + [np.deg2rad(0.3) ** 2] * 3)
 """Assumed covariance of the pose that refinement starts from."""
 _ROUNDS = 6
-_ITERATIONS = 20
+_ITERATIONS = np.int64(20)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,10 @@ REFINED_COVARIANCE: FloatArray = np.diag([0.3**2] * 3 + [np.deg2rad(0.7) ** 2] *
 FITTED_COVARIANCE: FloatArray = np.diag([0.1**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
 """Assumed covariance after the first fit, in addition to that of the fit."""
 
+FIRST_STEPS, STEPS, STEPS_WITHOUT = np.int64(3), np.int64(5), np.int64(4)
+"""Most steps of a fit: of a candidate, to new pairs, and without one of the pairs. Plain integers
+would have the fit compiled once for each of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Modes:
@@ -160,7 +164,7 @@ def _fitted_candidates(
     for row in range(b):
         R, t = camera_pose(view, poses[chosen[row]])
         match, _ = associate(problem, R, t, REFINED_COVARIANCE)
-        R, t, information, _ = fit(problem, prior, R, t, match, 3)
+        R, t, information, _ = fit(problem, prior, R, t, match, FIRST_STEPS)
         match, gain = associate(problem, R, t, inverse(information) + FITTED_COVARIANCE)
         candidates.rotation[row], candidates.translation[row] = R, t
         candidates.score[row] = log_likelihood(problem, prior, R, t, match, gain)
@@ -258,12 +262,12 @@ def _fit_until_stable(
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
     """Fit the pose to its pairs until they stay the same; return it, pairs, gains and score."""
     for _ in range(3):
-        R, t, information, _ = fit(problem, prior, R, t, match, 5)
+        R, t, information, _ = fit(problem, prior, R, t, match, STEPS)
         before = match
         match, _ = associate(problem, R, t, inverse(information))
         if (match == before).all():
             break
-    R, t, _, _ = fit(problem, prior, R, t, match, 5)
+    R, t, _, _ = fit(problem, prior, R, t, match, STEPS)
     match, gain = associate(problem, R, t, EXACT_POSE)
     return R, t, match, gain, log_likelihood(problem, prior, R, t, match, gain)
 
@@ -289,7 +293,7 @@ def _without_false_pair(
             continue
         without = match.copy()
         without[i] = -1
-        free_R, free_t, information, _ = fit(problem, prior, R, t, without, 4)
+        free_R, free_t, information, _ = fit(problem, prior, R, t, without, STEPS_WITHOUT)
         again, others = associate(problem, free_R, free_t, inverse(information))
         if (again == match).all():
             continue  # the other pairs confirm this one

@@ -176,7 +176,7 @@ export class Page {
   imagePainted() {
     const { store } = this;
     this.forEachPanel((panel) => panel.imagePainted?.());
-    if (!store.isStepping || store.position !== store.target) return;
+    if (!store.hasArrived) return;
     if (this.image.frame !== store.frame) return; // its image has not arrived
     const now = performance.now();
     performance.measure("frame switch", { start: now - store.finishStep(now), end: now });

@@ -50,7 +50,9 @@ export class Store {
     return this.#run;
   }
 
+  /** The steps towards a frame of another run end. */
   set run(run) {
+    if (run?.name !== this.#run?.name) this.leftAt = null;
     this.#run = run;
   }
 
@@ -68,6 +70,12 @@ export class Store {
     return this.leftAt !== null;
   }
 
+  /** Whether the frame that arrived last ends the steps: a key may have turned back to it while the
+   * answer to an earlier key is still on its way. */
+  get hasArrived() {
+    return this.isStepping && !this.waiting && this.target === this.position;
+  }
+
   /** Goes to a position, clipped to the run. Playing stops at its ends.
    *
    * @param {number} position
@@ -76,7 +84,7 @@ export class Store {
   setTarget(position, now) {
     this.target = Math.min(Math.max(position, 0), this.run.frames.length - 1);
     if (this.target !== position) this.playing = false;
-    this.leftAt ??= now;
+    if (this.waiting || this.target !== this.position) this.leftAt ??= now;
   }
 
   /** A frame has arrived. Returns whether the page goes on: keys may be faster than the server.
@@ -101,9 +109,10 @@ export class Store {
     return took;
   }
 
-  /** The requested frame was refused. */
+  /** A request was refused: the page stays at its frame, or at the one that still arrives. */
   cancel() {
     this.waiting = false;
+    this.leftAt = null;
     this.target = this.position ?? 0;
   }
 }

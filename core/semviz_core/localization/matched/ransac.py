@@ -37,7 +37,7 @@ LEAST_INFORMATION = 1e-3
 LEAST_GAIN = 0.1
 """Smaller improvements (nats) are not worth another round."""
 _ROUNDS = 6
-_ITERATIONS = 20
+_ITERATIONS = np.int64(20)  # a plain integer would have the fit compiled once more
 
 
 @dataclass(frozen=True, eq=False)
