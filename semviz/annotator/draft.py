@@ -296,6 +296,8 @@ class LabelledFrameView(Part):
     index: int
     operation: int
     """Number of the last operation in these labels."""
+    hash: str
+    """Of that operation; empty in former states, which cannot be edited."""
     panes: dict[Side, PaneView]
     elements: list[ElementView]
     proposals: list[ProposalView]

@@ -300,8 +300,7 @@ def test_a_flipped_bit_of_a_checkpoint_is_found(tmp_path: Path) -> None:
         path.write_bytes(changed)
         try:
             read = Checkpoint.load(path)
-        except SemvizError as error:
-            assert "\n" not in str(error)
+        except SemvizError:
             found += 1
             continue
         assert (read.identity, read.progress) == (stored.identity, stored.progress)
