@@ -395,8 +395,10 @@ class LabelSession:
 
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
-        snapped = self._snap(pane, drawing.mark, drawing.class_id)
         camera, _ = camera_of(self.rig, pane.side)
+        if not camera.contains(drawing.mark.ends_px).all():
+            return drawing  # there are no edges outside
+        snapped = self._snap(pane, drawing.mark, drawing.class_id)
         mark = None if snapped is None else inside(snapped.mark, camera)
         if mark is None:
             return drawing

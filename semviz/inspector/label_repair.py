@@ -226,8 +226,8 @@ class LabelRepairPanel(Panel):
     @handles(messages.RebuildMapRequest)
     def _start(self, _: messages.RebuildMapRequest) -> None:
         context = self.context
-        path = context.library.path(context.state.run)
-        rebuild = self._rebuild = Rebuild(context.run, path, self._labels.workspace)
+        run, path = context.run, context.library.path(context.state.run)
+        rebuild = self._rebuild = Rebuild(run, path, self._labels.workspace)
         rebuild.start(lambda: self._on_progress(rebuild))
 
     @handles(messages.StopRebuildRequest)

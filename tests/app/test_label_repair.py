@@ -238,6 +238,14 @@ def test_the_labels_open_through_the_same_door(url: str) -> None:
         assert refused.value.code == 403, path
 
 
+def test_a_page_without_a_run_is_refused_in_words(workspace: Workspace) -> None:
+    """Found by random messages: a KeyError in the terminal."""
+    library = RunLibrary([workspace.run_path("search")])
+    for ask in (library.path, library.run):
+        with pytest.raises(SemvizError, match="there is no run ''; choose one of search"):
+            ask("")
+
+
 def test_an_edit_never_overwrites_what_its_page_has_not_shown(
     workspace: Workspace, url: str
 ) -> None:
