@@ -64,7 +64,7 @@ def test_marks_beside_the_image_or_far_from_it_are_no_error(session: LabelSessio
         with pytest.raises(ValidationError, match="100000"):
             ElementDraft("left", POLE, (5.0, 5.0), (far, 5.0))
         with pytest.raises(ValidationError, match="100000"):
-            DrawEdit(**sign(0, "left", (far, 5.0), class_id=ROUNDED))
+            DrawEdit(**sign(0, "left", (5.0, 5.0)) | {"anchor_px": (far, 5.0)})
 
 
 def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:
