@@ -34,7 +34,8 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
-ImageName = Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
+_CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
+ImageName = Annotated[str, Field(pattern=rf"^[^/\\{_CONTROLS}]+$")]
 """Of a file in the folder of images, and nowhere else."""
 
 
@@ -84,7 +85,7 @@ class DriveFile(_Model):
     crc32: int | None = None
     """Of what follows it in the file; None in files of earlier versions of semviz."""
     version: Literal[1] = 1
-    map_frame: str
+    map_frame: Annotated[str, Field(pattern=rf"^[^{_CONTROLS}]*$")]
     left: CameraEntry
     right: CameraEntry | None = None
     T_right_left: Matrix | None = None
