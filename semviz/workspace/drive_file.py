@@ -4,6 +4,7 @@ The recorded cameras, the time and pose of each image, and what was taken for gr
 named; they stay where they are. Opening a workspace needs none of the imported files again.
 """
 
+import re
 import zlib
 from itertools import pairwise
 from pathlib import Path
@@ -85,7 +86,7 @@ class DriveFile(_Model):
     crc32: int | None = None
     """Of what follows it in the file; None in files of earlier versions of semviz."""
     version: Literal[1] = 1
-    map_frame: Annotated[str, Field(pattern=rf"^[^{_CONTROLS}]*$")]
+    map_frame: str
     left: CameraEntry
     right: CameraEntry | None = None
     T_right_left: Matrix | None = None
@@ -101,6 +102,8 @@ class DriveFile(_Model):
     def model_post_init(self, _: Any) -> None:
         if any(row.index >= after.index for row, after in pairwise(self.frames)):
             raise ValueError("frames are not in the order of their numbers")
+        if re.search(f"[{_CONTROLS}]", self.map_frame):
+            raise ValueError("the map frame's name has a control character")
 
     @classmethod
     def of(cls, drive: "RecordedDrive", map_frame: str) -> "DriveFile":
