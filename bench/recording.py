@@ -5,6 +5,9 @@
 Without a run, frames are synthetic and rather large: 20 detections, a submap of about 120 elements,
 and one image of 1241x376. Frames are written twelve times; the fastest repetition of each frame
 counts. Figures are means over the frames; CPU times are of all threads.
+
+What checksums cost is measured by leaving out those of every other frame, in 60 pairs of runs, so
+that each frame is written both ways: median and quartiles over the pairs, of CPU time.
 """
 
 import sys
@@ -21,6 +24,7 @@ from unittest import mock
 import numpy as np
 
 from semviz.runs import rerun_plots, writer
+from semviz.runs.checksum import row_checksum
 from semviz.runs.codec import decode
 from semviz.runs.codec import encode as encode_value
 from semviz.runs.columns import Columns
@@ -34,12 +38,13 @@ from semviz_core.base.frame import Frame, Prior
 from semviz_core.base.localization import Alternative, Localization, Match, Refinement, Search
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
-from semviz_core.common.arrays import ByteImage
+from semviz_core.common.arrays import ByteImage, FloatArray
 
 CAMERA = Camera(1241, 376, np.array([[718.9, 0, 607.2], [0, 718.9, 185.2], [0, 0, 1]]))
 LOOKING_ALONG_X = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Rotation of T_map_camera for a camera that looks along the map's x axis."""
 REPETITIONS = 12
+PAIRS = 60
 
 
 def make_info(name: str) -> RunInfo:
@@ -255,6 +260,43 @@ def measure(run: Run) -> None:
     print(f"  {kilobytes:.1f} kB a frame; {len(run.frames)} frames open in {opened_s:.2f} s")
 
 
+def no_checksum(*row: object) -> int:
+    """In place of ``row_checksum``."""
+    return 0
+
+
+def frames_cpu_s(path: Path, run: Run, first: int) -> FloatArray:
+    """CPU time of all threads for all frames (2,): every other one, from ``first`` on, without its
+    checksum; then the rest."""
+    frames, took_s = [anew(frame) for frame in run.frames], np.zeros(2)
+    with RunWriter(path, run.info, run.semantic_map) as writing:
+        for number, frame in enumerate(frames, first):
+            has_checksum = number % 2
+            function = row_checksum if has_checksum else no_checksum
+            with mock.patch.object(writer, "row_checksum", function):
+                start = time.process_time()
+                writing.write(frame)
+                took_s[has_checksum] += time.process_time() - start
+    return took_s
+
+
+def measure_checksums(run: Run) -> None:
+    """Print by how much checksums raise the CPU time of recording."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run.rrd")
+        frames_cpu_s(path, run, 0)  # imports, caches
+        pairs_s = [frames_cpu_s(path, run, 0) + frames_cpu_s(path, run, 1) for _ in range(PAIRS)]
+    without_s, with_s = np.array(pairs_s).T
+    cost = 100.0 * (with_s / without_s - 1.0)
+    again = np.random.default_rng(0).choice(cost, (4000, PAIRS))
+    low, high = np.percentile(np.median(again, axis=1), [2.5, 97.5])
+    quartiles = np.percentile(cost, [25, 50, 75])
+    print(
+        f"  checksums cost {quartiles[1]:.1f} % of CPU time (95 %: {low:.1f} to {high:.1f};", end=""
+    )
+    print(f" quartiles {quartiles[0]:.1f} and {quartiles[2]:.1f}; {PAIRS} pairs)")
+
+
 def encode_images(count: int = 50) -> None:
     """JPEG encoding by itself, which recording needs for embedded images."""
     took_ms = []
@@ -278,6 +320,7 @@ def main() -> None:
         frames = tuple(replace(frame, image=image, image_right=None) for frame in run.frames)
         print(f"{title}, a frame:")
         measure(replace(run, frames=frames))
+        measure_checksums(replace(run, frames=frames))
 
 
 if __name__ == "__main__":

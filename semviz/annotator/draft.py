@@ -5,7 +5,7 @@ The card shows depth and height with sigmas (m), ray angle (deg), rms and epipol
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +23,9 @@ from semviz_annotation.mapping.placement.triangulation import Triangulated, Tria
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import FloatArray
 
+PageCoordinate: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
+PagePixel: TypeAlias = tuple[PageCoordinate, PageCoordinate]
+"""A pixel in an image or beside it: squares of those far away would be beyond floats."""
 ANYWHERE_M = (0.1, float("inf"))
 THIN_DEG = 1.0
 """Below this ray angle depth is uncertain; the card warns."""
@@ -128,8 +131,8 @@ class ElementDraft:
     side: Side
     """Side on the page: with one camera, right is another frame."""
     class_id: Index
-    anchor_px: Pixel
-    end_px: Pixel | None
+    anchor_px: PagePixel
+    end_px: PagePixel | None
     anchor_known: bool = True
     end_known: bool = True
     snap: bool = False
@@ -157,7 +160,7 @@ class DraftState:
     side: Side = "left"
     """Side of the selected observation."""
     drawing: ElementDraft | None = None
-    moved: dict[Id, tuple[Pixel, Pixel | None]] = Field(default_factory=dict)
+    moved: dict[Id, tuple[PagePixel, PagePixel | None]] = Field(default_factory=dict)
     """Ends of the observations that are being dragged."""
 
 
@@ -296,6 +299,8 @@ class LabelledFrameView(Part):
     index: int
     operation: int
     """Number of the last operation in these labels."""
+    hash: str
+    """Of that operation; empty in former states, which cannot be edited."""
     panes: dict[Side, PaneView]
     elements: list[ElementView]
     proposals: list[ProposalView]

@@ -13,6 +13,7 @@ from semviz.annotator.panes import Panes
 from semviz.annotator.views import OperationView
 from semviz.web.protocol import Part, RefusedError
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation
 from semviz_core.base.classes import ClassSet
 
@@ -64,6 +65,7 @@ class HistoryView:
         frame = LabelledFrameView(
             index=frame_index,
             operation=operation,
+            hash="",
             panes=views.pane_views(panes),
             elements=views.element_views(labels, panes, self._classes),
             proposals=[],
@@ -98,35 +100,37 @@ class UpdateFeed:
         self._quality = quality
         self._changed: set[int] = set()
         """Changed frames that have not been sent to the pages."""
-        self._start_at(store.last_operation)
+        self._start()
 
-    def _start_at(self, operation: int) -> None:
+    def _start(self) -> None:
+        last = self._store.end
         self._history: deque[OperationView] = deque(maxlen=HISTORY)
         """Newest first."""
-        self.operation = max(0, operation - HISTORY)
-        """Number of the last operation in the history."""
-        self._sent = operation
+        before = self._store.operations(before=last.number - HISTORY + 1, limit=1)
+        self.end = LogEnd(before[0].number, before[0].hash) if before else LogEnd(0, NO_HASH)
+        """The last operation in the history."""
+        self._sent = last
 
     @property
     def has_updates(self) -> bool:
         """Whether there are operations that have not been sent to the pages."""
-        return self._store.last_operation != self._sent
+        return self._store.end != self._sent
 
     def history(self, labels: Labels) -> list[OperationView]:
         """Return the last operations, newest first, described with the names of ``labels``."""
-        if self._store.last_operation < self.operation:  # an older backup was restored
-            self._start_at(self._store.last_operation)
+        if not self._store.holds(self.end):  # a backup was restored
+            self._start()
             self._changed.update(self._quality.forget_all())
-        for operation in self._store.operations(after=self.operation):
+        for operation in self._store.operations(after=self.end.number):
             self._history.appendleft(views.operation_view(operation, labels, self._classes))
             self._changed.update(views.frames_touched(operation))
             self._changed.update(views.frames_of_decisions(operation, labels))
             self._quality.forget(operation, labels)
-            self.operation = operation.number
+            self.end = LogEnd(operation.number, operation.hash)
         return list(self._history)
 
     def take_changed_frames(self) -> set[int]:
         """Return the frames that changed since the last call, to be sent to all pages."""
         changed, self._changed = self._changed, set()
-        self._sent = self.operation
+        self._sent = self.end
         return changed

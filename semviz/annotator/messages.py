@@ -5,7 +5,13 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from pydantic import ConfigDict, Field
 
 from semviz.annotator import views
-from semviz.annotator.draft import DraftPreview, DraftState, ElementDraft, LabelledFrameView
+from semviz.annotator.draft import (
+    DraftPreview,
+    DraftState,
+    ElementDraft,
+    LabelledFrameView,
+    PagePixel,
+)
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.web import protocol
@@ -29,8 +35,8 @@ class DrawnMark(protocol.Part):
     frame_index: Index
     side: Side
     """Side on the page: with one camera, right is another frame."""
-    anchor_px: Pixel
-    end_px: Pixel | None = None
+    anchor_px: PagePixel
+    end_px: PagePixel | None = None
     anchor_known: bool = True
     end_known: bool = True
     class_id: Index | None = None
@@ -76,8 +82,8 @@ class CorrectedMark(protocol.Part):
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
 
     observation_id: Id
-    anchor_px: Pixel
-    end_px: Pixel | None = None
+    anchor_px: PagePixel
+    end_px: PagePixel | None = None
 
 
 class AcceptTracksEdit(protocol.Part):

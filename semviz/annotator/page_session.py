@@ -19,7 +19,7 @@ from semviz.workspace.backdrop import find_backdrop
 from semviz_annotation.mapping.backdrop.backdrop import Backdrop
 from semviz_annotation.storage.background_check import Health
 from semviz_annotation.storage.label_file import LabelFileError
-from semviz_annotation.storage.operations import ConflictError
+from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
 
 class AnnotatorServices(Protocol):
@@ -140,6 +140,10 @@ class AnnotatorPage:
                 self._save_edit(request)
             except ConflictError as error:
                 self._send(_conflict(error, request.id))
+            except ReplacedLogError as error:
+                self._send(
+                    protocol.ErrorEvent(reply_to=request.id, code="replaced", text=str(error))
+                )
             except SamePlaceError as error:
                 self._send(same_place(error, request.id))
             except LabelFileError as error:  # the page keeps the edit, and sends it again

@@ -181,7 +181,7 @@ class LabelSession:
     def frame(self, index: int) -> draft.LabelledFrameView:
         """Return the labels and proposals of a frame, and the elements that may continue in it."""
         self._check_frame(index)
-        labels = self.labels
+        labels, end = self._store.labels_and_end
         panes = self._panes.of(index)
         proposals = self._hidden_ends.with_hidden_ends(
             self._selection.proposals(index, labels), index, labels
@@ -189,7 +189,8 @@ class LabelSession:
         nearby = self._selection.nearby(index, labels)
         return draft.LabelledFrameView(
             index=index,
-            operation=labels.operation,
+            operation=end.number,
+            hash=end.hash,
             panes=views.pane_views(panes),
             elements=views.element_views(labels, panes, self.classes),
             proposals=proposal_views(proposals, panes, labels, self.rig, self.classes),
@@ -394,8 +395,10 @@ class LabelSession:
 
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
-        snapped = self._snap(pane, drawing.mark, drawing.class_id)
         camera, _ = camera_of(self.rig, pane.side)
+        if not camera.contains(drawing.mark.ends_px).all():
+            return drawing  # there are no edges outside
+        snapped = self._snap(pane, drawing.mark, drawing.class_id)
         mark = None if snapped is None else inside(snapped.mark, camera)
         if mark is None:
             return drawing
@@ -431,7 +434,8 @@ class LabelSession:
         if only_updates:
             frames = sorted(self._feed.take_changed_frames() & self.frames.keys())
         return LabelsView(
-            operation=self._feed.operation,
+            operation=self._feed.end.number,
+            hash=self._feed.end.hash,
             counts=views.class_counts(labels),
             mapped=len(self.scene.elements()),
             can_undo=self._store.undoable(self.author) is not None,

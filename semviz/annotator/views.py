@@ -134,6 +134,8 @@ class LabelsView(Part):
 
     operation: int
     """Number of the last operation."""
+    hash: str
+    """Of that operation."""
     counts: dict[int, int]
     """Number of elements by class."""
     mapped: int

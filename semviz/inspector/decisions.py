@@ -3,6 +3,7 @@
 Labels are read again each time, because other processes may write them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from semviz.inspector import messages, views_run
 from semviz.inspector.context import Panel
 from semviz.inspector.element_card import workspace_of
+from semviz.inspector.label_repair import unseen
 from semviz.runs.run import Run
 from semviz.web.protocol import RefusedError, handles
 from semviz.workspace.map_review import EntryView, entry_key, entry_view
@@ -19,7 +21,12 @@ from semviz.workspace.workspace import login_name
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.decisions import edit_of
 from semviz_annotation.mapping.quality.lint_context import Finding
-from semviz_annotation.storage.store import LabelStore
+from semviz_annotation.storage.store import (
+    ConflictError,
+    EditBase,
+    LabelStore,
+    ReplacedLogError,
+)
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.semantic_map import Decision, MapFrame
@@ -40,30 +47,34 @@ class Decisions:
 
     def view(self, with_findings: bool) -> views_run.DecisionsEvent:
         """Return all decisions and, on request, all findings (slower)."""
-        labels = self._labels()
+        labels, seen = self._labels_and_base()
         entries: list[Decision | Finding] = list(self._map.decisions)
         entries += self._findings if with_findings else ()
         views = (entry_view(entry, self._map, labels) for entry in entries)
         return views_run.DecisionsEvent(
             entries=tuple(_decision_view(view, view.key in self._answered) for view in views),
             note=self._note() if self._map.decisions else "",
+            seen=seen,
         )
 
-    def answer(self, key: str, name: str) -> None:
-        """Store the answer ``name`` to a decision. Raise SemvizError if that is impossible."""
+    def answer(self, key: str, name: str, base: EditBase | None = None) -> None:
+        """Store the answer ``name`` to a decision; ``base`` is what the page had shown.
+
+        Raise SemvizError if that is impossible.
+        """
         decision = self._entry(key)
         if not isinstance(decision, Decision):
             raise SemvizError("a finding has no answers; correct its labels in 'semviz annotate'")
         with self._open_labels() as store:
             edit = edit_of(decision, name, store.labels)
-            self._answered[key] = store.apply(edit, login_name()).number
+            self._answered[key] = store.apply(edit, login_name(), base=base).number
 
-    def undo(self, key: str) -> None:
+    def undo(self, key: str, base: EditBase | None = None) -> None:
         """Undo an answer that was given here."""
         if key not in self._answered:
             raise SemvizError("this decision was not answered here; 'semviz annotate' can undo it")
         with self._open_labels() as store:
-            store.undo(login_name(), number=self._answered[key])
+            store.undo(login_name(), number=self._answered[key], base=base)
         del self._answered[key]
 
     def place(self, key: str) -> tuple[int | None, int | None]:
@@ -110,6 +121,14 @@ class Decisions:
     def _labels(self) -> Labels:
         return Labels() if self._workspace is None else self._workspace.read_labels()
 
+    def _labels_and_base(self) -> tuple[Labels, EditBase]:
+        """Return the labels, and the base of an edit by who has seen them."""
+        if self._workspace is None or not self._workspace.labels_path.exists():
+            return self._labels(), EditBase(0)
+        with self._open_labels() as store:
+            labels, end = store.labels_and_end
+            return labels, EditBase.at(end)
+
     def _open_labels(self) -> LabelStore:
         if self._workspace is None:
             raise SemvizError(self._note())
@@ -142,13 +161,21 @@ class DecisionPanel(Panel):
 
     @handles(messages.AnswerDecisionRequest)
     def _answer(self, request: messages.AnswerDecisionRequest) -> None:
-        self.context.cached(Decisions).answer(request.key, request.name)
-        self._send(with_findings=True)
+        decisions = self.context.cached(Decisions)
+        self._edit(lambda: decisions.answer(request.key, request.name, request.base))
 
     @handles(messages.UndoAnswerRequest)
     def _undo(self, request: messages.UndoAnswerRequest) -> None:
-        self.context.cached(Decisions).undo(request.key)
-        self._send(with_findings=True)
+        decisions = self.context.cached(Decisions)
+        self._edit(lambda: decisions.undo(request.key, request.base))
+
+    def _edit(self, edit: Callable[[], None]) -> None:
+        try:
+            edit()
+        except (ConflictError, ReplacedLogError) as error:
+            raise unseen(error) from None
+        finally:
+            self._send(with_findings=True)  # after a refusal: the page has seen the labels of now
 
     def _send(self, with_findings: bool) -> None:
         self.context.send(self.context.cached(Decisions).view(with_findings))

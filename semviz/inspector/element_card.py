@@ -21,7 +21,7 @@ from semviz_annotation.labels.labels import LabelElement, Labels, Observation
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.mapping.build import uses_detections
-from semviz_annotation.storage.store import LabelStore, Writer
+from semviz_annotation.storage.store import LabelStore, LogEnd, Writer
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -107,9 +107,9 @@ class Origins:
         return workspace_of(self._run, self._path)
 
     @property
-    def operation(self) -> int:
-        """Number of the last operation on the labels; 0 if they are not found."""
-        return 0 if self._store is None else self._store.labels.operation
+    def end(self) -> LogEnd | None:
+        """The last operation on the labels; None if they are not found."""
+        return None if self._store is None else self._store.end
 
     @cached_property
     def _detections(self) -> dict[str, Proposal]:

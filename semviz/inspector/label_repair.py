@@ -14,13 +14,14 @@ from semviz.inspector.views_run import LabelEditsEvent, LabelPageEvent, MapSaved
 from semviz.runs.comparison import frame_change
 from semviz.runs.diagnosis import frame_diagnosis, implicated_elements
 from semviz.runs.run import FrameRecord, Run
-from semviz.web.protocol import handles
+from semviz.web.protocol import RefusedError, handles
 from semviz.what_if.solve import describe_sweep, free_path
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace, login_name
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.rows import review_decision
+from semviz_annotation.storage.store import ConflictError, EditBase, ReplacedLogError
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError
 
@@ -56,6 +57,8 @@ class LabelEdits(NamedTuple):
     """Empty if the labels are not found."""
     edits: int
     undoable: int
+    seen: EditBase | None
+    """What a page that is sent this has seen of the labels."""
 
 
 class RunLabels:
@@ -79,11 +82,11 @@ class RunLabels:
 
     def view(self) -> LabelEdits:
         """Count the label edits."""
-        workspace = self.origins.workspace
-        if workspace is None:
-            return LabelEdits("", 0, 0)
-        edits = max(0, self.origins.operation - self._run.semantic_map.operation)
-        return LabelEdits(workspace.name, edits, len(self._done))
+        workspace, end = self.origins.workspace, self.origins.end
+        if workspace is None or end is None:
+            return LabelEdits("", 0, 0, None)
+        edits = max(0, end.number - self._run.semantic_map.operation)
+        return LabelEdits(workspace.name, edits, len(self._done), EditBase.at(end))
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
         """Return the label element behind a map element whose observation is nearest to ``frame``,
@@ -101,22 +104,22 @@ class RunLabels:
         _, index, number, element = min(observations, key=lambda row: row[:3])
         return self.workspace.classes.element_name(element.class_id, number), index
 
-    def merge(self, element_ids: tuple[int, ...]) -> None:
-        """Link the labels of map elements as one landmark."""
-        self._apply(Link(self._label_ids(element_ids)))
+    def merge(self, element_ids: tuple[int, ...], base: EditBase | None = None) -> None:
+        """Link the labels of map elements as one landmark.
 
-    def exclude(self, element_id: int) -> None:
+        As for every edit here, ``base`` is what the page had shown; see ``LabelStore.apply``.
+        """
+        self._apply(Link(self._label_ids(element_ids)), base)
+
+    def exclude(self, element_id: int, base: EditBase | None = None) -> None:
         """Exclude the labels of a map element from maps; a track of detections is rejected."""
         if track := self.origins.track(element_id):
-            self._reject(element_id, track)
+            self._reject(element_id, track, base)
             return
-        self._apply(
-            DecideElements(
-                tuple(review_decision(id, "leave out") for id in self._label_ids((element_id,)))
-            )
-        )
+        ids = self._label_ids((element_id,))
+        self._apply(DecideElements(tuple(review_decision(id, "leave out") for id in ids)), base)
 
-    def _reject(self, element_id: int, track: tuple[Proposal, ...]) -> None:
+    def _reject(self, element_id: int, track: tuple[Proposal, ...], base: EditBase | None) -> None:
         """Add a track of detections as an element that is left out of maps."""
         from semviz.annotator.detection_tracks import free_detections, mark_of
 
@@ -125,19 +128,20 @@ class RunLabels:
             mark_of(row).at(row.frame_index, row.side, row.id)
             for row in free_detections(track, labels)
         )
-        self._apply(AddElements((NewElement(track_id, track[0].class_id, rows),), left_out=True))
+        element = NewElement(track_id, track[0].class_id, rows)
+        self._apply(AddElements((element,), left_out=True), base)
 
     def _label_ids_of_map(self, element_id: int) -> tuple[str, ...]:
         """Return the UUIDs that the map gives for an element, of labels or of tracks."""
         provenance = provenance_of(self._run.semantic_map, element_id)
         return () if provenance is None else provenance.label_ids
 
-    def undo(self) -> None:
+    def undo(self, base: EditBase | None = None) -> None:
         """Undo the last edit that was made here."""
         if not self._done:
             raise SemvizError("nothing was changed here; 'semviz annotate' can undo other edits")
         with self.workspace.open_labels() as store:
-            store.undo(login_name(), number=self._done[-1])
+            store.undo(login_name(), number=self._done[-1], base=base)
         self._done.pop()
 
     def _label_ids(self, element_ids: tuple[int, ...]) -> tuple[str, ...]:
@@ -150,9 +154,17 @@ class RunLabels:
             label_ids += [origin.element.id for origin in origins]
         return tuple(label_ids)
 
-    def _apply(self, edit: AnyEdit) -> None:
+    def _apply(self, edit: AnyEdit, base: EditBase | None) -> None:
         with self.workspace.open_labels() as store:
-            self._done.append(store.apply(edit, login_name()).number)
+            self._done.append(store.apply(edit, login_name(), base=base).number)
+
+
+def unseen(error: ConflictError | ReplacedLogError) -> RefusedError:
+    """Return the refusal of an edit that was made without having seen others'."""
+    if isinstance(error, ReplacedLogError):
+        return RefusedError("replaced", f"{error}; look at them and repeat it")
+    why = str(error).removesuffix("; keep yours or theirs")
+    return RefusedError("conflict", f"{why}; nothing was changed: look at it and repeat")
 
 
 class LabelRepairPanel(Panel):
@@ -189,29 +201,33 @@ class LabelRepairPanel(Panel):
         context.send(LabelPageEvent(address=f"annotate/{annotator}/?frame={frame}&element={name}"))
 
     @handles(messages.MergeDuplicatesRequest)
-    def _merge(self, _: messages.MergeDuplicatesRequest) -> None:
+    def _merge(self, request: messages.MergeDuplicatesRequest) -> None:
         fault = frame_diagnosis(self.context.run, self._record).fault
         if fault.kind != "twice in the map":
             raise SemvizError("the diagnosis of this frame names no duplicates")
-        self._edit(lambda: self._labels.merge(fault.elements))
+        self._edit(lambda: self._labels.merge(fault.elements, request.base))
 
     @handles(messages.ExcludeElementRequest)
     def _exclude(self, request: messages.ExcludeElementRequest) -> None:
-        self._edit(lambda: self._labels.exclude(request.element))
+        self._edit(lambda: self._labels.exclude(request.element, request.base))
 
     @handles(messages.UndoLabelEditRequest)
-    def _undo(self, _: messages.UndoLabelEditRequest) -> None:
-        self._edit(self._labels.undo)
+    def _undo(self, request: messages.UndoLabelEditRequest) -> None:
+        self._edit(lambda: self._labels.undo(request.base))
 
     def _edit(self, edit: Callable[[], None]) -> None:
-        edit()
-        self._send()
+        try:
+            edit()
+        except (ConflictError, ReplacedLogError) as error:
+            raise unseen(error) from None
+        finally:
+            self._send()  # after a refusal: the page has seen the labels of now
 
     @handles(messages.RebuildMapRequest)
     def _start(self, _: messages.RebuildMapRequest) -> None:
         context = self.context
-        path = context.library.path(context.state.run)
-        rebuild = self._rebuild = Rebuild(context.run, path, self._labels.workspace)
+        run, path = context.run, context.library.path(context.state.run)
+        rebuild = self._rebuild = Rebuild(run, path, self._labels.workspace)
         rebuild.start(lambda: self._on_progress(rebuild))
 
     @handles(messages.StopRebuildRequest)

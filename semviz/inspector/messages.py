@@ -20,6 +20,7 @@ from semviz.web.protocol import (
     SetThemeRequest,
 )
 from semviz.web.shapes import Theme
+from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 
 Point = tuple[float, float, float]
@@ -167,6 +168,8 @@ class AnswerDecisionRequest(Request):
     type: Literal["answer_decision"] = "answer_decision"
     key: str
     name: str
+    base: EditBase | None = None
+    """What the page had seen of the labels."""
 
 
 class UndoAnswerRequest(Request):
@@ -174,6 +177,8 @@ class UndoAnswerRequest(Request):
 
     type: Literal["undo_answer"] = "undo_answer"
     key: str
+    base: EditBase | None = None
+    """What the page had seen of the labels."""
 
 
 class GetLabelEditsRequest(Request):
@@ -193,6 +198,8 @@ class MergeDuplicatesRequest(Request):
     """Link the labels that the diagnosis of this frame calls duplicates."""
 
     type: Literal["merge_duplicates"] = "merge_duplicates"
+    base: EditBase | None = None
+    """What the page had seen of the labels."""
 
 
 class ExcludeElementRequest(Request):
@@ -200,12 +207,16 @@ class ExcludeElementRequest(Request):
 
     type: Literal["exclude_element"] = "exclude_element"
     element: int
+    base: EditBase | None = None
+    """What the page had seen of the labels."""
 
 
 class UndoLabelEditRequest(Request):
     """Undo the last label edit that was made here."""
 
     type: Literal["undo_label_edit"] = "undo_label_edit"
+    base: EditBase | None = None
+    """What the page had seen of the labels."""
 
 
 class RebuildMapRequest(Request):

@@ -40,17 +40,18 @@ class RunLibrary:
         """Return the run ``name``. Raise SemvizError if it is unknown or broken."""
         from semviz.runs.reader import load_run
 
-        if name not in self._paths:
-            known = ", ".join(self._paths)
-            raise RefusedError("not_found", f"there is no run '{name}'; choose one of {known}")
+        path = self.path(name)
         with self._lock_of(name):
             if name not in self._runs:
-                self._runs[name] = load_run(self._paths[name])
+                self._runs[name] = load_run(path)
                 gc.freeze()  # runs stay in memory: searching them for garbage would delay all pages
             return self._runs[name]
 
     def path(self, name: str) -> Path:
-        """Return the file of the run ``name``."""
+        """Return the file of the run ``name``. Raise RefusedError if it is unknown."""
+        if name not in self._paths:
+            known = ", ".join(self._paths)
+            raise RefusedError("not_found", f"there is no run '{name}'; choose one of {known}")
         return self._paths[name]
 
     def add(self, path: Path) -> str:

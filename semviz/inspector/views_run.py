@@ -3,6 +3,7 @@
 from typing import Literal
 
 from semviz.web.protocol import Event, Part
+from semviz_annotation.storage.operations import EditBase
 
 
 class RunFaultView(Part):
@@ -126,6 +127,8 @@ class DecisionsEvent(Event):
     type: Literal["decisions"] = "decisions"
     entries: tuple[DecisionView, ...]
     note: str
+    seen: EditBase
+    """What the page has seen of the labels, for its answers."""
 
 
 class RebuildView(Part):
@@ -143,6 +146,8 @@ class LabelEditsEvent(Event):
     workspace: str
     edits: int
     undoable: int
+    seen: EditBase | None
+    """What the page has seen of the labels, for its edits; None if they are not found."""
     rebuild: RebuildView | None
 
 

@@ -275,7 +275,7 @@ def write_weights(training: Path, folder: Path, *, force: bool = False) -> Path:
     is_card = starts_with(b'{\n  "format": 1,\n  "semviz": "')
     check_outputs(path.with_suffix(".json"), is_card, force=force, reads=[training])
     tensors = {
-        name.removeprefix(NETWORK): value.numpy()
+        name.removeprefix(NETWORK): value.float().numpy()
         for name, value in checkpoint.tensors.items()
         if name.startswith(NETWORK) and value.is_floating_point()  # batch counters are no weights
     }

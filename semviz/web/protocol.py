@@ -23,8 +23,9 @@ from semviz_core.common.errors import SemvizError
 PROTOCOL: Literal[3] = 3
 """Version of the protocol. A page of another version reloads itself."""
 
-Code = Literal["not_saved", "conflict", "invalid", "not_found", "busy", "internal"]
-"""``internal``: a bug in the server; the request is valid."""
+Code = Literal["not_saved", "conflict", "replaced", "invalid", "not_found", "busy", "internal"]
+"""``replaced``: a backup replaced the labels that it is about. ``internal``: a bug in the server;
+the request is valid."""
 
 
 MAX_DIGITS = 16

@@ -4,6 +4,7 @@ The recorded cameras, the time and pose of each image, and what was taken for gr
 named; they stay where they are. Opening a workspace needs none of the imported files again.
 """
 
+import re
 import zlib
 from itertools import pairwise
 from pathlib import Path
@@ -34,7 +35,8 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
-ImageName = Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
+_CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
+ImageName = Annotated[str, Field(pattern=rf"^[^/\\{_CONTROLS}]+$")]
 """Of a file in the folder of images, and nowhere else."""
 
 
@@ -100,6 +102,8 @@ class DriveFile(_Model):
     def model_post_init(self, _: Any) -> None:
         if any(row.index >= after.index for row, after in pairwise(self.frames)):
             raise ValueError("frames are not in the order of their numbers")
+        if re.search(f"[{_CONTROLS}]", self.map_frame):
+            raise ValueError("the map frame's name has a control character")
 
     @classmethod
     def of(cls, drive: "RecordedDrive", map_frame: str) -> "DriveFile":

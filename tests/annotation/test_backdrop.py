@@ -295,6 +295,25 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     assert made.source.is_same(back.source)
 
 
+def test_a_flipped_bit_never_gives_another_backdrop(tmp_path: Path) -> None:
+    made, file, rng = small(), tmp_path / "backdrop", np.random.default_rng(5)
+    save_backdrop(made, file)
+    whole, refused = file.read_bytes(), 0
+    for _ in range(200):
+        changed = bytearray(whole)
+        changed[rng.integers(len(whole))] ^= 1 << int(rng.integers(8))
+        file.write_bytes(changed)
+        try:
+            back = load_backdrop(file)
+        except SemvizError:
+            refused += 1
+            continue
+        np.testing.assert_array_equal(back.points_m, made.points_m)
+        np.testing.assert_array_equal(back.colors, made.colors)
+        assert (back.spacing_m, back.source.is_same(made.source)) == (made.spacing_m, True)
+    assert refused > 150
+
+
 def another(change: Callable[[BackdropSource], BackdropSource]) -> BackdropSource:
     return change(small().source)
 

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
 from random_edits import pole, random_edit
 
 from semviz_annotation.labels.edits import (
@@ -25,7 +27,13 @@ from semviz_annotation.labels.edits import (
 from semviz_annotation.labels.labels import Labels, Observation, Review, new_id
 from semviz_annotation.labels.rows import RowChange
 from semviz_annotation.storage.backup import backup_labels, restore_labels
-from semviz_annotation.storage.store import ConflictError, EditBase, LabelStore, Operation
+from semviz_annotation.storage.store import (
+    ConflictError,
+    EditBase,
+    LabelStore,
+    Operation,
+    ReplacedLogError,
+)
 from semviz_core.common.errors import SemvizError
 
 
@@ -271,3 +279,42 @@ def test_a_base_after_the_last_operation_is_of_a_replaced_log(tmp_path):
         mine = MoveObservation(drawn.observation_id, end_px=(9.0, 50.0))
         with pytest.raises(ConflictError, match="bea changed"):
             store.apply(mine, "ann", base=EditBase(seen.number))
+
+
+def test_a_base_of_a_replaced_log_is_refused_though_its_number_is_in_use_again(tmp_path):
+    """Numbers alone would say that the page had seen what bea did: her work would be lost."""
+    drawn = pole()
+    move = partial(MoveObservation, drawn.observation_id)
+    with LabelStore.open(tmp_path / "labels.db") as store:
+        store.apply(drawn, "ann")
+        first = store.end
+        backup_labels(store.path, tmp_path / "backup.db")
+        store.apply(move(end_px=(1.0, 44.0)), "ann", "sent again")
+        seen = EditBase.at(store.end)
+        restore_labels(store.path, tmp_path / "backup.db")
+        for u in range(3):
+            theirs = store.apply(move(end_px=(2.0, 50.0 + u)), "bea")
+        assert seen.operation < store.last_operation
+        for refused in (
+            lambda: store.apply(move(end_px=(9.0, 50.0)), "ann", base=seen),
+            lambda: store.apply(pole(), "ann", base=seen),
+            lambda: store.undo("bea", base=seen),
+            lambda: store.redo("bea", base=seen),
+            lambda: store.restore(2, "ann", base=seen),
+        ):
+            with pytest.raises(ReplacedLogError, match="a backup replaced the labels"):
+                refused()
+        assert store.last_operation == theirs.number
+        assert store.holds(first)
+        store.apply(move((9.0, 9.0)), "ann", base=EditBase.at(first))
+        again = store.apply(
+            move(end_px=(1.0, 44.0)), "ann", "sent again", base=EditBase.at(store.end)
+        )
+        same = store.apply(move(end_px=(1.0, 44.0)), "ann", "sent again", base=seen)
+        assert same == again  # it is saved: nothing to ask
+
+
+def test_a_base_is_checked_when_it_is_read():
+    for wrong in ("x" * 64, "ab", 7, None):
+        with pytest.raises(ValidationError):
+            TypeAdapter(EditBase).validate_python({"operation": 1, "known": (), "hash": wrong})

@@ -178,6 +178,24 @@ def test_what_is_wrong_is_named(tmp_path: Path, rows: tuple[Any, ...], words: st
     assert "\n" not in line
 
 
+def test_a_flipped_bit_never_gives_other_proposals(tmp_path: Path) -> None:
+    """Without checksums of the pages, about one of twenty moved a mark or changed a score."""
+    path, rng = tmp_path / "proposals.parquet", np.random.default_rng(5)
+    rows = (POLE, SIGN, POLE | {"frame_index": 4, "anchor_px": [310.25, 21.0], "score": 0.7})
+    save_proposals(read_proposals(write(tmp_path, *rows), rig=RIG, frames=range(9)), path)
+    whole, kept = path.read_bytes(), rows_of(load_proposals(path))
+    refused = 0
+    for _ in range(200):
+        changed = bytearray(whole)
+        changed[rng.integers(len(whole))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        try:
+            assert rows_of(load_proposals(path)) == kept
+        except SemvizError:
+            refused += 1
+    assert refused > 50
+
+
 def test_what_is_no_file_of_proposals_is_refused(tmp_path: Path) -> None:
     for more in ({"format": "coco"}, {"version": 2}, {"more": 1}, {"proposals": 3}):
         with pytest.raises(SemvizError, match=r"found.json: not a file of proposals \("):

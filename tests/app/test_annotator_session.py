@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_marks import BOTTOM, PEAK, do, draw, pixel, pole, sign
+from pydantic import ValidationError
 from streets import street_workspace
 
 from semviz.annotator import image_worker
 from semviz.annotator.draft import DraftState, ElementDraft
 from semviz.annotator.element_positions import ElementPositions
+from semviz.annotator.messages import DrawEdit
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark
@@ -51,6 +53,18 @@ def test_proposals_that_cannot_follow_the_labels_do_not_lock_them_out(tmp_path: 
         assert len(Proposals.of([older, known]).usable("box")) == 2
     finally:
         session.close()
+
+
+def test_marks_beside_the_image_or_far_from_it_are_no_error(session: LabelSession) -> None:
+    """Found by random messages: OpenCV has no edges in an empty window, and squares overflow."""
+    for class_id, end in ((ROUNDED, None), (POLE, (5.0, 9e4))):
+        beside = ElementDraft("left", class_id, (-3.0, 9e4), end, snap=True)
+        assert session.preview(DraftState(0, drawing=beside)).snapped is None
+    for far in (1e308, -1e6):
+        with pytest.raises(ValidationError, match="100000"):
+            ElementDraft("left", POLE, (5.0, 5.0), (far, 5.0))
+        with pytest.raises(ValidationError, match="100000"):
+            DrawEdit(**sign(0, "left", (5.0, 5.0)) | {"anchor_px": (far, 5.0)})
 
 
 def test_a_bottom_that_ends_above_the_ground_is_hidden(tmp_path: Path) -> None:

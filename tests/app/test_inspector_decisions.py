@@ -21,6 +21,7 @@ from semviz.workspace.map_review import entry_key
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.rows import different_elements
 from semviz_annotation.mapping.decisions import is_open
+from semviz_annotation.storage.store import ConflictError
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 
@@ -92,6 +93,19 @@ def test_answers_are_saved_in_the_runs_workspace_and_undone(workspace: Workspace
     assert not workspace.read_labels().review_decisions
     with pytest.raises(SemvizError, match="not answered here"):
         decisions.undo(first["key"])
+
+
+def test_an_answer_never_overwrites_one_that_its_page_has_not_shown(workspace: Workspace) -> None:
+    path = workspace.run_path("search")
+    mine, theirs = decisions_of(path), decisions_of(path)
+    key, seen = entries(mine)[0]["key"], mine.view(with_findings=False).seen
+    theirs.answer(key, "two", theirs.view(with_findings=False).seen)
+    theirs.undo(key, theirs.view(with_findings=False).seen)
+    with pytest.raises(ConflictError, match="changed the decision about"):
+        mine.answer(key, "two", seen)
+    assert not workspace.read_labels().review_decisions
+    mine.answer(key, "two", mine.view(with_findings=False).seen)
+    assert len(workspace.read_labels().review_decisions) == 1
 
 
 def test_a_decision_leads_to_the_frame_that_sees_its_element(workspace: Workspace) -> None:

@@ -21,6 +21,15 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.browser
 Lose = Callable[[Path, Path], None]
 ENDS = ("", "-wal", "-shm")
+OFFLINE = """() => {
+    window.Real = WebSocket;
+    window.WebSocket = class extends EventTarget { static OPEN = 1; };
+    semviz.socket._socket.close();
+}"""
+ONLINE = """() => {
+    window.WebSocket = Real;
+    semviz.socket._socket = semviz.socket._connect();
+}"""
 
 
 @pytest.fixture
@@ -149,3 +158,26 @@ def test_damage_that_the_check_finds_is_told_until_a_backup_is_restored(
         wait_for(page, "#saved", "Saved operation 2")
         page.wait_for_selector('#saved[title^="The label file was checked"]')
     assert check_labels(path).operations == 2
+
+
+def test_edits_made_before_a_backup_was_restored_ask_before_they_change_it(
+    driver: LabelDriver, served: Served, tmp_path: Path
+) -> None:
+    """The page was offline meanwhile, and the numbers that it knows are in use again."""
+    page, workspace = driver.page, served.annotator.session.workspace
+    page.evaluate(OFFLINE)
+    page.wait_for_function("() => !semviz.state.connected")
+    for u in (400.0, 490.0):
+        draw(driver, u)
+    page.wait_for_function("() => semviz.outbox.entries.length === 2")
+    restore_labels(workspace.labels_path, tmp_path / "backup.db")
+    draw_signs(workspace, [(0, 340.0 + 20.0 * number) for number in range(6)], "two")
+    page.evaluate(ONLINE)
+    wait_for(page, "#question", "a backup replaced the labels on which this edit was made")
+    wait_for(page, "#question", "2 edits kept in this page")
+    assert served.annotator.session.labels.operation == 7
+    page.keyboard.press("y")
+    page.wait_for_function("() => semviz.outbox.entries.length === 0")
+    wait_for(page, "#saved", "Saved operation 9")
+    assert check_labels(workspace.labels_path).operations == 9
+    assert len(served.labels.observations) == 9

@@ -18,7 +18,12 @@ from inspector_page import open_page
 from serving import at
 
 from semviz.inspector.label_repair import RunLabels
-from semviz.inspector.messages import OpenLabelRequest, OpenRunRequest
+from semviz.inspector.messages import (
+    ExcludeElementRequest,
+    GetLabelEditsRequest,
+    OpenLabelRequest,
+    OpenRunRequest,
+)
 from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
@@ -30,8 +35,10 @@ from semviz.workspace.demo import AUTHOR, SEED, SLIP_PX, SPACING_M, demo_labels
 from semviz.workspace.localize import LocalizeOptions, localize_workspace, record
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import TRUTH, Workspace
-from semviz_annotation.labels.edits import MoveObservation
+from semviz_annotation.labels.edits import DecideElements, MoveObservation, RevokeDecision
+from semviz_annotation.labels.rows import review_decision
 from semviz_annotation.mapping.build import build_map
+from semviz_annotation.storage.store import EditBase, ReplacedLogError
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.common.errors import SemvizError
 
@@ -126,14 +133,14 @@ def test_stopping_leaves_nothing(workspace: Workspace) -> None:
 def test_edits_are_counted_done_and_taken_back(workspace: Workspace) -> None:
     path = workspace.run_path("search")
     mending = RunLabels(load_run(path), path)
-    assert mending.view() == ("town", 0, 0)
+    assert mending.view()[:3] == ("town", 0, 0)
     assert mending.place(SLIPPED, frame=11) == (f"P-{SLIPPED}", SLIP_FRAME)
     mending.exclude(SLIPPED)
-    assert mending.view() == ("town", 1, 1)
+    assert mending.view()[:3] == ("town", 1, 1)
     mended = rebuild_run(load_run(path), free_path(path, "mended"), workspace)
     assert SLIPPED not in mended.semantic_map.elements.id
     mending.undo()
-    assert mending.view() == ("town", 2, 0)
+    assert mending.view()[:3] == ("town", 2, 0)
     with pytest.raises(SemvizError, match="nothing was changed here"):
         mending.undo()
     with pytest.raises(SemvizError, match="both in the left image"):
@@ -146,7 +153,7 @@ def test_a_run_whose_labels_are_gone_says_where_they_would_be(workspace: Workspa
     shutil.rmtree(workspace.path)
     run = load_run(elsewhere)
     mending = RunLabels(replace(run, info=replace(run.info, workspace="gone/town")), elsewhere)
-    assert mending.view() == ("", 0, 0)
+    assert mending.view() == ("", 0, 0, None)
     with pytest.raises(SemvizError, match="not found"):
         mending.exclude(SLIPPED)
 
@@ -186,9 +193,9 @@ def asked(url: str, *requests: Request, until: str) -> dict[str, Any]:
                 await page.send_str(request.model_dump_json())
             while True:
                 message: dict[str, Any] = await page.receive_json(timeout=60)
-                assert message["type"] != "error", message["text"]
                 if message["type"] == until:
                     return message
+                assert message["type"] != "error", message["text"]
 
     return finished(talk())
 
@@ -229,6 +236,38 @@ def test_the_labels_open_through_the_same_door(url: str) -> None:
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(url.partition("?")[0] + path)
         assert refused.value.code == 403, path
+
+
+def test_a_page_without_a_run_is_refused_in_words(workspace: Workspace) -> None:
+    """Found by random messages: a KeyError in the terminal."""
+    library = RunLibrary([workspace.run_path("search")])
+    for ask in (library.path, library.run):
+        with pytest.raises(SemvizError, match="there is no run ''; choose one of search"):
+            ask("")
+
+
+def test_an_edit_never_overwrites_what_its_page_has_not_shown(
+    workspace: Workspace, url: str
+) -> None:
+    """Two pages: this one has seen no answer about the pole; on the other somebody revokes one."""
+    path = workspace.run_path("search")
+    seen = asked(url, until="label_edits")["seen"]
+    with workspace.open_labels() as store:
+        (element,) = (row for row in store.labels.elements.values() if row.number == SLIPPED)
+        left_out = review_decision(element.id, "leave out")
+        store.apply(DecideElements((left_out,)), "anna")
+        store.apply(RevokeDecision(left_out.id), "anna")
+    exclude = ExcludeElementRequest(id="2", element=SLIPPED, base=EditBase(**seen))
+    refused = asked(url, exclude, until="error")
+    assert refused["code"] == "conflict"
+    assert f"anna changed the decision about P-{SLIPPED} since" in refused["text"]
+    assert not workspace.read_labels().review_decisions
+    seen = asked(url, until="label_edits")["seen"]
+    exclude = ExcludeElementRequest(id="2", element=SLIPPED, base=EditBase(**seen))
+    assert asked(url, exclude, GetLabelEditsRequest(id="3"), until="label_edits")
+    mending = RunLabels(load_run(path), path)
+    with pytest.raises(ReplacedLogError):
+        mending.merge((SLIPPED, 19), EditBase(1, hash="0" * 64))
 
 
 @pytest.mark.browser

@@ -96,7 +96,7 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
         "file": [
             *(
                 Output(f"W TARGET --format {name}")
-                for name in ("log", "cvat", "cvat-video", "coco")
+                for name in ("log", "cvat", "cvat-video", "coco", "csv")
             ),
             Output("W TARGET --format labelme"),  # an empty folder, without labels
         ]

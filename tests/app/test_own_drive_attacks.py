@@ -178,6 +178,27 @@ def test_no_flipped_bit_of_the_drive_s_file_is_read_as_something_else(
     assert read_drive_file(path).frames == whole.frames
 
 
+@pytest.mark.parametrize(
+    "name", ["a\n.png", "a\u2028.png", "a\x1b[2J.png", "../a.png", "a\x85.png"]
+)
+def test_names_in_the_drive_s_file_are_names_on_one_line(
+    name: str, files: Path, tmp_path: Path, new: Run
+) -> None:
+    """Found by fuzzing: a missing image was named on two lines."""
+    assert new() == (0, "")
+    path = tmp_path / "W" / DRIVE_FILE
+    content = json.loads(path.read_text())
+    del content["crc32"]
+    for key, place in (("left", content["frames"][1]), ("map_frame", content)):
+        if not (key == "map_frame" and "/" in name):
+            changed = place | {key: name}
+            whole = changed if place is content else content | {"frames": [changed]}
+            path.write_text(json.dumps(whole))
+            with pytest.raises(SemvizError, match="damaged") as refused:
+                read_drive_file(path)
+            assert str(refused.value).isprintable()
+
+
 def test_frames_of_the_drive_s_file_have_each_number_once(
     files: Path, tmp_path: Path, new: Run
 ) -> None:

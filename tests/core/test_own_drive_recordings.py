@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from drive_formats import check_poses, tum, written
 from drive_layouts import (
@@ -20,6 +21,7 @@ from drive_layouts import (
     kitti_raw,
     nuscenes,
 )
+from pyarrow import feather
 
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
@@ -138,6 +140,20 @@ def _pickled(root: Path) -> None:
         np.save(file, np.array([{"a": 1}], dtype=object), allow_pickle=True)
 
 
+def _doubled(root: Path) -> None:
+    path = root / "calibration" / "intrinsics.feather"
+    table = feather.read_table(path)
+    names = [*table.column_names, "sensor_name"]
+    feather.write_feather(pa.Table.from_arrays([*table.columns, table.columns[0]], names), path)
+
+
+def _timed(root: Path) -> None:
+    path = root / "calibration" / "intrinsics.feather"
+    table = feather.read_table(path)
+    times = pa.array([1] * len(table), pa.timestamp("ns"))
+    feather.write_feather(table.set_column(0, "sensor_name", times), path)
+
+
 REFUSED: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "no calibration": ("KITTI raw", _without("calib_cam_to_cam.txt"), "calib_cam_to_cam.txt"),
     "other size": ("KITTI raw", _changed("calib_cam_to_cam.txt", "S_rect_02: 64", "S_rect_02: 65"),
@@ -149,6 +165,23 @@ REFUSED: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "cut table": ("nuScenes", _changed("sample.json", "]", ""), "not nuScenes' tables"),
     "absolute": ("nuScenes", _changed("sample_data.json", '"samples/CAM', '"/samples/CAM'),
                  "lie outside of the data set"),
+    "infinite size": ("nuScenes", _changed("sample_data.json", '"width": 64', '"width": Infinity'),
+                      "not nuScenes' tables"),
+    "time beyond floats": (
+        "nuScenes",
+        _changed("sample_data.json", '"timestamp": 1', '"timestamp": 1' + "0" * 400),
+        "not nuScenes' tables",
+    ),
+    "infinite time": (
+        "nuScenes",
+        _changed("sample_data.json", '"timestamp": ', '"timestamp": 1e999, "t": '),
+        "sample_data.json, timestamp holds NaN or infinite",
+    ),
+    "no text": ("nuScenes", _changed("sample_data.json", "samples/CAM", "\\ud800/CAM"), "images"),
+    "a long name": ("nuScenes", _changed("sample_data.json", "samples/CAM", "s" * 5000 + "/CAM"),
+                    "File name too long"),
+    "two columns of one name": ("Argoverse 2", _doubled, "two columns of one name"),
+    "names that are times": ("Argoverse 2", _timed, "no sensor ring_front_left"),
     "T_BS": ("EuRoC", _changed("sensor.yaml", "T_BS", "T_X"), "does not say where"),
     "MEI": ("EuRoC", _changed("sensor.yaml", "camera_model: pinhole", "camera_model: omni"),
             "lens model omni is not read"),

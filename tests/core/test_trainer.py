@@ -6,14 +6,18 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.context import ForkProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
+from safetensors import safe_open
 from toy_training_task import TOGETHER, ToyTask, fresh_network
 
 from semviz_core.common.errors import SemvizError
@@ -178,7 +182,7 @@ def test_time_can_be_boxed(tmp_path: Path) -> None:
 def test_a_plan_can_be_changed_but_not_undone(tmp_path: Path) -> None:
     trained(tmp_path, samples=41)
     training = trained(tmp_path, samples=80)
-    assert training.progress.plans == [[0, 44], (44, 80)]
+    assert training.progress.plans == [(0, 44), (44, 80)]
     with pytest.raises(SemvizError, match="has seen 80 samples already, more than 40"):
         trained(tmp_path, samples=40)
 
@@ -229,6 +233,96 @@ def test_what_is_no_checkpoint_is_named(tmp_path: Path, fault: str) -> None:
     with pytest.raises(SemvizError, match=r"format 7" if fault == "version" else "damaged"):
         trained(tmp_path)
     assert path.read_bytes() == changed
+
+
+def header_changed(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Rewrite a checkpoint whose header was changed, as somebody would who means harm."""
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["semviz training"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    header.pop("crc32")
+    change(header)
+    metadata = {"semviz training": json.dumps(header)}
+    path.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
+
+
+HOSTILE: dict[str, tuple[str, str, Any]] = {
+    "a name that leaves the folder": ("identity", "task", "../../labels"),
+    "a name that is a list": ("identity", "task", ["toy"]),
+    "a batch of none": ("identity", "batch", 0),
+    "a seed as text": ("identity", "seed", "0"),
+    "options that are a text": ("identity", "options", "width"),
+    "samples as text": ("course", "samples", "12"),
+    "less than no samples": ("course", "samples", -4),
+    "infinite time": ("course", "seconds", {"a machine": float("inf")}),
+    "a plan of one number": ("course", "plans", [[0]]),
+    "a sum that is a text": ("course", "window", {"loss": ["x", 1]}),
+    "a name that is no text": ("course", "seconds", {"\ud800": 1.0}),
+    "an unknown value": ("course", "more", 1),
+    "an enormous number": ("course", "skipped", 10**4000),
+    "a deep list": ("identity", "options", json.loads("[" * 900 + "]" * 900)),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_a_hostile_checkpoint_is_one_line(tmp_path: Path, case: str) -> None:
+    part, name, value = HOSTILE[case]
+    trained(tmp_path, samples=40)
+    header_changed(tmp_path / CHECKPOINT, lambda header: header[part].update({name: value}))
+    with pytest.raises(SemvizError, match="not a checkpoint of semviz, or damaged"):
+        Checkpoint.load(tmp_path / CHECKPOINT)
+
+
+def test_a_header_without_checksum_is_of_an_earlier_version(tmp_path: Path) -> None:
+    trained(tmp_path, samples=40)
+    header_changed(tmp_path / CHECKPOINT, lambda header: None)
+    assert Checkpoint.load(tmp_path / CHECKPOINT).progress.samples == 40
+
+
+def test_moments_of_another_shape_are_one_line(tmp_path: Path) -> None:
+    trained(tmp_path, samples=40)
+    stored = Checkpoint.load(tmp_path / CHECKPOINT)
+    for name in ("adam.step.0.bias", "adam.exp_avg.0.weight"):
+        changed = stored.tensors | {name: torch.zeros(3, 5)}
+        Checkpoint(stored.identity, stored.progress, changed).save(tmp_path / CHECKPOINT)
+        with pytest.raises(SemvizError, match="weights of another network"):
+            trained(tmp_path, samples=80)
+
+
+def test_a_flipped_bit_of_a_checkpoint_is_found(tmp_path: Path) -> None:
+    trained(tmp_path, samples=40)
+    path, rng = tmp_path / CHECKPOINT, np.random.default_rng(3)
+    whole, stored = path.read_bytes(), Checkpoint.load(path)
+    found = 0
+    for _ in range(200):
+        changed = bytearray(whole)
+        changed[rng.integers(len(whole))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        try:
+            read = Checkpoint.load(path)
+        except SemvizError:
+            found += 1
+            continue
+        assert (read.identity, read.progress) == (stored.identity, stored.progress)
+        assert all(torch.equal(read.tensors[name], stored.tensors[name]) for name in read.tensors)
+        assert read.tensors.keys() == stored.tensors.keys()
+    assert found > 150
+
+
+LOSSES = {
+    "a number that is a text": b'{"samples": "x"}',
+    "100,000 lists": b"[" * 100_000,
+    "losses that are a list": b'{"samples": 4, "losses": [1]}',
+    "an infinite loss": b'{"samples": 4, "losses": {"loss": Infinity}}',
+    "no text": b"\xff\xfe",
+}
+
+
+@pytest.mark.parametrize("case", LOSSES)
+def test_hostile_losses_are_one_line(tmp_path: Path, case: str) -> None:
+    (tmp_path / HISTORY).write_bytes(LOSSES[case] + b"\n")
+    with pytest.raises(SemvizError, match="not the losses of a training; move it away"):
+        trained(tmp_path, samples=40)
 
 
 @pytest.mark.parametrize("workers", [0, 1])

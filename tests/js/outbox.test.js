@@ -42,6 +42,7 @@ function made(connection = { up: true }, workspace = "w") {
   return { outbox, sent, connection };
 }
 
+const SINCE = { operation: 7, hash: "5e" };
 const kinds = (edits) => edits.map(({ kind }) => kind);
 
 test("edits are sent one at a time, in order", () => {
@@ -117,9 +118,9 @@ test("an edit knows the page's own edits, and what the user chose to overwrite",
   const { outbox, sent } = made();
   outbox.saw("long ago", 3);
   outbox.saw("just now", 9);
-  for (const id of ["a", "a", "b"]) outbox.add({ kind: "move", observation_id: id }, null, 7);
+  for (const id of ["a", "a", "b"]) outbox.add({ kind: "move", observation_id: id }, null, SINCE);
   const [first, second] = outbox.entries;
-  assert.deepEqual(sent[0].base, { operation: 7, known: ["just now"] });
+  assert.deepEqual(sent[0].base, { ...SINCE, known: ["just now"] });
   outbox.overwrite(first, ["theirs"]);
   assert.deepEqual(outbox.entries.map(({ base }) => base.known.includes("theirs")), [true, true, false]);
   assert.deepEqual(sent.map(({ request }) => request), [first.request, first.request]);
@@ -139,8 +140,8 @@ test("what the user chose to overwrite is not extended to edits of other ends", 
 
 test("a page opened later still knows which edits of this browser were saved", () => {
   const before = made();
-  before.outbox.add({ kind: "one" }, null, 7);
-  before.outbox.add({ kind: "two" }, null, 7);
+  before.outbox.add({ kind: "one" }, null, SINCE);
+  before.outbox.add({ kind: "two" }, null, SINCE);
   before.outbox.saw(before.sent[0].request, 8);
   before.outbox.settle(before.sent[0].request);
   const { outbox, sent } = made();
@@ -167,4 +168,14 @@ test("a refusal of another edit does not release the next one", () => {
   outbox.settle(outbox.entries[1].request);
   assert.deepEqual(kinds(sent), ["one"]);
   assert.equal(outbox.entries.length, 1);
+});
+
+test("edits made on labels that a backup replaced claim to have seen nothing of the restored ones", () => {
+  const { outbox, sent } = made();
+  for (const kind of ["draw", "undo", "move", "restore"]) outbox.add({ kind }, null, SINCE);
+  assert.deepEqual(sent[0].base, { ...SINCE, known: [] });
+  outbox.moveToRestored();
+  assert.deepEqual(kinds(outbox.entries.map(({ edit }) => edit)), ["draw", "move"]);
+  assert.deepEqual(sent.at(-1).base, { operation: 0, known: [] });
+  assert.equal(sent.at(-1).request, sent[0].request);
 });

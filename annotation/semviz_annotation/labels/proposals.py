@@ -287,7 +287,7 @@ def save_proposals(proposals: Proposals, path: Path, classes: ClassSet = DEFAULT
     metadata = {} if processed is None else {PROCESSED_KEY: processed.as_json()}
     table = pa.table(columns).replace_schema_metadata({FORMAT: str(VERSION)} | metadata)
     with replacing(path) as temporary:
-        pq.write_table(table, temporary, compression="zstd")
+        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
 
 
 def _is_parquet(path: Path) -> bool:

@@ -50,6 +50,13 @@ CHANGES: TypeAdapter[tuple[RowChange, ...]] = TypeAdapter(tuple[RowChange, ...])
 _OPERATION = TypeAdapter(Operation)
 
 
+class LogEnd(NamedTuple):
+    """The last operation of a log. No other log has both."""
+
+    number: int
+    hash: str
+
+
 @dataclass(frozen=True)
 class EditBase:
     """What the author of an edit had seen: the operations up to one, and some later requests.
@@ -60,8 +67,16 @@ class EditBase:
     operation: Annotated[int, Field(ge=0, lt=2**53)]
     known: tuple[Id, ...] = ()
     """Later requests that the author knows, for example one's own."""
+    hash: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = NO_HASH
+    """Of that operation: after a backup was restored, its number may be another's. Empty:
+    unknown."""
 
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    @classmethod
+    def at(cls, end: LogEnd) -> "EditBase":
+        """Return the base of an author who has seen all operations up to ``end``."""
+        return cls(end.number, hash=end.hash)
 
 
 class Writer(NamedTuple):
@@ -83,6 +98,13 @@ def sealed(operation: Operation, hash_before: str) -> Operation:
     content = _OPERATION.dump_python(operation, mode="json", exclude={"hash"})
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return replace(operation, hash=hashlib.sha256((hash_before + text).encode()).hexdigest())
+
+
+class ReplacedLogError(SemvizError):
+    """An edit was begun on labels that are no longer there: a backup was restored since."""
+
+    def __init__(self) -> None:
+        super().__init__("a backup replaced the labels on which this edit was made")
 
 
 class BrokenOperationError(SemvizError):

@@ -29,8 +29,10 @@ from semviz_annotation.storage.operations import (
     BrokenOperationError,
     ConflictError,
     EditBase,
+    LogEnd,
     Operation,
     Origin,
+    ReplacedLogError,
     Writer,
     sealed,
 )
@@ -44,8 +46,10 @@ __all__ = [
     "ConflictError",
     "EditBase",
     "LabelStore",
+    "LogEnd",
     "Operation",
     "Origin",
+    "ReplacedLogError",
     "Writer",
 ]
 
@@ -123,6 +127,21 @@ class LabelStore:
         with self._file.reading():
             return self._file.labels.operation
 
+    @property
+    def end(self) -> LogEnd:
+        """The last durable operation with its hash."""
+        return self.labels_and_end[1]
+
+    @property
+    def labels_and_end(self) -> tuple[Labels, LogEnd]:
+        """The newest state, and the operation that led to it."""
+        with self._file.reading():
+            return self._file.labels, LogEnd(self._file.labels.operation, self._file.hash)
+
+    def holds(self, end: LogEnd) -> bool:
+        """Whether ``end`` is an operation of this log: not if a backup has replaced it."""
+        return self._file.contains(*end)
+
     def check_triangles(self, center: TriangleCenter) -> None:
         """Raise LabelFileError if triangular signs are no longer marked at ``center``.
 
@@ -192,15 +211,16 @@ class LabelStore:
         author had seen; None: the present state. A machine may add rows, and change or delete rows
         that no human has ever written.
 
-        Raise ConflictError if the edit writes a field that others wrote after ``base``, SemvizError
-        if it is invalid or cannot be saved. Nothing is changed then.
+        Raise ConflictError if the edit writes a field that others wrote after ``base``,
+        ReplacedLogError if ``base`` is of another log, as undo, redo and restore do, too, and
+        SemvizError if it is invalid or cannot be saved. Nothing is changed then.
         """
 
         def operation(number: int, request_id: str) -> Operation:
             changes = self._conflicts().changes_of(edit, self.rules, base)
             return Operation(number, request_id, author, origin, _now(), edit.kind, changes)
 
-        return self._commit(operation, edit.kind, author, request_id)
+        return self._commit(operation, edit.kind, author, request_id, base)
 
     def undo(
         self,
@@ -236,7 +256,7 @@ class LabelStore:
                 text=text,
             )
 
-        return self._commit(operation, "undo", author, request_id)
+        return self._commit(operation, "undo", author, request_id, base)
 
     def redo(
         self, author: str, request_id: str | None = None, base: EditBase | None = None
@@ -257,7 +277,7 @@ class LabelStore:
                 text=text,
             )
 
-        return self._commit(operation, "redo", author, request_id)
+        return self._commit(operation, "redo", author, request_id, base)
 
     def restore(
         self,
@@ -286,7 +306,7 @@ class LabelStore:
                 new, request_id, author, "human", _now(), "restore", changes, text=text
             )
 
-        return self._commit(operation, "restore", author, request_id)
+        return self._commit(operation, "restore", author, request_id, base)
 
     def name_state(self, name: str, author: str, request_id: str | None = None) -> Operation:
         """Name the present state; see ``named``.
@@ -336,6 +356,7 @@ class LabelStore:
         kind: str,
         author: str,
         request_id: str | None,
+        base: EditBase | None = None,
     ) -> Operation:
         with self._file.writing():
             labels, connection = self._file.labels, self._file.connection
@@ -344,6 +365,8 @@ class LabelStore:
                 if (earlier.author, earlier.kind) != (author, kind):
                     raise SemvizError("this request id was used for another edit; take a new one")
                 return earlier
+            if base and base.hash and tables.hash_of(connection, base.operation) != base.hash:
+                raise ReplacedLogError
             operation = make(labels.operation + 1, request_id or new_id())
             operation = sealed(operation, self._file.hash)
             if operation.origin == "machine":

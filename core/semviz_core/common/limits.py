@@ -222,8 +222,8 @@ def open_parquet(
     """Open a Parquet file that takes at most ``most_bytes``, packed and unpacked.
 
     No column may have more than ``most_values`` values, which a few bytes can repeat. Texts at the
-    paths ``dictionaries`` are read without copies of repeated ones. Raise SemvizError for others,
-    and pyarrow's errors for damaged ones.
+    paths ``dictionaries`` are read without copies of repeated ones. Pages with a checksum are
+    compared with it. Raise SemvizError for others, and pyarrow's errors for damaged ones.
     """
     import pyarrow.parquet as pq
 
@@ -235,4 +235,8 @@ def open_parquet(
         raise SemvizError(f"{path}: more than {most_values} values in a column; not read")
     schema = pq.read_metadata(path).schema
     paths = {column.path for column in map(schema.column, range(len(schema)))}
-    return pq.ParquetFile(path, read_dictionary=[name for name in dictionaries if name in paths])
+    return pq.ParquetFile(
+        path,
+        read_dictionary=[name for name in dictionaries if name in paths],
+        page_checksum_verification=True,
+    )

@@ -22,7 +22,7 @@ import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
-import { overwriting, samePlace } from "./questions.js";
+import { overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { State } from "./state.js";
 import { Sketch, Tools } from "./tools.js";
@@ -70,7 +70,7 @@ export class Page {
   /** Stores and sends an edit; the page shows it at once. An edit that changes nothing is dropped.
    *
    * @param {Edit} edit
-   * @param {number} since the last operation that was shown when the edit was begun
+   * @param {{operation: number, hash: string}} since the last operation that was shown when the edit was begun
    */
   submit(edit, since = this.state.lastShown) {
     const { state, outbox } = this;
@@ -340,6 +340,7 @@ export class Page {
     if (!entry) this.notify(event.text, "wrong");
     else if ("overwritten" in event) this.state.set({ question: overwriting(entry, event, this) });
     else if ("observation_id" in event) this.state.set({ question: samePlace(entry, event, this) });
+    else if (event.code === "replaced") this.state.set({ question: replacedLabels(entry, event, this) });
     else this.#refusedEdit(entry, event);
   }
 

@@ -46,12 +46,12 @@ export class Outbox {
    *
    * @param {Edit} edit
    * @param {ShownAt | null} shown where on the page the edit was made; not sent
-   * @param {number} since the last operation that the page had shown when the edit was begun
+   * @param {{operation: number, hash: string}} since the last operation that the page had shown when the edit was begun
    */
   add(edit, shown, since) {
     const request = uuid7();
     const place = (this.entries.at(-1)?.place ?? 0) + 1;
-    const base = { operation: since, known: [] };
+    const base = { ...since, known: [] };
     try {
       localStorage.setItem(this.prefix + request, JSON.stringify({ request, place, edit, shown, base }));
     } catch (error) {
@@ -77,7 +77,7 @@ export class Outbox {
     if (!entry.base) return entry; // of an older page
     const { operation, known = [] } = entry.base;
     const own = this.saved.filter((saved) => saved.operation > operation).map(({ request }) => request);
-    return { ...entry, base: { operation, known: [...known, ...own] } };
+    return { ...entry, base: { ...entry.base, known: [...known, ...own] } };
   }
 
   /** The last edits of this browser that are on disk, and all since the oldest that waits.
@@ -119,9 +119,21 @@ export class Outbox {
   overwrite({ request, edit }, overwritten) {
     for (const entry of this.entries) {
       if (entry.request !== request && !writesTheSame(entry.edit, edit)) continue;
-      const { operation, known = [] } = entry.base ?? { operation: 0 };
-      const base = { operation, known: [...known, ...overwritten] };
+      const before = entry.base ?? { operation: 0 };
+      const base = { ...before, known: [...(before.known ?? []), ...overwritten] };
       localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, base }));
+    }
+    this.sent = null;
+    this.flush();
+  }
+
+  /** Sends all edits to the labels that a backup put in place, of which none of them has seen anything.
+   * Steps through the replaced history are dropped.
+   */
+  moveToRestored() {
+    for (const entry of this.entries) {
+      if (["undo", "redo", "restore"].includes(entry.edit.kind)) localStorage.removeItem(this.prefix + entry.request);
+      else localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, base: { operation: 0, known: [] } }));
     }
     this.sent = null;
     this.flush();

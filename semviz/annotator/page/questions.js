@@ -5,6 +5,7 @@
 /** @import {Entry, Question} from "./values.js" */
 import { byId, el } from "/static/dom.js";
 import { drawnAgain } from "./pending.js";
+import { counted } from "./values.js";
 import { badge } from "./widgets.js";
 
 const KEYS = ["Y", "Shift Y"]; // of the first answers
@@ -66,6 +67,22 @@ export function samePlace(entry, { text, name, element_id: element, observation_
     { title: `Same: move ${name} here`, run: same }, { title: "Another element", run: another }, { title: "Discard", run: discard },
   ];
   return { entry, text, answers };
+}
+
+/** A backup replaced the labels on which edits were made while this page had no connection.
+ *
+ * @param {Entry} entry
+ * @param {import("/static/protocol").ErrorEvent} event
+ * @param {Page} page
+ * @returns {Question}
+ */
+export function replacedLabels(entry, { text }, page) {
+  const count = counted(page.outbox?.entries.length ?? 1, "edit");
+  const answers = [
+    { title: "Make them on the restored labels", run: () => page.outbox?.moveToRestored() },
+    { title: "Discard this one", run: () => page.settle(entry.request) },
+  ];
+  return { entry, text: `Not saved: ${text}. ${count} kept in this page.`, answers };
 }
 
 /** The bar below the images that asks. */

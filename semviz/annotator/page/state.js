@@ -106,10 +106,11 @@ export class State {
     return this.selected?.element === this.chosen.element && this.frame === this.chosen.frame;
   }
 
-  /** The number of the last operation that both the frame and the list of frames show. */
+  /** The last operation that both the frame and the list of frames show. */
   get lastShown() {
-    const { operation, frame } = this.labels;
-    return Math.min(operation, frame?.operation ?? operation);
+    const { frame, ...labels } = this.labels;
+    const { operation, hash } = frame && frame.operation < labels.operation ? frame : labels;
+    return { operation, hash };
   }
 
   /** @param {() => void} listener */

@@ -14,7 +14,7 @@ const DRAG_FROM = 4; // CSS pixels; a shorter move is a click
  * it was after operation `since`.
  * @typedef {{
  *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw",
- *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: number},
+ *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: {operation: number, hash: string}},
  * }} Press */
 
 export class Tools {
@@ -257,7 +257,7 @@ export class Tools {
   /** Saves a drag; that of a track's mark is kept until the track is accepted.
    *
    * @param {import("./values.js").Dragged} dragged
-   * @param {number | undefined} since the last operation that was shown when the drag began
+   * @param {{operation: number, hash: string} | undefined} since the last operation that was shown when the drag began
    */
   #drop({ observation, anchor, end }, since) {
     const track = this.state.proposals.find(({ marks }) => SIDES.some((side) => marks[side]?.id === observation));

@@ -21,6 +21,8 @@ export class DecisionList {
     this.entries = [];
     /** @type {string | null} */
     this.chosen = null; // key of the open entry
+    /** @type {import("/static/protocol").inspector.EditBase | null} */
+    this.base = null; // what this page has seen of the labels
     page.socket.on("decisions", (event) => this.showDecisions(event));
   }
 
@@ -30,8 +32,9 @@ export class DecisionList {
   }
 
   /** @param {DecisionsEvent} event */
-  showDecisions({ entries, note }) {
+  showDecisions({ entries, note, seen }) {
     this.entries = entries;
+    this.base = seen;
     const open = entries.filter(({ answers }) => answers.length).length;
     byId("decisions-open").textContent = open ? String(open) : "";
     byId("decisions-open").title = `${open} open`;
@@ -100,8 +103,8 @@ export class DecisionList {
       event.stopPropagation();
       send();
     } });
-    const options = answers.map(({ name, title }) => button(title, () => socket.send("answer_decision", { key, name })));
+    const options = answers.map(({ name, title }) => button(title, () => socket.send("answer_decision", { key, name, base: this.base })));
     if (!options.length && !undo) return "";
-    return el("div", { class: "answers" }, ...options, undo ? button("Undo the answer", () => socket.send("undo_answer", { key })) : null);
+    return el("div", { class: "answers" }, ...options, undo ? button("Undo the answer", () => socket.send("undo_answer", { key, base: this.base })) : null);
   }
 }

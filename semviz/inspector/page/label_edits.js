@@ -30,8 +30,13 @@ export class LabelEdits {
     const { socket, store } = this.page;
     return [
       { key: "o", group: "Labels", title: "Open the label of the selected or diagnosed element", run: () => socket.send("open_label", { element: store.state.element }) },
-      { key: "n", group: "Labels", title: "Merge the duplicates of the diagnosis", run: () => socket.send("merge_duplicates") },
+      { key: "n", group: "Labels", title: "Merge the duplicates of the diagnosis", run: () => socket.send("merge_duplicates", this.base) },
     ];
+  }
+
+  /** What this page has seen of the labels, for an edit. */
+  get base() {
+    return { base: this.shown?.seen ?? null };
   }
 
   get hasLabels() {
@@ -50,7 +55,7 @@ export class LabelEdits {
     const actions = [];
     if (implicated.length && this.hasLabels) actions.push(this.labelButton(null));
     if (frame.diagnosis === "twice in the map" && this.hasLabels) {
-      actions.push(el("button", { class: "small", title: "Link their labels as one landmark", onclick: () => this.page.socket.send("merge_duplicates") },
+      actions.push(el("button", { class: "small", title: "Link their labels as one landmark", onclick: () => this.page.socket.send("merge_duplicates", this.base) },
         `Merge ${implicated.join(" and ")} `, el("kbd", { text: "N" })));
     }
     byId("why-actions").replaceChildren(...actions);
@@ -61,7 +66,7 @@ export class LabelEdits {
     this.fill(); // a comparison has no room for the bar
     byId("selected-actions").replaceChildren(...(element === null || !this.hasLabels ? [] : [
       this.labelButton(element),
-      el("button", { class: "small", text: "Exclude from the map", title: "Edits the labels; can be undone", onclick: () => this.page.socket.send("exclude_element", { element }) }),
+      el("button", { class: "small", text: "Exclude from the map", title: "Edits the labels; can be undone", onclick: () => this.page.socket.send("exclude_element", { element, ...this.base }) }),
     ]));
   }
 
@@ -109,7 +114,7 @@ export class LabelEdits {
     return [
       el("span", { class: "text", text: `The labels of ${workspace} have ${count} newer than this map.` }),
       el("span", { class: "push" }),
-      ...(undoable ? [button("Undo the last edit", () => socket.send("undo_label_edit"))] : []),
+      ...(undoable ? [button("Undo the last edit", () => socket.send("undo_label_edit", this.base))] : []),
       button("Rebuild map and run", () => socket.send("rebuild_map"), "primary"),
     ];
   }

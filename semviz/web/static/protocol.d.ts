@@ -5,7 +5,7 @@
 export interface ErrorEvent {
   type: "error";
   reply_to: string | null;
-  code: "not_saved" | "conflict" | "invalid" | "not_found" | "busy" | "internal";
+  code: "not_saved" | "conflict" | "replaced" | "invalid" | "not_found" | "busy" | "internal";
   text: string;
   retry: boolean;
 }
@@ -235,6 +235,7 @@ export interface DrawnMark {
 export interface EditBase {
   operation: number;
   known?: Array<string>;
+  hash?: string;
 }
 
 /** An edit is on disk, with the labels and the frame on screen after it. */
@@ -375,6 +376,7 @@ export interface LabelledFrameEvent {
 export interface LabelledFrameView {
   index: number;
   operation: number;
+  hash: string;
   panes: Partial<Record<"left" | "right", PaneView>>;
   elements: Array<ElementView>;
   proposals: Array<ProposalView>;
@@ -385,6 +387,7 @@ export interface LabelledFrameView {
 /** The state of the labels and all frames, without the marks of a frame. */
 export interface LabelsView {
   operation: number;
+  hash: string;
   counts: Record<string, number>;
   mapped: number;
   can_undo: boolean;
@@ -798,6 +801,7 @@ export interface AnswerDecisionRequest {
   id: string;
   key: string;
   name: string;
+  base?: EditBase | null;
 }
 
 /** A possible answer to a decision. */
@@ -924,6 +928,7 @@ export interface DecisionsEvent {
   reply_to: string | null;
   entries: Array<DecisionView>;
   note: string;
+  seen: EditBase;
 }
 
 /** The diagnosis of a frame as people read it. */
@@ -949,6 +954,13 @@ export interface DrawFrameRequest {
 export interface DropWhatIfRequest {
   type: "drop_what_if";
   id: string;
+}
+
+/** What the author of an edit had seen: the operations up to one, and some later requests. Fields that other operations wrote are not the edit's to overwrite. */
+export interface EditBase {
+  operation: number;
+  known?: Array<string>;
+  hash?: string;
 }
 
 /** A map element, from the camera of one frame. */
@@ -1023,6 +1035,7 @@ export interface ExcludeElementRequest {
   type: "exclude_element";
   id: string;
   element: number;
+  base?: EditBase | null;
 }
 
 /** Find the frames that detect an element, or whose estimate uses it. */
@@ -1201,6 +1214,7 @@ export interface LabelEditsEvent {
   workspace: string;
   edits: number;
   undoable: number;
+  seen: EditBase | null;
   rebuild: RebuildView | null;
 }
 
@@ -1297,6 +1311,7 @@ export interface MatrixView {
 export interface MergeDuplicatesRequest {
   type: "merge_duplicates";
   id: string;
+  base?: EditBase | null;
 }
 
 /** A metric of both runs, as text. */
@@ -1794,12 +1809,14 @@ export interface UndoAnswerRequest {
   type: "undo_answer";
   id: string;
   key: string;
+  base?: EditBase | null;
 }
 
 /** Undo the last label edit that was made here. */
 export interface UndoLabelEditRequest {
   type: "undo_label_edit";
   id: string;
+  base?: EditBase | null;
 }
 
 /** The user's viewpoint in 3D, metres in the map frame. */

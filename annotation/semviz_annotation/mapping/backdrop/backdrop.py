@@ -5,10 +5,11 @@ poses that were used. So whoever shows it can tell whether it still fits the dri
 """
 
 import json
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import safetensors.numpy
@@ -132,6 +133,7 @@ def save_backdrop(backdrop: Backdrop, path: Path) -> None:
         "spacing_m": backdrop.spacing_m,
     }
     tensors = _Tensors(backdrop.points_m, backdrop.colors, source.frames, source.poses)
+    header["crc32"] = _checksum(header, tensors)
     content = safetensors.numpy.save(tensors._asdict(), metadata={_KEY: json.dumps(header)})
     with replacing(path) as temporary:
         temporary.write_bytes(content)
@@ -146,6 +148,8 @@ def load_backdrop(path: Path) -> Backdrop:
             if header["format"] != FORMAT:
                 raise SemvizError(f"{path}: a backdrop of another version of semviz; make it again")
             tensors = _Tensors(*(file.get_tensor(name) for name in _Tensors._fields))
+        if header.pop("crc32", None) not in (None, _checksum(header, tensors)):  # earlier: none
+            raise ValueError("its checksum differs")
         options = FusionOptions(**header["options"])
         names, spacing_m = (header["map_frame"], header["calibration"]), float(header["spacing_m"])
         source = BackdropSource(*names, tensors.frames, tensors.poses, options, header["method"])
@@ -155,6 +159,14 @@ def load_backdrop(path: Path) -> Backdrop:
     except (OSError, SafetensorError, LookupError, TypeError, ValueError, ArithmeticError):
         raise SemvizError(f"{path}: no backdrop of semviz, or damaged; make it again") from None
     return Backdrop(tensors.points_m, tensors.colors, spacing_m, source)
+
+
+def _checksum(header: Mapping[str, Any], tensors: _Tensors) -> int:
+    """Return the CRC-32 of the header, then of each tensor."""
+    checksum = zlib.crc32(json.dumps(header, sort_keys=True).encode())
+    for tensor in tensors:
+        checksum = zlib.crc32(np.ascontiguousarray(tensor).data, checksum)
+    return checksum
 
 
 def _check(tensors: _Tensors, source: BackdropSource, spacing_m: float) -> None:

@@ -81,8 +81,6 @@ NETWORK = "network."
 """Prefix of the names of weights in a learner's state."""
 LONGEST_GRADIENT = 10.0
 """Gradients are clipped to this norm, so that a single batch cannot do much harm."""
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
-"""Adam's state of each parameter, by torch's names."""
 
 
 class Learner:
@@ -139,8 +137,9 @@ class Learner:
         network.load_state_dict({name: state[f"{NETWORK}{name}"] for name in network.state_dict()})
         moments = {
             number: {
-                moment: _laid_out_as(parameter, state[f"adam.{moment}.{name}"])
-                for moment in _MOMENTS
+                "step": state[f"adam.step.{name}"].reshape(()).float(),
+                "exp_avg": _laid_out_as(parameter, state[f"adam.exp_avg.{name}"]),
+                "exp_avg_sq": _laid_out_as(parameter, state[f"adam.exp_avg_sq.{name}"]),
             }
             for number, (name, parameter) in enumerate(network.named_parameters())
             if f"adam.step.{name}" in state
@@ -179,8 +178,6 @@ class _Losses(nn.Module):
 def _laid_out_as(parameter: Tensor, moment: Tensor) -> Tensor:
     """Return ``moment`` with the parameter's memory format (such as channels last), which fused
     Adam requires."""
-    if moment.shape != parameter.shape:  # the number of steps
-        return moment
     return torch.empty_like(parameter, requires_grad=False).copy_(moment)
 
 

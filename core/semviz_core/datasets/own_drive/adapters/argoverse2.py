@@ -25,7 +25,8 @@ from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
 
-_MOST_BYTES = 2**27
+_MOST_BYTES = 2**22
+"""Of a table: a log of half a minute has 0.2 MB. Tables are compressed, and may unpack to more."""
 _FRONT = "ring_front_center"
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "width_px", "height_px")
@@ -99,7 +100,8 @@ def _poses(path: Path) -> RecordedPoses:
 def _row(path: Path, name: str, columns: tuple[str, ...]) -> FloatArray:
     """Return the numbers of the sensor called ``name``."""
     table = _read_table(path)
-    names = table["sensor_name"].to_pylist() if "sensor_name" in table.column_names else []
+    is_named = "sensor_name" in table.column_names and _is_text(table["sensor_name"])
+    names = table["sensor_name"].to_pylist() if is_named else []
     if name not in names:
         raise SemvizError(f"{path}: no sensor {shown(name, 60)}; copy the file of this log")
     return np.asarray(_columns(path, table, columns)[names.index(name)])
@@ -120,6 +122,17 @@ def _read_table(path: Path) -> Any:
 
     check_file(path, _MOST_BYTES)
     try:
-        return feather.read_table(path)
+        table = feather.read_table(path)
+        table.validate(full=True)  # else texts could lie outside of their memory
     except (ArrowException, OSError) as error:
         raise SemvizError(f"{path}: not a feather table ({first_line(error)})") from None
+    if len(set(table.column_names)) != len(table.column_names):
+        raise SemvizError(f"{path}: two columns of one name; copy the file again")
+    return table
+
+
+def _is_text(column: Any) -> bool:
+    import pyarrow as pa
+
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))

@@ -38,7 +38,7 @@ def read_nuscenes(files: DriveFiles) -> Recording:
     assert folder is not None
     try:
         return _read(files, folder)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError) as error:
         raise SemvizError(
             f"{folder}: not nuScenes' tables, or incomplete ({first_line(repr(error))}); copy them "
             "again"
@@ -110,11 +110,12 @@ class _Side:
         ordered = sorted(zip(rows, paths, strict=True), key=lambda pair: pair[0]["timestamp"])
         found = [(row, path.name) for row, path in ordered if (self.images / path.name).is_file()]
         if not found:
-            raise SemvizError(f"{self.images}: none of its {len(rows)} images is there")
+            raise SemvizError(f"{shown(self.images)}: none of its {len(rows)} images is there")
         self.missing = len(rows) - len(found)
         self.rows = [row for row, _ in found]
         self.names = [name for _, name in found]
-        self.time_s = np.array([float(row["timestamp"]) * 1e-6 for row in self.rows])
+        times_s = [float(row["timestamp"]) * 1e-6 for row in self.rows]
+        self.time_s = float_array(times_s, (None,), f"{folder / 'sample_data.json'}, timestamp")
         tokens = {row["calibrated_sensor_token"] for row in rows}
         if len(tokens) != 1:
             raise SemvizError(f"{folder}: {shown(name, 60)} has {len(tokens)} calibrations")
