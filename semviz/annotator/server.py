@@ -17,6 +17,7 @@ from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.workspace import Workspace, login_name
+from semviz_annotation.assist.snap import warm_up
 from semviz_annotation.storage.background_check import Health
 from semviz_annotation.storage.label_file import LabelFileError
 from semviz_core.base.frame import Side
@@ -51,6 +52,8 @@ class Annotator:
         self._poller.start()
         self._analyzer = threading.Thread(target=self._analyze, name="semviz-analysis", daemon=True)
         self._analyzer.start()
+        # on a new machine the code of a snap is compiled, which the first click must not wait for
+        threading.Thread(target=warm_up, name="semviz-warm-up", daemon=True).start()
         self._sessions = Sessions(self._open, HANDLERS.decode)
 
     @property

@@ -39,8 +39,10 @@ class AnnotateCommand:
 
     def run(self) -> int:
         from semviz.annotator.server import Annotator
+        from semviz.presentation.progress import announce_compiling
         from semviz.workspace.demo import ensure_demo
 
+        announce_compiling("snapping to edges")
         folder = self.workspace if self.workspace is not None else ensure_demo()
         tool = Annotator(parsing.open_workspace(folder), author=self.author)
         if left_out := tool.session.left_out_proposals:

@@ -1,5 +1,9 @@
 """Snapping: on pictures whose edges are known exactly, and on one simulated street."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -202,3 +206,39 @@ def test_on_a_street() -> None:
     for of in errors.values():
         assert np.median(of) < 0.3
         assert np.mean(np.array(of) > 2.0) < 0.15
+
+
+SNAP_AFTER_WARM_UP = """
+from semviz_core.common import jit
+compiled = []
+locked = jit._one_process_at_a_time
+jit._one_process_at_a_time = lambda compile_: locked(
+    lambda *types: (compiled.append(types), compile_(*types))[1]
+)
+from semviz_annotation.assist.snap import warm_up
+warm_up()
+assert compiled
+compiled.clear()
+import test_snap
+test_snap.test_a_pole_and_nothing_snap()
+print(len(compiled))
+"""
+
+
+def test_a_pole_and_nothing_snap() -> None:
+    axis = np.array([[80.0, 20.0], [82.0, 150.0]])
+    image = MarkedImage.of(VIEW, pole_picture(axis, 6.0, (60, 62, 66), plain(190, 190, 190)))
+    mark = clicked(axis, [[1.0, 0.0], [1.5, 0.0]])
+    snapped = snap(image, mark, DEFAULT_CLASSES[POLE])
+    assert snapped is not None
+    assert across_px(snapped.mark, axis) < 0.35
+    for class_id in (TRIANGULAR, RECTANGULAR, ROUNDED):
+        snap(image, Mark((80.0, 90.0)), DEFAULT_CLASSES[class_id])
+
+
+def test_the_first_snap_after_the_warm_up_compiles_nothing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SNAP_AFTER_WARM_UP],
+        cwd=Path(__file__).parent, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "0", done.stderr

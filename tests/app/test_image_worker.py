@@ -2,11 +2,14 @@
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from streets import street_workspace
 
+from semviz.annotator import server
 from semviz.annotator.image_worker import CACHED_IMAGES, Images
 from semviz_core.common.arrays import ByteImage
 
@@ -57,3 +60,15 @@ def test_a_cancelled_image_is_encoded_when_it_is_wanted_again(source: SlowSource
     source.released.set()
     assert again.result(60).startswith(b"\x89PNG")
     images.close()
+
+
+def test_the_annotator_prepares_snapping_before_the_first_click(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared = threading.Event()
+    monkeypatch.setattr(server, "warm_up", prepared.set)
+    annotator = server.Annotator(street_workspace(tmp_path / "street", 7, 2))
+    try:
+        assert prepared.wait(10.0)
+    finally:
+        annotator.close()

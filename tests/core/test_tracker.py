@@ -17,6 +17,7 @@ from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import pose_error
+from semviz_core.tracking import tracker as tracker_module
 from semviz_core.tracking.belief import POSE, JointBelief
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
@@ -39,10 +40,10 @@ class Step:
     T_camera_map: Pose
 
 
-def street(seed: int, length_m: float = 150.0) -> Elements3D:
+def street(seed: int, length_m: float = 150.0, spacing_m: float = 2.5) -> Elements3D:
     """Poles of many heights and signs on both sides of a road along x; no two stretches alike."""
     rng = np.random.default_rng(seed)
-    count = int(length_m / 2.5)
+    count = int(length_m / spacing_m)
     x = rng.uniform(0.0, length_m, count)
     y = rng.choice([-1.0, 1.0], count) * rng.uniform(4.0, 9.0, count)
     kind = rng.choice([POLE, TRIANGULAR, ROUNDED], count, p=[0.6, 0.2, 0.2])
@@ -161,6 +162,47 @@ def test_two_equal_rows_of_poles_are_not_decided_until_a_sign_tells_them_apart()
     assert any("poses are left" in track.reason for track in tracks[:first_sign])
     assert "ok" in status[first_sign : first_sign + 8]
     assert np.nanmax(errors_m(tracks, steps)) < 0.5
+
+
+def test_a_map_of_half_of_what_is_seen_is_found_by_frames_that_are_sure_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A detector of real images sees stakes and trees that no map holds, in every frame."""
+    world = street(8, spacing_m=1.25)
+    half = world[np.arange(len(world)) % 2 == 0]
+    steps = drive(world, np.arange(20.0, 32.0, STEP_M), sigma_px=0.3)
+
+    tracks = tracked(Tracker(CAMERA, mapped(half, 8), DETECTOR), steps)
+    monkeypatch.setattr(tracker_module, "CONFIRMATIONS", len(steps) + 1)
+    alone = tracked(Tracker(CAMERA, mapped(half, 8), DETECTOR), steps)
+
+    first = [track.status for track in tracks].index("ok")
+    assert tracks[first - 1].status == "starting"
+    assert all(track.status == "ok" for track in tracks[first:])
+    assert np.nanmax(errors_m(tracks, steps)) < 0.5
+    assert {track.status for track in alone} == {"starting"}
+    assert "explains only" in alone[-1].reason
+
+
+def test_an_element_missed_in_one_image_is_paired_again_when_it_returns() -> None:
+    world = street(1)
+    steps = drive(world, np.arange(20.0, 40.0, STEP_M))
+    complete = tracked(following(world, steps), steps)
+    ids = [set(track.element_id[track.element_id >= 0].tolist()) for track in complete]
+    element, row = next(
+        (element, row)
+        for row in range(3, len(ids) - 1)
+        for element in ids[row]
+        if element in ids[row - 1] and element in ids[row + 1]
+    )
+    without = steps[row].observed[complete[row].element_id != element]
+    missed = [*steps[:row], replace(steps[row], observed=without), *steps[row + 1 :]]
+
+    tracks = tracked(following(world, missed), missed)
+
+    assert element not in tracks[row].element_id
+    assert element in tracks[row + 1].element_id
+    assert abs(errors_m(tracks, missed)[row + 1] - errors_m(complete, steps)[row + 1]) < 0.02
 
 
 def test_three_blind_seconds_are_bridged_by_odometry() -> None:

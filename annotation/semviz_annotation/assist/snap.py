@@ -7,7 +7,10 @@ import numpy as np
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, pixel
 from semviz_annotation.assist.pole_ends import with_visible_ends
 from semviz_annotation.assist.score import probability
-from semviz_core.base.classes import ElementClass
+from semviz_annotation.labels.views import PosedView
+from semviz_core.base.camera import Camera
+from semviz_core.base.classes import DEFAULT_CLASSES, ElementClass
+from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.subpixel.pole_axis import edge_support, find_axes, stripe
 from semviz_core.subpixel.pole_fit import refine_axis
@@ -67,6 +70,19 @@ def best_snap(
     if mark.end_px is not None:
         return _pole(image, mark, reach_px)
     return _sign(image, mark, element_class)
+
+
+def warm_up() -> None:
+    """Compile what a snap runs, or load it from disk, by snapping to a drawn pole and signs."""
+    size = 240
+    camera = Camera(size, size, np.array([[size, 0.0, 120.0], [0.0, size, 120.0], [0.0, 0.0, 1.0]]))
+    rgb = np.full((size, size, 3), 200, np.uint8)
+    rgb[40:200, 40:48] = rgb[105:135, 135:165] = 40
+    image = MarkedImage.of(PosedView(camera, Pose.identity()), rgb)
+    for element_class in DEFAULT_CLASSES:
+        is_line = element_class.kind == "line"
+        mark = Mark((44.5, 42.0), (44.5, 198.0)) if is_line else Mark((150.5, 119.5))
+        snap(image, mark, element_class)
 
 
 def _pole(image: MarkedImage, mark: Mark, reach_px: float) -> Snap | None:

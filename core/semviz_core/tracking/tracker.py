@@ -34,6 +34,9 @@ COMMIT_NATS, COMMIT_FRAMES, COMMIT_ELEMENTS, COMMIT_SHARE, COMMIT_SIGMA_M = 30.0
 """The best hypothesis is reliable if it meets all limits: nats ahead of the next, frames with
 detections, different elements paired, share of the observed elements paired, sigma of its
 position."""
+CONFIRMATIONS = 2
+"""Frames in a row that are localized at the hypothesis when searched alone: they replace the limits
+of frames, elements and share, which a map that lacks half of what a detector sees never meets."""
 NEW_SIGMA = np.repeat([3.0, 0.1], 3)
 """Sigmas of a new hypothesis before its first frame: metres, radians."""
 GATE_SIGMA = np.repeat([0.3, float(np.deg2rad(0.5))], 3)
@@ -47,6 +50,8 @@ class TrackHypothesis:
     """Of the frames in the window, oldest first."""
     fix_nats: float = 0.0
     """Log-likelihood of the newest fix; earlier fixes share its error and add nothing."""
+    confirmations: int = 0
+    """Frames whose own localization was ``ok`` at this pose, since the last that was elsewhere."""
 
     @property
     def log_likelihood(self) -> float:
@@ -78,7 +83,8 @@ class HypothesisSet:
         single = self.localizer.localize(frame.observed, frame.submap, frame.camera, frame.prior)
         self.alive += [new for T in self._new_modes(single) if (new := self._hypothesis_at(T))]
         self.alive = [
-            replace(each, fix_nats=_fix_nats(each.belief, frame.prior)) for each in self.alive
+            _confirmed(replace(each, fix_nats=_fix_nats(each.belief, frame.prior)), single)
+            for each in self.alive
         ]
         self._prune()
         return single
@@ -88,17 +94,11 @@ class HypothesisSet:
         if not self.alive:
             return "No pose explains what was seen."
         best = self.alive[0]
-        seen = sum(matched.seen for matched in best.associations)
-        paired = sum(len(matched.pairs) for matched in best.associations)
         rivals = [sum(matched.log_elsewhere for matched in best.associations)]
         rivals += [hypothesis.log_likelihood for hypothesis in self.alive[1:]]
         gap = best.log_likelihood - max(rivals)
-        if (frames := sum(matched.seen > 0 for matched in best.associations)) < COMMIT_FRAMES:
-            return f"{frames} frames with elements so far, {COMMIT_FRAMES} needed."
-        if best.elements < COMMIT_ELEMENTS:
-            return f"{best.elements} mapped elements found so far, {COMMIT_ELEMENTS} needed."
-        if paired < COMMIT_SHARE * seen:
-            return f"The best pose explains only {paired} of {seen} elements of the last frames."
+        if best.confirmations < CONFIRMATIONS and (reason := _unsupported(best)):
+            return reason
         if best.belief.sigma_m > COMMIT_SIGMA_M:
             return f"The best pose is known only to {best.belief.sigma_m:.1f} m."
         if gap < COMMIT_NATS:
@@ -161,7 +161,29 @@ def _propagated(
     hypothesis: TrackHypothesis, odometry: Odometry, frame: TrackingFrame
 ) -> TrackHypothesis:
     belief, association = predict_and_update(hypothesis.belief, odometry, frame)
-    return TrackHypothesis(belief, (*hypothesis.associations, association)[-WINDOW:])
+    associations = (*hypothesis.associations, association)[-WINDOW:]
+    return TrackHypothesis(belief, associations, confirmations=hypothesis.confirmations)
+
+
+def _confirmed(hypothesis: TrackHypothesis, single: Localization) -> TrackHypothesis:
+    """Return the hypothesis after the newest frame was localized alone."""
+    if single.status != "ok" or single.T_camera_map is None:
+        return hypothesis
+    agrees = is_same_pose(hypothesis.belief.T_camera_map, single.T_camera_map)
+    return replace(hypothesis, confirmations=hypothesis.confirmations + 1 if agrees else 0)
+
+
+def _unsupported(best: TrackHypothesis) -> str:
+    """Return why the frames so far do not support a hypothesis enough; empty if they do."""
+    seen = sum(matched.seen for matched in best.associations)
+    paired = sum(len(matched.pairs) for matched in best.associations)
+    if (frames := sum(matched.seen > 0 for matched in best.associations)) < COMMIT_FRAMES:
+        return f"{frames} frames with elements so far, {COMMIT_FRAMES} needed."
+    if best.elements < COMMIT_ELEMENTS:
+        return f"{best.elements} mapped elements found so far, {COMMIT_ELEMENTS} needed."
+    if paired < COMMIT_SHARE * seen:
+        return f"The best pose explains only {paired} of {seen} elements of the last frames."
+    return ""
 
 
 def _total(associations: tuple[FrameAssociation, ...]) -> float:
