@@ -107,7 +107,8 @@ class SegmentationImages(PreparedImages[tuple[str, str]]):
         )
         if len(pairs) < 2:
             raise SemvizError(
-                f"{folder}: {len(pairs)} images {table.images} have a mask {table.masks}; two are "
+                f"{folder}: {len(pairs)} images {shown(table.images)} have a mask "
+                f"{shown(table.masks)}; two are "
                 "needed"
             )
         return cls(folder, prepared, pairs, table)
