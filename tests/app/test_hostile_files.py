@@ -308,3 +308,6 @@ def test_a_pattern_with_line_ends_is_shown_on_one_line(tmp_path: Path) -> None:
     with pytest.raises(SemvizError, match="0 images") as refused:
         SegmentationImages.of(tmp_path, tmp_path / "prepared")
     assert str(refused.value).isprintable()
+    (tmp_path / TABLE).write_text('images = "."\nmasks = "{name}.png"\n[classes]\n1 = "pole"\n')
+    with pytest.raises(SemvizError, match="images '.':"):
+        SegmentationImages.of(tmp_path, tmp_path / "prepared")

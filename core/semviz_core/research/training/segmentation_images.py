@@ -137,7 +137,7 @@ def matching(folder: Path, pattern: str, table: str) -> list[Path]:
     """Return the images of a pattern. Raise SemvizError, naming ``table``, if it is none."""
     try:
         return sorted(folder.glob(pattern))
-    except (ValueError, OSError, RecursionError) as error:
+    except (ValueError, OSError, RecursionError, IndexError) as error:  # of ".", IndexError
         why = first_line(error)
         raise SemvizError(f"{folder / table}: images {shown(pattern)!r}: {why}") from None
 
