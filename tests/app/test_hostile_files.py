@@ -50,6 +50,7 @@ from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.model_config import read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.research.evaluation.roads import kitti_road
+from semviz_core.research.training import box_images
 from semviz_core.research.training.segmentation_images import TABLE, SegmentationImages
 
 REPOSITORY = Path(__file__).parents[2]
@@ -308,6 +309,8 @@ def test_a_pattern_with_line_ends_is_shown_on_one_line(tmp_path: Path) -> None:
     with pytest.raises(SemvizError, match="0 images") as refused:
         SegmentationImages.of(tmp_path, tmp_path / "prepared")
     assert str(refused.value).isprintable()
-    (tmp_path / TABLE).write_text('images = "."\nmasks = "{name}.png"\n[classes]\n1 = "pole"\n')
-    with pytest.raises(SemvizError, match="images '.':"):
-        SegmentationImages.of(tmp_path, tmp_path / "prepared")
+    (tmp_path / box_images.TABLE).write_text(
+        'format = "yolo"\nimages = "."\nboxes = "{name}.txt"\n[classes]\n0 = "pole"\n'
+    )
+    with pytest.raises(SemvizError, match=r"images '\.': "):
+        box_images.BoxImages.of(tmp_path, tmp_path / "prepared")
