@@ -98,7 +98,7 @@ def _in_process(name: str, options: Options) -> int:
     verdict = "nothing else raised" if not done.returncode else f"FAILED ({done.returncode})"
     print(f"{name:<18} {count[-1] if count else '?':>9} inputs  {covered}  {verdict}", flush=True)
     if done.returncode:
-        print(done.stderr[-2500:])
+        print(done.stdout[-2500:], done.stderr[-2500:])
     return done.returncode
 
 

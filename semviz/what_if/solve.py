@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from threading import Lock
 from time import perf_counter
 from typing import Any
 
@@ -257,11 +258,20 @@ def describe_sweep(frames: Sequence[FrameChange]) -> str:
     return f"{len(changed)} of {_frame_count(len(frames))} change: {', '.join(parts)}."
 
 
+_given: set[Path] = set()
+"""Paths that ``free_path`` returned: two pages may save at the same time."""
+_giving = Lock()
+
+
 def free_path(path: Path, suffix: str) -> Path:
-    """Return an unused path beside a run, for example ``drive-tried-1.rrd``."""
+    """Return an unused path beside a run, for example ``drive-tried-1.rrd``, to one caller only."""
     number = 1
-    while (free := path.with_name(f"{path.stem}-{suffix}-{number}.rrd")).exists():
-        number += 1
+    with _giving:
+        while (free := path.with_name(f"{path.stem}-{suffix}-{number}.rrd")) in _given or (
+            free.exists()
+        ):
+            number += 1
+        _given.add(free)
     return free
 
 

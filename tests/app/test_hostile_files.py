@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -49,6 +50,8 @@ from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.model_config import read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.research.evaluation.roads import kitti_road
+from semviz_core.research.training import box_images
+from semviz_core.research.training.segmentation_images import TABLE, SegmentationImages
 
 REPOSITORY = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
@@ -292,3 +295,22 @@ def test_a_pole_map_does_not_unpack_to_gigabytes(tmp_path: Path) -> None:
     assert path.stat().st_size < 1_000_000
     with pytest.raises(SemvizError, match="unpacks to far more"):
         kitti_road(poses, path, "road")
+    with zipfile.ZipFile(path, "w") as archive:  # found by fuzzing: NumPy gives bytes
+        archive.writestr("poleparams", b"no array")
+    with pytest.raises(SemvizError, match=r"poleparams has shape \(\), expected"):
+        kitti_road(poses, path, "road")
+
+
+def test_a_pattern_with_line_ends_is_shown_on_one_line(tmp_path: Path) -> None:
+    """Found by fuzzing."""
+    (tmp_path / TABLE).write_text(
+        'images = "*.p\\n"\nmasks = "{name}\\r.png"\n[classes]\n1 = "pole"\n'
+    )
+    with pytest.raises(SemvizError, match="0 images") as refused:
+        SegmentationImages.of(tmp_path, tmp_path / "prepared")
+    assert str(refused.value).isprintable()
+    (tmp_path / box_images.TABLE).write_text(
+        'format = "yolo"\nimages = "."\nboxes = "{name}.txt"\n[classes]\n0 = "pole"\n'
+    )
+    with pytest.raises(SemvizError, match=r"images '\.': "):
+        box_images.BoxImages.of(tmp_path, tmp_path / "prepared")

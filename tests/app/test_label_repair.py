@@ -246,6 +246,13 @@ def test_a_page_without_a_run_is_refused_in_words(workspace: Workspace) -> None:
             ask("")
 
 
+def test_two_pages_that_save_at_once_get_two_names(tmp_path: Path) -> None:
+    """Found by random messages: the run of one was lost."""
+    with ThreadPoolExecutor(8) as pool:
+        paths = list(pool.map(lambda _: free_path(tmp_path / "a.rrd", "tried"), range(40)))
+    assert len(set(paths)) == 40
+
+
 def test_an_edit_never_overwrites_what_its_page_has_not_shown(
     workspace: Workspace, url: str
 ) -> None:

@@ -146,7 +146,7 @@ def _read_poles(path: Path) -> FloatArray:
         with np.load(path, allow_pickle=False) as arrays:
             if sum(entry.file_size for entry in arrays.zip.infolist()) > MOST_TEXT_BYTES:
                 raise ValueError("it unpacks to far more than poles")
-            poles = arrays["poleparams"]
+            poles = np.asarray(arrays["poleparams"])  # bytes if it is no array
     except KeyError:
         raise SemvizError(f"{path}: holds no 'poleparams'; is it a pole map?") from None
     except Exception as error:  # zipfile, numpy and the system each have their own

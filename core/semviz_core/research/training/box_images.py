@@ -191,7 +191,8 @@ def _coco(folder: Path, table: BoxTable) -> Iterator[tuple[str, tuple[Box, ...]]
     outside = next((file for file in boxes if not is_within(file)), None)
     if outside is not None:
         raise SemvizError(
-            f"{path}: file_name {shown(outside, 80)!r} is not within {table.images}; repair it"
+            f"{path}: file_name {shown(outside, 80)!r} is not within "
+            f"{shown(table.images)}; repair it"
         )
     for item, annotation in enumerate(content.annotations, 1):
         meaning = table.classes.get(names.get(annotation.category_id, ""))

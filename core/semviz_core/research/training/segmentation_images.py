@@ -94,7 +94,8 @@ class SegmentationImages(PreparedImages[tuple[str, str]]):
         )
         if len(pairs) < 2:
             raise SemvizError(
-                f"{folder}: {len(pairs)} images {table.images} have a mask {table.masks}; two are "
+                f"{folder}: {len(pairs)} images {shown(table.images)} have a mask "
+                f"{shown(table.masks)}; two are "
                 "needed"
             )
         return cls(folder, prepared, pairs, table)
@@ -116,7 +117,7 @@ def matching(folder: Path, pattern: str, table: str) -> list[Path]:
     """Return the images of a pattern. Raise SemvizError, naming ``table``, if it is none."""
     try:
         return sorted(folder.glob(pattern))
-    except (ValueError, OSError, RecursionError) as error:
+    except (ValueError, OSError, RecursionError, IndexError) as error:  # of ".", IndexError
         why = first_line(error)
         raise SemvizError(f"{folder / table}: images {shown(pattern)!r}: {why}") from None
 
