@@ -12,6 +12,7 @@ import torch
 from command_line import Call, call
 from safetensors.torch import load_file
 
+from semviz.cli import main
 from semviz.research.forgetting import HeldOutRecall
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.weights import shipped_weights
@@ -28,10 +29,20 @@ def train(capsys: pytest.CaptureFixture[str]) -> Call:
     return partial(call, capsys, "detect", "train")
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training that has finished; others begin with a copy of its rendered streets."""
+    out = tmp_path_factory.mktemp("training") / "whole"
+    with pytest.raises(SystemExit) as ended:
+        main(["detect", "train", "--out", str(out), *map(str, TINY)])
+    assert not ended.value.code
+    return out
+
+
 def test_streets_to_weights_and_on_from_wherever_it_stopped(
-    train: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    train: Call, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole, parts, folder = tmp_path / "whole", tmp_path / "parts", tmp_path / "weights"
+    parts, folder = tmp_path / "parts", tmp_path / "weights"
     status, output, errors = train("--out", whole, *TINY)
     assert status == 0, errors
     assert "finished after 12 of 12" in output
@@ -57,7 +68,10 @@ def test_streets_to_weights_and_on_from_wherever_it_stopped(
     assert call(capsys, "detect", street, "--model", weights)[0] == 0
 
 
-def test_what_ships_has_a_card_and_begins_a_training(train: Call, tmp_path: Path) -> None:
+def test_what_ships_has_a_card_and_begins_a_training(
+    train: Call, whole: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(whole / "streets", tmp_path / "streets")
     weights = shipped_weights("detector")
     card = json.loads(weights.with_suffix(".json").read_text())
     assert card["task"] == "detector"
@@ -139,9 +153,10 @@ def planted_recall(monkeypatch: pytest.MonkeyPatch, before: float, after: float)
 
 
 def test_a_training_that_forgets_is_refused(
-    train: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    train: Call, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The weights are kept aside; only --allow-loss takes them back. A small loss is chance."""
+    shutil.copytree(whole / "streets", tmp_path / "mine" / "streets")
     planted_recall(monkeypatch, 0.92, 0.05)
     arguments = "--out", tmp_path / "mine", "--from", "shipped", *TINY
     status, output, errors = train(*arguments)
