@@ -7,7 +7,7 @@ import numpy as np
 
 from semviz.inspector import views_run
 from semviz.inspector.context import Background, Panel
-from semviz.inspector.element_card import map_row
+from semviz.inspector.element_card import map_row, provenance_of
 from semviz.inspector.messages import FindFramesRequest, GetElementsRequest
 from semviz.inspector.state import matched_elements
 from semviz.inspector.views import number
@@ -142,6 +142,7 @@ def evidence_text(item: EvidenceItem) -> str:
 
 def _row(run: Run, element: ElementRecord) -> views_run.ElementRow:
     row = map_row(run.semantic_map, element.id)
+    provenance = provenance_of(run.semantic_map, element.id)
     return views_run.ElementRow(
         id=element.id,
         name=run.semantic_map.name_of(element.id),
@@ -153,6 +154,8 @@ def _row(run: Run, element: ElementRecord) -> views_run.ElementRow:
         share=number(element.outlier_share),
         median_px=number(element.median_px),
         cost_m=number(element.mean_cost_m),
+        log_odds=provenance.log_odds if provenance else None,
+        existence=provenance.existence if provenance else "",
         position=best_frame(element),
     )
 

@@ -31,6 +31,10 @@ class ElementRow(Part):
     share: float | None
     median_px: float | None
     cost_m: float | None
+    log_odds: float | None
+    """That it exists, of an element made from detections alone."""
+    existence: str
+    """The same as a probability; empty without."""
     position: int | None
     """The frame that shows it best."""
 

@@ -1,5 +1,6 @@
 """A run in a map from detections: the inspector tells which elements nobody has accepted."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,11 +8,14 @@ from streets import street_workspace
 from tracked_detections import FALSE, detect_and_map, track_id
 
 from semviz.inspector.element_card import Origins
+from semviz.inspector.elements import Findings, findings_view
 from semviz.inspector.label_repair import RunLabels
 from semviz.runs.run import Run, RunInfo
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import Proposal
+from semviz_core.diagnosis.element_statistics import ElementRecord
+from semviz_core.diagnosis.run import RunDiagnosis
 
 FRAMES = 4
 Tracked = tuple[Run, Path, list[Proposal]]
@@ -41,6 +45,17 @@ def test_an_element_of_a_track_says_so(tracked: Tracked) -> None:
         f"A track of {len(rows)} detections in {FRAMES} frames, 0 to {FRAMES - 1}, which nobody "
         "has accepted."
     )
+
+
+def test_the_list_of_elements_tells_how_sure_a_track_is(tracked: Tracked) -> None:
+    run = tracked[0]
+    unsure = replace(run.semantic_map.provenance[-1], log_odds=3.3)
+    provenance = (*run.semantic_map.provenance[:-1], unsure)
+    run = replace(run, semantic_map=replace(run.semantic_map, provenance=provenance))
+    records = tuple(ElementRecord(int(id)) for id in run.semantic_map.elements.id)
+    found = findings_view(run, Findings(RunDiagnosis(None, (), 0), records))
+    last = found.rows[-1]
+    assert (last.log_odds, last.existence) == (3.3, "96.4 %")
 
 
 def test_the_link_to_annotate_names_the_track_and_its_nearest_frame(tracked: Tracked) -> None:

@@ -14,6 +14,8 @@ from support.planted_runs import PlantedRun, plant_in_run
 
 from semviz_core.base.localization import Localization
 from semviz_core.diagnosis import reference
+from semviz_core.diagnosis import run as run_module
+from semviz_core.diagnosis.checks import find_faults
 from semviz_core.diagnosis.fault import (
     UNKNOWN_ID,
     Fault,
@@ -210,6 +212,13 @@ def test_a_run_names_the_element_that_is_wrong_in_its_map(fault: FaultKind, blin
     assert len({frame for frame, _ in rays}) == diagnosis.elements[0].evidence[0].value
     seen = {int(run.frames[frame][1].element_id[row]) for frame, row in rays}
     assert seen & {*run.elements, *elements}
+
+
+def test_a_frame_that_reports_a_fault_twice_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several detections of one frame may each show the same element elsewhere."""
+    once = diagnosed_run(planted_run("moved in the map"))
+    monkeypatch.setattr(run_module, "find_faults", lambda case: 2 * find_faults(case))
+    assert diagnosed_run(planted_run("moved in the map")).elements == once.elements
 
 
 def test_a_run_in_which_nothing_is_wrong_names_nothing() -> None:

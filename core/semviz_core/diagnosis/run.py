@@ -184,8 +184,11 @@ def _recurring_faults(
     for row, (case, frame_faults) in enumerate(zip(cases, faults, strict=True)):
         kinds = MAP_KINDS if case.ids is not None else MAP_KINDS[2:]
         for fault in frame_faults:
-            if fault.kind in kinds:
-                reports[fault.kind, tuple(sorted(fault.elements))].append((row, fault))
+            if fault.kind not in kinds:
+                continue
+            reported = reports[fault.kind, tuple(sorted(fault.elements))]
+            if not reported or reported[-1][0] != row:  # several detections may report it
+                reported.append((row, fault))
     detected = _detection_counts(cases)
     return [
         _recurring_fault(kind, elements, reported)

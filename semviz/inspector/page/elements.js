@@ -14,11 +14,12 @@ import { memberOf, oneOf } from "./address.js";
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
 
-/** @typedef {{name: string, text: string, of: (row: ElementRow) => any, title: string, wide?: boolean}} Column */
+/** @typedef {{name: string, text: string, of: (row: ElementRow) => any, title: string, wide?: boolean, tracks?: boolean}} Column */
 
 /** @type {Column[]} */
 const COLUMNS = [
   { name: "name", text: "element", of: (row) => row.name, title: "Element" },
+  { name: "sure", text: "sure %", of: (row) => (row.log_odds === null ? null : -row.log_odds), title: "Probability that it exists, judged from its detections. The least sure first", tracks: true },
   { name: "view", text: "view", of: (row) => row.in_view, title: "Frames with the element in view", wide: true },
   { name: "seen", text: "seen", of: (row) => row.seen.length, title: "Frames that detect it" },
   { name: "used", text: "used", of: (row) => row.used.length, title: "Frames whose estimate uses it", wide: true },
@@ -111,6 +112,7 @@ export class ElementList {
   fill() {
     const { findings } = this;
     const progress = el("p", { class: "dim", text: `Diagnosing the run: ${this.progress}` });
+    byId("elements-page").classList.toggle("tracks", this.ofTracks());
     byId("run-diagnosis").replaceChildren(...(findings ? this.faults(findings) : [progress]));
     byId("element-classes").replaceChildren(...(findings ? this.chips(findings.rows) : []));
     byId("element-head").replaceChildren(...(findings ? this.head() : []));
@@ -168,9 +170,18 @@ export class ElementList {
     return [chip(null), ...present.map((kind) => chip(kind))];
   }
 
+  /** Whether elements were made from detections alone. */
+  ofTracks() {
+    return Boolean(this.findings?.rows.some((row) => row.log_odds !== null));
+  }
+
+  columns() {
+    return COLUMNS.filter((column) => !column.tracks || this.ofTracks());
+  }
+
   head() {
-    return COLUMNS.map(({ name, text, title, wide }) => el("button", {
-      class: wide ? "wide" : "", title: `${title}. Click to sort`, "aria-pressed": this.sort === name, text, onclick: () => this.show(name, this.className()) }));
+    return this.columns().map(({ name, text, title, wide }) => el("button", {
+      class: `${name} ${wide ? "wide" : ""}`, title: `${title}. Click to sort`, "aria-pressed": this.sort === name, text, onclick: () => this.show(name, this.className()) }));
   }
 
   /** Largest first, names alphabetically, rows without a value last.
@@ -187,7 +198,7 @@ export class ElementList {
 
   /** @param {ElementRow} row */
   row(row) {
-    const cells = COLUMNS.slice(1).map((column) => el("span", { class: column.wide ? "wide" : "", text: cellText(column, row) }));
+    const cells = this.columns().slice(1).map((column) => el("span", { class: `${column.name} ${column.wide ? "wide" : ""}`, text: cellText(column, row) }));
     return el("li", { class: "element row", title: rowTitle(row), data: { element: row.id }, onclick: () => this.choose(row) },
       this.name(row), ...cells);
   }
@@ -225,6 +236,7 @@ export class ElementList {
  * @param {ElementRow} row
  */
 function cellText({ name, of }, row) {
+  if (name === "sure") return row.existence.replace(" %", "") || "—";
   const value = of(row);
   if (name === "px") return value === null ? "—" : fixed(value, 1);
   if (name === "cost") return value === null ? "—" : `${value > 0 ? "+" : ""}${fixed(value, 2)}`.replace("-", "−");

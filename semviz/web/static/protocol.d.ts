@@ -1005,6 +1005,8 @@ export interface ElementRow {
   share: number | null;
   median_px: number | null;
   cost_m: number | null;
+  log_odds: number | null;
+  existence: string;
   position: number | null;
 }
 
