@@ -26,7 +26,12 @@ from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.proposals import Proposals, read_proposals, save_proposals
+from semviz_annotation.labels.proposals import (
+    Proposals,
+    load_proposals,
+    read_proposals,
+    save_proposals,
+)
 from semviz_annotation.labels.rows import review_decision
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildReport, build_map
@@ -117,8 +122,14 @@ def _arguments() -> argparse.Namespace:
 def _detections(workspace: Workspace, model: str | None, proposals: Path | None) -> Proposals:
     if proposals is not None:
         known = [frame.index for frame in workspace.source.frames]
-        found = read_proposals(proposals, workspace.classes, workspace.source.rig)
-        return Proposals.of([row for row in found.rows() if row.frame_index in known])
+        is_ours = proposals.suffix == ".parquet"  # with the images in which nothing was found
+        found = (
+            load_proposals(proposals, workspace.classes)
+            if is_ours
+            else read_proposals(proposals, workspace.classes, workspace.source.rig)
+        )
+        rows = [row for row in found.rows() if row.frame_index in known]
+        return Proposals.of(rows, found.processed)
     images = images_of(workspace, None, SIDES)
     return detect_images(workspace, load_detector(model), DetectOptions(model=model), images)
 
