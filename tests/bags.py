@@ -83,6 +83,7 @@ def put_camera(
     encoding: str | None = None,
     name: str = "image_raw",
     P: np.ndarray | None = None,
+    R: np.ndarray | None = None,
 ) -> None:
     """Write images, compressed as in their files, or raw in an ``encoding``, and camera_info."""
     models = {"brown-conrady": "plumb_bob", "fisheye": "equidistant", "pinhole": "plumb_bob"}
@@ -91,7 +92,7 @@ def put_camera(
     values = {
         "d": np.resize(camera.distortion, 5) * [1, 1, 1, 1, 0],
         "k": K.ravel(),
-        "r": np.eye(3).ravel(),
+        "r": (np.eye(3) if R is None else R).ravel(),
         "p": (np.column_stack([K, np.zeros(3)]) if P is None else P).ravel(),
     }
     if camera.model == "fisheye":

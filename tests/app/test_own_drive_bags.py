@@ -233,6 +233,41 @@ def test_rectified_images_of_a_bag_are_not_undistorted_again(
         assert np.allclose(K, P[:, :3]) == (name == "image_rect_color")
 
 
+def test_a_rectified_pair_of_a_bag_lies_as_its_projection_matrices_say(
+    tmp_path: Path, street: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """/tf_static is of the cameras as mounted; R turns these to the axes of rectified images."""
+    lens, T_right_left = LENSES["pinhole"], street.rig.T_right_left
+    assert T_right_left is not None
+    recording = record(tmp_path / "rectified", street, lens, range(2))
+    mounted = [so3_exp(np.deg2rad(turn)) for turn in ([0.5, 1.0, -0.4], [-0.3, -2.0, 0.8])]
+    places = [T_BASE_LEFT, T_BASE_LEFT @ T_right_left.inverse()]
+    path = tmp_path / "drive"
+    with bag(path, "MCAP") as (put, types):
+        for side, R, T in zip(("left", "right"), mounted, places, strict=True):
+            P = np.column_stack([lens.K, np.zeros(3)])
+            P[0, 3] = 0.0 if side == "left" else lens.K[0, 0] * T_right_left.translation[0]
+            images = stamped(tmp_path / "rectified" / side)
+            put_camera(put, types, f"/{side}", side, images, lens, None, "image_rect_color", P, R)
+            put_static(put, types, images[0][0], [("base_link", side, T @ Pose(R, np.zeros(3)))])
+        put_odometry(put, types, bodies(street), "base_link")
+    code, out, err = call(capsys, "new", tmp_path / "town", "--images", path, "--strict")
+    assert (code, err) == (0, "")
+    assert "rectified    not needed" in out
+    town = Workspace.open(tmp_path / "town")
+    found = town.source.rig.T_right_left
+    assert found is not None
+    np.testing.assert_allclose(found.as_matrix(), T_right_left.as_matrix(), atol=1e-9)
+    np.testing.assert_array_equal(
+        town.source.image(1, "right"), cv2.imread(str(stamped(recording.right)[1][1]))[:, :, ::-1]
+    )
+    for frame, wanted in zip(town.source.frames, street.frames[:2], strict=True):
+        assert frame.T_map_camera is not None
+        assert wanted.T_map_camera is not None
+        T = frame.T_map_camera.as_matrix()
+        np.testing.assert_allclose(T, wanted.T_map_camera.as_matrix(), atol=1e-6)
+
+
 def refusal(
     capsys: pytest.CaptureFixture[str], folder: Path, source: Path, *options: object
 ) -> str:

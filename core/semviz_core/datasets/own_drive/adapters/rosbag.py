@@ -10,7 +10,7 @@ extra, parses the messages as plain values.
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -247,7 +247,12 @@ class _Content:
 
     def _calibration(self, bag: Path) -> CalibrationFile:
         found = [self._camera(bag, topic) for topic in self.topics]
-        return found[0] if len(found) == 1 else stereo_calibration(*found)
+        if len(found) == 1:
+            return found[0]
+        left, right = found
+        if all(map(_has_rectified_images, self.topics)) and right.rectified[1]:
+            right = replace(right, T_body_left=None)  # P is what these images were made with
+        return stereo_calibration(left, right)
 
     def _camera(self, bag: Path, topic: str) -> CalibrationFile:
         info = _info_topic(topic)
@@ -256,11 +261,14 @@ class _Content:
                 f"{bag}: no {shown(info, 100)} for {shown(topic, 100)}; give --calibration FILE"
             )
         is_rectified = _has_rectified_images(topic)
-        values = _of_rectified(self.infos[info]) if is_rectified else self.infos[info]
-        read = camera_info(Path(f"{bag.name}:{info}"), values)
+        path = Path(f"{bag.name}:{info}")
+        recorded = camera_info(path, self.infos[info])
+        read = camera_info(path, _of_rectified(self.infos[info])) if is_rectified else recorded
         frame = self.images[topic].frame
         root = self.body or self.tree.root_of(frame)
-        T = self.tree.pose(root, frame)
+        T, R_rectified = self.tree.pose(root, frame), recorded.rectified[0]
+        if T is not None and is_rectified and R_rectified is not None:
+            T = T @ R_rectified.inverse()  # the frame is that of the camera as mounted
         what = f"of {shown(topic, 80)}{', rectified images' if is_rectified else ''}"
         return CalibrationFile(read.path, what, read.cameras, None, T, read.rectified)
 
