@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pytest
+from conftest import skip_or_fail
 
 from semviz_annotation.storage.backup import check_labels
 from semviz_annotation.storage.store import LabelStore
@@ -101,7 +101,7 @@ def recorded(path: Path) -> Iterator[Record]:
 def record(tmp_path: Path, synchronous: str) -> tuple[bytes, list[Record]]:
     """The label file before, and all that a writer then did."""
     if shutil.which("gcc") is None or not sys.platform.startswith("linux"):
-        pytest.skip("recording writes needs gcc on Linux")
+        skip_or_fail("recording writes needs gcc on Linux")
     library = tmp_path / "record.so"
     subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True)
     folder = tmp_path / "disk"

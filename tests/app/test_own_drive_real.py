@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call
+from conftest import skip_or_fail
 from pyarrow import feather
 
 from semviz.workspace.workspace import Workspace
@@ -28,7 +29,7 @@ def drives() -> Path:
     default = REPOSITORY.parent / "shared" / "data" / "drives"
     root = Path(os.environ.get("SEMVIZ_DRIVES", default))
     if not (root / "utbm_stereo").is_dir():
-        pytest.skip(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
+        skip_or_fail(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
     return root
 
 
