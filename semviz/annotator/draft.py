@@ -148,6 +148,16 @@ class ElementDraft:
     def mark(self) -> Mark:
         return Mark(self.anchor_px, self.end_px, self.anchor_known, self.end_known)
 
+    def moved_to(self, mark: Mark) -> "ElementDraft":
+        """Return the drawing at ``mark``; an end that either does not know stays unknown."""
+        return replace(
+            self,
+            anchor_px=mark.anchor_px,
+            end_px=mark.end_px,
+            anchor_known=self.anchor_known and mark.anchor_known,
+            end_known=self.end_known and mark.end_known,
+        )
+
 
 @dataclass(frozen=True, config=STRICT)
 class DraftState:

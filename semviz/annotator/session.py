@@ -396,19 +396,11 @@ class LabelSession:
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
         camera, _ = camera_of(self.rig, pane.side)
-        if not camera.contains(drawing.mark.ends_px).all():
+        if not camera.contains(drawing.mark.ends_px).any():
             return drawing  # there are no edges outside
         snapped = self._snap(pane, drawing.mark, drawing.class_id)
         mark = None if snapped is None else inside(snapped.mark, camera)
-        if mark is None:
-            return drawing
-        return replace(
-            drawing,
-            anchor_px=mark.anchor_px,
-            end_px=mark.end_px,
-            anchor_known=drawing.anchor_known and mark.anchor_known,
-            end_known=drawing.end_known and mark.end_known,
-        )
+        return drawing if mark is None else drawing.moved_to(mark)
 
     def _associate(
         self, frame_index: int, drawing: draft.ElementDraft, selected: SelectedElement | None

@@ -60,6 +60,8 @@ def test_marks_beside_the_image_or_far_from_it_are_no_error(session: LabelSessio
     for class_id, end in ((ROUNDED, None), (POLE, (5.0, 9e4))):
         beside = ElementDraft("left", class_id, (-3.0, 9e4), end, snap=True)
         assert session.preview(DraftState(0, drawing=beside)).snapped is None
+    half = ElementDraft("left", POLE, (300.0, 60.0), (5.0, 9e4), snap=True)
+    session.preview(DraftState(0, drawing=half))
     for far in (1e308, -1e6):
         with pytest.raises(ValidationError, match="100000"):
             ElementDraft("left", POLE, (5.0, 5.0), (far, 5.0))

@@ -155,6 +155,8 @@ def test_damage_that_the_check_finds_is_told_until_a_backup_is_restored(
         assert "damaged (operation 1: its hash is wrong" in page.inner_text("#label-file")
         restore_labels(path, tmp_path / "backup.db")
         page.wait_for_selector("#label-file", state="hidden")
+        wait_for(page, "#question", "a backup replaced the labels on which this edit was made")
+        page.keyboard.press("y")
         wait_for(page, "#saved", "Saved operation 2")
         page.wait_for_selector('#saved[title^="The label file was checked"]')
     assert check_labels(path).operations == 2

@@ -31,7 +31,8 @@ from semviz_core.common.limits import (
 
 WINDOW_STEPS = 200
 Count = Annotated[int, Field(ge=0, le=2**53)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = int | Annotated[float, Field(allow_inf_nan=False)]
+"""Whole numbers stay whole, so that a file that is read and written again stays the same."""
 Window = dict[str, tuple[Finite, Count]]
 """Sum and count of each value's finite occurrences."""
 
