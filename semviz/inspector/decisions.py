@@ -25,6 +25,7 @@ from semviz_annotation.storage.store import (
     ConflictError,
     EditBase,
     LabelStore,
+    LogEnd,
     ReplacedLogError,
 )
 from semviz_core.base.camera import Rig
@@ -42,8 +43,8 @@ class Decisions:
         self._run = run
         self._map = run.semantic_map
         self._workspace = workspace_of(run, path)
-        self._answered: dict[str, int] = {}
-        """Number of the operation that answered a decision here, by the decision's key."""
+        self._answered: dict[str, LogEnd] = {}
+        """The operation that answered a decision here, by the decision's key."""
 
     def view(self, with_findings: bool) -> views_run.DecisionsEvent:
         """Return all decisions and, on request, all findings (slower)."""
@@ -67,14 +68,18 @@ class Decisions:
             raise SemvizError("a finding has no answers; correct its labels in 'semviz annotate'")
         with self._open_labels() as store:
             edit = edit_of(decision, name, store.labels)
-            self._answered[key] = store.apply(edit, login_name(), base=base).number
+            answered = store.apply(edit, login_name(), base=base)
+        self._answered[key] = LogEnd(answered.number, answered.hash)
 
     def undo(self, key: str, base: EditBase | None = None) -> None:
         """Undo an answer that was given here."""
-        if key not in self._answered:
+        answered = self._answered.get(key)
+        if answered is None:
             raise SemvizError("this decision was not answered here; 'semviz annotate' can undo it")
         with self._open_labels() as store:
-            store.undo(login_name(), number=self._answered[key], base=base)
+            if not store.holds(answered):
+                raise ReplacedLogError
+            store.undo(login_name(), number=answered.number, base=base)
         del self._answered[key]
 
     def place(self, key: str) -> tuple[int | None, int | None]:
@@ -127,6 +132,8 @@ class Decisions:
             return self._labels(), EditBase(0)
         with self._open_labels() as store:
             labels, end = store.labels_and_end
+            answered = self._answered.items()  # a restored backup may hold other operations
+            self._answered = {key: made for key, made in answered if store.holds(made)}
             return labels, EditBase.at(end)
 
     def _open_labels(self) -> LabelStore:

@@ -111,6 +111,10 @@ class Origins:
         """The last operation on the labels; None if they are not found."""
         return None if self._store is None else self._store.end
 
+    def holds(self, end: LogEnd) -> bool:
+        """Whether ``end`` is an operation on these labels: not if a backup has replaced them."""
+        return self._store is not None and self._store.holds(end)
+
     @cached_property
     def _detections(self) -> dict[str, Proposal]:
         """The workspace's detections by id, if the map was built from detections."""

@@ -21,7 +21,7 @@ from semviz.workspace.workspace import Workspace, login_name
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.rows import review_decision
-from semviz_annotation.storage.store import ConflictError, EditBase, ReplacedLogError
+from semviz_annotation.storage.store import ConflictError, EditBase, LogEnd, ReplacedLogError
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError
 
@@ -69,8 +69,8 @@ class RunLabels:
         self._run = run
         self.origins = Origins(run, path)
         """The label elements behind the map's elements."""
-        self._done: list[int] = []
-        """Numbers of the operations that were made here and not undone."""
+        self._done: list[LogEnd] = []
+        """The operations that were made here and not undone."""
 
     @property
     def workspace(self) -> Workspace:
@@ -86,7 +86,7 @@ class RunLabels:
         if workspace is None or end is None:
             return LabelEdits("", 0, 0, None)
         edits = max(0, end.number - self._run.semantic_map.operation)
-        return LabelEdits(workspace.name, edits, len(self._done), EditBase.at(end))
+        return LabelEdits(workspace.name, edits, len(self._undoable), EditBase.at(end))
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
         """Return the label element behind a map element whose observation is nearest to ``frame``,
@@ -138,11 +138,17 @@ class RunLabels:
 
     def undo(self, base: EditBase | None = None) -> None:
         """Undo the last edit that was made here."""
-        if not self._done:
+        undoable = self._undoable
+        if not undoable:
             raise SemvizError("nothing was changed here; 'semviz annotate' can undo other edits")
         with self.workspace.open_labels() as store:
-            store.undo(login_name(), number=self._done[-1], base=base)
-        self._done.pop()
+            store.undo(login_name(), number=undoable[-1].number, base=base)
+        self._done.remove(undoable[-1])
+
+    @property
+    def _undoable(self) -> list[LogEnd]:
+        """The edits made here that are still in the log: a restored backup may hold others."""
+        return [end for end in self._done if self.origins.holds(end)]
 
     def _label_ids(self, element_ids: tuple[int, ...]) -> tuple[str, ...]:
         """Return the UUIDs of the label elements behind map elements."""
@@ -156,7 +162,8 @@ class RunLabels:
 
     def _apply(self, edit: AnyEdit, base: EditBase | None) -> None:
         with self.workspace.open_labels() as store:
-            self._done.append(store.apply(edit, login_name(), base=base).number)
+            done = store.apply(edit, login_name(), base=base)
+        self._done.append(LogEnd(done.number, done.hash))
 
 
 def unseen(error: ConflictError | ReplacedLogError) -> RefusedError:

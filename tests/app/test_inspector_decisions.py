@@ -21,7 +21,8 @@ from semviz.workspace.map_review import entry_key
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.rows import different_elements
 from semviz_annotation.mapping.decisions import is_open
-from semviz_annotation.storage.store import ConflictError
+from semviz_annotation.storage.backup import backup_labels, restore_labels
+from semviz_annotation.storage.store import ConflictError, ReplacedLogError
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 
@@ -106,6 +107,24 @@ def test_an_answer_never_overwrites_one_that_its_page_has_not_shown(workspace: W
     assert not workspace.read_labels().review_decisions
     mine.answer(key, "two", mine.view(with_findings=False).seen)
     assert len(workspace.read_labels().review_decisions) == 1
+
+
+def test_an_answer_in_replaced_labels_is_not_undone_in_a_restored_backup(
+    workspace: Workspace, tmp_path: Path
+) -> None:
+    """The backup's operation of the same number is another answer, of the same author."""
+    path, backup = workspace.run_path("search"), tmp_path / "backup.db"
+    begun = Workspace.open(shutil.copytree(workspace.path, tmp_path / "elsewhere"))
+    theirs, mine = decisions_of(begun.run_path("search")), decisions_of(path)
+    key = entries(mine)[0]["key"]
+    theirs.answer(key, "same")
+    backup_labels(begun.labels_path, backup)
+    mine.answer(key, "two")
+    restore_labels(workspace.labels_path, backup)
+    with pytest.raises(ReplacedLogError):
+        mine.undo(key)
+    assert not entries(mine)[0]["undo"]
+    assert workspace.read_labels().review_decisions == begun.read_labels().review_decisions
 
 
 def test_a_decision_leads_to_the_frame_that_sees_its_element(workspace: Workspace) -> None:

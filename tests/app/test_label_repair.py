@@ -38,6 +38,7 @@ from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_annotation.labels.edits import DecideElements, MoveObservation, RevokeDecision
 from semviz_annotation.labels.rows import review_decision
 from semviz_annotation.mapping.build import build_map
+from semviz_annotation.storage.backup import backup_labels, restore_labels
 from semviz_annotation.storage.store import EditBase, ReplacedLogError
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.common.errors import SemvizError
@@ -275,6 +276,23 @@ def test_an_edit_never_overwrites_what_its_page_has_not_shown(
     mending = RunLabels(load_run(path), path)
     with pytest.raises(ReplacedLogError):
         mending.merge((SLIPPED, 19), EditBase(1, hash="0" * 64))
+
+
+def test_an_edit_of_replaced_labels_is_not_undone_in_a_restored_backup(
+    workspace: Workspace, tmp_path: Path
+) -> None:
+    """The backup's operation of the same number is another edit, of the same author."""
+    path, backup = workspace.run_path("search"), tmp_path / "backup.db"
+    begun = Workspace.open(shutil.copytree(workspace.path, tmp_path / "elsewhere"))
+    mine, theirs = (RunLabels(load_run(run), run) for run in (path, begun.run_path("search")))
+    theirs.exclude(19)
+    backup_labels(begun.labels_path, backup)
+    mine.exclude(SLIPPED)
+    restore_labels(workspace.labels_path, backup)
+    assert mine.view()[:3] == ("town", 1, 0)
+    with pytest.raises(SemvizError, match="nothing was changed here"):
+        mine.undo(mine.view().seen)
+    assert len(workspace.read_labels().review_decisions) == 1
 
 
 @pytest.mark.browser
