@@ -233,6 +233,20 @@ def test_rectified_images_of_a_bag_are_not_undistorted_again(
         assert np.allclose(K, P[:, :3]) == (name == "image_rect_color")
 
 
+def test_a_node_of_rectified_images_alone_may_leave_the_rotation_at_zero(
+    tmp_path: Path, recording: Recording, street: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens, path, images = LENSES["brown"], tmp_path / "drive", stamped(recording.left)
+    with bag(path, "MCAP") as (put, types):
+        R = np.zeros((3, 3))
+        put_camera(put, types, "/front", "left", images, lens, None, "image_rect", R=R)
+        put_odometry(put, types, bodies(street), "base_link")
+        put_static(put, types, images[0][0], [("base_link", "left", T_BASE_LEFT)])
+    code, out, err = call(capsys, "new", tmp_path / "town", "--images", path)
+    assert (code, err) == (0, "")
+    assert ", rectified images, pinhole" in out
+
+
 def test_a_rectified_pair_of_a_bag_lies_as_its_projection_matrices_say(
     tmp_path: Path, street: Street, capsys: pytest.CaptureFixture[str]
 ) -> None:

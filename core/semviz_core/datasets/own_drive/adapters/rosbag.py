@@ -153,10 +153,13 @@ def _has_rectified_images(topic: str) -> bool:
 
 
 def _of_rectified(info: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the camera_info of the images that rectification made: P without lens or rotation."""
-    K, R = np.reshape(info["p"], (3, 4))[:, :3], np.eye(3)
-    lens = {"distortion_model": "plumb_bob", "d": []}
-    return {**info, **lens, "k": K.ravel().tolist(), "r": R.ravel().tolist()}
+    """Return the camera_info of the images that rectification made, by P alone: without a lens.
+
+    R leads to their axes; nodes that publish no other images may leave it at zero.
+    """
+    K = np.reshape(info["p"], (3, 4))[:, :3]
+    R = info["r"] if np.any(info["r"]) else np.eye(3).ravel().tolist()
+    return {**info, "distortion_model": "plumb_bob", "d": [], "k": K.ravel().tolist(), "r": R}
 
 
 @dataclass
@@ -262,13 +265,16 @@ class _Content:
             )
         is_rectified = _has_rectified_images(topic)
         path = Path(f"{bag.name}:{info}")
-        recorded = camera_info(path, self.infos[info])
-        read = camera_info(path, _of_rectified(self.infos[info])) if is_rectified else recorded
+        read = camera_info(
+            path, _of_rectified(self.infos[info]) if is_rectified else self.infos[info]
+        )
         frame = self.images[topic].frame
         root = self.body or self.tree.root_of(frame)
-        T, R_rectified = self.tree.pose(root, frame), recorded.rectified[0]
-        if T is not None and is_rectified and R_rectified is not None:
-            T = T @ R_rectified.inverse()  # the frame is that of the camera as mounted
+        T, (R_rectified, offset_m) = self.tree.pose(root, frame), read.rectified
+        if is_rectified and R_rectified is not None:
+            if T is not None:
+                T = T @ R_rectified.inverse()  # the frame is that of the camera as mounted
+            read = replace(read, rectified=(Pose.identity(), offset_m))
         what = f"of {shown(topic, 80)}{', rectified images' if is_rectified else ''}"
         return CalibrationFile(read.path, what, read.cameras, None, T, read.rectified)
 
