@@ -35,8 +35,8 @@ COMMIT_NATS, COMMIT_FRAMES, COMMIT_ELEMENTS, COMMIT_SHARE, COMMIT_SIGMA_M = 30.0
 detections, different elements paired, share of the observed elements paired, sigma of its
 position."""
 CONFIRMATIONS = 2
-"""Frames in a row that are localized at the hypothesis when searched alone: they replace the limits
-of frames, elements and share, which a map that lacks half of what a detector sees never meets."""
+"""So many frames localized at the hypothesis when searched alone, none elsewhere between, replace
+the limits of frames, elements and share: a map that lacks half of what is seen never meets them."""
 NEW_SIGMA = np.repeat([3.0, 0.1], 3)
 """Sigmas of a new hypothesis before its first frame: metres, radians."""
 GATE_SIGMA = np.repeat([0.3, float(np.deg2rad(0.5))], 3)
