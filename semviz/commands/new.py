@@ -133,7 +133,7 @@ class NewCommand:
 
     def _from_images(self, images: Path) -> int:
         """Make a workspace of an own drive; what was taken for granted is printed."""
-        from semviz.commands.own_drive import rectify_all, write_row_picture
+        from semviz.commands.own_drive import print_left_out, rectify_all, write_row_picture
 
         parent = self.folder.resolve().parent
         with tempfile.TemporaryDirectory(
@@ -141,6 +141,7 @@ class NewCommand:
         ) as folder:
             workspace, count = self._read_images(images, Path(folder) / "recorded")
         self._print_summary(workspace, count)
+        print_left_out(workspace)
         if workspace.source.rig.right is not None:
             write_row_picture(workspace)
         if self.rectify:

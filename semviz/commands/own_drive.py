@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.presentation.progress import track
-from semviz.workspace.drive_file import DriveFile, calibration_toml
+from semviz.workspace.drive_file import LEFT_OUT, DriveFile, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import angle_between
@@ -101,6 +101,13 @@ def write_row_picture(workspace: Workspace) -> None:
     with replacing(path) as temporary:
         temporary.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
     print_topic("picture", f"{path} rows and matches of frame {index}")
+
+
+def print_left_out(workspace: Workspace) -> None:
+    """Print the file that names what was left out, if anything was."""
+    path = workspace.path / LEFT_OUT
+    if path.is_file():
+        print_topic("left out", f"{path} which images, and why")
 
 
 def rectify_all(workspace: Workspace) -> None:

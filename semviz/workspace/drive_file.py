@@ -2,10 +2,14 @@
 
 The recorded cameras, the time and pose of each image, and what was taken for granted. Images are
 named; they stay where they are. Opening a workspace needs none of the imported files again.
+A table beside it, ``left-out.csv``, has a line for each image that is not in the workspace, and
+for each frame without a pose.
 """
 
+import csv
 import re
 import zlib
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,15 +23,17 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited
+from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 if TYPE_CHECKING:
+    from semviz_core.datasets.own_drive.image_files import LeftOutImage
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 DRIVE_FILE = "drive.json"
+LEFT_OUT = "left-out.csv"
 RECTIFIED = "rectified"
 """Folder of rectified images; it can be deleted at any time."""
 RECORDED = Path("recorded")
@@ -35,6 +41,10 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
+_FORMULA = ("=", "+", "-", "@")
+"""Spreadsheets take a cell that begins with one of these for a formula."""
+_MOST_NAME = 1000
+"""File systems allow 255."""
 _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
 ImageName = Annotated[str, Field(pattern=rf"^[^/\\{_CONTROLS}]+$")]
 """Of a file in the folder of images, and nowhere else."""
@@ -200,6 +210,24 @@ def calibration_toml(rig: OriginalRig) -> str:
             "distortion": camera.distortion.tolist(),
         }
     return tomli_w.dumps(content)
+
+
+def write_left_out(path: Path, images: Sequence["LeftOutImage"]) -> None:
+    """Write the table, if there are images; the cell of a time that is not known is empty."""
+    if not images:
+        return
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["file", "side", "time_s", "reason"])
+        for image in images:
+            time_s = "" if image.time_s is None else image.time_s
+            writer.writerow([_as_text(image.file), image.side, time_s, image.reason])
+
+
+def _as_text(name: str) -> str:
+    """Return a name, behind an apostrophe if a spreadsheet would take it for a formula."""
+    name = shown(name, _MOST_NAME)
+    return f"'{name}" if name.startswith(_FORMULA) else name
 
 
 def _numbers(pose: Pose | None) -> tuple[float, ...] | None:

@@ -2,6 +2,7 @@
 
     semviz.toml          settings: where the images come from
     drive.json           cameras, images and poses of an own drive; see ``drive_file``
+    left-out.csv         images that its import left out, if any; see ``drive_file``
     recorded/            images of a bag as recorded
     rectified/           images of an own drive without distortion, made when needed
     checks/rows.png      rows and matches of a stereo pair, from the import
@@ -21,7 +22,7 @@ import getpass
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +30,15 @@ from typing import TYPE_CHECKING, Literal
 
 import tomli_w
 
-from semviz.workspace.drive_file import DRIVE_FILE, RECORDED, RECTIFIED, DriveFile, open_drive
+from semviz.workspace.drive_file import (
+    DRIVE_FILE,
+    LEFT_OUT,
+    RECORDED,
+    RECTIFIED,
+    DriveFile,
+    open_drive,
+    write_left_out,
+)
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
@@ -55,6 +64,7 @@ from semviz_core.datasets.validation import Calibration
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
     from semviz_annotation.storage.store import LabelStore
+    from semviz_core.datasets.own_drive.image_files import LeftOutImage
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
@@ -144,7 +154,7 @@ class Workspace:
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
             dataset = content.dataset(drive.left_folder, drive.right_folder, Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
-        workspace = cls._create(path, settings, dataset.rig, content)
+        workspace = cls._create(path, settings, dataset.rig, content, drive.left_out)
         if extracted is not None and extracted.is_dir():
             shutil.move(extracted, path / RECORDED)
         return workspace
@@ -183,7 +193,12 @@ class Workspace:
 
     @classmethod
     def _create(
-        cls, path: Path, settings: Settings, rig: Rig, drive: DriveFile | None = None
+        cls,
+        path: Path,
+        settings: Settings,
+        rig: Rig,
+        drive: DriveFile | None = None,
+        left_out: Sequence["LeftOutImage"] = (),
     ) -> "Workspace":
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
@@ -196,6 +211,7 @@ class Workspace:
             ) from None
         if drive is not None:
             drive.save(path / DRIVE_FILE)
+        write_left_out(path / LEFT_OUT, left_out)
         with replacing(path / SETTINGS) as temporary:  # last: a folder without is no workspace
             temporary.write_bytes(content)
         (path / "maps").mkdir(exist_ok=True)

@@ -14,6 +14,7 @@ from recorded_streets import LENSES, PINHOLE, Recording, record
 from streets import street
 
 from semviz.cli import main
+from semviz.workspace.outputs import check_outputs
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.labels import new_id
@@ -259,6 +260,7 @@ def test_a_drive_without_poses_can_be_labelled_and_says_what_it_lacks(
     out = semviz("new", town, "--images", small / "cam", "--calibration", small / "cam.toml")
     assert "none: images can be labelled, but no map built" in out
     assert "6 frames, 0 with a pose, 0.0 m, 1 camera, 0 warnings" in out
+    assert not (town / "left-out.csv").exists()
     workspace = Workspace.open(town)
     with workspace.open_labels() as store:
         added = AddObservation(
@@ -295,6 +297,39 @@ def test_strict_makes_nothing_where_images_lack_poses(
         "warning: 1 of 6 images have no pose: they can be labelled, and are left out of maps\n"
     )
     assert "6 frames, 5 with a pose" in out
+    assert "left-out.csv which images, and why" in out
+    _, row = (small / "town" / "left-out.csv").read_text().splitlines()
+    assert row.startswith('image_5.jpg,left,10.5,"no pose, taken 0.100 s after the last pose: ')
+
+
+def test_images_that_are_left_out_are_listed_as_text_for_spreadsheets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for side, last in (("left", "=1+2, x.png"), ("right", "c.png")):
+        (tmp_path / side).mkdir()
+        for name in ("a.png", "b.png", last):
+            assert cv2.imwrite(str(tmp_path / side / name), np.zeros((48, 64, 3), np.uint8))
+    camera = 'size_px = [64, 48]\nmodel = "pinhole"\nfocal_px = [60, 60]\ncenter_px = [32, 24]\n'
+    (tmp_path / "cam.toml").write_text(
+        "T_right_left = [[1, 0, 0, -0.5], [0, 1, 0, 0], [0, 0, 1, 0]]\n"
+        f"[left]\n{camera}[right]\n{camera}"
+    )
+    code, out, err = call(
+        capsys, "new", tmp_path / "town", "--images", tmp_path / "left",
+        "--right", tmp_path / "right", "--calibration", tmp_path / "cam.toml",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "warning: 2 images have none on the other side: left out" in err
+    path = tmp_path / "town" / "left-out.csv"
+    assert f"  left out     {path} which images, and why\n" in out
+    reason = "no match by name in the other camera"
+    assert path.read_text().splitlines() == [
+        "file,side,time_s,reason",
+        f'"\'=1+2, x.png",left,,{reason}',
+        f"c.png,right,,{reason}",
+    ]
+    with pytest.raises(SemvizError, match="left-out"):
+        check_outputs(path, lambda head: True, force=True)
 
 
 def test_poses_of_another_drive_are_refused_by_their_count(

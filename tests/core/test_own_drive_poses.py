@@ -28,9 +28,9 @@ from drive_formats import (
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.image_files import list_images
+from semviz_core.datasets.own_drive.image_files import LeftOutImage, list_images
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
-from semviz_core.datasets.own_drive.time_matching import poses_at_times
+from semviz_core.datasets.own_drive.time_matching import poses_at_times, why_without_pose
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 
@@ -148,6 +148,38 @@ def test_frames_without_a_pose_are_kept_and_counted(drive: DriveFiles, tmp_path:
     read = read_drive(replace(drive, poses=path))
     assert [frame.T_map_camera is None for frame in read.frames] == [False] * 5 + [True] * 3
     assert "3 of 8 images have no pose" in read.warnings[0]
+    assert [(image.file, image.side) for image in read.left_out] == [
+        (f"{stamp}.png", "left") for stamp in stamps()[5:]
+    ]
+    first = read.left_out[0]
+    assert first.time_s == read.frames[5].time_s
+    assert first.reason == (
+        "no pose, taken 0.100 s after the last pose: kept for labels, left out of maps and runs"
+    )
+    early = read_drive(replace(drive, poses=path, frames=range(7)))
+    assert early.left_out == read.left_out[:2]
+
+
+def test_the_reason_for_no_pose_tells_a_gap_from_an_end() -> None:
+    times_s = np.array([0.0, 0.1, 1.0])
+    assert why_without_pose(times_s, -1.0, 0.25) == "taken 1.000 s before the first pose"
+    assert why_without_pose(times_s, 1.1, 0.25) == "taken 0.100 s after the last pose"
+    between = "taken between poses 0.900 s apart, --most-gap is 0.25 s"
+    assert why_without_pose(times_s, 0.5, 0.25) == between
+
+
+@pytest.mark.parametrize("name", ["COLMAP", "nerfstudio"])
+def test_a_frame_that_poses_do_not_name_is_listed(
+    drive: DriveFiles, tmp_path: Path, name: str
+) -> None:
+    poses = POSES[name](tmp_path)
+    more = drive.images / "1700000009000000000.png"
+    more.write_bytes((drive.images / f"{stamps()[0]}.png").read_bytes())
+    read = read_drive(replace(drive, poses=poses, metric=True))
+    (image,) = read.left_out
+    assert image == LeftOutImage(
+        more.name, "left", 1700000009.0, "no pose: kept for labels, left out of maps and runs"
+    )
 
 
 def test_a_drive_without_poses_is_for_labels_only(drive: DriveFiles) -> None:
@@ -284,7 +316,7 @@ def test_cameras_in_one_folder_are_told_apart_by_a_pattern(tmp_path: Path) -> No
     names = list_images(tmp_path / "*_left.png", tmp_path / "*_right.png")
     assert names.left == ("9_left.png", "10_left.png")
     assert names.right == ("9_right.png", "10_right.png")
-    assert names.unpaired == 1
+    assert [(image.file, image.side) for image in names.unpaired] == [("11_right.png", "right")]
     with pytest.raises(SemvizError, match="give one star"):
         list_images(tmp_path / "*_*.png", None)
 

@@ -55,6 +55,7 @@ def test_layouts_give_the_poses_that_were_written(tmp_path: Path, name: str) -> 
     read = read_drive(layout.write(tmp_path / "drive"))
     assert len(read.frames) == layout.frames
     assert len(read.warnings) == layout.warnings, read.warnings
+    assert len(read.left_out) == layout.warnings  # each of one image
     posed = [frame for frame in read.frames if frame.T_map_camera is not None]
     assert len(posed) == layout.posed
     check_poses(only(read, [frame.index for frame in posed], missing=name == "KITTI raw"))
@@ -72,6 +73,29 @@ def only(read: RecordedDrive, indices: list[int], missing: bool) -> RecordedDriv
     if missing:
         frames = [replace(f, index=f.index + (f.index >= 2)) for f in frames]
     return replace(read, frames=tuple(frames))
+
+
+def test_a_missing_image_and_the_one_that_it_leaves_alone_are_listed(tmp_path: Path) -> None:
+    files = nuscenes(tmp_path)
+    gone = sorted((tmp_path / "samples" / "CAM_FRONT_LEFT").iterdir())[2]
+    gone.unlink()
+    read = read_drive(files)
+    assert [text.partition(" ")[0] for text in read.warnings] == ["1", "1"]
+    alone, missing = read.left_out
+    assert (alone.side, alone.file) == ("right", gone.name.replace("CAM_FRONT_LEFT", "CAM_FRONT"))
+    assert alone.reason == "no match in the other camera within 2 ms"
+    assert (missing.side, missing.file) == ("left", gone.name)
+    assert missing.reason == "listed by the recording, but there is no such file"
+    assert missing.time_s == alone.time_s == float(gone.stem.rpartition("_")[2]) * 1e-6
+
+
+def test_unpaired_images_named_by_their_time_are_listed_with_it(tmp_path: Path) -> None:
+    files = LAYOUTS["EuRoC"].write(tmp_path)
+    gone = sorted((tmp_path / "mav0" / "cam1" / "data").iterdir())[2]
+    gone.unlink()
+    (image,) = read_drive(files).left_out
+    assert (image.file, image.side) == (gone.name, "left")
+    assert image.time_s == pytest.approx(int(gone.stem) / 1e9)
 
 
 def test_far_origins_are_stated(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from semviz_core.base.frame import Side
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_IMAGE_BYTES, check_image_size, read_limited, shown
@@ -26,15 +27,28 @@ _TIME_DIGITS = 10
 
 
 @dataclass(frozen=True)
+class LeftOutImage:
+    """An image that is left out of a workspace, or of its maps and runs."""
+
+    file: str
+    """Its name, in the folder of its side."""
+    side: Side
+    time_s: float | None
+    """None: not known."""
+    reason: str
+    """For people."""
+
+
+@dataclass(frozen=True)
 class ImageNames:
     """Images of one or two folders; those of one row belong to one frame."""
 
     left: tuple[str, ...]
     right: tuple[str, ...] = ()
     """As many as ``left``, or none."""
-    unpaired: int = 0
-    """Images without one on the other side; they are left out."""
-    missing: int = 0
+    unpaired: tuple[LeftOutImage, ...] = ()
+    """Images without one on the other side."""
+    missing: tuple[LeftOutImage, ...] = ()
     """Images that a recording lists and that are not there."""
     paired: Literal["by name", "in order", "by time"] = "by name"
     """How pairs were made; in order if no names agree, but their count."""
@@ -58,7 +72,8 @@ def list_images(left: Path, right: Path | None) -> ImageNames:
         return ImageNames(tuple(names))
     if right.resolve() == left.resolve():
         raise SemvizError(f"{right}: given for --images and --right; name the right camera's one")
-    others = {_varying(name, right): name for name in _names(right)}
+    right_names = _names(right)
+    others = {_varying(name, right): name for name in right_names}
     keys = [(_varying(name, left), name) for name in names]
     pairs = [(name, others[key]) for key, name in keys if key in others]
     if not pairs and len(names) == len(others):
@@ -69,8 +84,28 @@ def list_images(left: Path, right: Path | None) -> ImageNames:
             f"{left}; rename them, or leave out --right"
         )
     paired_left, paired_right = zip(*pairs, strict=True)
-    unpaired = len(names) + len(others) - 2 * len(pairs)
-    return ImageNames(tuple(paired_left), tuple(paired_right), unpaired)
+    reason = "no match by name in the other camera"
+    unpaired = (
+        *_unpaired("left", names, paired_left, reason),
+        *_unpaired("right", right_names, paired_right, reason),
+    )
+    return ImageNames(paired_left, paired_right, unpaired)
+
+
+def _unpaired(
+    side: Side,
+    names: Sequence[str],
+    paired: Iterable[str],
+    reason: str,
+    time_s: Sequence[float] | None = None,
+) -> list[LeftOutImage]:
+    used = set(paired)
+    times: Sequence[float | None] = [None] * len(names) if time_s is None else time_s
+    return [
+        LeftOutImage(name, side, moment, reason)
+        for name, moment in zip(names, times, strict=True)
+        if name not in used
+    ]
 
 
 def _varying(name: str, path: Path) -> str:
@@ -85,7 +120,7 @@ def pairs_by_time(
     left_s: FloatArray,
     right: Sequence[str],
     right_s: FloatArray,
-    missing: int = 0,
+    missing: Sequence[LeftOutImage] = (),
     most_apart_s: float = MOST_PAIR_S,
 ) -> tuple[ImageNames, list[int]]:
     """Pair images that were taken within ``most_apart_s``, each once; both are in order of time.
@@ -103,13 +138,14 @@ def pairs_by_time(
             f"no images of both cameras within {most_apart_s * 1e3:g} ms of each other: no stereo "
             "pair; choose one camera"
         )
-    names = ImageNames(
-        tuple(left[row] for row, _ in pairs),
-        tuple(right[row] for _, row in pairs),
-        unpaired=len(left) + len(right) - 2 * len(pairs),
-        missing=missing,
-        paired="by time",
+    paired_left = tuple(left[row] for row, _ in pairs)
+    paired_right = tuple(right[row] for _, row in pairs)
+    reason = f"no match in the other camera within {most_apart_s * 1e3:g} ms"
+    unpaired = (
+        *_unpaired("left", left, paired_left, reason, left_s.tolist()),
+        *_unpaired("right", right, paired_right, reason, right_s.tolist()),
     )
+    names = ImageNames(paired_left, paired_right, unpaired, tuple(missing), "by time")
     return names, [row for row, _ in pairs]
 
 

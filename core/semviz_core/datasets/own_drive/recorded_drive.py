@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
+    LeftOutImage,
     read_times,
     times_from_names,
 )
@@ -32,7 +33,7 @@ from semviz_core.datasets.own_drive.recorded_cameras import read_cameras, rows_o
 from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.recording import Recording
 from semviz_core.datasets.own_drive.rectification import RectifiedRig, rectify_rig
-from semviz_core.datasets.own_drive.time_matching import poses_at_times
+from semviz_core.datasets.own_drive.time_matching import poses_at_times, why_without_pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,8 @@ class RecordedDrive:
     """None without poses."""
     most_view_deg: float
     """As asked for."""
+    left_out: tuple[LeftOutImage, ...]
+    """Of the workspace, or of its maps and runs; frames without a pose by their left image."""
 
 
 @dataclass
@@ -97,6 +100,10 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
     rows = [(index, int(order[index])) for index in chosen if index < len(order)]
     if not rows:
         raise SemvizError(f"--frames: the drive has frames 0 to {len(order) - 1}, none of these")
+    left_out = _not_imported(files, recording, times)
+    if posed is not None:
+        lacking = [row for _, row in rows if poses[row] is None]
+        left_out += _without_pose(files, posed.poses, names, times, lacking)
     return RecordedDrive(
         recording.images,
         recording.right,
@@ -109,7 +116,39 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         tuple(reading.warnings),
         axes,
         files.most_view_deg,
+        tuple(left_out),
     )
+
+
+def _not_imported(files: DriveFiles, recording: Recording, times: ImageTimes) -> list[LeftOutImage]:
+    """Return the images that are not in the workspace, with the times that their names are."""
+    images = [*recording.names.unpaired, *recording.names.missing]
+    if files.times is not None or recording.times is not None or times.unit is None:
+        return images  # times are not those of names
+    found = [times_from_names([image.file], times.unit) for image in images]
+    return [
+        image if own is None else replace(image, time_s=float(own.time_s[0]))
+        for image, own in zip(images, found, strict=True)
+    ]
+
+
+def _without_pose(
+    files: DriveFiles,
+    recorded: RecordedPoses,
+    names: ImageNames,
+    times: ImageTimes,
+    rows: Sequence[int],
+) -> list[LeftOutImage]:
+    """Return the images of ``rows``, which have no pose, each with what is known of why."""
+    images = []
+    for row in rows:
+        moment_s = float(times.time_s[row])
+        reason = "no pose"
+        if recorded.time_s is not None and recorded.names is None:
+            reason += f", {why_without_pose(recorded.time_s, moment_s, files.most_gap_s)}"
+        reason += ": kept for labels, left out of maps and runs"
+        images.append(LeftOutImage(names.left[row], "left", moment_s, reason))
+    return images
 
 
 def _state_images(reading: _Reading, recording: Recording) -> None:
@@ -118,9 +157,11 @@ def _state_images(reading: _Reading, recording: Recording) -> None:
     if names.right:
         text = f"{len(names.left)} pairs, {names.paired}"
     if names.unpaired:
-        reading.warnings.append(f"{names.unpaired} images have none on the other side: left out")
+        count = len(names.unpaired)
+        reading.warnings.append(f"{count} images have none on the other side: left out")
     if names.missing:
-        reading.warnings.append(f"{names.missing} images of the recording are missing: left out")
+        count = len(names.missing)
+        reading.warnings.append(f"{count} images of the recording are missing: left out")
     reading.state("images", text)
 
 

@@ -47,6 +47,18 @@ def poses_at_times(
     return found
 
 
+def why_without_pose(pose_time_s: FloatArray, moment_s: float, most_gap_s: float) -> str:
+    """Say why ``poses_at_times`` gives no pose at a time, for people."""
+    first_s, last_s = float(pose_time_s[0]), float(pose_time_s[-1])
+    if moment_s < first_s:
+        return f"taken {first_s - moment_s:.3f} s before the first pose"
+    if moment_s > last_s:
+        return f"taken {moment_s - last_s:.3f} s after the last pose"
+    after = int(np.searchsorted(pose_time_s, moment_s))
+    gap_s = float(pose_time_s[after] - pose_time_s[after - 1])
+    return f"taken between poses {gap_s:.3f} s apart, --most-gap is {most_gap_s:g} s"
+
+
 def rows_of_names(images: Sequence[Path], names: Sequence[str]) -> list[int | None]:
     """Return the row of ``names`` that each image has, by as much of its path as is unique.
 

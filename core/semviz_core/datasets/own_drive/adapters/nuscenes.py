@@ -10,13 +10,19 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line, parsed_json, read_limited, shown
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.image_files import ImageNames, ImageTimes, pairs_by_time
+from semviz_core.datasets.own_drive.image_files import (
+    ImageNames,
+    ImageTimes,
+    LeftOutImage,
+    pairs_by_time,
+)
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
 from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
@@ -111,7 +117,7 @@ class _Side:
         found = [(row, path.name) for row, path in ordered if (self.images / path.name).is_file()]
         if not found:
             raise SemvizError(f"{shown(self.images)}: none of its {len(rows)} images is there")
-        self.missing = len(rows) - len(found)
+        self._listed = [(path.name, float(row["timestamp"]) * 1e-6) for row, path in ordered]
         self.rows = [row for row, _ in found]
         self.names = [name for _, name in found]
         times_s = [float(row["timestamp"]) * 1e-6 for row in self.rows]
@@ -125,14 +131,26 @@ class _Side:
         R = rotations_of(np.array([sensor["rotation"]], dtype=np.float64), "wxyz", path)[0]
         self.T_ego_camera = Pose(R, float_array(sensor["translation"], (3,), str(path)))
 
+    def missing(self, side: Side) -> list[LeftOutImage]:
+        """Return the images that are listed, and not there."""
+        found = set(self.names)
+        reason = "listed by the recording, but there is no such file"
+        return [
+            LeftOutImage(name, side, time_s, reason)
+            for name, time_s in self._listed
+            if name not in found
+        ]
+
 
 def _paired(sides: Sequence[_Side]) -> tuple[ImageNames, list[int]]:
     """Return the names of one camera's images, or of pairs, and their rows on the left."""
     left = sides[0]
-    missing = sum(side.missing for side in sides)
+    missing = left.missing("left")
     if len(sides) == 1:
-        return ImageNames(tuple(left.names), missing=missing), list(range(len(left.names)))
-    return pairs_by_time(left.names, left.time_s, sides[1].names, sides[1].time_s, missing=missing)
+        return ImageNames(tuple(left.names), missing=tuple(missing)), list(range(len(left.names)))
+    right = sides[1]
+    missing += right.missing("right")
+    return pairs_by_time(left.names, left.time_s, right.names, right.time_s, missing)
 
 
 def _camera(folder: Path, name: str, sensor: _Row, row: _Row) -> OriginalCamera:
