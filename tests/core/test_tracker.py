@@ -184,6 +184,20 @@ def test_a_map_of_half_of_what_is_seen_is_found_by_frames_that_are_sure_alone(
     assert "explains only" in alone[-1].reason
 
 
+def test_frames_at_a_standstill_confirm_only_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is wrong and sure is so again in the next image of the same place."""
+    world = street(8, spacing_m=1.25)
+    half = mapped(world[np.arange(len(world)) % 2 == 0], 8)
+    steps = drive(world, np.linspace(22.0, 22.3, 8), sigma_px=0.3)
+
+    standing = tracked(Tracker(CAMERA, half, DETECTOR), steps)
+    monkeypatch.setattr(tracker_module, "CONFIRMED_APART_M", 0.0)
+    counted_each = tracked(Tracker(CAMERA, half, DETECTOR), steps)
+
+    assert {track.status for track in standing} == {"starting"}
+    assert "ok" in {track.status for track in counted_each}
+
+
 def test_an_element_missed_in_one_image_is_paired_again_when_it_returns() -> None:
     world = street(1)
     steps = drive(world, np.arange(20.0, 40.0, STEP_M))

@@ -37,6 +37,8 @@ position."""
 CONFIRMATIONS = 2
 """So many frames localized at the hypothesis when searched alone, none elsewhere between, replace
 the limits of frames, elements and share: a map that lacks half of what is seen never meets them."""
+CONFIRMED_APART_M = 0.5
+"""A frame that is less far from the last confirmation sees the same again, and confirms nothing."""
 NEW_SIGMA = np.repeat([3.0, 0.1], 3)
 """Sigmas of a new hypothesis before its first frame: metres, radians."""
 GATE_SIGMA = np.repeat([0.3, float(np.deg2rad(0.5))], 3)
@@ -52,6 +54,8 @@ class TrackHypothesis:
     """Log-likelihood of the newest fix; earlier fixes share its error and add nothing."""
     confirmations: int = 0
     """Frames whose own localization was ``ok`` at this pose, since the last that was elsewhere."""
+    moved_m: float = np.inf
+    """Way driven since the last confirmation."""
 
     @property
     def log_likelihood(self) -> float:
@@ -162,15 +166,19 @@ def _propagated(
 ) -> TrackHypothesis:
     belief, association = predict_and_update(hypothesis.belief, odometry, frame)
     associations = (*hypothesis.associations, association)[-WINDOW:]
-    return TrackHypothesis(belief, associations, confirmations=hypothesis.confirmations)
+    moved_m = hypothesis.moved_m + float(np.linalg.norm(odometry.T_now_before.translation))
+    return replace(hypothesis, belief=belief, associations=associations, moved_m=moved_m)
 
 
 def _confirmed(hypothesis: TrackHypothesis, single: Localization) -> TrackHypothesis:
     """Return the hypothesis after the newest frame was localized alone."""
     if single.status != "ok" or single.T_camera_map is None:
         return hypothesis
-    agrees = is_same_pose(hypothesis.belief.T_camera_map, single.T_camera_map)
-    return replace(hypothesis, confirmations=hypothesis.confirmations + 1 if agrees else 0)
+    if not is_same_pose(hypothesis.belief.T_camera_map, single.T_camera_map):
+        return replace(hypothesis, confirmations=0, moved_m=np.inf)
+    if hypothesis.moved_m < CONFIRMED_APART_M:
+        return hypothesis
+    return replace(hypothesis, confirmations=hypothesis.confirmations + 1, moved_m=0.0)
 
 
 def _unsupported(best: TrackHypothesis) -> str:
