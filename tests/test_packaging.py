@@ -143,7 +143,6 @@ def test_without_extras_all_is_imported_but_what_trains_networks(
         "semviz_core.research.",
         "semviz_core.detection.network",
         "semviz.research.training_run",
-        "semviz.research.training_run",
     )
     assert all(module.startswith(networks) for module in modules)
     paper = "semviz_core.research.paper"
