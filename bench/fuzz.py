@@ -2,7 +2,7 @@
 
     pip install '.[fuzz]'
     python bench/fuzz.py --minutes 10                 # every reader
-    python bench/fuzz.py cvat run-values --minutes 1
+    python bench/fuzz.py cvat run-values --minutes 1 --grown grown     # again: goes on
 
 Inputs grow from ``bench/corpus``, guided by coverage (atheris, libFuzzer): half of them by changes
 that leave them JSON or XML, half by changes of bytes. Without atheris, the corpus is changed
@@ -66,6 +66,8 @@ class Options:
     minutes: float = 10.0
     """For each reader."""
     seed: int = 1
+    grown: Path | None = None
+    """A folder that keeps the inputs that reached new code; a later call goes on from them."""
     alone: bool = False
     """Fuzz one reader in this process."""
 
@@ -76,7 +78,7 @@ def main(options: Options) -> int:
         print(f"no reader {unknown[0]!r}; there are {', '.join(NAMES)}", file=sys.stderr)
         return 2
     if options.alone:
-        return fuzz(options.readers[0], 60.0 * options.minutes, options.seed)
+        return fuzz(options.readers[0], 60.0 * options.minutes, options.seed, options.grown)
     if find_spec("atheris") is None:
         print("atheris is not installed: the corpus is changed without guidance by coverage")
     results = [_in_process(name, options) for name in options.readers or NAMES]
@@ -86,6 +88,8 @@ def main(options: Options) -> int:
 def _in_process(name: str, options: Options) -> int:
     """Fuzz one reader in a process of its own; print a line of a table."""
     command = [sys.executable, __file__, name, "--alone"]
+    if options.grown is not None:
+        command += ["--grown", str(options.grown)]
     done = subprocess.run(
         [*command, "--minutes", str(options.minutes), "--seed", str(options.seed)],
         capture_output=True,
@@ -102,11 +106,11 @@ def _in_process(name: str, options: Options) -> int:
     return done.returncode
 
 
-def fuzz(name: str, seconds: float, seed: int) -> int:
+def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int:
     """Fuzz one reader in this process, for so long. atheris ends the process."""
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
-        corpus = _corpus(name, folder)
+        corpus = _corpus(name, folder / "corpus" if grown is None else grown / name)
         if find_spec("atheris") is None:
             return _without_guidance(corpus, _attack(name, folder), seconds, seed)
         import atheris
@@ -144,10 +148,9 @@ def _compiled_modules() -> list[str]:
     ]
 
 
-def _corpus(name: str, folder: Path) -> Path:
-    """Return a folder with the seeds of a reader, which may be added to."""
-    corpus = folder / "corpus"
-    corpus.mkdir()
+def _corpus(name: str, corpus: Path) -> Path:
+    """Return the folder with the seeds of a reader, which may be added to."""
+    corpus.mkdir(parents=True, exist_ok=True)
     for path in (Path(__file__).parent / "corpus" / name).glob("*"):
         (corpus / path.name).write_bytes(path.read_bytes())
     if name == "run":
