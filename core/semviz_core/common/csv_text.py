@@ -9,8 +9,11 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def csv_text(rows: Iterable[Sequence[object]], line_end: str = "\n") -> str:
-    """Return rows as CSV. Names come from files of others: a text that a spreadsheet would take
-    for a formula stands behind an apostrophe. None is an empty cell; floats are exact, as in ``repr``."""
+    """Return rows as CSV: None as an empty cell, floats exactly, as ``repr`` writes them.
+
+    Names come from files of others: a text that a spreadsheet would take for a formula stands
+    behind an apostrophe.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator=line_end)  # noqa: TID251
     writer.writerows([_guarded(cell) for cell in row] for row in rows)
