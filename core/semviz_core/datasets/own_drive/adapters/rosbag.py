@@ -104,8 +104,12 @@ def _opened(path: Path) -> Iterator["AnyReader"]:
             yield reader
     except UnpackingError as error:
         raise SemvizError(f"{path}: {error}; record or copy it again") from None
-    except (SemvizError, OSError):
+    except SemvizError:
         raise
+    except OSError as error:
+        if error.strerror:  # of the system, which names the file
+            raise
+        raise SemvizError(f"{path}: not a whole bag ({first_line(error)})") from None
     except Exception as error:  # rosbags raises what its parsers raise: KeyError, struct.error, ...
         raise SemvizError(
             f"{path}: a damaged bag ({first_line(repr(error))}); record or copy it again"
