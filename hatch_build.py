@@ -55,9 +55,7 @@ class SbomHook(BuildHookInterface):
                 }
             },
             "components": [*weights, *libraries],
-            "dependencies": [
-                {"ref": product, "dependsOn": [each["bom-ref"] for each in libraries]}
-            ],
+            "dependencies": [needs],
         }
 
 
