@@ -49,6 +49,7 @@ from semviz.workspace.settings import (
     StreetSettings,
     new_settings,
     read_settings,
+    settings_text,
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
@@ -204,7 +205,7 @@ class Workspace:
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
         try:
-            content = tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
+            content = settings_text(settings).encode()
         except UnicodeEncodeError:
             raise SemvizError(
                 f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
