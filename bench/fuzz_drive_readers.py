@@ -21,9 +21,9 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.conventions import read_extrinsic
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 SMALL_K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])

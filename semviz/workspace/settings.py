@@ -15,7 +15,13 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import MOST_SETTINGS_BYTES, first_line, read_limited, read_toml
+from semviz_core.common.limits import (
+    MOST_SETTINGS_BYTES,
+    first_line,
+    read_limited,
+    read_toml,
+    shown,
+)
 from semviz_core.datasets.validation import Calibration
 from semviz_core.simulation.objects import SectionKind
 
@@ -121,11 +127,20 @@ def read_settings(path: Path) -> Settings:
     return settings
 
 
-def settings_text(settings: Settings) -> str:
-    """Return the content of ``semviz.toml``."""
+def settings_content(settings: Settings, path: Path) -> bytes:
+    """Return the content of ``semviz.toml`` of the workspace ``path``.
+
+    Raise SemvizError for names that are no text.
+    """
     checksum = _checksum(settings)
     note = f"# Checksum {checksum} of name and [source]: if you edit them, delete this line."
-    return f"{note}\n{tomli_w.dumps(settings.model_dump(exclude_none=True))}"
+    text = f"{note}\n{tomli_w.dumps(settings.model_dump(exclude_none=True))}"
+    try:
+        return text.encode()
+    except UnicodeEncodeError:
+        raise SemvizError(
+            f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
+        ) from None
 
 
 def _checksum(settings: Settings) -> str:

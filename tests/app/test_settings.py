@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from semviz.workspace.settings import SETTINGS, Settings, read_settings, settings_text
+from semviz.workspace.settings import SETTINGS, Settings, read_settings, settings_content
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.validation import Calibration
 
@@ -21,7 +21,7 @@ def made(folder: Path, kind: str) -> Settings:
     settings = Settings(
         version=1, name="town", source={"kind": kind, **SOURCES[kind]}, calibration=calibration
     )
-    (folder / SETTINGS).write_text(settings_text(settings))
+    (folder / SETTINGS).write_bytes(settings_content(settings, folder))
     return settings
 
 

@@ -14,8 +14,8 @@ from conftest import skip_or_fail
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.adapters import bag_limits
 from semviz_core.datasets.own_drive.adapters.rosbag import read_bag
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 PACKED: tuple[tuple[Kind, str], ...] = (
     ("ROS 1", "bz2"), ("ROS 1", "lz4"), ("MCAP", "storage"), ("MCAP", "message"),
