@@ -6,7 +6,6 @@ A table beside it, ``left-out.csv``, has a line for each image that is not in th
 for each frame without a pose.
 """
 
-import csv
 import re
 import zlib
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
@@ -41,8 +41,6 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
-_FORMULA = ("=", "+", "-", "@")
-"""Spreadsheets take a cell that begins with one of these for a formula."""
 _MOST_NAME = 1000
 """File systems allow 255."""
 _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
@@ -216,18 +214,12 @@ def write_left_out(path: Path, images: Sequence["LeftOutImage"]) -> None:
     """Write the table, if there are images; the cell of a time that is not known is empty."""
     if not images:
         return
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["file", "side", "time_s", "reason"])
-        for image in images:
-            time_s = "" if image.time_s is None else image.time_s
-            writer.writerow([_as_text(image.file), image.side, time_s, image.reason])
-
-
-def _as_text(name: str) -> str:
-    """Return a name, behind an apostrophe if a spreadsheet would take it for a formula."""
-    name = shown(name, _MOST_NAME)
-    return f"'{name}" if name.startswith(_FORMULA) else name
+    rows = [
+        [shown(image.file, _MOST_NAME), image.side, image.time_s, image.reason] for image in images
+    ]
+    with replacing(path) as temporary:
+        table = csv_text([["file", "side", "time_s", "reason"], *rows])
+        temporary.write_text(table, encoding="utf-8", newline="")
 
 
 def _numbers(pose: Pose | None) -> tuple[float, ...] | None:
