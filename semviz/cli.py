@@ -17,6 +17,7 @@ from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectT
 from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.new import NewCommand
 from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
+from semviz.commands.record import RecordCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
@@ -66,6 +67,7 @@ Command = (
     | PoseCommands
     | MapCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
+    | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
     | Annotated[runs.CompareCommand, subcommand("compare")]
     | Annotated[runs.ReportCommand, subcommand("report")]

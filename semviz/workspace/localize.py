@@ -18,6 +18,7 @@ import numpy as np
 
 from semviz.presentation.progress import announce_compiling, track
 from semviz.runs.images import check_images_available, with_images
+from semviz.runs.recorder import fitted_pairs
 from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
@@ -36,7 +37,6 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.localization.localizer import Localizer
-from semviz_core.localization.residuals import pair_residuals
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
 ODOMETRY_NOISE = OdometryNoise()
@@ -99,10 +99,17 @@ class SequenceTracker:
             covariance=tracked.covariance,
             match=single.match if single else None,
             search=single.search if single else None,
-            refinement=None if pose is None else _fit(tracked, pose, self.camera, observed, submap),
+            refinement=None if pose is None else self._fit(tracked, pose, observed, submap),
             alternatives=single.alternatives if single else (),
             time_ms={**stages, "track": time_ms - sum(stages.values())},
         )
+
+    def _fit(
+        self, tracked: TrackedPose, T_camera_map: Pose, observed: Elements2D, submap: Elements3D
+    ) -> Refinement:
+        """Return the tracked pairs and their residuals against the map at the tracked pose."""
+        pairs = np.argwhere(tracked.element_id[:, None] == submap.id)
+        return fitted_pairs(T_camera_map, self.camera, observed, submap, pairs)
 
     def _submap(self, T_camera_map: Pose | None, prior: Prior | None) -> Elements3D:
         if T_camera_map is not None:
@@ -117,20 +124,6 @@ def _reason(tracked: TrackedPose) -> str:
         return tracked.reason
     state = "Starting" if tracked.status == "starting" else "Lost"
     return f"{state}: {tracked.reason[0].lower()}{tracked.reason[1:]}"
-
-
-def _fit(
-    tracked: TrackedPose,
-    T_camera_map: Pose,
-    camera: Camera,
-    observed: Elements2D,
-    submap: Elements3D,
-) -> Refinement:
-    """Return the tracked pairs and their residuals against the map at the tracked pose."""
-    pairs = np.argwhere(tracked.element_id[:, None] == submap.id)
-    residuals = pair_residuals(T_camera_map, camera, observed, submap, pairs)
-    cost = np.array([np.minimum(residuals.chi2, 1e9).sum()])  # nothing was iterated
-    return Refinement(pairs, residuals.residual_px, residuals.chi2, residuals.inlier, cost)
 
 
 CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 120.0, "simulated": 50.0}

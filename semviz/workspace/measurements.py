@@ -16,7 +16,7 @@ from semviz.workspace.drive_file import DRIVE_FILE, read_drive_file
 from semviz.workspace.settings import ImagesSettings
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_core.base.frame import Frame, Odometry, OdometryNoise, Prior
+from semviz_core.base.frame import FileDataset, Frame, Odometry, OdometryNoise, Prior
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
@@ -48,7 +48,7 @@ class MeasurementFiles:
 
     def read(self, workspace: Workspace, semantic_map: SemanticMap) -> "Measurements":
         """Read the files. Raise SemvizError if one is wrong."""
-        around = self._around(workspace, semantic_map)
+        around = self.around(workspace, semantic_map)
         road_m = semantic_map.trajectory_m
         return Measurements(
             None if self.priors is None else read_priors(self.priors, around, self.sigmas, road_m),
@@ -57,7 +57,7 @@ class MeasurementFiles:
             else read_odometry(self.odometry, around, self.noise, self.most_gap_s),
         )
 
-    def _around(self, workspace: Workspace, semantic_map: SemanticMap) -> Surroundings:
+    def around(self, workspace: Workspace, semantic_map: SemanticMap) -> Surroundings:
         T_map_world: Pose | None = Pose.identity()
         if self.coordinates == "recorded" and isinstance(workspace.settings.source, ImagesSettings):
             T_map_world = read_drive_file(workspace.path / DRIVE_FILE).world
@@ -65,7 +65,7 @@ class MeasurementFiles:
         T_map_ecef = None
         if anchor is not None:
             T_map_ecef = map_on_earth(anchor.origin, anchor.x_heading_deg)
-        return Surroundings(T_map_world, T_map_ecef, self._extrinsic())
+        return Surroundings(T_map_world, T_map_ecef, self._extrinsic(), _images(workspace))
 
     def _extrinsic(self) -> Pose | None:
         if self.extrinsic is None:
@@ -73,6 +73,13 @@ class MeasurementFiles:
         if self.extrinsic in NAMED_EXTRINSICS:
             return NAMED_EXTRINSICS[self.extrinsic]
         return read_matrix(Path(self.extrinsic))
+
+
+def _images(workspace: Workspace) -> dict[int, Path]:
+    source = workspace.source
+    if not isinstance(source, FileDataset):
+        return {}
+    return {frame.index: source.original_path(frame.index, "left") for frame in source.frames}
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,9 +64,8 @@ def localized(
     workspace: Workspace, capsys: pytest.CaptureFixture[str], *options: object
 ) -> tuple[Run, str]:
     path = workspace.path / "runs" / "measured.rrd"
-    status, _, errors = call(
-        capsys, "localize", workspace.path, "--out", path, "--map", TRUTH, "--images", "none", *options
-    )  # fmt: skip
+    where = ("--out", path, "--map", TRUTH, "--images", "none")
+    status, _, errors = call(capsys, "localize", workspace.path, *where, *options)
     assert status == 0, errors
     return load_run(path), errors
 

@@ -146,7 +146,7 @@ def test_speeds_and_yaw_rates_of_wheels(tmp_path: Path) -> None:
         ("time_s,x_m,y_m,z_m\n0,1,2\n", "line 2: 3 cells, expected 4"),
         ("time_s,x_m,y_m,z_m\n0,1,two,3\n", "line 2: y_m 'two' is not a finite number"),
         ("time_s,x_m,y_m,z_m\n,1,2,3\n", "line 2: time_s is empty"),
-        ("x_m,y_m,z_m\n1,2,3\n", "no column time_s or frame"),
+        ("x_m,y_m,z_m\n1,2,3\n", "no column time_s, frame or name"),
         ("time_s,heading_deg\n0,2\n", "no columns x_m and y_m"),
         ("time_s,x_m,y_m,z_m\n0,,,\n", "no line has a position"),
         ("time_s,x_m,y_m,z_m,up_x,up_y,up_z\n0,1,2,3,0,-3,0\n", "have length 3.00"),

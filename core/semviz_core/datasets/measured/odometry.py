@@ -121,8 +121,8 @@ def _check_columns(table: SensorTable) -> None:
             f"{table.path}: neither speed_mps and yaw_rate_degps, nor a trajectory (x_m, y_m, z_m "
             "with qx, qy, qz, qw); see docs/priors.md"
         )
-    if not (table.has("time") or table.has("frame")):
-        raise SemvizError(f"{table.path}: no column time_s or frame; add one")
+    if not (table.has("time") or table.has("frame") or table.names is not None):
+        raise SemvizError(f"{table.path}: no column time_s, frame or name; add one")
 
 
 def _of_speeds(

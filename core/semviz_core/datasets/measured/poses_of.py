@@ -3,6 +3,7 @@
 A pose may be known in part: a fix without heading, a heading without gravity.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,13 +12,16 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.measured.table import SensorTable
+from semviz_core.datasets.measured.table import SensorTable, read_table
 from semviz_core.datasets.own_drive.adapters.comma2k19 import is_comma, read_comma_poses
+from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, camera_poses
 from semviz_core.datasets.own_drive.geodesy import axes_at, earth_centred, is_earth_centred
 from semviz_core.datasets.own_drive.gnss import body_axes
+from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
 from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses, rotations_of
+from semviz_core.datasets.own_drive.time_matching import rows_of_names
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 
@@ -32,6 +36,22 @@ class Surroundings:
     T_body_camera: Pose | None = None
     """None: files of camera poses hold those of the left camera, others those of a body in its
     place with x ahead, y left and z up."""
+    images: Mapping[int, Path] = field(default_factory=dict)
+    """Image files by the numbers of their frames, for files that name images."""
+
+    def frames_named(self, names: Sequence[str]) -> IntArray:
+        """Return the number of the frame (n,) that each name is that of, -1 for none."""
+        if not self.images:
+            raise SemvizError(
+                f"names of images such as {names[0]}, but the frames have no image files; give "
+                "times or numbers of frames"
+            )
+        numbers = np.full(len(names), -1)
+        rows = rows_of_names(list(self.images.values()), names)
+        for frame, row in zip(self.images, rows, strict=True):
+            if row is not None:
+                numbers[row] = frame
+        return numbers
 
     def in_map(self, path: Path, positions_m: FloatArray) -> Pose:
         """Return what takes the positions (n, 3) of a file to the map; raise SemvizError without.
@@ -77,8 +97,6 @@ class MeasuredPoses:
     """(n,) ascending; None if rows are those of frames."""
     frame: IntArray | None
     """(n,) numbers of frames, if the file has them."""
-    names: tuple[str, ...] | None
-    """(n,) names of images, if the file has them."""
     table: SensorTable | None
     """With sigmas and other columns, its rows in the order of these."""
 
@@ -94,25 +112,44 @@ class MeasuredPoses:
         return [Pose(R, t) if is_known else None for R, t, is_known in rows]
 
 
+def read_poses_or_table(path: Path, around: Surroundings) -> MeasuredPoses:
+    """Return poses from a table or a file of whole poses. Raise SemvizError if it is missing."""
+    if not path.exists():
+        raise SemvizError(f"{path}: no such file; name another")
+    table = None if path.is_dir() or path.suffix in (".bin", ".json") else read_table(path)
+    return read_measured_poses(path, around) if table is None else poses_of_table(table, around)
+
+
 def read_measured_poses(path: Path, around: Surroundings) -> MeasuredPoses:
     """Return poses from a file or folder of whole poses, in the formats of 'semviz new'."""
-    recorded = read_comma_poses(path) if is_comma(path) else read_poses(path)
+    recorded = _read(path)
     T = camera_poses(recorded, None, None)
     positions = np.array([pose.translation for pose in T])
     T_map_file = _of_kitti(recorded, around) or around.in_map(path, positions)
     T_body_camera = around.extrinsic(recorded.of_body)
     T = [T_map_file @ pose @ T_body_camera for pose in T]
-    by_order = recorded.time_s is None and recorded.names is None and recorded.indices is None
+    frame = recorded.indices
+    if recorded.names is not None:
+        frame = around.frames_named(recorded.names)
+    elif recorded.time_s is None and frame is None:
+        frame = np.arange(len(T))
     return MeasuredPoses(
         path,
         np.array([pose.translation for pose in T]),
         np.array([pose.rotation for pose in T]),
         np.ones(len(T), dtype=bool),
-        recorded.time_s,
-        np.arange(len(T)) if by_order else recorded.indices,
-        recorded.names,
+        None if recorded.names is not None else recorded.time_s,
+        frame,
         None,
     )
+
+
+def _read(path: Path) -> RecordedPoses:
+    if is_colmap(path):
+        return read_colmap(path).poses
+    if path.suffix == ".json":
+        return read_nerfstudio(path).poses
+    return read_comma_poses(path) if is_comma(path) else read_poses(path)
 
 
 def _of_kitti(recorded: RecordedPoses, around: Surroundings) -> Pose | None:
@@ -139,10 +176,17 @@ def poses_of_table(table: SensorTable, around: Surroundings) -> MeasuredPoses:
         R_map_body @ T_body_camera.rotation,
         has_up,
         table.values.get("time"),
-        None if "frame" not in table else table.values["frame"].astype(np.int64),
-        table.names,
+        _frames(table, around),
         table,
     )
+
+
+def _frames(table: SensorTable, around: Surroundings) -> IntArray | None:
+    if "time" in table:
+        return None
+    if table.names is not None:
+        return around.frames_named(table.names)
+    return table.values["frame"].astype(np.int64) if "frame" in table else None
 
 
 def _positions(table: SensorTable, around: Surroundings) -> tuple[FloatArray, FloatArray]:

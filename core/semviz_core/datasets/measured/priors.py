@@ -18,10 +18,9 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.measured.poses_of import (
     MeasuredPoses,
     Surroundings,
-    poses_of_table,
-    read_measured_poses,
+    read_poses_or_table,
 )
-from semviz_core.datasets.measured.table import SensorTable, read_table
+from semviz_core.datasets.measured.table import SensorTable
 from semviz_core.datasets.own_drive.time_matching import SAME_TIME_S
 
 TURN_RATE_RAD, TILT_RATE_RAD = float(np.deg2rad(10.0)), float(np.deg2rad(1.0))
@@ -166,14 +165,9 @@ def read_priors(
     ``road_m`` (k, 3) are camera centres of the mapping drive: a fix without height is as high as
     the nearest. Raise SemvizError if the file holds no fix.
     """
-    if not path.exists():
-        raise SemvizError(f"{path}: no such file of priors; name another with --priors")
-    table = None if path.is_dir() else read_table(path)
-    if table is None:
-        measured = read_measured_poses(path, around)
-    else:
-        _check_columns(table)
-        measured = poses_of_table(table, around)
+    measured = read_poses_or_table(path, around)
+    if measured.table is not None:
+        _check_columns(measured.table)
     rows = _priors(measured, sigmas, road_m)
     if all(row is None for row in rows):
         raise SemvizError(f"{path}: no line has a position; see docs/priors.md")
@@ -189,7 +183,7 @@ def read_priors(
         arrived,
         {number: row for row, number in enumerate(frames)},
         sigmas.most_age_s,
-        () if table is None else table.ignored,
+        () if measured.table is None else measured.table.ignored,
     )
 
 
@@ -198,8 +192,8 @@ def _check_columns(table: SensorTable) -> None:
         raise SemvizError(
             f"{table.path}: no columns x_m and y_m, or latitude and longitude; see docs/priors.md"
         )
-    if not (table.has("time") or table.has("frame")):
-        raise SemvizError(f"{table.path}: no column time_s or frame; add one")
+    if not (table.has("time") or table.has("frame") or table.names is not None):
+        raise SemvizError(f"{table.path}: no column time_s, frame or name; add one")
 
 
 def _priors(
