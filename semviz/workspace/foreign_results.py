@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.presentation.progress import track
+from semviz.presentation.terminal import track
 from semviz.runs.recorder import MatchedPose, RunRecorder
 from semviz.workspace.localize import check_map_frame
 from semviz.workspace.measurements import Measurements
@@ -22,7 +22,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsed_json, shown
 from semviz_core.datasets.measured.poses_of import MeasuredPoses
-from semviz_core.datasets.own_drive.time_matching import poses_at_times
+from semviz_core.datasets.own_drive.recording import poses_at_times
 from semviz_core.datasets.trajectory import read_text
 
 _NUMBERS = ("u_px", "v_px", "end_u_px", "end_v_px", "sigma_px", "score")

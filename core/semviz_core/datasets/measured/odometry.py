@@ -20,8 +20,8 @@ from semviz_core.datasets.measured.poses_of import (
     read_measured_poses,
 )
 from semviz_core.datasets.measured.table import SensorTable, read_table
-from semviz_core.datasets.own_drive.gnss import body_axes
-from semviz_core.datasets.own_drive.time_matching import poses_at_times
+from semviz_core.datasets.own_drive.pose_files import body_axes
+from semviz_core.datasets.own_drive.recording import poses_at_times
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,15 +13,18 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.measured.table import SensorTable, read_table
-from semviz_core.datasets.own_drive.adapters.comma2k19 import is_comma, read_comma_poses
+from semviz_core.datasets.own_drive.adapters.data_sets import is_comma, read_comma_poses
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, camera_poses
+from semviz_core.datasets.own_drive.conventions import (
+    NAMED_EXTRINSICS,
+    RecordedPoses,
+    camera_poses,
+    rotations_of,
+)
 from semviz_core.datasets.own_drive.geodesy import axes_at, earth_centred, is_earth_centred
-from semviz_core.datasets.own_drive.gnss import body_axes
-from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses, rotations_of
-from semviz_core.datasets.own_drive.time_matching import rows_of_names
+from semviz_core.datasets.own_drive.pose_files import body_axes, read_poses
+from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.recording import rows_of_names
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 

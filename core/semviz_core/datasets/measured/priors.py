@@ -21,7 +21,7 @@ from semviz_core.datasets.measured.poses_of import (
     read_poses_or_table,
 )
 from semviz_core.datasets.measured.table import SensorTable
-from semviz_core.datasets.own_drive.time_matching import SAME_TIME_S
+from semviz_core.datasets.own_drive.recording import SAME_TIME_S
 
 TURN_RATE_RAD, TILT_RATE_RAD = float(np.deg2rad(10.0)), float(np.deg2rad(1.0))
 """Standard deviations of how fast a vehicle turns and tilts: an old heading or vertical is as
