@@ -202,9 +202,9 @@ def _role(run: Run, record: FrameRecord, selection: Selection) -> str:
     observed, element = selection.observed, selection.element
     localization = record.localization
     if element is not None and element not in localization.submap.id:
-        offset_m = mapped(run, element).anchor_m[0] - localization.prior.position_m
+        offset_m = mapped(run, element).anchor_m[0] - localization.around_m
         distance_m = np.linalg.norm(offset_m[:2])
-        return f"Outside this frame's submap, {distance_m:.0f} m from the prior."
+        return f"Outside this frame's submap, {distance_m:.0f} m from its camera or prior."
     if localization.refinement is None:
         return "This frame has no pairs."
     i, j = localization.refinement.pairs.T

@@ -102,6 +102,8 @@ class DriveFile(_Model):
     """Largest field of view of the rectified images."""
     origin_m: tuple[float, float, float] | None = None
     """The map's origin in the world of the poses; None without poses."""
+    T_map_world: Matrix | None = None
+    """From the world of the poses; None without poses, and in files of earlier versions."""
     statements: tuple[tuple[str, str], ...] = ()
     """What was read and taken for granted: topic and text."""
     warnings: tuple[str, ...] = ()
@@ -123,6 +125,7 @@ class DriveFile(_Model):
             T_right_left=_numbers(original.T_right_left),
             most_view_deg=drive.most_view_deg,
             origin_m=None if drive.axes is None else drive.axes.origin_m,
+            T_map_world=None if drive.axes is None else _numbers(drive.axes.T_map_world),
             statements=drive.statements,
             warnings=drive.warnings,
             frames=tuple(
@@ -154,6 +157,11 @@ class DriveFile(_Model):
             rectify_rig(original, self.most_view_deg),
             cache,
         )
+
+    @property
+    def world(self) -> Pose | None:
+        """T_map_world, from the world of the poses; None if it is not known."""
+        return _pose(self.T_map_world)
 
     def save(self, path: Path) -> None:
         """Write the file, its checksum first. Raise SemvizError if it cannot be written."""

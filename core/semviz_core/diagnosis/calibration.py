@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from semviz_core.base.frame import vague_prior
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
@@ -133,8 +134,9 @@ def _changed(case: FrameReference, k: int) -> PoseProblem:
 def _prior_rows(case: FrameReference) -> tuple[FloatArray, FloatArray]:
     assert case.reference is not None
     residual, slope = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    known = PriorRecord.of(assumed_upright(case.localization.prior))
     pose = case.reference
+    prior = case.localization.prior or vague_prior(pose.inverse().translation)
+    known = PriorRecord.of(assumed_upright(prior))
     count = prior_rows(known, pose.rotation, pose.translation, residual, slope)
     return residual[:count], slope[:count]
 

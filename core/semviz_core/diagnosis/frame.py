@@ -15,6 +15,7 @@ from typing import get_args
 import numpy as np
 
 from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.frame import vague_prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
@@ -65,19 +66,24 @@ def check_detection_count(case: FrameReference) -> Fault | None:
 def check_submap(case: FrameReference) -> Fault | None:
     """Check that the submap holds the detected elements: a poor prior or a narrow crop may not."""
     result = case.localization
+    if result.prior is None and not len(result.submap):
+        sentence = "The frame has no prior, so it is unknown which part of the map to search."
+        return Fault("not in the submap", sentence)
     if case.reference is None:
         return None if _lost_pairs(case) else _no_pose_fits(case)
     sound = sound_pairs(case)
     outside = int((~case.in_submap[sound[:, 1]]).sum()) if len(sound) else 0
-    off_m = _prior_off_m(case)
-    far_off = off_m > FAR_OFF_SIGMAS * result.prior.horizontal_sigma_m
+    off_m, off_sigmas = _prior_off(case)
+    far_off = off_sigmas > FAR_OFF_SIGMAS
     enough = len(sound) - outside >= NEEDED_ELEMENTS
     if not far_off and (enough or not outside):
         return None
+    sentence = f"{outside} of {len(sound)} detected elements are outside the submap"
+    if result.prior is None:
+        return Fault("not in the submap", f"{sentence}.", (EvidenceItem("outside", outside),))
     evidence = (EvidenceItem("prior off", off_m, "m"), EvidenceItem("outside", outside))
-    prior = f"the prior is {off_m:.0f} m off, {off_m / result.prior.horizontal_sigma_m:.1f} sigma"
-    sentence = f"{outside} of {len(sound)} detected elements are outside the submap; {prior}."
-    return Fault("not in the submap", sentence, evidence)
+    prior = f"the prior is {off_m:.0f} m off, {off_sigmas:.1f} sigma"
+    return Fault("not in the submap", f"{sentence}; {prior}.", evidence)
 
 
 def _no_pose_fits(case: FrameReference) -> Fault:
@@ -216,7 +222,8 @@ def score_near(case: FrameReference, T_camera_map: Pose) -> float:
     """Return the log-likelihood (nats) of the best pose near one, as the search scores it."""
     result = case.localization
     problem = PoseProblem.of(result.camera, result.observed, result.submap, case.detector)
-    return float(mode_near(problem, assumed_upright(result.prior), T_camera_map).score[0])
+    prior = result.prior or vague_prior(T_camera_map.inverse().translation)
+    return float(mode_near(problem, assumed_upright(prior), T_camera_map).score[0])
 
 
 def _too_few(case: FrameReference, seen: int) -> Fault:
@@ -246,16 +253,21 @@ def _missed_names(case: FrameReference) -> str:
 
 
 def _within_reach(case: FrameReference) -> int:
-    """Return the number of mapped elements within the detector's range of the prior."""
+    """Return the number of mapped elements within the detector's range of the place."""
     result = case.localization
-    offset_m = result.submap.anchor_m[:, :2] - result.prior.position_m[:2]
+    offset_m = result.submap.anchor_m[:, :2] - result.around_m[:2]
     return int((np.linalg.norm(offset_m, axis=1) < case.detector.far_m).sum())
 
 
-def _prior_off_m(case: FrameReference) -> float:
+def _prior_off(case: FrameReference) -> tuple[float, float]:
+    """Return the horizontal error of the prior in metres and in sigmas; 0 without a prior."""
     assert case.reference is not None
+    prior = case.localization.prior
+    if prior is None:
+        return 0.0, 0.0
     center_m = case.reference.inverse().translation
-    return float(np.linalg.norm((case.localization.prior.position_m - center_m)[:2]))
+    off_m = float(np.linalg.norm((prior.position_m - center_m)[:2]))
+    return off_m, off_m / prior.horizontal_sigma_m
 
 
 UNMEASURED = 0.5
