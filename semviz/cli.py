@@ -16,7 +16,7 @@ from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.new import NewCommand
-from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
+from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
 from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
@@ -35,8 +35,13 @@ MapCommands = Annotated[
 ]
 PoseCommands = Annotated[
     Annotated[PosesCheckCommand, subcommand("check")]
-    | Annotated[PosesRefineCommand, subcommand("refine")],
-    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
+    | Annotated[PosesRefineCommand, subcommand("refine")]
+    | Annotated[PosesChooseCommand, subcommand("choose")],
+    subcommand(
+        "poses",
+        description="Check poses against the images of a workspace; refine them, or choose what to "
+        "do with wrong ones.",
+    ),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]

@@ -54,14 +54,15 @@ def check_poses(
 
 
 def known_check(workspace: Workspace) -> PoseCheck | None:
-    """Return the check of all poses if the motions of the images are known; measure nothing."""
-    frames = workspace.source.frames
+    """Return the check of all given poses if the motions of the images are known; measure
+    nothing."""
+    frames = workspace.given_source.frames
     if not motions_path(workspace).is_file() or len(frames) < MIN_FRAMES:
         return None
     motions = load_motions(motions_path(workspace), source_key(workspace, frames))
     if motions is None:
         return None
-    check = check_drive(frames, motions, workspace.source.rig)
+    check = check_drive(frames, motions, workspace.given_source.rig)
     return check if check.is_checked else None
 
 

@@ -241,8 +241,9 @@ def _posed(labels: Labels, source: Dataset, frames: Collection[int] | None) -> d
     """Return ``T_map_camera`` of the chosen frames with a pose, by index."""
     poses = {frame.index: frame.T_map_camera for frame in source.frames}
     chosen = set(poses) if frames is None else set(frames)
+    left_out = {frame.index for frame in source.frames if frame.left_out}
     for index in labels.frames:
-        if frames is not None and index not in chosen:
+        if (frames is not None and index not in chosen) or index in left_out:
             continue
         if index not in poses:
             raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")

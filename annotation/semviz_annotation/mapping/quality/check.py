@@ -130,8 +130,9 @@ def _observations(
 ) -> Iterator[tuple[PosedView, Observation]]:
     """Yield the labels in ``frames``, each with its camera in the map frame."""
     poses = {frame.index: frame.T_map_camera for frame in source.frames}
+    left_out = {frame.index for frame in source.frames if frame.left_out}
     for index in labels.frames:
-        if frames is not None and index not in frames:
+        if (frames is not None and index not in frames) or index in left_out:
             continue
         pose = poses.get(index)
         if pose is None:
@@ -177,6 +178,8 @@ class Check:
     findings: tuple[Finding, ...]
     labels_operation: int
     """Number of the last operation of the labels."""
+    wrong_poses: frozenset[int] = frozenset()
+    """Frames with wrong poses: what their labels show is no error of the labels."""
 
     @property
     def is_old(self) -> bool:
@@ -189,7 +192,10 @@ class Check:
         return {
             **self.accuracy.as_dict(),
             "lint": [asdict(finding) for finding in self.findings],
-            "leave_out": [asdict(residual) for residual in self.left_out[:WORST_KEPT]],
+            "leave_out": [
+                asdict(residual) | {"pose_is_wrong": residual.frame_index in self.wrong_poses}
+                for residual in self.left_out[:WORST_KEPT]
+            ],
             "triangle_center": self.semantic_map.triangle_center,
             "existence_log_odds": dict(self._log_odds()),
             "operations": {"map": self.semantic_map.operation, "labels": self.labels_operation},
@@ -225,8 +231,12 @@ class Check:
     def _worst(self) -> Iterator[str]:
         elements, classes = self.semantic_map.elements, self.semantic_map.classes
         class_of = dict(zip(elements.id.tolist(), elements.class_id.tolist(), strict=True))
-        yield f"\nlabels that agree least with the others of their element, of {len(self.left_out)}"
-        for residual in self.left_out[:WORST_LISTED]:
+        blamed = [row for row in self.left_out if row.frame_index not in self.wrong_poses]
+        yield f"\nlabels that agree least with the others of their element, of {len(blamed)}"
+        if len(blamed) < len(self.left_out):
+            count = len(self.left_out) - len(blamed)
+            yield f"  {count} more are in frames with wrong poses: those are not the labels' errors"
+        for residual in blamed[:WORST_LISTED]:
             name = classes.element_name(class_of[residual.element_id], residual.element_id)
             yield (
                 f"  {name:<6} frame {residual.frame_index}, {residual.side + ':':<6} "
@@ -254,8 +264,11 @@ def check_map(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    wrong_poses: Collection[int] = (),
 ) -> Check:
     """Check a map in ``frames`` (None: all labelled); the rules use all frames.
+
+    Labels in the frames ``wrong_poses`` are measured, but not blamed.
 
     Raise SemvizError if the map is empty, of another frame or in other units, or a labelled frame
     has no pose.
@@ -271,6 +284,7 @@ def check_map(
         left_out=leave_one_out(semantic_map, labels, source, frames),
         findings=lint(semantic_map, labels, source),
         labels_operation=labels.operation,
+        wrong_poses=frozenset(wrong_poses),
     )
 
 
