@@ -170,7 +170,7 @@ class PosesChooseCommand:
             return [(frames.start, frames.stop - 1, "frames")]
         wanted = review.open
         if self.choice == "ask":
-            wanted = tuple(one for one in review.stretches if one.operation is not None)
+            wanted = tuple(one for one in review.stretches if review.choice_for(one) is not None)
         elif self.choice == "refine":
             wanted = tuple(one for one in wanted if one.can_refine)
         elif self.choice == "leave-out":

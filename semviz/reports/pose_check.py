@@ -58,16 +58,16 @@ def warning_lines(check: PoseCheck, workspace: Path) -> list[str]:
 
 def review_lines(review: "PoseReview") -> list[str]:
     """Return one line per fault of the given poses: what it is, who agrees, what was chosen."""
-    lines = [f"poses: {stretch_text(stretch)}" for stretch in review.stretches]
+    lines = [f"poses: {stretch_text(review, stretch)}" for stretch in review.stretches]
     if review.open:
         where = review.workspace.path
         lines.append(f"poses: choose what to do: semviz poses choose {where}, or annotate, F4")
     return lines
 
 
-def stretch_text(stretch: "Stretch") -> str:
+def stretch_text(review: "PoseReview", stretch: "Stretch") -> str:
     """Return ``frames 0-11: poses turned by up to 0.7 deg left; stereo and 9 elements agree``."""
-    text, operation = stretch.fault.text, stretch.operation
+    text, operation = stretch.fault.text, review.choice_for(stretch)
     has_stereo = stretch.check.motions.has_stereo
     evidence = None if stretch.seen is None else stretch.seen.evidence
     if evidence is not None:
@@ -83,12 +83,13 @@ def review_as_dict(review: "PoseReview") -> dict[str, Any]:
     faults = []
     for stretch in review.stretches:
         evidence = None if stretch.seen is None else stretch.seen.evidence
+        operation = review.choice_for(stretch)
         faults.append(
             {
                 **asdict(stretch.fault),
-                "text": stretch_text(stretch),
+                "text": stretch_text(review, stretch),
                 "labels": None if evidence is None else asdict(evidence),
-                "choice": None if stretch.operation is None else stretch.operation.as_dict(),
+                "choice": None if operation is None else operation.as_dict(),
             }
         )
     return {"faults": faults, "used": used_poses(review.workspace)}

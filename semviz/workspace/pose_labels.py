@@ -162,7 +162,7 @@ class FaultLabels:
     @cached_property
     def evidence(self) -> LabelEvidence | None:
         """What the labels say; None if no element can be compared."""
-        given, refined = (self._errors(placed) for placed in (self.given, self.refined))
+        given, refined = self._errors
         ids = sorted(given.keys() & refined.keys())
         if not ids:
             return None
@@ -173,10 +173,15 @@ class FaultLabels:
 
     def errors_of(self, element_id: str) -> tuple[float | None, float | None]:
         """Return the median error (px) of an element with the given and the refined poses."""
-        return self._errors(self.given).get(element_id), self._errors(self.refined).get(element_id)
+        given, refined = self._errors
+        return given.get(element_id), refined.get(element_id)
 
-    def _errors(self, placed: PlacedElements) -> dict[str, float]:
-        """Return the median error of each element."""
+    @cached_property
+    def _errors(self) -> tuple[dict[str, float], dict[str, float]]:
+        """The median error of each element, with the given and the refined poses."""
+        return self._errors_in(self.given), self._errors_in(self.refined)
+
+    def _errors_in(self, placed: PlacedElements) -> dict[str, float]:
         errors: dict[str, list[float]] = defaultdict(list)
         for row in self.rows:
             size = placed.error_px(row)
@@ -247,10 +252,14 @@ class FrameAgreement:
 
     frame: int
     elements: int
-    together_px: float
-    """Length of the median error: what all elements do together."""
+    shift_px: tuple[float, float]
+    """Median error, label minus element: what all elements do together."""
     alone_px: float
     """Median error of an element beyond that."""
+
+    @property
+    def together_px(self) -> float:
+        return float(np.hypot(*self.shift_px))
 
 
 def frame_agreements(
@@ -273,9 +282,8 @@ def frame_agreements(
             vectors = np.array(errors)
             common = np.nan_to_num(np.nanmedian(vectors, axis=0))
             rest = np.hypot(*np.nan_to_num(vectors - common).T)
-            yield FrameAgreement(
-                index, len(errors), float(np.hypot(*common)), float(np.median(rest))
-            )
+            shift = float(common[0]), float(common[1])
+            yield FrameAgreement(index, len(errors), shift, float(np.median(rest)))
 
 
 def _vector_px(placed: PlacedElements, row: Observation) -> FloatArray | None:

@@ -22,7 +22,14 @@ from semviz.workspace.pose_choices import (
     subject_of,
     write_choices,
 )
-from semviz.workspace.pose_labels import ElementMove, FaultLabels, element_moves
+from semviz.workspace.pose_labels import (
+    DriveWithPoses,
+    ElementMove,
+    FaultLabels,
+    FrameAgreement,
+    element_moves,
+    frame_agreements,
+)
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.build import POSES
@@ -39,8 +46,6 @@ class Stretch:
 
     fault: PoseFault
     check: PoseCheck
-    operation: PoseOperation | None
-    """The choice that answers it; None if it is open."""
     labels: Labels
     workspace: Workspace
 
@@ -54,12 +59,10 @@ class Stretch:
         return self.fault.kind not in RIG_KINDS
 
     @property
-    def blames_poses(self) -> bool:
-        """Whether some frames have wrong poses that are used, and their labels do not object."""
-        is_used = self.operation is None or self.operation.choice == "keep"
+    def labels_agree(self) -> bool:
+        """Whether most of the elements fit refined poses better, or none says anything."""
         evidence = None if self.seen is None else self.seen.evidence
-        agrees = evidence is None or 2 * evidence.agreeing >= evidence.elements
-        return self.subject == "frames" and is_used and agrees
+        return evidence is None or 2 * evidence.agreeing >= evidence.elements
 
     @property
     def label_count(self) -> int:
@@ -103,32 +106,68 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseReview:
-    """The check of the given poses, and its faults with the choices made for them."""
+class PoseFindings:
+    """What images and labels say about the given poses, whatever is chosen for them."""
 
     workspace: Workspace
     check: PoseCheck
     """Of the given poses."""
-    choices: PoseChoices
     labels: Labels
+
+    @cached_property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The faults, by how far poses are off."""
+        found = (
+            Stretch(fault, self.check, self.labels, self.workspace) for fault in self.check.faults
+        )
+        return tuple(sorted(found, key=lambda one: -_size(one.fault)))
+
+    @cached_property
+    def agreements(self) -> dict[int, FrameAgreement]:
+        """How the labels of each frame fit the given poses."""
+        given = DriveWithPoses(self.workspace.given_source, self.check.frames)
+        found = frame_agreements(self.labels, given, refined_frames(self.check))
+        return {agreement.frame: agreement for agreement in found}
+
+
+@dataclass(frozen=True, eq=False)
+class PoseReview:
+    """The faults of the given poses, with the choices made for them."""
+
+    findings: PoseFindings
+    choices: PoseChoices
 
     @classmethod
     def of(cls, workspace: Workspace, check: PoseCheck, labels: Labels) -> "PoseReview":
         """Return the faults of ``check``, of the given poses, with the choices made so far."""
-        return cls(workspace, check, workspace.pose_choices(), labels)
+        return cls(PoseFindings(workspace, check, labels), workspace.pose_choices())
+
+    @property
+    def workspace(self) -> Workspace:
+        return self.findings.workspace
+
+    @property
+    def check(self) -> PoseCheck:
+        return self.findings.check
+
+    @property
+    def labels(self) -> Labels:
+        return self.findings.labels
 
     @cached_property
     def stretches(self) -> tuple[Stretch, ...]:
         """Those without a choice first, then by how far poses are off."""
-        found = (
-            Stretch(fault, self.check, self.choices.choice_for(fault), self.labels, self.workspace)
-            for fault in self.check.faults
+        return tuple(
+            sorted(self.findings.stretches, key=lambda one: self.choice_for(one) is not None)
         )
-        return tuple(sorted(found, key=lambda one: (one.operation is not None, -_size(one.fault))))
+
+    def choice_for(self, stretch: Stretch) -> PoseOperation | None:
+        """Return the choice that answers a fault; None if it is open."""
+        return self.choices.choice_for(stretch.fault)
 
     @property
     def open(self) -> tuple[Stretch, ...]:
-        return tuple(stretch for stretch in self.stretches if stretch.operation is None)
+        return tuple(stretch for stretch in self.stretches if self.choice_for(stretch) is None)
 
     @property
     def wrong_frames(self) -> frozenset[int]:
@@ -136,9 +175,14 @@ class PoseReview:
         return frozenset(
             frame.index
             for stretch in self.stretches
+            if self._is_used(stretch) and stretch.subject == "frames" and stretch.labels_agree
             for frame in self.check.frames
-            if stretch.blames_poses and stretch.fault.first <= frame.index <= stretch.fault.last
+            if stretch.fault.first <= frame.index <= stretch.fault.last
         )
+
+    def _is_used(self, stretch: Stretch) -> bool:
+        operation = self.choice_for(stretch)
+        return operation is None or operation.choice == "keep"
 
     @property
     def wrong_observations(self) -> frozenset[str]:
@@ -153,7 +197,9 @@ class PoseReview:
 
 
 def _size(fault: PoseFault) -> float:
-    """Return how bad a fault is: of the whole drive first, then by turn and shift."""
+    """Return how bad a fault is: all poses, then by turn and shift, then the calibration."""
+    if fault.kind in RIG_KINDS:
+        return 0.0
     if subject_of(fault) != "frames":
         return 1000.0
     return fault.turn_deg + fault.shift_m
@@ -234,7 +280,8 @@ def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ..
         raise SemvizError("other poses do not mend the calibration; correct that, or keep it")
     for other in review.stretches if wanted.subject == "frames" else ():
         is_whole = other.subject != "frames" and other.can_refine
-        if is_whole and (other.operation is None or other.operation.choice != "refine"):
+        operation = review.choice_for(other)
+        if is_whole and (operation is None or operation.choice != "refine"):
             raise SemvizError(f"first refine the whole drive: {other.fault.text}")
     source = review.workspace.given_source
     seen = FaultLabels.of(review.labels, source, review.check, wanted.first, wanted.last)
