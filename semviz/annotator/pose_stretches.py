@@ -8,7 +8,7 @@ import numpy as np
 from semviz.web.protocol import Part
 from semviz.workspace.pose_choices import Choice, Subject
 from semviz.workspace.pose_labels import FrameAgreement
-from semviz.workspace.pose_review import PoseReview, Stretch
+from semviz.workspace.pose_review import PoseReview, PoseStretch
 from semviz_core.pose_checks.faults import PoseFault
 
 TURNS = (("down", "up"), ("left", "right"), ("counterclockwise", "clockwise"))
@@ -103,7 +103,7 @@ def _title(fault: PoseFault, review: PoseReview) -> str:
     }[fault.kind]
 
 
-def stretch_view(stretch: Stretch, review: PoseReview, agreements: Agreements) -> StretchView:
+def stretch_view(stretch: PoseStretch, review: PoseReview, agreements: Agreements) -> StretchView:
     """Return the page's view of a fault; ``agreements`` are those of all labelled frames."""
     fault, operation = stretch.fault, review.choice_for(stretch)
     return StretchView(
@@ -123,7 +123,7 @@ def stretch_view(stretch: Stretch, review: PoseReview, agreements: Agreements) -
     )
 
 
-def _explained(stretch: Stretch, agreements: Agreements) -> str:
+def _explained(stretch: PoseStretch, agreements: Agreements) -> str:
     """Return the sentence that says whose fault it is."""
     fault = stretch.fault
     if stretch.subject != "frames":
@@ -153,7 +153,7 @@ def _explained(stretch: Stretch, agreements: Agreements) -> str:
     )
 
 
-def _sigmas(stretch: Stretch) -> float | None:
+def _sigmas(stretch: PoseStretch) -> float | None:
     """Return how far the worst pair of frames is from the images."""
     if stretch.fault.sigmas is not None:
         return round(stretch.fault.sigmas, 1)
@@ -169,7 +169,7 @@ def _sigmas(stretch: Stretch) -> float | None:
     return round(float(np.sqrt(chi2.max())), 1) if len(chi2) and chi2.max() > 0.0 else None
 
 
-def _facts(stretch: Stretch, review: PoseReview, agreements: Agreements) -> list[PoseFact]:
+def _facts(stretch: PoseStretch, review: PoseReview, agreements: Agreements) -> list[PoseFact]:
     fault = stretch.fault
     rows: list[tuple[str, str]] = []
     if stretch.subject == "frames":
@@ -188,7 +188,7 @@ def _measured(fault: PoseFault) -> str:
     return f"{fault.value:g} {unit or ''}".strip()
 
 
-def _frame_facts(stretch: Stretch, agreements: Agreements) -> list[tuple[str, str]]:
+def _frame_facts(stretch: PoseStretch, agreements: Agreements) -> list[tuple[str, str]]:
     fault = stretch.fault
     inside = [one for index, one in agreements.items() if fault.first <= index <= fault.last]
     outside = [one for index, one in agreements.items() if not fault.first <= index <= fault.last]
@@ -208,7 +208,7 @@ def _frame_facts(stretch: Stretch, agreements: Agreements) -> list[tuple[str, st
     return facts
 
 
-def _turn(stretch: Stretch) -> tuple[int, float, str]:
+def _turn(stretch: PoseStretch) -> tuple[int, float, str]:
     """Return the frame that is turned most, by how much (deg), and where to."""
     fault, check = stretch.fault, stretch.check
     turn = check.refinement.turn_rad
@@ -237,7 +237,7 @@ def _pose_source(review: PoseReview) -> str:
     return "the import" if sequence is None else f"poses/{sequence}.txt"
 
 
-def _answers(stretch: Stretch) -> list[PoseAnswer]:
+def _answers(stretch: PoseStretch) -> list[PoseAnswer]:
     """Return the three answers, or the one that a fault of the calibration has."""
     keep = _keep(stretch)
     if not stretch.can_refine:
@@ -247,7 +247,7 @@ def _answers(stretch: Stretch) -> list[PoseAnswer]:
     return [_refine(stretch), _leave_out(stretch), keep]
 
 
-def _refine(stretch: Stretch) -> PoseAnswer:
+def _refine(stretch: PoseStretch) -> PoseAnswer:
     fault, evidence = stretch.fault, None if stretch.seen is None else stretch.seen.evidence
     moves = f"up to {fault.turn_deg:.2f}° and {fault.shift_m:.2f} m"
     which = f"Poses {fault.first}–{fault.last} move by {moves}. No label and no other pose changes."
@@ -273,7 +273,7 @@ def _refine(stretch: Stretch) -> PoseAnswer:
     )
 
 
-def _leave_out(stretch: Stretch) -> PoseAnswer:
+def _leave_out(stretch: PoseStretch) -> PoseAnswer:
     count, lost = stretch.label_count, list(stretch.lost)
     price = f"{count} labels stay and do not count."
     if lost:
@@ -290,13 +290,13 @@ def _leave_out(stretch: Stretch) -> PoseAnswer:
     )
 
 
-def _keep(stretch: Stretch) -> PoseAnswer:
+def _keep(stretch: PoseStretch) -> PoseAnswer:
     moves = stretch.moves
     price = "Not asked again."
     if moves:
         price += f" {len(moves)} elements keep up to {moves[0].moved_m:.2f} m of error."
     elif not stretch.can_refine:
-        price = f"Not asked again. To mend it: {stretch.fault.remedy}."
+        price = f"Not asked again. To repair it: {stretch.fault.remedy}."
     return PoseAnswer(
         choice="keep",
         title="Keep as they are",
@@ -306,7 +306,7 @@ def _keep(stretch: Stretch) -> PoseAnswer:
     )
 
 
-def _effects(stretch: Stretch) -> list[PoseEffect]:
+def _effects(stretch: PoseStretch) -> list[PoseEffect]:
     if not stretch.can_refine:
         return []
     evidence = None if stretch.seen is None else stretch.seen.evidence
@@ -328,7 +328,7 @@ def _effects(stretch: Stretch) -> list[PoseEffect]:
     return [PoseEffect(name=name, before=before, after=after) for name, before, after in rows]
 
 
-def _moved(stretch: Stretch) -> list[MovedElement]:
+def _moved(stretch: PoseStretch) -> list[MovedElement]:
     moved = []
     for move in stretch.moves:
         element = stretch.labels.element(move.element_id)

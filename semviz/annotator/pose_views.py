@@ -5,7 +5,7 @@ import numpy as np
 from semviz.annotator.pose_stretches import TURNS, StretchView, stretch_view
 from semviz.web.protocol import Part
 from semviz.workspace.pose_labels import FrameAgreement
-from semviz.workspace.pose_review import PoseReview, Stretch
+from semviz.workspace.pose_review import PoseReview, PoseStretch
 from semviz_annotation.labels.labels import Pixel
 from semviz_core.common.arrays import FloatArray
 
@@ -110,7 +110,7 @@ def _sentence(review: PoseReview, shift_px: FloatArray) -> str:
     return f"Poses and images agree: {np.median(shift_px):.1f} px in {frames} frames."
 
 
-def pose_marks(stretch: Stretch, frame: int) -> list[PoseMark]:
+def pose_marks(stretch: PoseStretch, frame: int) -> list[PoseMark]:
     """Return the elements of a frame's left image under the given and the refined pose."""
     seen = stretch.seen
     if seen is None:

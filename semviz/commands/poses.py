@@ -144,7 +144,7 @@ class PosesChooseCommand:
         return 0
 
     def _choose(self, workspace: "Workspace") -> "list[PoseOperation]":
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.terminal import Steps
         from semviz.workspace.pose_check import check_poses
         from semviz.workspace.pose_review import PoseReview, choose_poses
         from semviz.workspace.workspace import login_name
@@ -188,7 +188,7 @@ def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
 
 
 def _checked(path: Path, frames: str | None) -> "PoseCheck":
-    from semviz.presentation.progress import Steps
+    from semviz.presentation.terminal import Steps
     from semviz.workspace.localize import select_frames
     from semviz.workspace.pose_check import check_poses
 

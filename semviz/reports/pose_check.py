@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz.presentation.plots import COLORS, add_grid, new_figure, save_png
 from semviz.workspace.pose_choices import Choice, PoseOperation
-from semviz.workspace.pose_review import PoseReview, Stretch, used_poses
+from semviz.workspace.pose_review import PoseReview, PoseStretch, used_poses
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import check_replaceable
 from semviz_core.pose_checks.comparison import BASELINE, RIGHT_U, RIGHT_V
@@ -65,7 +65,7 @@ def review_lines(review: "PoseReview") -> list[str]:
     return lines
 
 
-def stretch_text(review: "PoseReview", stretch: "Stretch") -> str:
+def stretch_text(review: "PoseReview", stretch: "PoseStretch") -> str:
     """Return ``frames 0-11: poses turned by up to 0.7 deg left; stereo and 9 elements agree``."""
     text, operation = stretch.fault.text, review.choice_for(stretch)
     has_stereo = stretch.check.motions.has_stereo

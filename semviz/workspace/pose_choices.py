@@ -41,7 +41,7 @@ Subject: TypeAlias = Literal["frames", "axes", "time", "heights", "baseline", "r
 _Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
 _RIG: tuple[Subject, ...] = ("baseline", "right image")
-"""Faults that no pose can mend."""
+"""Faults that no pose can repair."""
 
 
 class _Model(BaseModel):

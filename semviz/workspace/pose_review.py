@@ -41,7 +41,7 @@ from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refi
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class PoseStretch:
     """A fault of poses, with the labels of its frames."""
 
     fault: PoseFault
@@ -55,7 +55,7 @@ class Stretch:
 
     @property
     def can_refine(self) -> bool:
-        """Whether other poses mend it: not a fault of the calibration."""
+        """Whether other poses repair it: not a fault of the calibration."""
         return self.fault.kind not in RIG_KINDS
 
     @property
@@ -115,10 +115,11 @@ class PoseFindings:
     labels: Labels
 
     @cached_property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def stretches(self) -> tuple[PoseStretch, ...]:
         """The faults, by how far poses are off."""
         found = (
-            Stretch(fault, self.check, self.labels, self.workspace) for fault in self.check.faults
+            PoseStretch(fault, self.check, self.labels, self.workspace)
+            for fault in self.check.faults
         )
         return tuple(sorted(found, key=lambda one: -_size(one.fault)))
 
@@ -155,18 +156,18 @@ class PoseReview:
         return self.findings.labels
 
     @cached_property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def stretches(self) -> tuple[PoseStretch, ...]:
         """Those without a choice first, then by how far poses are off."""
         return tuple(
             sorted(self.findings.stretches, key=lambda one: self.choice_for(one) is not None)
         )
 
-    def choice_for(self, stretch: Stretch) -> PoseOperation | None:
+    def choice_for(self, stretch: PoseStretch) -> PoseOperation | None:
         """Return the choice that answers a fault; None if it is open."""
         return self.choices.choice_for(stretch.fault)
 
     @property
-    def open(self) -> tuple[Stretch, ...]:
+    def open(self) -> tuple[PoseStretch, ...]:
         return tuple(stretch for stretch in self.stretches if self.choice_for(stretch) is None)
 
     @property
@@ -180,7 +181,7 @@ class PoseReview:
             if stretch.fault.first <= frame.index <= stretch.fault.last
         )
 
-    def _is_used(self, stretch: Stretch) -> bool:
+    def _is_used(self, stretch: PoseStretch) -> bool:
         operation = self.choice_for(stretch)
         return operation is None or operation.choice == "keep"
 
@@ -277,7 +278,7 @@ def _operation(
 def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ...]:
     """Return the refined poses of the frames. Raise SemvizError if they may not be used."""
     if wanted.subject in RIG_KINDS:
-        raise SemvizError("other poses do not mend the calibration; correct that, or keep it")
+        raise SemvizError("other poses do not repair the calibration; correct that, or keep it")
     for other in review.stretches if wanted.subject == "frames" else ():
         is_whole = other.subject != "frames" and other.can_refine
         operation = review.choice_for(other)

@@ -231,10 +231,8 @@ class Workspace:
 
     @cached_property
     def source(self) -> Dataset:
-        """Images and poses, as people chose them: some refined, some frames left out.
-
-        Raise SemvizError like ``given_source``, and if the choices belong to other poses.
-        """
+        """Images and poses, as people chose them: some refined, some frames left out. Raise
+        SemvizError like ``given_source``, and if the choices belong to other poses."""
         given, choices = self.given_source, self.pose_choices()
         if not choices.present or not isinstance(given, FileDataset):
             return given
@@ -245,11 +243,8 @@ class Workspace:
 
     @cached_property
     def given_source(self) -> Dataset:
-        """Images, and poses as the drive gives them.
-
-        Raise SemvizError if they are missing or implausible, or if the calibration is not that of
-        the labels.
-        """
+        """Images, and poses as the drive gives them. Raise SemvizError if they are missing or
+        implausible, or if the calibration is not that of the labels."""
         settings = self.settings.source
         if isinstance(settings, StreetSettings):
             source = self._open_street(settings)

@@ -137,7 +137,7 @@ class PoseCheck:
 
 _LOCAL: Final = ("frozen", "turned", "shifted")
 RIG_KINDS: Final = ("baseline", "right image")
-"""Faults of the calibration, which other poses do not mend."""
+"""Faults of the calibration, which other poses do not repair."""
 _REFINE: Final = "refine them, or leave these frames out: semviz poses choose"
 
 

@@ -141,7 +141,7 @@ export class Poses {
   try(choice) {
     const answer = this.stretch?.answers.find((one) => one.choice === choice);
     if (!answer) {
-      if (this.stretch) this.page.notify("Other poses do not mend this fault; see What to do.", "wrong");
+      if (this.stretch) this.page.notify("Other poses do not repair this fault: see What to do.", "wrong");
       return;
     }
     if (answer.refusal) {
