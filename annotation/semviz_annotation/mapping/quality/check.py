@@ -229,13 +229,12 @@ class Gate:
             if (reasons := list(self._reasons(class_accuracy)))
         ]
         if not any(class_.observations for class_ in accuracy.classes.values()):
-            lines.append("nothing was measured: no label is of an element of the map")
+            return (*lines, "nothing was measured: no label is of an element of the map")
         return tuple(lines)
 
     def _reasons(self, accuracy: ClassAccuracy) -> Iterator[str]:
-        lateral = (
-            accuracy.lateral_rmse_px if accuracy.rmse_px is None else None
-        )  # else it is within RMSE
+        is_pole = accuracy.rmse_px is None  # of signs it is within RMSE
+        lateral = accuracy.lateral_rmse_px if is_pole else None
         for what, value, limit, unit in (
             ("RMSE", accuracy.rmse_px, self.max_rmse_px, "px"),
             ("lateral RMSE", lateral, self.max_rmse_px, "px"),
@@ -251,8 +250,7 @@ def mapping_accuracy(
     source: Dataset,
     frames: Collection[int] | None = None,
 ) -> MapAccuracy:
-    """Return the accuracy of the map, projected into ``frames`` (None: all labelled) with true
-    poses.
+    """Return the accuracy of the map in ``frames`` (None: all labelled), by their poses.
 
     Raise SemvizError if the map is of another frame, was not made from labels, or a labelled frame
     has no pose.
@@ -275,19 +273,14 @@ def mapping_accuracy(
             errors[int(elements.class_id[row])].append(
                 ImageErrors.between(projected_px, _ends(observation))
             )
-    return MapAccuracy(
-        classes={
-            class_.name: ClassAccuracy.of(errors[class_.id]) for class_ in semantic_map.classes
-        },
-        elements=len(elements),
-        unmapped=unmapped,
-    )
+    classes = {class_.name: ClassAccuracy.of(errors[class_.id]) for class_ in semantic_map.classes}
+    return MapAccuracy(classes, len(elements), unmapped)
 
 
 def _observations(
     labels: Labels, source: Dataset, frames: Collection[int] | None
 ) -> Iterator[tuple[PosedView, Observation]]:
-    """Yield the labels in ``frames``, each with its camera in the map frame."""
+    """Yield the labels in ``frames``, each with its camera."""
     for index, pose in labelled_poses(labels, source, frames).items():
         rows = labels.in_frame(index)
         sides = {row.side for row in rows}
@@ -385,8 +378,7 @@ class Check:
         class_of = dict(zip(elements.id.tolist(), elements.class_id.tolist(), strict=True))
         blamed = [row for row in self.left_out if row.frame_index not in self.wrong_poses]
         yield f"\nlabels that agree least with the others of their element, of {len(blamed)}"
-        if len(blamed) < len(self.left_out):
-            count = len(self.left_out) - len(blamed)
+        if count := len(self.left_out) - len(blamed):
             yield f"  {count} more are in frames with wrong poses: those are not the labels' errors"
         for residual in blamed[:WORST_LISTED]:
             name = classes.element_name(class_of[residual.element_id], residual.element_id)
@@ -418,9 +410,8 @@ def check_map(
     frames: Collection[int] | None = None,
     wrong_poses: Collection[int] = (),
 ) -> Check:
-    """Check a map in ``frames`` (None: all labelled); the rules use all frames.
-
-    Labels in the frames ``wrong_poses`` are measured, but not blamed.
+    """Check a map in ``frames`` (None: all labelled); the rules use all frames. Labels in the
+    frames ``wrong_poses`` are measured, but not blamed.
 
     Raise SemvizError if the map is empty, of another frame or in other units, or a labelled frame
     has no pose.
