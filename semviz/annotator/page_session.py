@@ -9,6 +9,8 @@ import numpy as np
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
+from semviz.annotator.pose_requests import PoseRequests, PoseSteps
+from semviz.annotator.pose_work import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
 from semviz.annotator.session import LabelSession, SavedEdit
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
@@ -30,6 +32,16 @@ class AnnotatorServices(Protocol):
     @property
     def lock(self) -> threading.RLock:
         """Held around every use of ``session``."""
+        ...
+
+    @property
+    def pose_work(self) -> PoseWork: ...
+
+    @property
+    def pose_steps(self) -> PoseSteps: ...
+
+    def use_chosen_poses(self) -> None:
+        """Open the session again with the poses that are chosen now, and tell all pages."""
         ...
 
     @property
@@ -63,7 +75,7 @@ class AnnotatorPage:
         self._id = session_id
         self._send = send
         self._shared = shared
-        self._session = shared.session
+        self._poses = PoseRequests(send, shared)
         self._frame = next(iter(self._session.frames))
         self._selected: str | None = None
         self._reviewed: frozenset[str] = frozenset()
@@ -75,7 +87,12 @@ class AnnotatorPage:
         self._shows_backdrop = False
         self._redraw_queued = threading.Event()
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self)
+        self._handle = HANDLERS.bound_to(self, self._poses)
+
+    @property
+    def _session(self) -> LabelSession:
+        """Another one after the poses were chosen anew."""
+        return self._shared.session
 
     # -- called by the web tools' sessions and by the annotator
 
@@ -84,9 +101,19 @@ class AnnotatorPage:
             workspace, labels = self._session.describe(), self._session.summary()
             self._send(messages.WorkspaceEvent(workspace=workspace, labels=labels))
         self.send_health(self._session.health())
+        self._poses.send_progress()
         if self._scene is not None:
             self._send(protocol.SceneEvent())
         self._redraw()
+
+    def restart(self) -> None:
+        """Send everything again, with other poses. The caller holds the lock."""
+        self._shared.scene_thread.submit(self._drop_scene)
+        self.connected()
+
+    def send_poses(self) -> None:
+        """Send how far the comparison of poses is."""
+        self._poses.send_progress()
 
     def send_update(self, labels: LabelsView) -> None:
         """Send the session's updates with the frame on screen. The caller holds the lock."""
@@ -153,6 +180,10 @@ class AnnotatorPage:
                 )
 
     def _save_edit(self, request: messages.ApplyEditRequest) -> None:
+        stepped = self._shared.pose_steps.step(request.edit, request.id, self._session)
+        if stepped is not None:
+            self._send_pose_step(request.id, stepped)
+            return
         saved = self._session.apply(request.id, request.edit, request.base)
         number = saved.operation.number
         self._send(messages.SavedOperationEvent(reply_to=request.id, operation=number))
@@ -163,6 +194,22 @@ class AnnotatorPage:
         for page in self._shared.pages:
             if page is not self:
                 page.send_update(labels)
+
+    def _send_pose_step(self, request_id: str, text: str) -> None:
+        """Confirm that a choice of poses was undone or redone, and use the poses of now."""
+        number = self._session.labels.operation
+        self._send(messages.SavedOperationEvent(reply_to=request_id, operation=number))
+        self._send(
+            messages.EditSavedEvent(
+                reply_to=request_id,
+                labels=self._session.updates(),
+                frame=self._session.frame(self._frame),
+                element=None,
+                added=0,
+                note=text,
+            )
+        )
+        self._shared.use_chosen_poses()
 
     def _send_saved(self, request_id: str, saved: SavedEdit, labels: LabelsView) -> None:
         event = messages.EditSavedEvent(
@@ -273,6 +320,11 @@ class AnnotatorPage:
             self._redraw_queued.set()
             self._shared.scene_thread.submit(self._draw)
 
+    def _drop_scene(self) -> None:
+        """Draw the scene from nothing: its trajectory is that of other poses."""
+        self._scene = None
+        self._shared.scenes.close(self._id)
+
     def _close_scene(self) -> None:
         self._closed = True
         self._shared.scenes.close(self._id)
@@ -351,4 +403,4 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
     )
 
 
-HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage)
+HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests)

@@ -22,6 +22,7 @@ import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
+import { Poses } from "./poses.js";
 import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { State } from "./state.js";
@@ -59,7 +60,8 @@ export class Page {
     this.light = new Light(this.state);
     this.backdrop = new Backdrop(this.state, this.keys, this);
     this.tour = new Tour(this.state, this.keys);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour]);
+    this.poses = new Poses(this.state, this.keys, this);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.poses]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -172,7 +174,7 @@ export class Page {
     if (!state.isReady || index === null || !state.order.includes(index)) return;
     this.tools.cancel();
     state.set({ frame: index, preview: null });
-    window.history.replaceState(null, "", `?frame=${index}`);
+    window.history.replaceState(null, "", `?frame=${index}${state.view === "images" ? "" : `&view=${state.view}`}`);
     this.socket.send("go_to_frame", { frame: index });
     this.sceneGate?.hold(true);
     this.#showPictures(index);
@@ -282,13 +284,15 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use(commands(state, this.images, this.tools, this));
+    this.keys.use(this.poses.commands(commands(state, this.images, this.tools, this)));
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
     this.light.start();
     this.images.fit();
+    const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
+    if (isFirst && view === "poses") this.poses.open("poses");
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();

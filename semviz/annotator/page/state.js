@@ -17,6 +17,8 @@ export class State {
     this.received = null; // the last summary and frame from the server
     /** @type {number | null} */
     this.frame = null; // number of the frame on screen
+    /** @type {"images" | "poses"} */
+    this.view = "images"; // the tab
     this.classId = 0; // for the next element
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,10 @@ class ImageFolder:
     @property
     def rig(self) -> Rig:
         return self.rectified.rig
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "ImageFolder":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        return replace(self, frames=frames)
 
     def image(self, index: int, side: Side) -> ByteImage:
         """Return (height, width, 3) sRGB of the rectified image of frame ``index``.
