@@ -75,7 +75,10 @@ class NewCommand:
     """Sequence of the KITTI dataset, default 02; scene or sequence of a recording of several."""
     cameras: parsing.OptionalText = None
     """Left and right camera, or one camera. KITTI's 2,3 is the colour pair (default), 0,1 the grey
-    pair; a recording's are its own names, for example topics of a bag, or CAM_FRONT."""
+    pair; a recording's are its own names, for example topics of a bag, or CAM_FRONT. Three or more
+    are a rig; of plain images, the names of folders in --images."""
+    rig: bool = False
+    """Take two --cameras as a rig, each on its own, and not as a stereo pair."""
     simulate: parsing.OptionalInt = None
     """Seed of a simulated street."""
     frames: parsing.OptionalText = None
@@ -166,7 +169,7 @@ class NewCommand:
             print_topic(topic, text)
         drive, found = check_against_images(drive, self.refine_extrinsics)
         warnings = [*drive.warnings, *found]
-        if where := unusual_motion(drive.frames):
+        if where := unusual_motion(drive.first_frames):
             warnings.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
@@ -187,10 +190,13 @@ class NewCommand:
     ) -> "DriveFiles":
         from semviz_core.datasets.own_drive.drive_files import DriveFiles
 
+        cameras = tuple(self.cameras.split(",")) if self.cameras else ()
+        is_rig = self.rig or len(cameras) > 2
         return DriveFiles(
             images=images,
             right=self.right,
-            cameras=tuple(self.cameras.split(",")) if self.cameras else (),
+            cameras=() if is_rig else cameras,
+            rig=cameras if is_rig else (),
             sequence=self.sequence,
             extracted=extracted,
             calibration=self.calibration,
@@ -215,13 +221,17 @@ class NewCommand:
     def _print_summary(self, workspace: "Workspace", warnings: int) -> None:
         import numpy as np
 
-        frames = workspace.source.frames
+        from semviz_core.datasets.rig_cameras import camera_names, frames_of_camera
+
+        source = workspace.source
+        frames, cameras = frames_of_camera(source, None), camera_names(source)
         t = [frame.T_map_camera.translation for frame in frames if frame.T_map_camera is not None]
         length_m = float(np.linalg.norm(np.diff(t, axis=0), axis=1).sum()) if len(t) > 1 else 0.0
         length = f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
-        count = 1 if workspace.source.rig.right is None else 2
+        count = len(cameras) or (1 if source.rig.right is None else 2)
+        each = " each" if cameras else ""
         print(
-            f"{workspace.path}: {len(frames)} frames, {len(t)} with a pose, {length}, "
+            f"{workspace.path}: {len(frames)} frames{each}, {len(t)} with a pose, {length}, "
             f"{count} camera{'s' * (count > 1)}, {warnings} warning{'s' * (warnings != 1)}"
         )
 
@@ -230,9 +240,10 @@ class NewCommand:
         from semviz.presentation.progress import Steps
         from semviz.reports.pose_check import warning_lines
         from semviz.workspace.pose_check import check_poses
+        from semviz_core.datasets.rig_cameras import frames_of_camera
         from semviz_core.pose_checks.faults import suspicions
 
-        frames = workspace.source.frames
+        frames = frames_of_camera(workspace.source, None)
         if self.check_poses:
             with Steps() as steps:
                 check = check_poses(workspace, frames, steps.show)

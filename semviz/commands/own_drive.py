@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from semviz.presentation.progress import track
-from semviz.workspace.drive_file import LEFT_OUT, DriveFile, calibration_toml
+from semviz.workspace.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import extrinsic_refinement, match_checks
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
+from semviz_core.datasets.rig_cameras import OneCamera, frames_by_camera
 
 ROW_PICTURE = Path("checks", "rows.png")
 REFINED = "calibration-refined.toml"
@@ -40,12 +42,14 @@ def check_against_images(drive: RecordedDrive, refine: bool) -> tuple[RecordedDr
             drive = _refined(drive, Path(cache) / "calibrated")
         dataset = _dataset(drive, Path(cache) / "used")
         warnings = [] if drive.right_folder is None else _row_warnings(dataset)
-        return drive, warnings if drive.axes is None else warnings + _pose_warnings(dataset, drive)
+        for camera, frames in () if drive.axes is None else frames_by_camera(dataset).items():
+            warnings += _pose_warnings(OneCamera(dataset, frames), drive, camera)
+        return drive, warnings
 
 
 def _dataset(drive: RecordedDrive, cache: Path) -> ImageFolder:
     content = DriveFile.of(drive, "drive")
-    return content.dataset(drive.left_folder, drive.right_folder, cache)
+    return content.dataset(ImageFolders.of_drive(drive), cache)
 
 
 def _refined(drive: RecordedDrive, cache: Path) -> RecordedDrive:
@@ -135,17 +139,20 @@ def _row_warnings(dataset: Dataset) -> list[str]:
     ]
 
 
-def _pose_warnings(dataset: Dataset, drive: RecordedDrive) -> list[str]:
+def _pose_warnings(dataset: Dataset, drive: RecordedDrive, camera: str) -> list[str]:
     """Print how many matches between images agree with the poses; return a warning if few do."""
     assert drive.axes is not None
     found = match_checks.check_poses(
         dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified
     )
+    of = f"{shown(camera, 60)}: " if camera else ""
     if not found.is_known:
-        print_topic("motion", f"not checked: {found.matches} matches between images apart")
+        print_topic("motion", f"{of}not checked: {found.matches} matches between images apart")
         return []
-    print_topic("motion", f"{found.share:.0%} of {found.matches} matches agree with the poses")
+    print_topic("motion", f"{of}{found.share:.0%} of {found.matches} matches agree with the poses")
     if found.agrees:
         return []
     remedy = f"{found.remedy} fits" if found.remedy else "poses of another drive, or other axes"
-    return [f"only {found.share:.0%} of the matches between images agree with the poses: {remedy}"]
+    return [
+        f"{of}only {found.share:.0%} of the matches between images agree with the poses: {remedy}"
+    ]

@@ -23,6 +23,8 @@ class PosesCheckCommand:
     """Folder of the workspace."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: check only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are checked; default: the first."""
     plot: parsing.OptionalPath = None
     """Also write a plot over the frames to this PNG file."""
     gate: bool = False
@@ -36,7 +38,7 @@ class PosesCheckCommand:
         from semviz.workspace.pose_labels import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         workspace = parsing.open_workspace(self.workspace)
         labels, source = workspace.read_labels(), workspace.source
         evidence = [label_evidence(labels, source, check, fault) for fault in check.faults]
@@ -63,6 +65,8 @@ class PosesRefineCommand:
     """File to write."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are refined; default: the first."""
     format: Literal["tum", "kitti"] = "tum"
     """tum: time and pose, z up; kitti: one pose per line, in KITTI's axes, all frames needed."""
     plot: parsing.OptionalPath = None
@@ -81,7 +85,7 @@ class PosesRefineCommand:
             self.out, outputs.never, force=self.force, reads=_files_read(self.workspace)
         )
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         save_trajectory(refined_frames(check), self.out, self.format)
         if self.plot is not None:
             draw_check(check, self.plot)
@@ -107,13 +111,13 @@ def print_known_pose_faults(workspace: "Workspace") -> None:
         print(line, file=sys.stderr)
 
 
-def _checked(path: Path, frames: str | None) -> "PoseCheck":
+def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
     from semviz.presentation.progress import Steps
     from semviz.workspace.localize import select_frames
     from semviz.workspace.pose_check import check_poses
 
     workspace = parsing.open_workspace(path)
-    chosen = select_frames(workspace.source, parsing.parse_frames(frames))
+    chosen = select_frames(workspace.source, parsing.parse_frames(frames), camera)
     with Steps() as steps:
         return check_poses(workspace, chosen, steps.show)
 

@@ -40,6 +40,8 @@ class LocalizeCommand:
     --method applies while the pose is unknown."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP], END excluded; default: all frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera to localize; default: the first."""
     observations: Annotated[
         Literal["labels", "detected", "simulated"] | None,
         arg(metavar="labels|detected|simulated", help_behavior_hint=""),
@@ -100,9 +102,9 @@ class LocalizeCommand:
             path, outputs.RUN, force=self.force, reads=[self.workspace], purpose="run"
         )
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration
+            workspace, self.map, options, frames, calibration, self.camera
         )
-        chosen = localize.select_frames(workspace.source, frames)
+        chosen = localize.select_frames(workspace.source, frames, self.camera)
         if left_out := len(chosen) - len(localization.frames):
             print(f"{left_out} frames without a pose are left out", file=sys.stderr)
         counts = localize.record(

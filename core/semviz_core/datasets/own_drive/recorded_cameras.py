@@ -8,7 +8,11 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
+from semviz_core.datasets.own_drive.calibration_files import (
+    CalibrationFile,
+    read_calibration,
+    read_rig_calibration,
+)
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_files import size_of_images
@@ -59,6 +63,8 @@ def _calibration(
     if is_colmap(path) or path.suffix == ".json":
         cameras = read_colmap(path) if is_colmap(path) else read_nerfstudio(path)
         return _model_calibration(files, recording, cameras)
+    if files.rig:
+        return read_rig_calibration(path, files.rig, files.cameras[0])
     return read_calibration(path, files.right_calibration)
 
 

@@ -1,9 +1,11 @@
 """Recognize the layout of a recording and read it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.adapters import (
     argoverse2,
     boreas,
@@ -40,7 +42,22 @@ def read_recording(files: DriveFiles) -> Recording:
                     "--cameras LEFT,RIGHT instead of --right"
                 )
             return read(files)
+    if files.rig and files.sequence is None:
+        return read_image_folders(replace(files, images=_folder_of_camera(files)))
     if files.cameras or files.sequence is not None:
         option = "--cameras" if files.cameras else "--sequence"
         raise SemvizError(f"{files.images}: a folder of images, where {option} has no meaning")
     return read_image_folders(files)
+
+
+def _folder_of_camera(files: DriveFiles) -> Path:
+    """Return the folder of the one camera of a rig that ``files`` are of."""
+    (name,) = files.cameras
+    folder = files.images / name
+    if Path(name).name != name or not folder.is_dir():
+        known = sorted(path.name for path in files.images.glob("*") if path.is_dir())
+        raise SemvizError(
+            f"{files.images}: no folder {shown(name, 60)} of a camera; --cameras FIRST,SECOND,... "
+            f"of {shown(', '.join(known) or 'none', 300)}"
+        )
+    return folder
