@@ -14,6 +14,7 @@ from semviz.annotator.draft import (
 )
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
+from semviz.annotator.panes import SecondImage
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
@@ -35,6 +36,8 @@ class DrawnMark(protocol.Part):
     frame_index: Index
     side: Side
     """Side on the page: with one camera, right is another frame."""
+    second: Index | None = None
+    """Frame of the second image as the page shows it; None: the frame's own right one."""
     anchor_px: PagePixel
     end_px: PagePixel | None = None
     anchor_known: bool = True
@@ -166,6 +169,7 @@ class GoToFrameRequest(protocol.Request):
 
     type: Literal["go_to_frame"] = "go_to_frame"
     frame: int
+    second: SecondImage | None = None
 
 
 class PreviewDraftRequest(protocol.Request):
