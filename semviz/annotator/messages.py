@@ -185,6 +185,8 @@ class ShowPastFrameRequest(protocol.Request):
     type: Literal["show_past_frame"] = "show_past_frame"
     operation: Count
     frame: int
+    second: Index | None = None
+    """Frame of the second image, as for ``DrawnMark``."""
 
 
 class ListOperationsRequest(protocol.Request):

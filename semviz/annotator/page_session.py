@@ -188,7 +188,7 @@ class AnnotatorPage:
     @protocol.handles(messages.ShowPastFrameRequest)
     def _show_past_frame(self, request: messages.ShowPastFrameRequest) -> None:
         with self._shared.lock:
-            past = self._session.history.frame(request.operation, request.frame)
+            past = self._session.history.frame(request.operation, request.frame, request.second)
         self._send(messages.PastFrameEvent(reply_to=request.id, past=past))
 
     @protocol.handles(messages.ListOperationsRequest)
