@@ -32,7 +32,9 @@ export class SecondChoice {
     const chosen = textOf(wish);
     this.list.title = `Second image (${this.keys.shown("Shift V")})`;
     const here = this.state.panes.left?.camera ?? "";
-    this.cache.show("second", [chosen, here], () => options(workspace, here).map(([value, text]) => el("option", { value, text, selected: value === chosen })));
+    this.cache.show("second", here, () => options(workspace, here).map(([value, text]) => el("option", { value, text })));
+    this.list.value = chosen;
+    if (this.list.selectedIndex < 0) this.list.value = ""; // this camera is in the left image
   }
 
   open() {
