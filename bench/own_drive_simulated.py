@@ -26,8 +26,8 @@ from semviz_annotation.mapping.build import build_map
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
 from semviz_core.common.arrays import FloatArray
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street

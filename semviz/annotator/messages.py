@@ -18,7 +18,7 @@ from semviz.annotator.panes import SecondImage
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
-from semviz_annotation.storage.background_check import HealthState
+from semviz_annotation.storage.label_file import HealthState
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 

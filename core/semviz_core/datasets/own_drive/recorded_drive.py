@@ -15,7 +15,6 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_files import ImageTimes, LeftOutImage
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_images import (
@@ -29,6 +28,7 @@ from semviz_core.datasets.own_drive.recorded_images import (
     read_world_poses,
     without_pose,
 )
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import (
     RectifiedRig,
     rectify_cameras,
