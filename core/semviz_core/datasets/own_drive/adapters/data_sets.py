@@ -300,7 +300,10 @@ def read_recording(files: DriveFiles) -> Recording:
         return read_image_folders(replace(files, images=_folder_of_camera(files)))
     if files.cameras or files.sequence is not None:
         option = "--cameras" if files.cameras else "--sequence"
-        raise SemvizError(f"{files.images}: a folder of images, where {option} has no meaning")
+        raise SemvizError(
+            f"{files.images}: a folder of images, where {option} has no meaning; if it holds a "
+            "folder for each of several cameras, add --rig"
+        )
     return read_image_folders(files)
 
 
