@@ -2,7 +2,7 @@
 
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -156,8 +156,14 @@ class NewCommand:
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
         """Return the new workspace and the number of warnings; a bag's images go through
         ``extracted``."""
-        from semviz.commands.own_drive import check_against_images, print_topic, write_refined
+        from semviz.commands.own_drive import (
+            check_against_images,
+            print_topic,
+            print_warning,
+            write_refined,
+        )
         from semviz.presentation.terminal import Steps
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -167,23 +173,32 @@ class NewCommand:
             drive = read_drive(files)
         for topic, text in drive.statements:
             print_topic(topic, text)
-        drive, found = check_against_images(drive, self.refine_extrinsics)
-        warnings = [*drive.warnings, *found]
+        drive, checks = check_against_images(drive, self.refine_extrinsics)
+        others = list(drive.warnings)
         if where := unusual_motion(drive.first_frames):
-            warnings.append(
+            others.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
             )
-        for warning in warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        if warnings and self.strict:
-            raise SemvizError(
-                f"--strict: {len(warnings)} warning{'s' * (len(warnings) > 1)}; nothing was made"
-            )
+        failed = [check for check in checks if check.passed is False]
+        for text in others:
+            print_warning(text)
+        for check in failed:
+            print_warning(check.warning, self._again_with(check.option) if check.option else "")
+        count = len(others) + len(failed)
+        if count and self.strict:
+            raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")
         workspace = Workspace.create_images(self.folder, drive, self.trust_poses, extracted)
+        stored = DriveChecks(checks=tuple(checks), warnings=tuple(others))
+        save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)
-        return workspace, len(warnings)
+        return workspace, count
+
+    def _again_with(self, option: str) -> str:
+        """Return this command with another option, for another folder: this one will exist."""
+        again = replace(self, folder=self.folder.with_name(f"{self.folder.name}-2"))
+        return f"semviz new {parsing.command_text(again)} {option}"
 
     def _files(
         self, images: Path, extracted: Path, show: "Callable[[str, int, int], None]"
