@@ -15,7 +15,7 @@ from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.new import NewCommand
-from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
+from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
 from semviz.commands.research import (
     BenchmarkCommand,
     DetectChooseCommand,
@@ -39,8 +39,13 @@ MapCommands = Annotated[
 ]
 PoseCommands = Annotated[
     Annotated[PosesCheckCommand, subcommand("check")]
-    | Annotated[PosesRefineCommand, subcommand("refine")],
-    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
+    | Annotated[PosesRefineCommand, subcommand("refine")]
+    | Annotated[PosesChooseCommand, subcommand("choose")],
+    subcommand(
+        "poses",
+        description="Check poses against the images of a workspace; refine them, or choose what to "
+        "do with wrong ones.",
+    ),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]

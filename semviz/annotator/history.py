@@ -12,6 +12,7 @@ from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
 from semviz.annotator.views import OperationView
 from semviz.web.protocol import Part, RefusedError
+from semviz.workspace.pose_choices import PoseChoices
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation
@@ -75,6 +76,15 @@ class HistoryView:
             is_searching=False,
         )
         return PastFrame(operation=operation, done=next(iter(self._views(done)), None), frame=frame)
+
+    def undoes_poses(self, choices: PoseChoices, author: str) -> bool:
+        """Return whether the author's last step that can be undone is a choice of poses."""
+        last = choices.present[-1:]
+        if not last or last[0].author != author:
+            return False
+        number = self._store.undoable(author)
+        edits = () if number is None else self._store.operations(after=number - 1, limit=1)
+        return not edits or edits[0].time <= last[0].time
 
     def _labels_at(self, number: int) -> Labels:
         if self._last_read.operation != number:

@@ -15,6 +15,14 @@ from semviz.annotator.draft import (
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
+from semviz.annotator.pose_messages import (
+    ChoosePosesRequest,
+    PoseFrameEvent,
+    PosesChosenEvent,
+    PosesEvent,
+    ShowPoseFrameRequest,
+    ShowPosesRequest,
+)
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
@@ -241,6 +249,9 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | ShowPosesRequest
+    | ShowPoseFrameRequest
+    | ChoosePosesRequest
     | protocol.SetThemeRequest
     | protocol.SetBackdropRequest,
     Field(discriminator="type"),
@@ -390,6 +401,9 @@ AnnotatorEvent: TypeAlias = (
     | OperationsEvent
     | NamedStatesEvent
     | ReviewEvent
+    | PosesEvent
+    | PoseFrameEvent
+    | PosesChosenEvent
     | protocol.SceneEvent
     | protocol.BackdropEvent
     | ElementClickedEvent

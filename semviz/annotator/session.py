@@ -79,6 +79,8 @@ class LabelSession:
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
+        self.choices = workspace.pose_choices()
+        """What people chose for wrong poses when the session was opened."""
         self._store = workspace.open_labels()
         self._triangle_center = self._store.labels.triangle_center
         proposals = load_proposals(workspace.proposals_path, self.classes)
@@ -437,7 +439,8 @@ class LabelSession:
             hash=self._feed.end.hash,
             counts=views.class_counts(labels),
             mapped=len(self.scene.elements()),
-            can_undo=self._store.undoable(self.author) is not None,
+            can_undo=self._store.undoable(self.author) is not None
+            or self.history.undoes_poses(self.choices, self.author),
             can_redo=self._store.redoable(self.author) is not None,
             history=history,
             map=self._reviews.summary(labels),

@@ -11,6 +11,7 @@
     kept/                keys that other labelling tools wrote, if any
     backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
     image_motions.safetensors  motions measured in the images; see ``pose_check``
+    pose_choices.json    what people chose for wrong poses, if anything; see ``pose_choices``
     detector.calibration.toml  what the scores of the detector mean, if chosen; see ``calibration``
     maps/NAME.parquet
     runs/NAME.rrd
@@ -40,6 +41,8 @@ from semviz.workspace.drive_file import (
     open_drive,
     write_left_out,
 )
+from semviz.workspace.pose_choices import FILE as POSE_CHOICES
+from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
@@ -53,7 +56,7 @@ from semviz.workspace.settings import (
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.base.frame import Dataset
+from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import NEW, TriangleCenter
@@ -233,11 +236,20 @@ class Workspace:
 
     @cached_property
     def source(self) -> Dataset:
-        """Images and poses.
+        """Images and poses, as people chose them: some refined, some frames left out. Raise
+        SemvizError like ``given_source``, and if the choices belong to other poses."""
+        given, choices = self.given_source, self.pose_choices()
+        if not choices.present or not isinstance(given, FileDataset):
+            return given
+        try:
+            return given.with_frames(choices.applied(given.frames))
+        except SemvizError as error:
+            raise SemvizError(f"{self.pose_choices_path}: {error}") from None
 
-        Raise SemvizError if they are missing or implausible, or if the calibration is not that of
-        the labels.
-        """
+    @cached_property
+    def given_source(self) -> Dataset:
+        """Images, and poses as the drive gives them. Raise SemvizError if they are missing or
+        implausible, or if the calibration is not that of the labels."""
         settings = self.settings.source
         if isinstance(settings, StreetSettings):
             source = self._open_street(settings)
@@ -257,6 +269,14 @@ class Workspace:
         if not isinstance(self.source, Street):
             raise SemvizError(f"{self.path}: only a simulated street has ground truth for this")
         return self.source
+
+    def pose_choices(self) -> PoseChoices:
+        """Read what people chose for wrong poses. Raise SemvizError if the file is damaged."""
+        return read_choices(self.pose_choices_path)
+
+    @property
+    def pose_choices_path(self) -> Path:
+        return self.path / POSE_CHOICES
 
     @property
     def labels_path(self) -> Path:
@@ -317,7 +337,7 @@ class Workspace:
 
     @property
     def _center_of_proposals(self) -> TriangleCenter:
-        """What new labels of triangular signs mark: what the stored proposals can follow."""
+        """What new labels of triangular signs mark, as stored proposals can follow it."""
         from semviz_annotation.labels.proposals import load_proposals
 
         return load_proposals(self.proposals_path, self.classes).triangle_center
@@ -415,26 +435,6 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
             f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "
             f"or set trust_poses = true at the top of {SETTINGS}"
         ) from None
-
-
-def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
-    """Return the runs in ``paths``: .rrd files, and all runs of workspaces, oldest first.
-
-    Raise SemvizError if a path is neither, or a workspace has no runs.
-    """
-    from semviz.runs.reader import check_run_file
-
-    runs: list[Path] = []
-    for path in paths:
-        if path.is_file() or path.suffix == ".rrd":
-            check_run_file(path)
-            runs.append(path)
-        else:
-            workspace = Workspace.open(path)
-            if not workspace.runs():
-                raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
-            runs += [workspace.run_path(name) for name in workspace.runs()]
-    return tuple(runs)
 
 
 def _checked_name(name: str) -> str:

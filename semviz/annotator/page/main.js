@@ -22,6 +22,7 @@ import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
+import { Poses } from "./poses.js";
 import { overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
@@ -62,7 +63,8 @@ export class Page {
     this.tour = new Tour(this.state, this.keys);
     this.state.wish = wishInAddress(location.search);
     this.second = new SecondChoice(this.state, this.keys, this);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second]);
+    this.poses = new Poses(this.state, this.keys, this);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -176,8 +178,8 @@ export class Page {
     if (!state.isReady || index === null || !state.order.includes(index)) return;
     this.tools.cancel();
     state.set({ frame: index, preview: null });
-    const { wish } = state;
-    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}`);
+    const { wish, view } = state;
+    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}`);
     this.socket.send("go_to_frame", { frame: index, second: wish });
     this.sceneGate?.hold(true);
     this.#showPictures(index);
@@ -287,13 +289,15 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use(commands(state, this.images, this.tools, this));
+    this.keys.use(this.poses.commands(commands(state, this.images, this.tools, this)));
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
     this.light.start();
     this.images.fit();
+    const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
+    if (isFirst && view === "poses") this.poses.open("poses");
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();

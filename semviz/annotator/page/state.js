@@ -19,6 +19,8 @@ export class State {
     this.frame = null; // number of the frame on screen
     /** @type {annotator.SecondImage | null} */
     this.wish = null; // for another second image than the usual one; see second.js
+    /** @type {"images" | "poses"} */
+    this.view = "images"; // the tab
     this.classId = 0; // for the next element
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation

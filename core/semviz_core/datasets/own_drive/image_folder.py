@@ -5,7 +5,7 @@ Images are rectified as they are asked for.
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,10 @@ class ImageFolder:
     @property
     def rig(self) -> Rig:
         return self.rectified.rig
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "ImageFolder":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        return replace(self, frames=frames)
 
     def image(self, index: int, side: Side) -> ByteImage:
         """Return (height, width, 3) sRGB of the rectified image of frame ``index``.
