@@ -72,6 +72,8 @@ class ImagesSettings(_Model):
     images: str
     """Folder of the left, or the only, camera, absolute or relative to the workspace."""
     right: str | None = None
+    cameras: dict[str, str] | None = None
+    """Of a rig: the folders of all its cameras by name, of the first one's again."""
 
 
 class SectionSettings(_Model):

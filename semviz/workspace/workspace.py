@@ -37,6 +37,7 @@ from semviz.workspace.drive_file import (
     RECORDED,
     RECTIFIED,
     DriveFile,
+    ImageFolders,
     open_drive,
     write_left_out,
 )
@@ -144,17 +145,21 @@ class Workspace:
         ``trust_poses`` accepts poses that jump or are inverted. Images in the folder ``extracted``
         move into the workspace; others stay where they are.
         """
-        folders = {"images": drive.left_folder, "right": drive.right_folder}
-        source: dict[str, object] = {"kind": "images"}
-        for name, folder in folders.items():
-            if folder is not None and extracted is not None and folder.is_relative_to(extracted):
-                source[name] = str(RECORDED / folder.relative_to(extracted))
-            elif folder is not None:
-                source[name] = os.path.relpath(folder.resolve(), path.resolve())
+
+        def kept(folder: Path) -> str:
+            if extracted is not None and folder.is_relative_to(extracted):
+                return str(RECORDED / folder.relative_to(extracted))
+            return os.path.relpath(folder.resolve(), path.resolve())
+
+        source: dict[str, object] = {"kind": "images", "images": kept(drive.left_folder)}
+        if drive.right_folder is not None:
+            source["right"] = kept(drive.right_folder)
+        if drive.cameras:
+            source["cameras"] = {name: kept(one.folder) for name, one in drive.cameras.items()}
         settings = new_settings(path, source, trust_poses)
         content = DriveFile.of(drive, f"drive-{settings.name}")
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
-            dataset = content.dataset(drive.left_folder, drive.right_folder, Path(cache))
+            dataset = content.dataset(ImageFolders.of_drive(drive), Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
 
         def fill() -> None:
@@ -380,19 +385,21 @@ class Workspace:
         return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
-        folders = [
-            None if folder is None else (self.path.resolve() / folder).resolve()
-            for folder in (settings.images, settings.right)
-        ]
-        for name, folder in zip(("images", "right"), folders, strict=True):
-            if folder is not None and not folder.is_dir():
+        def found(name: str, kept: str) -> Path:
+            folder = (self.path.resolve() / kept).resolve()
+            if not folder.is_dir():
                 raise SemvizError(
                     f"{folder}: images of workspace '{self.name}' not found; "
                     f"edit '{name}' in {self.path / SETTINGS}"
                 )
-        left, right = folders
-        assert left is not None
-        return open_drive(self.path / DRIVE_FILE, left, right, self.path / RECTIFIED)
+            return folder
+
+        folders = ImageFolders(
+            found("images", settings.images),
+            None if settings.right is None else found("right", settings.right),
+            {name: found(name, kept) for name, kept in (settings.cameras or {}).items()},
+        )
+        return open_drive(self.path / DRIVE_FILE, folders, self.path / RECTIFIED)
 
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions
@@ -408,6 +415,7 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
 
     The camera of a vehicle that ``looks_ahead`` moves ahead.
     """
+    from semviz_core.datasets.rig_cameras import frames_by_camera
     from semviz_core.datasets.validation import check_poses, check_sides, check_sizes
 
     name = source.map_frame.name
@@ -417,8 +425,8 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
     except SemvizError as error:
         raise SemvizError(f"{name}: {error}") from None
     try:
-        if not trust_poses:
-            check_poses(source.frames, looks_ahead)
+        for frames in () if trust_poses else frames_by_camera(source).values():
+            check_poses(frames, looks_ahead)
     except SemvizError as error:
         raise SemvizError(
             f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "

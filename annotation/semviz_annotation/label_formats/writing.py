@@ -184,8 +184,9 @@ def original_pixels(source: Dataset) -> OriginalPixels:
 
     def to_original(index: int, side: Side, pixels_px: FloatArray) -> tuple[str, FloatArray]:
         if isinstance(source, ImageFolder):
-            name = source.original_path(index, side).name
-            return name, source.to_original(pixels_px, side)
+            path, camera = source.original_path(index, side), source.camera_of.get(index)
+            name = path.name if camera is None else f"{camera}/{path.name}"
+            return name, source.to_original(pixels_px, index, side)
         return f"{side}/{index:06d}.png", pixels_px
 
     return to_original
