@@ -184,7 +184,6 @@ class ProposalSelection:
         self._positions = positions
         self._image_worker = image_worker
         self._order = tuple(cameras.T_map_camera)
-        self._rank = {index: rank for rank, index in enumerate(self._order)}
         self._detected = detected
         self._labels = Labels()
         self._geometries: dict[int, _Geometry] = {}
@@ -312,7 +311,7 @@ class ProposalSelection:
             for element in nearby
             for projection in element.projections
         ]
-        proposals = element_proposals(panes, expected, labels, self._rank)
+        proposals = element_proposals(panes, expected, labels, self._cameras)
         tracks_px = {
             pane: self._tracks.project(self._cameras.view(pane.frame_index, pane.side), labels)
             for pane in panes.values()
