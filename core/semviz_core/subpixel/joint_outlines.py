@@ -166,6 +166,4 @@ def _fitted(
         moves.append((outline.middle_px(triangle_center) - view.middle_px) / relative)
         halves.append(outline.half_px / relative)
         fits.append(outline.score)
-    return JointOutline(
-        np.array(moves), np.median(np.array(halves), axis=0), edges, np.array(fits)
-    )
+    return JointOutline(np.array(moves), np.median(np.array(halves), axis=0), edges, np.array(fits))
