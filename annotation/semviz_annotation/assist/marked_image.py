@@ -22,7 +22,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.subpixel.joint_outlines import EdgeProfile
 from semviz_core.subpixel.sampling import SampledImage
 
-SURE = 0.8
+SURE = 0.9
 """Proposals with at least this score can be accepted together by one key."""
 
 

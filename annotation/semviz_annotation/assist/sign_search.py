@@ -87,6 +87,8 @@ LOOK_PX = 1.2
 _SAME_PX = 1.5
 """Outlines whose middles are closer agree about the sign."""
 _MOST_MARGIN = 0.5
+_LEAST_EDGES, _MOST_SPREAD_PX, _LEAST_HALF_PX = 0.85, 0.8, 2.5
+"""Bounds of a clear outline: its edges, how well its images agree, and its size."""
 
 
 def with_outlines(
@@ -159,6 +161,9 @@ def _outlined(
         return None
     best = outlines[0]
     relative = views[row].scale / views[0].scale
+    spread_px, half_px = best.spread_px * relative, float(best.half_px.min()) * relative
+    if best.edges < _LEAST_EDGES or spread_px > _MOST_SPREAD_PX or half_px < _LEAST_HALF_PX:
+        return None
     other = max(
         (
             each.edges
@@ -172,11 +177,11 @@ def _outlined(
         [
             best.edges,
             np.clip(best.edges - other, 0.0, _MOST_MARGIN),
-            np.log(best.spread_px * relative + 0.2),
+            np.log(spread_px + 0.2),
             best.fits[row],
             np.log(np.linalg.norm(best.moves[row] - best.move) * relative + 0.2),
             np.linalg.norm(move) / views[row].sigma_px,
-            np.log(best.half_px.min() * relative),
+            np.log(half_px),
             np.log(len(views)),
             *followed.evidence,
         ]
