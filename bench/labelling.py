@@ -163,7 +163,7 @@ def print_outcome(outcome: Outcome) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1001, 1002, 1003])
+    parser.add_argument("--seeds", type=int, nargs="*", default=[1001, 1002, 1003])
     parser.add_argument("--detector", choices=["none", "simulated", "own"], default="none")
     parser.add_argument("--model", help="of --detector own, as 'semviz detect' takes it")
     parser.add_argument("--each", action="store_true", help="what each input was for")

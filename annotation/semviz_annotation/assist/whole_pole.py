@@ -25,6 +25,7 @@ _PARTS_PX = ((-24.0, 24.0), (-4.0, 44.0), (-44.0, 4.0))
 _PIECE_PX, _GAP_PX = 24.0, 6.0
 """Rows that are examined at once; a pole is followed over a gap of so many."""
 _MOST_PIECES = 20
+_PAST_BORDER_PX = 2.0
 _TIMES = 3
 """The axis is fitted anew to the longer part, and followed on."""
 _BACKGROUND = -2.5
@@ -89,7 +90,9 @@ def _followed(
         off, evidence = row_evidence(image, end - _PIECE_PX * along, end, width_px, _PIECE_PX)
         odds = WEIGHTS[0] + evidence @ WEIGHTS[1:]
         before = odds[off <= 0.0]
-        if not len(before) or off[-1] < 1.0:
+        if len(off) and off[-1] < 1.0:
+            return np.asarray(end + _PAST_BORDER_PX * along)
+        if not len(before):
             break
         least = min(0.5 * (float(np.median(before)) + _BACKGROUND), 0.0)
         gain = np.cumsum(np.clip(odds[off > 0.0] - least, -_CLEAR_ROW, _CLEAR_ROW))

@@ -76,7 +76,7 @@ export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g
  */
 export const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
 
-/** A score with two decimals, rounded down: 0.798 is below the confident 0.80.
+/** A score with two decimals, rounded down: 0.898 is below the confident 0.90.
  *
  * @param {number} score
  */
