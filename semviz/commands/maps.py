@@ -177,12 +177,9 @@ class MapCheckCommand:
 
         workspace = parsing.open_workspace(self.workspace)
         semantic_map = workspace.read_map(self.map)
-        check = check_map(
-            semantic_map,
-            read_labels_of(workspace, semantic_map),
-            workspace.source,
-            parsing.parse_frames(self.frames),
-        )
+        labels, sigma_ratio = read_labels_of(workspace, semantic_map)
+        frames = parsing.parse_frames(self.frames)
+        check = check_map(semantic_map, labels, workspace.source, frames, sigma_ratio)
         print(json.dumps(check.as_dict()) if self.json else check.as_text())
         if check.is_old:
             print(

@@ -5,8 +5,9 @@ the true poses, as in the paper's table. A gate sets limits that every measured 
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -254,8 +255,11 @@ def check_map(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> Check:
     """Check a map in ``frames`` (None: all labelled); the rules use all frames.
+
+    ``sigma_ratio`` is that of ``collect_observations``.
 
     Raise SemvizError if the map is empty, of another frame or in other units, or a labelled frame
     has no pose.
@@ -268,7 +272,7 @@ def check_map(
     return Check(
         semantic_map=semantic_map,
         accuracy=accuracy,
-        left_out=leave_one_out(semantic_map, labels, source, frames),
+        left_out=leave_one_out(semantic_map, labels, source, frames, sigma_ratio),
         findings=lint(semantic_map, labels, source),
         labels_operation=labels.operation,
     )

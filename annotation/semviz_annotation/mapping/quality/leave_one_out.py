@@ -6,8 +6,9 @@ solution (deletion formulas of regression: Cook and Weisberg 1982, 2.2), so 100,
 seconds.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -55,12 +56,14 @@ def leave_one_out(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> tuple[LeftOut, ...]:
     """Return the residuals of all labels of map elements in ``frames`` (None: all), worst first.
 
-    Elements with fewer than three labels are left out.
+    Elements with fewer than three labels are left out. ``sigma_ratio`` is that of
+    ``collect_observations``.
     """
-    linked = associate_labels(semantic_map, labels, source, frames)
+    linked = associate_labels(semantic_map, labels, source, frames, sigma_ratio)
     if linked is None:
         return ()
     options, elements = PlaceOptions(), semantic_map.elements
@@ -102,7 +105,9 @@ def delete_each(
     error, covariance = _predicted(observations, at, rows, options)
     chi2 = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     predicted = rows.any(axis=1)
-    residual_px = options.sigma_px * np.sqrt(_by_end(observations, error**2).max(axis=1))
+    residual_px = options.sigma_px * np.sqrt(
+        _by_end(observations, (error * at.sigma_ratio) ** 2).max(axis=1)
+    )
     normalized = _as_normal(chi2, np.maximum(rows.sum(axis=1), 1))
     return LeaveOneOutErrors(
         np.where(predicted, residual_px, np.nan), np.where(predicted, normalized, np.nan)
