@@ -11,7 +11,7 @@ from semviz.runs.reader import load_run
 from semviz.workspace.observations import observe_detected, read_detections, read_labels_of
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import LabelElement, Labels
@@ -20,7 +20,7 @@ from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_annotation.labels.rows import new_id, review_decision
 from semviz_annotation.mapping.association.detected_drive import TRACK_NUMBER, as_observation
 from semviz_annotation.mapping.build import build_map
-from semviz_annotation.mapping.quality.leave_one_out import leave_one_out
+from semviz_annotation.mapping.quality.check import leave_one_out
 from semviz_core.base.frame import Side
 from semviz_core.base.map_file import load_map
 from semviz_core.base.semantic_map import SemanticMap

@@ -25,6 +25,7 @@ from semviz_annotation.mapping.association.detected_drive import (
     DetectedDrive,
     as_observation,
     sigma_ratio_of,
+    without_rejected,
 )
 from semviz_annotation.mapping.association.ground_rays import (
     AgreedEnds,
@@ -33,7 +34,6 @@ from semviz_annotation.mapping.association.ground_rays import (
 )
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.not_landmarks import moving_tracks
-from semviz_annotation.mapping.association.rejected_tracks import without_rejected
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import (
@@ -41,7 +41,7 @@ from semviz_annotation.mapping.placement.observations import (
     gather_observations,
 )
 from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
