@@ -416,8 +416,7 @@ def check_map(
 ) -> Check:
     """Check a map in ``frames`` (None: all labelled; the rules use all).
 
-    Raise SemvizError if the map is empty, of another frame or in other units, or a labelled frame
-    has no pose.
+    Raise SemvizError if it is empty, of another frame or unit, or a labelled frame has no pose.
     """
     _refuse(semantic_map, labels, source)
     if semantic_map.provenance:
