@@ -12,11 +12,15 @@ import numpy as np
 
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
+from semviz_core.diagnosis.reference import (
+    FrameReference,
+    ProgressCallback,
+    no_progress,
+    whitened_rows,
+)
 from semviz_core.localization.association import associate
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
-from semviz_core.localization.residuals import EXACT_POSE, fill_rows, new_rows, whiten
 from semviz_core.localization.search import REFINED_COVARIANCE
 from semviz_core.localization.upright import assumed_upright
 
@@ -74,10 +78,12 @@ def _blocks(case: FrameReference) -> Iterator[Block]:
     pairs = _pairs(case)
     if not len(pairs) or case.reference is None:
         return
-    residual, by_pose = _rows(case, case.problem, pairs)
+    residual, by_pose, _ = whitened_rows(case.problem, case.reference, pairs)
     by_camera = np.empty((len(residual), 4))
     for k in range(3):
-        by_camera[:, k] = (_rows(case, _changed(case, k), pairs)[0] - residual) / _STEP[k]
+        by_camera[:, k] = (
+            whitened_rows(_changed(case, k), case.reference, pairs).residual - residual
+        ) / _STEP[k]
     by_camera[:, 3] = by_pose[:, 5]
     if case.truth is not None:
         yield residual, by_camera, np.empty((len(residual), 0))
@@ -99,24 +105,6 @@ def _pairs(case: FrameReference) -> IntArray:
     )
     rows = np.flatnonzero(match >= 0)
     return np.column_stack([rows, match[rows]])
-
-
-def _rows(
-    case: FrameReference, problem: PoseProblem, pairs: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return whitened residuals (r,) without pole bottoms, and their pose Jacobian (r, 6)."""
-    assert case.reference is not None
-    R, t = case.reference.rotation, case.reference.translation
-    rows, residuals, jacobians = new_rows(), [], []
-    for i, j in pairs:
-        if (count := fill_rows(problem, R, t, i, j, rows)) < 2:
-            continue
-        peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
-        count = min(count, 3 if peak else 2)  # bottoms may be hidden
-        whiten(problem, i, j, count, EXACT_POSE, rows)
-        residuals.append(rows.residual[:count].copy())
-        jacobians.append(rows.jacobian[:count].copy())
-    return np.concatenate(residuals), np.concatenate(jacobians)
 
 
 def _changed(case: FrameReference, k: int) -> PoseProblem:
