@@ -50,10 +50,10 @@ WORDS = (
 INSTRUMENTED = [
     "semviz_annotation.label_formats", "semviz_annotation.map_formats", "semviz_annotation.labels",
     "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
-    "semviz_core.common.parquet_footer", "semviz_core.datasets", "semviz.runs.codec",
-    "semviz_core.detection.model_config", "semviz.runs.reader", "semviz.runs.rrd",
+    "semviz_core.datasets", "semviz.runs.codec",
+    "semviz_core.detection.model_config", "semviz.runs.reader",
     "semviz.workspace.settings", "semviz.workspace.drive_file", "semviz_core.research.evaluation",
-    "semviz_core.research.training.segmentation_images", "semviz_core.research.training.box_images",
+    "semviz_core.research.training.annotated_images",
     "semviz_core.pose_checks.image_motions", "yaml",
 ]  # fmt: skip
 LIMIT_S, LIMIT_MB, MOST_BYTES = 30, 2048, 8192

@@ -28,17 +28,17 @@ from semviz_annotation.labels.proposals import read_proposals, save_proposals
 from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.map_formats.exchange import export_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop, BackdropSource, save_backdrop
-from semviz_annotation.mapping.backdrop.depth_fusion import FusionOptions
+from semviz_annotation.mapping.backdrop import Backdrop, BackdropSource, save_backdrop
+from semviz_annotation.mapping.depth_fusion import FusionOptions
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.detector_calibration import (
+from semviz_core.base.detector_model import (
+    SHIPPED_DETECTOR,
     CalibratedRates,
     DetectorCalibration,
     ScoreCurve,
     SigmaScale,
 )
-from semviz_core.base.detector_model import SHIPPED_DETECTOR
 from semviz_core.base.frame import Frame
 from semviz_core.base.map_file import save_map
 from semviz_core.base.pose import Pose

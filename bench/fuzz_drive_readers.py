@@ -16,9 +16,9 @@ from semviz.workspace.drive_file import DriveFile, open_drive
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.conventions import read_extrinsic
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.lens import OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 BETWEEN = b"\n%%%%\n"

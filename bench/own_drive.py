@@ -21,9 +21,9 @@ import numpy as np
 from semviz.workspace.drive_file import DriveFile
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 

@@ -14,10 +14,14 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
-from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.new import NewCommand
 from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
-from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
+from semviz.commands.research import (
+    BenchmarkCommand,
+    DetectChooseCommand,
+    TrainCommand,
+    WeightsCommand,
+)
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
 

@@ -142,7 +142,7 @@ def test_without_extras_all_is_imported_but_what_trains_networks(
     networks = (
         "semviz_core.research.",
         "semviz_core.detection.network",
-        "semviz.research.forgetting",
+        "semviz.research.training_run",
         "semviz.research.training_run",
     )
     assert all(module.startswith(networks) for module in modules)

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 from semviz.annotator import proposals
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.detection_refinement import RawDetection, refine_detection
-from semviz_annotation.assist.in_view import matched_element, not_sure_if_cut
+from semviz_annotation.assist.expected_position import matched_element, not_sure_if_cut
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
 from semviz_annotation.assist.propagation import ReferenceView, propagate
 from semviz_annotation.assist.snap import Snapped, snap

@@ -17,7 +17,7 @@ from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
-from semviz_annotation.storage.background_check import HealthState
+from semviz_annotation.storage.label_file import HealthState
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 

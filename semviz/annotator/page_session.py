@@ -16,9 +16,8 @@ from semviz.web import protocol
 from semviz.web.shapes import Theme
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import find_backdrop
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop
-from semviz_annotation.storage.background_check import Health
-from semviz_annotation.storage.label_file import LabelFileError
+from semviz_annotation.mapping.backdrop import Backdrop
+from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
 

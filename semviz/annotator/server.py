@@ -18,8 +18,7 @@ from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.workspace import Workspace, login_name
 from semviz_annotation.assist.snap import warm_up
-from semviz_annotation.storage.background_check import Health
-from semviz_annotation.storage.label_file import LabelFileError
+from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 

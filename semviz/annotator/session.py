@@ -30,7 +30,7 @@ from semviz.annotator.panes import Cameras, Panes
 from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
-from semviz.annotator.scene_elements import SceneElements
+from semviz.annotator.scene_view import SceneElements
 from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import ImageSize, RefusedError
@@ -41,7 +41,7 @@ from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
-from semviz_annotation.storage.background_check import Health
+from semviz_annotation.storage.label_file import Health
 from semviz_annotation.storage.store import EditBase, Operation
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Frame, Side

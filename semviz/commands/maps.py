@@ -67,7 +67,7 @@ class MapBuildCommand:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import Steps, announce_compiling
+        from semviz.presentation.terminal import Steps, announce_compiling
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
@@ -317,8 +317,8 @@ class MapImportCommand:
     def run(self) -> int:
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_annotation.label_formats.reading import parse_class_map
+        from semviz_annotation.map_formats.conversion import MapImportContext
         from semviz_annotation.map_formats.exchange import import_map
-        from semviz_annotation.map_formats.reading import MapImportContext
         from semviz_core.base.map_file import save_map
 
         anchor = parsing.parse_anchor(self.anchor, self.anchor_heading)
@@ -358,7 +358,7 @@ class MapLocalizabilityCommand:
     """Print one JSON object with every position instead of a table."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import announce_compiling, track
+        from semviz.presentation.terminal import announce_compiling, track
         from semviz.workspace import localizability, localize, outputs
         from semviz_core.localizability.predict import predict
 

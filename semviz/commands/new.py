@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from semviz.workspace.workspace import Workspace
-    from semviz_core.datasets.own_drive.drive_files import DriveFiles
+    from semviz_core.datasets.own_drive.recording import DriveFiles
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class NewCommand:
         """Return the new workspace and the number of warnings; a bag's images go through
         ``extracted``."""
         from semviz.commands.own_drive import check_against_images, print_topic, write_refined
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.terminal import Steps
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -185,7 +185,7 @@ class NewCommand:
     def _files(
         self, images: Path, extracted: Path, show: "Callable[[str, int, int], None]"
     ) -> "DriveFiles":
-        from semviz_core.datasets.own_drive.drive_files import DriveFiles
+        from semviz_core.datasets.own_drive.recording import DriveFiles
 
         return DriveFiles(
             images=images,
@@ -227,7 +227,7 @@ class NewCommand:
 
     def _warn_of_poses(self, workspace: "Workspace") -> None:
         """Print a line for each fault of the poses; with images only if asked."""
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.terminal import Steps
         from semviz.reports.pose_check import warning_lines
         from semviz.workspace.pose_check import check_poses
         from semviz_core.pose_checks.faults import suspicions

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.presentation.progress import track
+from semviz.presentation.terminal import track
 from semviz.workspace.drive_file import LEFT_OUT, DriveFile, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive import extrinsic_refinement, match_checks
+from semviz_core.datasets.own_drive import match_checks
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
@@ -51,16 +51,16 @@ def _dataset(drive: RecordedDrive, cache: Path) -> ImageFolder:
 def _refined(drive: RecordedDrive, cache: Path) -> RecordedDrive:
     if drive.original.T_right_left is None:
         raise SemvizError("--refine-extrinsics needs a right camera: give --right")
-    found = extrinsic_refinement.refine_extrinsics(_dataset(drive, cache), drive)
+    found = match_checks.refine_extrinsics(_dataset(drive, cache), drive)
     said = _refinement_said(found, drive)
     for topic, text in said:
         print_topic(topic, text)
-    changed = extrinsic_refinement.with_extrinsics(drive, found.T_right_left)
+    changed = match_checks.with_extrinsics(drive, found.T_right_left)
     return replace(changed, statements=(*changed.statements, *said))
 
 
 def _refinement_said(
-    found: extrinsic_refinement.RefinedExtrinsics, drive: RecordedDrive
+    found: match_checks.RefinedExtrinsics, drive: RecordedDrive
 ) -> tuple[tuple[str, str], tuple[str, str]]:
     assert drive.original.T_right_left is not None
     R, before = found.T_right_left.rotation, drive.original.T_right_left.rotation

@@ -11,7 +11,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
-    from semviz_core.base.detector_calibration import DetectorCalibration
+    from semviz_core.base.detector_model import DetectorCalibration
 
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")]

@@ -33,7 +33,7 @@ class PosesCheckCommand:
 
     def run(self) -> int:
         from semviz.reports.pose_check import check_text, draw_check
-        from semviz.workspace.pose_labels import label_evidence
+        from semviz.workspace.pose_check import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
         check = _checked(self.workspace, self.frames)
@@ -108,7 +108,7 @@ def print_known_pose_faults(workspace: "Workspace") -> None:
 
 
 def _checked(path: Path, frames: str | None) -> "PoseCheck":
-    from semviz.presentation.progress import Steps
+    from semviz.presentation.terminal import Steps
     from semviz.workspace.localize import select_frames
     from semviz.workspace.pose_check import check_poses
 

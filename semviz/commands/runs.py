@@ -15,7 +15,7 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Run
-    from semviz_annotation.map_formats.writing import ConversionTally
+    from semviz_annotation.map_formats.conversion import ConversionTally
     from semviz_core.base.frame import Frame
 
 
@@ -219,7 +219,7 @@ class ReportCommand:
     force: parsing.Force = False
 
     def run(self) -> int:
-        from semviz.reports.run_data import load_reports
+        from semviz.reports.run_plots import load_reports
         from semviz.reports.run_report import as_latex, as_markdown, run_report_html
         from semviz.workspace.outputs import check_outputs, contains
         from semviz_core.common.files import replacing
@@ -294,7 +294,7 @@ class TrajectoryCommand:
 
     def run(self) -> int:
         from semviz.workspace import outputs
-        from semviz_annotation.map_formats.writing import ConversionTally, ExchangeReport
+        from semviz_annotation.map_formats.conversion import ConversionTally, ExchangeReport
         from semviz_core.datasets.trajectory import save_trajectory
 
         # Files of poses have no place for a mark, and a sequence's own may have any name.

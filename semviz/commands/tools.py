@@ -39,7 +39,7 @@ class AnnotateCommand:
 
     def run(self) -> int:
         from semviz.annotator.server import Annotator
-        from semviz.presentation.progress import announce_compiling
+        from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
 
         announce_compiling("snapping to edges")
@@ -77,7 +77,7 @@ class ServeCommand:
         from contextlib import closing
 
         from semviz.inspector.server import Inspector
-        from semviz.presentation.progress import announce_compiling
+        from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
         from semviz.workspace.workspace import find_runs
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.inspector.state import State, View
-from semviz.presentation.palette import STATUS, residual_level
+from semviz.presentation.plots import STATUS, residual_level
 from semviz.runs.images import frame_image
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.scene import (

@@ -15,11 +15,10 @@ from urllib.parse import quote
 import numpy as np
 from aiohttp import web
 
-from semviz.inspector.context import Panel
+from semviz.inspector.context import Panel, RunLibrary
 from semviz.inspector.element_card import Origins, element_card, map_row, mapped, origins_view
 from semviz.inspector.label_repair import RunLabels
 from semviz.inspector.messages import GetOriginsRequest
-from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.state import Selection, State
 from semviz.inspector.views_frame import MatrixCell, ResidualView, SelectionCard, SelectionEvent
 from semviz.runs.diagnosis import detector_of, truth_of

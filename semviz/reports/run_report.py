@@ -11,11 +11,10 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from semviz.presentation.tables import Table, figure, in_latex, in_markdown, percent
+from semviz.presentation.terminal import Table, figure, in_latex, in_markdown, percent
 from semviz.reports.frame_images import frame_svg
 from semviz.reports.html import Html, element, html_page, plot, table_element, table_section
-from semviz.reports.run_data import RunReport
-from semviz.reports.run_plots import as_svg, comparing_plots, plot_over_frames
+from semviz.reports.run_plots import RunReport, as_svg, comparing_plots, plot_over_frames
 from semviz.runs.comparison import compare_runs
 from semviz.runs.diagnosis import diagnosis_sentence
 from semviz.runs.metrics import errors_of, settings_of

@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from semviz.presentation.palette import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, rgba
+from semviz.presentation.plots import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, rgba
 from semviz.runs.columns import Columns
 from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, frame_diagnosis
 from semviz.runs.run import FrameRecord, Run, RunInfo

@@ -19,8 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from semviz.runs import rerun_plots, rerun_scene, run
-from semviz.runs.checksum import row_checksum
-from semviz.runs.codec import Pools, encode
+from semviz.runs.codec import Pools, encode, row_checksum
 from semviz.runs.columns import FRAME, Columns
 from semviz.runs.images import relocate_images
 from semviz.runs.reader import load_run

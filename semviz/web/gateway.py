@@ -1,23 +1,75 @@
-"""Serve one web tool on one port, and open its address in a browser."""
+"""Serve one web tool on one port, and open its address in a browser.
+
+Other users of the machine do not see the page's token.
+"""
 
 import asyncio
 import contextlib
 import errno
+import html
 import os
 import secrets
 import signal
 import socket
+import sys
+import tempfile
 import threading
+import webbrowser
 from collections.abc import Iterator
+from pathlib import Path
 from urllib.parse import quote
 
 from aiohttp import web
 
-from semviz.web import browser
 from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback
 from semviz.web.sessions import close_sockets
 from semviz.web.tool import Tool, tool_application
 from semviz_core.common.errors import SemvizError
+
+FORWARD = """<!doctype html>
+<meta charset="utf-8">
+<meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={url}">
+<title>semviz</title>
+<a href="{url}">Open semviz</a>
+"""
+
+
+@contextlib.contextmanager
+def opened(url: str) -> Iterator[None]:
+    """Open the default browser, if there is a display; remove the file that leads there at the end.
+
+    On Linux every user can read a browser's command line, so it gets the name of a private file
+    that forwards to ``url``.
+    """
+    if not sys.platform.startswith("linux"):
+        _start(url)
+        yield
+    elif os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        file = _forwarding_file(url)
+        try:
+            _start(file.as_uri())
+            yield
+        finally:
+            file.unlink(missing_ok=True)
+    else:
+        yield
+
+
+def _forwarding_file(url: str) -> Path:
+    """Return a file that only this user can read. Browsers in a sandbox read the home folder only,
+    without its hidden files."""
+    home = Path.home()
+    folder = home if os.access(home, os.W_OK) else Path(tempfile.gettempdir())
+    handle, name = tempfile.mkstemp(prefix="semviz-", suffix=".html", dir=folder)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(FORWARD.format(url=html.escape(url)))
+    return Path(name)
+
+
+def _start(url: str) -> None:
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
 
 CLOSING_S = 5.0
 """Longest time for closing after Ctrl-C."""
@@ -53,7 +105,7 @@ class Gateway:
         """Serve until Ctrl-C or SIGTERM; print the address and open it in a browser."""
         with self.running() as url, _stop_signal() as stopped:
             print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
-            with browser.opened(url) if open_browser else contextlib.nullcontext():
+            with opened(url) if open_browser else contextlib.nullcontext():
                 stopped.recv(1)
             _end_within(CLOSING_S)
 

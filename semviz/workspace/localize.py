@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.presentation.progress import announce_compiling, track
+from semviz.presentation.terminal import announce_compiling, track
 from semviz.runs.images import check_images_available, with_images
 from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
 from semviz.runs.writer import write_run
@@ -25,8 +25,7 @@ from semviz.workspace.detect import MODEL_FILE
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_core.base.camera import Camera
-from semviz_core.base.detector_calibration import DetectorCalibration
-from semviz_core.base.detector_model import NoiseName
+from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Dataset, Frame, Odometry, OdometryNoise, Prior
 from semviz_core.base.localization import Localization, Refinement

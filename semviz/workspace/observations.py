@@ -17,8 +17,7 @@ from semviz.workspace.settings import StreetSettings
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.mapping.quality.label_links import map_rows, observe
-from semviz_core.base.detector_calibration import DetectorCalibration
-from semviz_core.base.detector_model import NoiseName
+from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import SemanticMap
@@ -173,7 +172,7 @@ def matched_rows(detections: Elements2D, elements: Elements2D) -> IntArray:
 
 
 def _on_street(street: "Street", index: int) -> _Visible:
-    from semviz_core.simulation.ground_truth import street_truth
+    from semviz_core.simulation.detector import street_truth
 
     elements, ids = street_truth(street, index, "left").elements, street.labels(index, "left")[1]
     return elements, np.append(ids, np.full(len(elements) - len(ids), UNKNOWN_ID))

@@ -18,7 +18,7 @@ import pytest
 from echo_tool import UPGRADE, EchoTool, ask, finished, stranger
 from serving import at
 
-from semviz.web import browser
+from semviz.web import gateway
 from semviz.web.gateway import Gateway
 from semviz.web.sessions import MAX_REQUEST
 from semviz.web.viser_servers import SECRET_HEADER, ViserServers
@@ -121,7 +121,7 @@ def test_the_browser_is_told_a_private_file(
     monkeypatch.setattr(webbrowser, "open", open_)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("HOME", str(tmp_path))
-    with browser.opened("http://127.0.0.1:8080/?token=s3cret"):
+    with gateway.opened("http://127.0.0.1:8080/?token=s3cret"):
         assert done.wait(10)
         assert "s3cret" not in opened[0]
         (file,) = tmp_path.iterdir()

@@ -17,8 +17,8 @@ from pyarrow import feather
 
 from semviz.workspace.workspace import Workspace
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 REPOSITORY = Path(__file__).parents[2]
 pytestmark = pytest.mark.realdata

@@ -15,8 +15,7 @@ from streets import street
 from support.planted_pose_faults import moved
 from support.street_labels import careful, label_street
 
-from semviz.workspace.pose_check import check_poses, motions_path
-from semviz.workspace.pose_labels import label_evidence
+from semviz.workspace.pose_check import check_poses, label_evidence, motions_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp

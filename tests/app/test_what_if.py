@@ -16,9 +16,10 @@ from semviz.runs.metrics import errors_of
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.what_if.change import WhatIfChange
-from semviz.what_if.scene_changes import (
+from semviz.what_if.request_changes import (
     AddElement,
     ChangeElementClass,
+    CropRadius,
     DetectionClass,
     DropDetection,
     DropElement,
@@ -27,7 +28,12 @@ from semviz.what_if.scene_changes import (
     ForceTruePairs,
     IgnoreClasses,
     LeastScore,
+    MovePrior,
     NoiseFactor,
+    PriorAtTruth,
+    PriorSigma,
+    StartAtTruth,
+    UseMethod,
 )
 from semviz.what_if.solve import (
     KINDS,
@@ -45,19 +51,11 @@ from semviz.what_if.solve import (
     to_json,
 )
 from semviz.what_if.solve import describe_sweep as outcome
-from semviz.what_if.solver_changes import (
-    CropRadius,
-    MovePrior,
-    PriorAtTruth,
-    PriorSigma,
-    StartAtTruth,
-    UseMethod,
-)
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import Localizer
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 
 
 def first() -> tuple[Run, FrameRecord]:

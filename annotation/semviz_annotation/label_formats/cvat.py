@@ -13,7 +13,7 @@ from typing import Any
 from xml.etree import ElementTree  # for writing only; read with defusedxml
 
 from semviz_annotation.label_formats import reading
-from semviz_annotation.label_formats.numbers import from_corner, number, quoted, to_corner
+from semviz_annotation.label_formats.reading import from_corner, number, quoted, to_corner
 from semviz_annotation.label_formats.writing import ATTRIBUTES, LabelExportContext, as_word
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.base.frame import Side

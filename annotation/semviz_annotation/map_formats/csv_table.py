@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import number, quoted
-from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, read_bytes
-from semviz_annotation.map_formats import reading
-from semviz_annotation.map_formats.writing import LOG_ODDS, ConversionTally, drop_history
+from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, number, quoted, read_bytes
+from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, drop_history
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
@@ -58,7 +57,7 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
     return tally
 
 
-def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+def read_csv(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the elements of a table with at least the columns ``class`` and ``anchor_*_m``."""
     try:
         text = read_bytes(path, MOST_JSON_BYTES).decode("utf-8-sig")
@@ -67,7 +66,7 @@ def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap
         missing = [name for name in _NEEDED if name not in header]
         if missing:
             raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
-        parsed = reading.ParsedMap(georeference=context.anchor)
+        parsed = conversion.ParsedMap(georeference=context.anchor)
         centers = set()
         for row in rows:
             with at(f"{path}, line {rows.line_num}"):
@@ -85,7 +84,9 @@ def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap
 
 
 def _read_row(
-    row: Mapping[str, str | None], parsed: reading.ParsedMap, context: reading.MapImportContext
+    row: Mapping[str, str | None],
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     if "more" in row or None in row.values():
         raise SemvizError("more or fewer values than the header has names")
@@ -102,9 +103,9 @@ def _read_row(
         name = quoted(values["class"])
         raise SemvizError(f"{name} {'without' if is_line else 'with'} an end; {', '.join(END)}")
     anchor_known, end_known = (_flag(values.get(name, ""), name) for name in KNOWN)
-    id_, covariance = reading.parse_integer(values.get("id")), _covariance(values, is_line)
+    id_, covariance = conversion.parse_integer(values.get("id")), _covariance(values, is_line)
     parsed.add(
-        reading.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
+        conversion.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
     )
     return None
 

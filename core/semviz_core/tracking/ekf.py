@@ -14,7 +14,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.least_squares import fit_pairs
 from semviz_core.tracking import association
-from semviz_core.tracking.belief import JointBelief
+from semviz_core.tracking.association import JointBelief
 
 
 def kalman_update(

@@ -18,8 +18,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.localization.localizer import Localizer
-from semviz_core.tracking.association import FrameAssociation, TrackingFrame, associate_frame
-from semviz_core.tracking.belief import JointBelief
+from semviz_core.tracking.association import (
+    FrameAssociation,
+    JointBelief,
+    TrackingFrame,
+    associate_frame,
+)
 from semviz_core.tracking.ekf import predict_and_update, update_by_pairs, update_by_prior
 
 WINDOW = 30

@@ -24,16 +24,16 @@ from semviz_annotation.mapping.association.detected_drive import (
     TRACK_NUMBER,
     DetectedDrive,
     as_observation,
+    without_rejected,
 )
 from semviz_annotation.mapping.association.ground_rays import AgreedEnds, agreed_ends
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.not_landmarks import moving_tracks
-from semviz_annotation.mapping.association.rejected_tracks import without_rejected
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import ObservationArray
 from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray

@@ -14,11 +14,14 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.adapters.comma2k19 import is_comma, read_comma_poses
-from semviz_core.datasets.own_drive.adapters.registry import read_recording
+from semviz_core.datasets.own_drive.adapters.data_sets import (
+    is_comma,
+    read_comma_poses,
+    read_recording,
+)
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
@@ -27,13 +30,19 @@ from semviz_core.datasets.own_drive.image_files import (
     times_from_names,
 )
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
 from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import read_cameras, rows_of_images
-from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.recording import Recording
+from semviz_core.datasets.own_drive.recorded_cameras import (
+    read_cameras,
+    read_nerfstudio,
+    rows_of_images,
+)
+from semviz_core.datasets.own_drive.recording import (
+    DriveFiles,
+    Recording,
+    poses_at_times,
+    why_without_pose,
+)
 from semviz_core.datasets.own_drive.rectification import RectifiedRig, rectify_rig
-from semviz_core.datasets.own_drive.time_matching import poses_at_times, why_without_pose
 
 
 @dataclass(frozen=True, eq=False)

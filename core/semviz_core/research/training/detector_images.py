@@ -24,7 +24,7 @@ from semviz_core.common.arrays import BoolArray, ByteImage, bool_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.detection.regions import Region
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.layout import Section, StreetOptions
 from semviz_core.simulation.objects import SectionKind
 from semviz_core.simulation.street import Street

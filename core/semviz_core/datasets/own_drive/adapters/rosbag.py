@@ -32,10 +32,9 @@ from semviz_core.datasets.own_drive.calibration_files import (
     camera_info,
     stereo_calibration,
 )
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.conventions import RecordedPoses
 from semviz_core.datasets.own_drive.image_files import ImageNames, ImageTimes, pairs_by_time
-from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses
-from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
+from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 from semviz_core.datasets.trajectory import MOST_LINES
 
 if TYPE_CHECKING:

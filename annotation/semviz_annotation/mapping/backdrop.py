@@ -16,7 +16,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from semviz_annotation.mapping.backdrop.depth_fusion import Cloud, FusionOptions
+from semviz_annotation.mapping.depth_fusion import Cloud, FusionOptions
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import MapFrame
