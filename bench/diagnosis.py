@@ -38,6 +38,8 @@ from semviz_core.research.evaluation.roads import simulated_road
 KINDS: tuple[FaultKind, ...] = ("healthy", *PLANTED, *CAUSES)
 RUN_KINDS: tuple[FaultKind, ...] = (
     "healthy", "wrong calibration", "moved in the map", "missing in the map", "twice in the map",
+    "misaligned map", "wrong extrinsic", "time offset", "wrong heading prior",
+    "wrong detection sigma",
 )  # fmt: skip
 UNDECIDED: FaultKind = "false or not mapped"
 MEANS: tuple[FaultKind, ...] = ("false detection", "missing in the map", "moved in the map")
@@ -142,6 +144,8 @@ def is_meant(fault: Fault, planted: Planted) -> bool:
 def named_in_run(planted_run: PlantedRun, knowledge: GroundTruthLevel) -> str:
     frames = [(found, told(truth, knowledge)) for found, truth in planted_run.frames]
     diagnosis = diagnose_run(frames, planted_run.semantic_map, DETECTOR)
+    if diagnosis.causes:
+        return diagnosis.causes[0].kind
     if diagnosis.calibration is not None:
         return diagnosis.calibration.kind
     wrong = [

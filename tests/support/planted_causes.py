@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from semviz_core.base.pose import Pose, heading_rad, so3_exp
+from semviz_core.base.pose import heading_rad, so3_exp
 from semviz_core.diagnosis.fault import FaultKind
 from semviz_core.research.evaluation.problems import Difficulty, make_problem, mapped_elements
 from semviz_core.research.evaluation.roads import BenchmarkRoad
@@ -17,6 +17,8 @@ from support.planted_faults import WHOLE, Given, Planted, aside, localized_with,
 
 HEADING_SIGMA_RAD = float(np.deg2rad(3.0))
 SIGMA_FACTOR = 4.0
+SHOWS_SIGMA = 7
+"""Elements that show how large the errors are; fewer may be off by chance."""
 LEVELS: dict[FaultKind, Difficulty] = {
     "wrong heading prior": replace(WHOLE, heading_sigma_rad=HEADING_SIGMA_RAD),
     "wrong detection sigma": replace(WHOLE, sigma_px=SIGMA_FACTOR, map_view_sigma_m=0.05),
@@ -30,6 +32,8 @@ def plant_cause(fault: FaultKind, seed: int, road: BenchmarkRoad) -> Planted | N
     level = replace(level, false_detections=0.0)
     problem = make_problem(seed, level, road)
     given = Given.of(problem, mapped_elements(road, seed, level))
+    if fault == "wrong detection sigma" and len(given.true_rows) < SHOWS_SIGMA:
+        return None
     if not problem.is_valid or not localized_with("healthy", given).is_healthy:
         return None
     changed = CAUSES[fault](given, np.random.default_rng([seed, 10]))
@@ -38,10 +42,24 @@ def plant_cause(fault: FaultKind, seed: int, road: BenchmarkRoad) -> Planted | N
 
 def _heading(given: Given, rng: np.random.Generator) -> Given:
     """A compass 15 to 30 deg off that states 3."""
-    off = _signed(rng, np.deg2rad(15.0), np.deg2rad(30.0))
-    heading = heading_rad(given.T_camera_map.inverse()) + off
+    return with_heading(given, _signed(rng, np.deg2rad(15.0), np.deg2rad(30.0)))
+
+
+def with_heading(given: Given, off_rad: float) -> Given:
+    """With a heading prior that is off."""
+    heading = heading_rad(given.T_camera_map.inverse()) + off_rad
     wrapped = float(np.arctan2(np.sin(heading), np.cos(heading)))
-    return replace(given, prior=replace(given.prior, heading_rad=wrapped))
+    prior = replace(given.prior, heading_rad=wrapped, heading_sigma_rad=HEADING_SIGMA_RAD)
+    return replace(given, prior=prior)
+
+
+def with_noise(given: Given, factor: float, rng: np.random.Generator) -> Given:
+    """With detections whose error is larger than they state, by ``factor`` in all."""
+    observed = given.observed
+    more = np.sqrt(factor**2 - 1.0) * observed.sigma_px[:, :1]
+    anchor_px = observed.anchor_px + more * rng.standard_normal(observed.anchor_px.shape)
+    end_px = observed.end_px + more * rng.standard_normal(observed.end_px.shape)
+    return replace(given, observed=replace(observed, anchor_px=anchor_px, end_px=end_px))
 
 
 def _gravity(given: Given, rng: np.random.Generator) -> Given:
@@ -86,11 +104,6 @@ CAUSES: dict[FaultKind, Callable[[Given, np.random.Generator], Given]] = {
     "wrong detection sigma": _sigma,
     "misaligned map": _shift,
 }
-
-
-def turned(given: Given, T_stated_camera: Pose) -> Given:
-    """With the truth of a camera that is said to be mounted otherwise."""
-    return replace(given, T_camera_map=T_stated_camera @ given.T_camera_map)
 
 
 def _signed(rng: np.random.Generator, least: float, most: float) -> float:

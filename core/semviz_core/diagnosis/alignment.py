@@ -12,19 +12,23 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.reference import FrameReference, pose_distance
+from semviz_core.diagnosis.reference import FrameReference, pose_distance, whitened_rows
 from semviz_core.localization.refinement import Failure, PoseEstimate, refine_pose
 from semviz_core.localization.residuals import problem_residuals
 from semviz_core.localization.search import Modes, mode_near
 from semviz_core.localization.upright import assumed_upright
 
+FREE_PARAMETERS = 4.0
+"""Of a pose that the image determines with gravity known."""
+MEDIAN_OF_NORMAL = 0.6745
+"""Of the absolute value of a normal number."""
 NEEDED_PAIRS = 4
 LEAST_FIT = 0.7
 """Share of the detections that must fit the map at the shifted pose."""
 MOST_FIT = 0.5
 """Share of them that may fit at the true pose as well."""
 LEAST_SIGMAS = 6.0
-NEAR_M, NEAR_RAD = 8.0, float(np.deg2rad(10.0))
+NEAR_M, NEAR_RAD = 8.0, float(np.deg2rad(25.0))
 """A pose further from the true one is another place, not a shift."""
 
 
@@ -58,7 +62,17 @@ def image_pose(case: FrameReference) -> Misalignment | None:
     if best is None or _fitting(best) < needed:
         return None
     offset = (best.T_camera_map @ case.truth.inverse()).log()
-    return Misalignment(best.T_camera_map, offset, best.covariance, _fitting(best))
+    covariance = _scale(case, best) ** 2 * best.covariance
+    return Misalignment(best.T_camera_map, offset, covariance, _fitting(best))
+
+
+def _scale(case: FrameReference, estimate: PoseEstimate) -> float:
+    """Return the size of the residuals in sigmas, 1 or more: stated sigmas may be too small."""
+    pairs = case.same_class if case.ids is not None else estimate.refinement.pairs
+    residual = whitened_rows(case.problem, estimate.T_camera_map, pairs).residual
+    left = max(len(residual) - FREE_PARAMETERS, 1.0) / len(residual)
+    size = float(np.median(np.abs(residual))) / (MEDIAN_OF_NORMAL * float(np.sqrt(left)))
+    return max(1.0, size)
 
 
 def misalignment(case: FrameReference) -> Misalignment | None:

@@ -60,10 +60,10 @@ def _heading_at(prior: Prior, pose: Pose) -> Prior:
 
 def _height_at(prior: Prior, pose: Pose) -> Prior:
     residual, _ = _rows(HEIGHT, prior, pose)
-    return _raised(prior, float(residual[0]) * prior.vertical_sigma_m)
+    return raised(prior, float(residual[0]) * prior.vertical_sigma_m)
 
 
-def _raised(prior: Prior, by_m: float) -> Prior:
+def raised(prior: Prior, by_m: float) -> Prior:
     """Return the prior with camera and road higher by ``by_m``."""
     up_m = np.array([0.0, 0.0, by_m])
     road_m = None if prior.road_m is None else prior.road_m + up_m
@@ -72,7 +72,7 @@ def _raised(prior: Prior, by_m: float) -> Prior:
 
 def _other_heights(prior: Prior) -> tuple[Prior, ...]:
     vague = replace(prior, vertical_sigma_m=max(prior.vertical_sigma_m, HEIGHT_STEP_M / 2.0))
-    return tuple(_raised(vague, step * HEIGHT_STEP_M) for step in HEIGHT_STEPS)
+    return tuple(raised(vague, step * HEIGHT_STEP_M) for step in HEIGHT_STEPS)
 
 
 def _position_at(prior: Prior, pose: Pose) -> Prior:

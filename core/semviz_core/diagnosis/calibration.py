@@ -7,6 +7,7 @@ If the true pose is unknown, each frame's pose is estimated too, with its prior,
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,9 +42,22 @@ _SCALES = (30.0, 15.0, 8.0, 4.0, 4.0)
 _STEP = np.array([1e-4, 0.1, 0.1])
 
 
-def calibration_fault(
+class WrongCalibration(NamedTuple):
+    """An error of the calibration, and what is left with it."""
+
+    fault: Fault
+    cost: float
+    """As ``residual_cost``."""
+
+
+def residual_cost(cases: Sequence[FrameReference]) -> float:
+    """Return the sum of squared residuals in sigmas, each at most ``OFF_SIGMAS`` squared."""
+    return _cost([block for case in cases for block in _blocks(case)], np.zeros(len(PATTERNS)))
+
+
+def find_calibration(
     cases: Sequence[FrameReference], watch: ProgressCallback = no_progress
-) -> Fault | None:
+) -> WrongCalibration | None:
     """Return the fault of the strongest pattern; None without one."""
     watched = watch(cases, "checking the calibration", len(cases))
     blocks = [block for case in watched for block in _blocks(case)]
@@ -52,14 +66,15 @@ def calibration_fault(
     value, sigma = _estimate(blocks)
     measured, strength = value * IN_UNITS, np.abs(value) / sigma
     significant = (strength > LEAST_SIGMAS) & (np.abs(measured) > LEAST)
-    explained = 1.0 - _cost(blocks, value) / _cost(blocks, np.zeros(4))
+    cost = _cost(blocks, value)
+    explained = 1.0 - cost / _cost(blocks, np.zeros(len(PATTERNS)))
     least = EXPLAINED_BLIND if any(case.truth is None for case in cases) else EXPLAINED
     if not significant.any() or explained < least:
         return None
     k = int(np.argmax(np.where(significant, strength, 0.0)))
     also = " or mounting" if k else ""
     name = "roll of the mounting" if k == 3 else PATTERNS[k].split(",")[0] + also
-    return Fault(
+    fault = Fault(
         "wrong calibration",
         f"The residuals of all frames fit an error of {measured[k]:+.1f} {UNITS[k]} in {name}.",
         (
@@ -67,6 +82,7 @@ def calibration_fault(
             EvidenceItem("strength", strength[k], "sigma"),
         ),
     )
+    return WrongCalibration(fault, cost)
 
 
 Block = tuple[FloatArray, FloatArray, FloatArray]

@@ -12,6 +12,7 @@ from semviz_core.base.elements import Elements3D
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.diagnosis.alignment import FREE_PARAMETERS, misalignment
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
 from semviz_core.diagnosis.reference import FrameReference, whitened_rows
 from semviz_core.localization.association import associate
@@ -26,14 +27,18 @@ LEAST_NATS = 4.0
 fault of the sigma."""
 GATE_SCALE = 4.0
 """Pairs are sought with sigmas larger by this."""
+LEAST_FIT = 0.8
+"""Share of the residuals that must fit with the likeliest scale."""
 MOST_CHI2 = 16.0
 """Squared residuals count up to this: a wrong pair is as wrong as it can be."""
-FREE_PARAMETERS = 4.0
-"""Of a pose that the image determines with gravity known."""
 
 
 def sigma_fault(case: FrameReference, localization: Localization) -> Fault | None:
-    """Return the fault of sigmas that are too small at the true pose, or else that estimate."""
+    """Return the fault of sigmas that are too small, at the pose that the image supports.
+
+    A map that is shifted as a whole is no fault of the sigmas. ``localization`` gives the pose if
+    the true one is unknown.
+    """
     scale, nats = _scale(case, localization)
     if scale < LEAST_SCALE or nats < LEAST_NATS:
         return None
@@ -50,28 +55,43 @@ def sigma_fault(case: FrameReference, localization: Localization) -> Fault | Non
 def _scale(case: FrameReference, localization: Localization) -> tuple[float, float]:
     """Return the likeliest of ``SCALES``, and its log-likelihood ratio without the pair that it
     helps most."""
-    pose = case.truth or localization.T_camera_map
+    image = misalignment(case)
+    pose = image.T_camera_map if image else case.truth or localization.T_camera_map
     if pose is None:
         return 1.0, 0.0
+    free = 0.0 if image is None and case.truth is not None else FREE_PARAMETERS
     mapped = localization.submap if case.truth is None else case.nearby
     pairs = case.same_class if case.ids is not None else _wide_pairs(case, mapped, pose)
     if len(pairs) < 2:
         return 1.0, 0.0
-    table = np.array(list(_log_likelihoods(case, mapped, pose, pairs)))
+    table = np.array(list(_log_likelihoods(case, mapped, pose, pairs, free)))
     gain = table - table[0]
     best = int(np.argmax(gain.sum(axis=1)))
+    if _fit_share(case, mapped, pose, pairs, float(SCALES[best])) < LEAST_FIT:
+        return 1.0, 0.0  # what is off by many sigmas is no pair
     return float(SCALES[best]), float(gain[best].sum() - gain[best].max())
 
 
+def _fit_share(
+    case: FrameReference, mapped: Elements3D, pose: Pose, pairs: IntArray, scale: float
+) -> float:
+    """Return the share of the residuals that fit with sigmas larger by ``scale``."""
+    residual = whitened_rows(_problem(case, mapped, scale), pose, pairs).residual
+    return float((residual**2 < MOST_CHI2).mean())
+
+
 def _log_likelihoods(
-    case: FrameReference, mapped: Elements3D, pose: Pose, pairs: IntArray
+    case: FrameReference, mapped: Elements3D, pose: Pose, pairs: IntArray, free: float
 ) -> Iterator[FloatArray]:
-    """Yield the log-likelihoods (k,) of the pairs, for each of ``SCALES``."""
+    """Yield the log-likelihoods (k,) of the pairs, for each of ``SCALES``.
+
+    ``free`` parameters of the pose were fitted to them.
+    """
     for scale in SCALES:
         problem = _problem(case, mapped, float(scale))
         by_pair = [whitened_rows(problem, pose, pair[None]) for pair in pairs]
         count = sum(len(rows.residual) for rows in by_pair)
-        left = 1.0 if case.truth is not None else max(count - FREE_PARAMETERS, 1.0) / count
+        left = max(count - free, 1.0) / count
         yield np.array(
             [
                 -0.5 * np.minimum(rows.residual**2 / left, MOST_CHI2).sum() - rows.log_sigma.sum()

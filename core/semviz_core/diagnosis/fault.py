@@ -28,6 +28,8 @@ FaultKind = Literal[
     "wrong position prior",
     "wrong detection sigma",
     "misaligned map",
+    "time offset",
+    "wrong extrinsic",
     "wrong matches",
     "search miss",
     "refinement diverged",
@@ -63,6 +65,14 @@ class Fault:
     """Ids of the map elements concerned."""
     rows: tuple[int, ...] = ()
     """Observed rows concerned."""
+
+
+@dataclass(frozen=True)
+class RunFault(Fault):
+    """A fault that recurs; ``rows`` has one observed row for each of ``frames``, if it has any."""
+
+    frames: tuple[int, ...] = ()
+    """Positions in the run of the frames with the fault."""
 
 
 @dataclass(frozen=True)
