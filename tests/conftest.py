@@ -80,6 +80,16 @@ def kitti_root() -> Path:
 
 
 @pytest.fixture(scope="session")
+def drives() -> Path:
+    """A folder with files of real drives."""
+    default = REPOSITORY.parent / "shared" / "data" / "drives"
+    root = Path(os.environ.get("SEMVIZ_DRIVES", default))
+    if not (root / "utbm_stereo").is_dir():
+        skip_or_fail(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
+    return root
+
+
+@pytest.fixture(scope="session")
 def kitti_pole_map(kitti_root: Path) -> Path:
     """Poles of sequence 02 that others surveyed by lidar, beside the KITTI folder."""
     path = kitti_root.parent / "pole_maps" / "kitti_02.npz"
