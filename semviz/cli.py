@@ -14,7 +14,8 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
-from semviz.commands.new import NewCommand
+from semviz.commands.detector_rates import DetectRatesCommand
+from semviz.commands.new import NewCommand, RelinkCommand
 from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
 from semviz.commands.record import RecordCommand
 from semviz.commands.research import (
@@ -56,7 +57,8 @@ DetectCommands = Annotated[
     Annotated[DetectCommand, subcommand("run")]
     | Annotated[DetectTrainCommand, subcommand("train")]
     | Annotated[DetectEvaluateCommand, subcommand("evaluate")]
-    | Annotated[DetectChooseCommand, subcommand("choose")],
+    | Annotated[DetectChooseCommand, subcommand("choose")]
+    | Annotated[DetectRatesCommand, subcommand("rates")],
     subcommand(
         "detect",
         description="Detect poles and signs in the images of a workspace: detect WORKSPACE. "
@@ -66,6 +68,7 @@ DetectCommands = Annotated[
 Command = (
     Annotated[ServeCommand, subcommand("serve")]
     | Annotated[NewCommand, subcommand("new")]
+    | Annotated[RelinkCommand, subcommand("relink")]
     | Annotated[AnnotateCommand, subcommand("annotate")]
     | DetectCommands
     | PoseCommands
@@ -85,7 +88,7 @@ Command = (
 )
 
 
-_SUBCOMMANDS = ("run", "train", "evaluate", "choose")
+_SUBCOMMANDS = ("run", "train", "evaluate", "choose", "rates")
 _AFTER_DETECT: tuple[list[str], ...] = (*([name] for name in _SUBCOMMANDS), ["-h"], ["--help"], [])
 """What can follow ``semviz detect`` besides a workspace."""
 

@@ -19,6 +19,36 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class RelinkCommand:
+    """Say where the images of a workspace are now, after they or it were moved.
+
+    Nothing changes unless all images are there, with the calibration of the labels."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    root: parsing.OptionalPath = None
+    """KITTI's folder, which holds sequences."""
+    images: parsing.OptionalPath = None
+    """Folder of the left, or the only, camera's images."""
+    right: parsing.OptionalPath = None
+    """Folder of the right camera's images."""
+    poses: parsing.OptionalPath = None
+    """File of poses that replace KITTI's."""
+
+    def run(self) -> int:
+        from semviz.workspace.places import places_of, relink
+
+        given = {"root": self.root, "images": self.images, "right": self.right, "poses": self.poses}
+        places = {name: place for name, place in given.items() if place is not None}
+        workspace = relink(parsing.open_workspace(self.workspace), places)
+        where = ", ".join(
+            f"{name} {path}" for name, path in places_of(workspace.settings.source).items()
+        )
+        print(f"{self.workspace}: {len(workspace.source.frames)} frames, {where}")
+        return 0
+
+
+@dataclass(frozen=True)
 class NewCommand:
     """Create a workspace from your own images, KITTI odometry data or a simulated street."""
 

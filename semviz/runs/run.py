@@ -10,7 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from semviz_core.base.camera import Rig
-from semviz_core.base.detector_model import SHIPPED_DETECTOR, SIMULATED_DETECTOR, DetectorModel
+from semviz_core.base.detector_model import (
+    LABELS,
+    SHIPPED_DETECTOR,
+    SIMULATED_DETECTOR,
+    DetectorModel,
+)
 from semviz_core.base.frame import Frame, Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
@@ -147,7 +152,7 @@ def assumed_detector(info: RunInfo) -> DetectorModel:
 def detector_model(observations: Observations) -> DetectorModel:
     """Return the assumed rates of a kind of observations."""
     if observations == "labels":
-        return DetectorModel()
+        return LABELS
     return SHIPPED_DETECTOR if observations == "detected" else SIMULATED_DETECTOR
 
 

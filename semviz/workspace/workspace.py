@@ -1,6 +1,7 @@
 """The workspace: one folder that can be copied, with labels, proposals, maps and runs.
 
     semviz.toml          settings: where the images come from
+    places.toml          their absolute paths; see ``places``
     drive.json           cameras, images and poses of an own drive; see ``drive_file``
     left-out.csv         images that its import left out, if any; see ``drive_file``
     recorded/            images of a bag as recorded
@@ -39,6 +40,7 @@ from semviz.workspace.drive_file import (
     open_drive,
     write_left_out,
 )
+from semviz.workspace.places import find_place, keep_places
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
@@ -214,6 +216,7 @@ class Workspace:
         write_left_out(path / LEFT_OUT, left_out)
         with replacing(path / SETTINGS) as temporary:  # last: a folder without is no workspace
             temporary.write_bytes(content)
+        keep_places(path, settings)
         (path / "maps").mkdir(exist_ok=True)
         (path / "runs").mkdir(exist_ok=True)
         return cls(path, settings)
@@ -352,30 +355,15 @@ class Workspace:
     def _open_kitti(self, settings: KittiSettings) -> Dataset:
         from semviz_core.datasets.kitti import KittiSequence
 
-        root = (self.path.resolve() / settings.root).resolve()
-        if not root.is_dir():
-            raise SemvizError(
-                f"{root}: images of workspace '{self.name}' not found; "
-                f"edit 'root' in {self.path / SETTINGS}"
-            )
+        root = find_place(self.path, "root", settings.root)
         frames = None if settings.frames is None else settings.frames.as_range()
-        poses = None if settings.poses is None else (self.path.resolve() / settings.poses).resolve()
-        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
+        poses = settings.poses and find_place(self.path, "poses", settings.poses)
+        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses or None)
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
-        folders = [
-            None if folder is None else (self.path.resolve() / folder).resolve()
-            for folder in (settings.images, settings.right)
-        ]
-        for name, folder in zip(("images", "right"), folders, strict=True):
-            if folder is not None and not folder.is_dir():
-                raise SemvizError(
-                    f"{folder}: images of workspace '{self.name}' not found; "
-                    f"edit '{name}' in {self.path / SETTINGS}"
-                )
-        left, right = folders
-        assert left is not None
-        return open_drive(self.path / DRIVE_FILE, left, right, self.path / RECTIFIED)
+        left = find_place(self.path, "images", settings.images)
+        right = settings.right and find_place(self.path, "right", settings.right)
+        return open_drive(self.path / DRIVE_FILE, left, right or None, self.path / RECTIFIED)
 
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions
