@@ -16,7 +16,7 @@ from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
 from semviz.commands.new import NewCommand, RelinkCommand
-from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
+from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
 from semviz.commands.record import RecordCommand
 from semviz.commands.research import (
     BenchmarkCommand,
@@ -41,8 +41,13 @@ MapCommands = Annotated[
 ]
 PoseCommands = Annotated[
     Annotated[PosesCheckCommand, subcommand("check")]
-    | Annotated[PosesRefineCommand, subcommand("refine")],
-    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
+    | Annotated[PosesRefineCommand, subcommand("refine")]
+    | Annotated[PosesChooseCommand, subcommand("choose")],
+    subcommand(
+        "poses",
+        description="Check poses against the images of a workspace; refine them, or choose what to "
+        "do with wrong ones.",
+    ),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]

@@ -41,6 +41,8 @@ class LocalizeCommand:
     few elements. --method applies while the pose is unknown."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP], END excluded; default: all frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera to localize; default: the first."""
     observations: Annotated[
         Literal["labels", "detected", "simulated"] | None,
         arg(metavar="labels|detected|simulated", help_behavior_hint=""),
@@ -114,11 +116,11 @@ class LocalizeCommand:
         )
         measured = given.files(self.heading_sigma_deg).read(workspace, workspace.read_map(self.map))
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration, measured
+            workspace, self.map, options, frames, calibration, measured, self.camera
         )
         for note in measured.notes(localization.frames):
             print(note, file=sys.stderr)
-        chosen = localize.select_frames(workspace.source, frames)
+        chosen = localize.select_frames(workspace.source, frames, self.camera)
         if left_out := len(chosen) - len(localization.frames):
             print(f"{left_out} frames without a pose are left out", file=sys.stderr)
         counts = localize.record(

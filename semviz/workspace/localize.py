@@ -35,6 +35,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.datasets.rig_cameras import frames_of_camera
 from semviz_core.localization.localizer import Localizer
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
@@ -264,12 +265,18 @@ def check_map_frame(semantic_map: SemanticMap, source: Dataset) -> None:
         )
 
 
-def select_frames(source: Dataset, numbers: range | None) -> tuple[Frame, ...]:
-    """Return the frames with these numbers (None: all). Raise SemvizError if there are none."""
-    selected = tuple(frame for frame in source.frames if numbers is None or frame.index in numbers)
-    if not selected:
+def select_frames(
+    source: Dataset, numbers: range | None, camera: str | None = None
+) -> tuple[Frame, ...]:
+    """Return the frames with these numbers (None: all), of one camera if the source is a rig.
+
+    ``camera`` None takes that of the first of these frames. Raise SemvizError if there are none.
+    """
+    selected = [frame for frame in source.frames if numbers is None or frame.index in numbers]
+    frames = frames_of_camera(source, camera, selected)
+    if not frames:
         raise SemvizError("--frames: the sequence has none of these frames")
-    return selected
+    return frames
 
 
 def posed_frames(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
@@ -293,11 +300,13 @@ def localize_workspace(
     frames: range | None = None,
     calibration: DetectorCalibration | None = None,
     measured: Measurements | None = None,
+    camera: str | None = None,
 ) -> SequenceLocalization:
     """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
 
-    Frames without a pose are left out, unless their priors are ``measured``. ``calibration`` is
-    that of the observed detections; without one, rates are assumed.
+    Of a rig, those of one camera: see ``select_frames``. Frames without a pose are left out, unless
+    their priors are ``measured``. ``calibration`` is that of the observed detections; without one,
+    rates are assumed.
     """
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
@@ -310,7 +319,7 @@ def localize_workspace(
         options.method, options.seed, semantic_map.classes, detector, options.weights_path
     )
     measured = measured or Measurements()
-    selected = select_frames(source, frames)
+    selected = select_frames(source, frames, camera)
     if measured.priors is None:
         selected = posed_frames(selected)
     processed: ProcessedImages | None = None

@@ -7,7 +7,7 @@ them has the absolute paths: the workspace can be copied alone, to any depth. It
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import tomli_w
 
@@ -33,12 +33,17 @@ _HEADER = (
 )
 
 
-def places_of(source: KittiSettings | ImagesSettings | StreetSettings) -> dict[str, str]:
+Source: TypeAlias = KittiSettings | ImagesSettings | StreetSettings
+
+
+def places_of(source: Source) -> dict[str, str]:
     """Return the paths of the settings that lead out of the workspace, by their names."""
     if isinstance(source, StreetSettings):
         return {}
-    names = ("root", "poses") if isinstance(source, KittiSettings) else ("images", "right")
-    given = {name: getattr(source, name) for name in names}
+    if isinstance(source, KittiSettings):
+        given = {"root": source.root, "poses": source.poses}
+    else:
+        given = {"images": source.images, "right": source.right, **(source.cameras or {})}
     return {name: path for name, path in given.items() if path is not None}
 
 
@@ -91,13 +96,24 @@ def relink(workspace: "Workspace", given: Mapping[str, Path]) -> "Workspace":
     relative = {
         name: os.path.relpath(place, workspace.path.resolve()) for name, place in absolute.items()
     }
-    source = workspace.settings.source.model_copy(update=relative)
+    source = _moved(workspace.settings.source, relative)
     settings = workspace.settings.model_copy(update={"source": source})
     changed = type(workspace)(workspace.path, settings)
     _check_images(changed)
     _rewrite(workspace.path / SETTINGS, relative)
     keep_places(workspace.path, settings)
     return changed
+
+
+def _moved(source: Source, relative: Mapping[str, str]) -> Source:
+    """Return the source with other paths."""
+    cameras = getattr(source, "cameras", None)
+    update: dict[str, object] = {
+        name: path for name, path in relative.items() if name not in (cameras or {})
+    }
+    if isinstance(source, ImagesSettings) and cameras:
+        update["cameras"] = {name: relative[name] for name in cameras}
+    return source.model_copy(update=update)
 
 
 def _check_images(workspace: "Workspace") -> None:

@@ -31,6 +31,8 @@ class Frame:
     time_s: float
     T_map_camera: Pose | None = None
     """Ground truth pose of the left camera, None if unknown."""
+    left_out: bool = False
+    """Whether a person took its pose away: its labels do not count until it has one again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +229,10 @@ class FileDataset(Dataset, Protocol):
 
     Both paths raise SemvizError for a frame or side that is not there.
     """
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "FileDataset":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        ...
 
     def image_path(self, index: int, side: Side) -> Path:
         """Return the file with the pixels of ``image``; it is made if it is missing."""
