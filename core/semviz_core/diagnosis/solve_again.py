@@ -43,7 +43,7 @@ def solve_in_wide_submap(case: FrameReference) -> Localization:
     """Return the frame solved in a submap with all that it may have detected."""
     result = case.localization
     return Localizer(detector=case.detector).localize(
-        result.observed, _around(case, case.prior), result.camera, result.prior
+        result.observed, _around(case, case.prior), result.camera, case.prior
     )
 
 
