@@ -6,6 +6,7 @@ Bad input exits with status 2.
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Annotated
 
 import tyro
@@ -103,9 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     0: done; 1: a check failed; 2: bad input; 130: interrupted; 141: the output pipe was closed.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        print(f"semviz {version('semviz')}")
+        sys.exit(0)
     command = tyro.cli(
         Command,
-        args=_with_detect_run(list(sys.argv[1:] if arguments is None else arguments)),
+        args=_with_detect_run(given),
         prog="semviz",
         description="Debug localization in sparse semantic maps of poles and traffic signs.",
         config=(OmitArgPrefixes, OmitSubcommandPrefixes),

@@ -21,7 +21,8 @@ class DetectRatesCommand:
     """Measure a detector on a run: false detections, recall by distance, hidden bottoms, sigmas.
 
     With true poses, or without: then on the frames that are sure. No label is needed.
-    'semviz localize --observations detected' takes the file that is written."""
+    'semviz localize --observations detected' takes the file that is written. Example: 'semviz
+    detect rates town/runs/search.rrd'."""
 
     run_file: Positional[Path]
     """Run (.rrd) that observed detections."""

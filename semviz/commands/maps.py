@@ -261,7 +261,9 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class MapExportCommand:
-    """Export a map for other tools, and list the losses of the format."""
+    """Export a map for other tools, and list the losses of the format.
+
+    Example: 'semviz map export town town.geojson --anchor 49.01,8.42,115'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -309,7 +311,10 @@ ImportFormat: TypeAlias = Annotated[
 
 @dataclass(frozen=True)
 class MapImportCommand:
-    """Import a map from a file of another tool."""
+    """Import a map from a file of another tool.
+
+    Examples: 'semviz map import town town.xodr --anchor 49.01,8.42'; 'semviz map import town
+    lamps.geojson --all-of-class pole --pole-height 6'."""
 
     workspace: Positional[Path]
     """Workspace; the map will be in the map frame of its poses."""

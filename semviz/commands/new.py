@@ -1,5 +1,6 @@
 """The command new: make a workspace of an own drive, a KITTI sequence or a simulated street."""
 
+import json
 import sys
 import tempfile
 from dataclasses import dataclass, replace
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 class RelinkCommand:
     """Say where the images of a workspace are now, after they or it were moved.
 
-    Nothing changes unless all images are there, with the calibration of the labels."""
+    Nothing changes unless all images are there, with the calibration of the labels. Example:
+    'semviz relink town --images /disk/left --right /disk/right'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -36,6 +38,8 @@ class RelinkCommand:
     """File of poses that replace KITTI's."""
     camera: UseAppendAction[tuple[str, ...]] = ()
     """NAME=FOLDER: folder of a further camera's images; may be repeated."""
+    json: bool = False
+    """Print one JSON object instead of a line."""
 
     def run(self) -> int:
         from semviz.workspace.places import places_of, relink
@@ -48,10 +52,12 @@ class RelinkCommand:
                 raise SemvizError(f"--camera {text}: write NAME=FOLDER")
             places[name] = Path(folder)
         workspace = relink(parsing.open_workspace(self.workspace), places)
-        where = ", ".join(
-            f"{name} {path}" for name, path in places_of(workspace.settings.source).items()
-        )
-        print(f"{self.workspace}: {len(workspace.source.frames)} frames, {where}")
+        now, frames = places_of(workspace.settings.source), len(workspace.source.frames)
+        if self.json:
+            print(json.dumps({"workspace": str(self.workspace), "frames": frames, "places": now}))
+        else:
+            where = ", ".join(f"{name} {path}" for name, path in now.items())
+            print(f"{self.workspace}: {frames} frames, {where}")
         return 0
 
 

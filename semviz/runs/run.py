@@ -4,6 +4,7 @@ Writer and reader share the file layout here, and the values that follow from Ru
 observations and detector model.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -117,6 +118,21 @@ class Run:
             f"{frames} damaged and left out{which}: restore the file from a copy, localize again, "
             "or keep the other frames with 'semviz repair'."
         )
+
+    def _repr_html_(self) -> str:
+        """Show the frames by status, and where they are, in a notebook."""
+        from semviz_core.base.notebook import drive_html
+
+        counts = Counter(result.status for result in self.localizations)
+        by_status = ", ".join(f"{number} {status}" for status, number in counts.items())
+        title = f"Run {self.info.name}: {len(self.frames)} frames, {by_status}, {self.info.method}"
+        estimates = [
+            (result.T_camera_map.inverse().translation, str(result.status))
+            for result in self.localizations
+            if result.T_camera_map is not None
+        ]
+        truth_m = [pose.inverse().translation for pose in self.truths if pose is not None]
+        return drive_html(title, self.semantic_map, truth_m, estimates)
 
     @property
     def localizations(self) -> tuple[Localization, ...]:
