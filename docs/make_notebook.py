@@ -4,6 +4,7 @@ The cells run in this process; no notebook server is needed.
 """
 
 import json
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,7 +14,7 @@ from semviz.cli import main
 CELLS = (
     "# Look at a run\n\nMaps, runs and localizations show themselves in a notebook. Everything "
     "here is simulated.",
-    "from semviz import load_run\n\nrun = load_run(RUN)  # of 'semviz localize'\nrun",
+    "from semviz import load_run\n\nrun = load_run(\"search.rrd\")  # of 'semviz localize'\nrun",
     "run.semantic_map",
     "frame = run.frames[5]\nframe.localization",
     "failed = [frame for frame in run.frames if frame.localization.status != 'ok']\n"
@@ -32,9 +33,9 @@ def outputs_of(code: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     return [{"output_type": "execute_result", "execution_count": 1, "metadata": {}, "data": data}]
 
 
-def make_notebook(run: Path) -> dict[str, Any]:
+def make_notebook() -> dict[str, Any]:
     """Return the notebook as JSON values."""
-    names: dict[str, Any] = {"RUN": run}
+    names: dict[str, Any] = {}
     cells = []
     for number, text in enumerate(CELLS):
         cell: dict[str, Any] = {"id": f"cell-{number}", "metadata": {}, "source": text}
@@ -61,7 +62,8 @@ if __name__ == "__main__":
         street, run = Path(folder) / "street", Path(folder) / "search.rrd"
         semviz("new", street, "--simulate", 7, "--frames", "0:24")
         semviz("localize", street, "--map", "truth", "--images", "none", "--out", run)
-        notebook = make_notebook(run)
-    target = Path(__file__).parent / "examples" / "look.ipynb"
+        os.chdir(folder)
+        notebook = make_notebook()
+    target = Path(__file__).resolve().parent / "examples" / "look.ipynb"
     target.write_text(json.dumps(notebook, indent=1) + "\n")
     print(target)

@@ -242,7 +242,7 @@ class MapImportContext:
         return class_named(name, self.classes) if mapped is None else mapped
 
     def class_of_tags(self, tags: Mapping[str, str]) -> int | str | None:
-        """Return the class of a thing with OpenStreetMap's tags, as ``class_of_code``."""
+        """Return the class of an element with OpenStreetMap's tags, as ``class_of_code``."""
         if self.all_of_class is not None:
             return self.class_id(self.all_of_class)
         pairs = {f"{key}={value}": (key, value) for key, value in tags.items()}

@@ -240,7 +240,7 @@ def _class_id(
     parsed: conversion.ParsedMap,
     context: conversion.MapImportContext,
 ) -> int | None:
-    """Return the class of a feature; None if it is ignored, or a thing of no known class."""
+    """Return the class of a feature; None if it is ignored, or of no known class."""
     class_id: int | str | None
     what = "features of a class that is ignored, as asked"
     if context.all_of_class is not None:

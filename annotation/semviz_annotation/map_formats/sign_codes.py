@@ -1,4 +1,4 @@
-"""The class of a thing by what maps call it: signs by country and number, OpenStreetMap's tags.
+"""The class of an element by its name in maps: signs by country and number, OpenStreetMap's tags.
 
 Classes of signs are shapes. Numbers follow each country's catalogue: Germany's StVO and VzKat
 (``de205``, ``de274.1``), Sweden's Vägmärkesförordning by groups (``sea``, ``seb-4``), the MUTCD of
