@@ -16,6 +16,7 @@ from semviz_core.common.files import HEAD_BYTES, IsOurs, check_output
 
 _OWN: Final = {
     "settings": (re.compile(r"semviz\.toml"), "semviz.toml"),
+    "places": (re.compile(r"places\.toml"), "places.toml"),
     "drive": (re.compile(r"drive\.json"), "drive.json"),
     "left-out": (re.compile(r"left-out\.csv"), "left-out.csv"),
     "rectified": (re.compile(r"rectified(/.*)?"), "rectified/**/*"),

@@ -83,6 +83,12 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
         "plot": [Output("W --out not-written.tum --plot TARGET.png", is_cheap=False)],
     },
     "localize": {"out": [Output("W --map truth --out TARGET.rrd", is_cheap=False)]},
+    "record": {
+        "out": [
+            Output("W --map truth --poses POSES --images none --out TARGET.rrd", is_cheap=False)
+        ]
+    },
+    "detect rates": {"out": [Output("RUN --out TARGET", is_cheap=False)]},
     "evaluate": {"csv": [Output("RUN --csv TARGET")]},
     "report": {
         "out": [
@@ -142,6 +148,7 @@ INPUTS = {
     "detect train": {"workspaces", "segmentation", "boxes"},
     "detect choose": {"workspace"},
     "detect evaluate": {"workspaces"},
+    "detect rates": {"run_file"},
     "map backdrop": {"workspace"},
     "map build": {"workspace"},
     "map check": {"workspace"},
@@ -152,6 +159,8 @@ INPUTS = {
     "poses check": {"workspace"},
     "poses refine": {"workspace"},
     "localize": {"workspace", "weights"},
+    "record": {"workspace", "poses", "matches"},
+    "relink": {"workspace", "root", "images", "right", "poses"},
     "evaluate": {"runs"},
     "compare": {"base", "other"},
     "report": {"runs"},
@@ -197,6 +206,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
     with Workspace.create_street(folder / "W", 7, range(4)).open_labels():
         pass
+    (folder / "POSES").write_text("0 0 0 1.6 -0.5 0.5 -0.5 0.5\n")
     semantic_map = made_up["make_map"](length_m=60.0)
     with RunWriter(folder / "RUN.rrd", made_up["make_info"]("a run"), semantic_map) as writer:
         for record in made_up["make_records"](semantic_map, 2, None):
@@ -266,6 +276,7 @@ def arguments_of(name: str, output: Output, target: Path, home: Path) -> list[st
     known = {
         "TARGET": target,
         "W": home / "W",
+        "POSES": home / "POSES",
         "RUN": home / "RUN.rrd",
         "TRAINING": home / "TRAINING",
     }
