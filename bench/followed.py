@@ -19,13 +19,14 @@ from semviz_annotation.assist import sign_search
 from semviz_annotation.assist.expected_position import not_sure_if_cut
 from semviz_annotation.assist.image_search import PropagatedMark, ReferenceView
 from semviz_annotation.assist.marked_image import SURE, Mark, MarkedImage, ProposedMark
-from semviz_annotation.assist.propagation import score_of, search_views
+from semviz_annotation.assist.propagation import search_views
 from semviz_annotation.assist.snap import snap
 from semviz_annotation.assist.track import (
     LabelledView,
     Track,
     growth,
     look_again,
+    score_of,
     size,
     view_to_follow,
     views_beside,

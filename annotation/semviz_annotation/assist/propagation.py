@@ -20,9 +20,8 @@ from semviz_annotation.assist.image_search import (
 )
 from semviz_annotation.assist.marked_image import Mark, ProposedMark
 from semviz_annotation.assist.pole_search import refine_pole, search_pole
-from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.sign_search import refine_sign, search_sign, with_outlines
-from semviz_annotation.assist.track import LOOK_SCORE, NO_TRACK, Track, log_growth, look_again
+from semviz_annotation.assist.track import NO_TRACK, Track, log_growth, score_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
@@ -44,13 +43,6 @@ def propagate(
         None if view is None else ProposedMark(view.mark, score_of(view, track, element))
         for view in search_views(references, element, element_class, sigma_px, track)
     ]
-
-
-def score_of(view: PropagatedMark, track: Track, element: Triangulated) -> float:
-    """Return the score of a propagated mark, which bounds that of one to look at again."""
-    score = probability(view.what, view.evidence)
-    must_look = view.what.startswith("followed") and track.growth >= look_again(element)
-    return min(score, LOOK_SCORE) if must_look else score
 
 
 def search_views(

@@ -19,8 +19,7 @@ from semviz_annotation.assist.image_search import (
     RefinedMark,
 )
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, clip_to_image
-from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.track import LabelledView, Track, size
+from semviz_annotation.assist.track import LabelledView, Track, score_of, size
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
@@ -114,13 +113,11 @@ def with_outlines(
     result = dict(marks)
     for n, k in enumerate(marks):
         moved = outlined(marks[k], n, seen, outlines, targets[n].image)
-        if moved is not None and _score(moved) > _score(marks[k]):
+        if moved is not None and (
+            score_of(moved, track, element) > score_of(marks[k], track, element)
+        ):
             result[k] = moved
     return result
-
-
-def _score(mark: PropagatedMark) -> float:
-    return probability(mark.what, mark.evidence)
 
 
 def _outline_views(

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz_annotation.assist.image_search import PropagatedMark
 from semviz_annotation.assist.marked_image import Mark, MarkedImage
+from semviz_annotation.assist.score import probability
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -102,3 +104,10 @@ def views_beside(moments: IntArray, followed: Iterable[int]) -> list[int]:
     taken = set(followed)
     nearest = np.argsort(moments, kind="stable").tolist()
     return [row for row in nearest if row not in taken][:MORE_VIEWS]
+
+
+def score_of(view: PropagatedMark, track: Track, element: Triangulated) -> float:
+    """Return the score of a propagated mark, which bounds that of one to look at again."""
+    score = probability(view.what, view.evidence)
+    must_look = view.what.startswith("followed") and track.growth >= look_again(element)
+    return min(score, LOOK_SCORE) if must_look else score
