@@ -11,6 +11,7 @@ import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
 import { proposalCommands, proposing } from "./proposals.js";
 import { reviewCommands } from "./review.js";
+import { secondCommands } from "./second.js";
 import { travelCommands } from "./travel.js";
 import { SIDES, other, uuid7 } from "./values.js";
 
@@ -94,6 +95,7 @@ export function commands(state, images, tools, actions) {
     { key: ",", group: "Frames", title: "Previous frame", row: "Previous, next frame", run: () => step(-1) },
     { key: ".", group: "Frames", title: "Next frame", row: "Previous, next frame", run: () => step(1) },
     ...travelCommands(state, images, actions),
+    ...secondCommands(state, actions),
     ...jumpCommands(state, actions),
     ...reviewCommands(review, actions),
     { key: "Enter", group: "Frames", title: "Mark as reviewed", run: () => edit.review("reviewed") },

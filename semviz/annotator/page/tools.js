@@ -328,6 +328,7 @@ export class Tools {
       element_id: element,
       frame_index: this.state.frame ?? 0,
       side,
+      second: this.state.second,
       class_id: id,
       anchor_px: anchor,
       end_px: end,

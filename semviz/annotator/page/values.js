@@ -20,7 +20,7 @@
  *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, unsaved?: boolean}} ShownElement */
 
 /** Where on the page an edit was made.
- * @typedef {{frame: number | null, side: Side, class: number}} ShownAt */
+ * @typedef {{frame: number | null, side: Side, second?: number | null, class: number}} ShownAt */
 /** An observation with its element.
  * @typedef {{element: ShownElement, side: Side, observation: Observation}} LocatedObservation */
 
