@@ -60,7 +60,7 @@ class SearchImage:
 
 
 @dataclass(frozen=True)
-class LabelledImage:
+class LabelledPane:
     """An image in which an element is labelled."""
 
     pane: Pane
@@ -74,7 +74,7 @@ class PropagationQuery:
     class_id: int
     element: Triangulated
     images: tuple[SearchImage, ...]
-    beside: tuple[LabelledImage, ...] = ()
+    beside: tuple[LabelledPane, ...] = ()
     """Other images in which it is labelled."""
     growth: float = 1.0
     """By how much larger it is than when somebody looked at it last."""
@@ -279,7 +279,7 @@ def _propagation(
         for pane, row in zip(panes, followed, strict=True)
     )
     beside = tuple(
-        LabelledImage(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
+        LabelledPane(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
     )
     now = float(cameras.sizes_px(element.position, panes).max())
     return PropagationQuery(

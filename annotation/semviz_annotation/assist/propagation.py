@@ -11,7 +11,7 @@ import numpy as np
 
 from semviz_annotation.assist.expected_position import SIGMA_PX, expected_px, spread_px2, upright
 from semviz_annotation.assist.image_search import (
-    Expected,
+    ExpectedMark,
     ImageSearch,
     PropagatedMark,
     ReferenceView,
@@ -79,7 +79,7 @@ def _search_each(
         ends = expected_px(element, reference.target.view)
         if ends is None:
             continue
-        expected = Expected(reference, ends, spread[k, :, :, k], mark)
+        expected = ExpectedMark(reference, ends, spread[k, :, :, k], mark)
         search = (
             search_pole(expected, element)
             if element.is_line

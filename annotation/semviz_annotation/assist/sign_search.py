@@ -12,7 +12,7 @@ from semviz_annotation.assist import appearance
 from semviz_annotation.assist.image_search import (
     REACH_PX,
     ChosenOffset,
-    Expected,
+    ExpectedMark,
     ImageSearch,
     PropagatedMark,
     ReferenceView,
@@ -33,7 +33,7 @@ from semviz_core.subpixel.joint_outlines import (
 
 
 def search_sign(
-    expected: Expected, element: Triangulated, element_class: ElementClass
+    expected: ExpectedMark, element: Triangulated, element_class: ElementClass
 ) -> ImageSearch:
     """Search around the expected centre of a sign."""
     source, target = expected.reference.source, expected.reference.target
