@@ -79,6 +79,7 @@ class Annotator:
         self._analyzer.join()
         self.pose_work.close()
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
+        self.scenes.close_all()  # one may have been opened after its page had gone
         self.search_thread.shutdown(wait=True)  # its last task may be to close a session
         self.session.close()
 
