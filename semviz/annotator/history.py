@@ -53,13 +53,14 @@ class HistoryView:
         names = {operation.number: operation.text for operation in named}
         return [view.model_copy(update={"text": names[view.number]}) for view in self._views(named)]
 
-    def frame(self, operation: int, frame_index: int) -> PastFrame:
+    def frame(self, operation: int, frame_index: int, second: int | None = None) -> PastFrame:
         """Return the labels of a frame after an operation, and that operation (None for 0).
 
         Raise RefusedError if there is no such operation or frame.
         """
         if frame_index not in self._frames:
             raise RefusedError("not_found", f"frame {frame_index} is not in this sequence")
+        self._panes.show(frame_index, second)
         labels = self._labels_at(operation)
         panes = self._panes.of(frame_index)
         done = self._store.operations(after=operation - 1, limit=1) if operation else ()
@@ -67,7 +68,8 @@ class HistoryView:
             index=frame_index,
             operation=operation,
             hash="",
-            panes=views.pane_views(panes),
+            panes=views.pane_views(self._panes, frame_index),
+            at_that_time=self._panes.at_that_time(frame_index),
             elements=views.element_views(labels, panes, self._classes),
             proposals=[],
             nearby=[],

@@ -14,6 +14,7 @@ from semviz.annotator.draft import (
 )
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
+from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_messages import (
     ChoosePosesRequest,
     PoseFrameEvent,
@@ -43,6 +44,8 @@ class DrawnMark(protocol.Part):
     frame_index: Index
     side: Side
     """Side on the page: with one camera, right is another frame."""
+    second: Index | None = None
+    """Frame of the second image as the page shows it; None: the frame's own right one."""
     anchor_px: PagePixel
     end_px: PagePixel | None = None
     anchor_known: bool = True
@@ -174,6 +177,7 @@ class GoToFrameRequest(protocol.Request):
 
     type: Literal["go_to_frame"] = "go_to_frame"
     frame: int
+    second: SecondImage | None = None
 
 
 class PreviewDraftRequest(protocol.Request):
@@ -189,6 +193,8 @@ class ShowPastFrameRequest(protocol.Request):
     type: Literal["show_past_frame"] = "show_past_frame"
     operation: Count
     frame: int
+    second: Index | None = None
+    """Frame of the second image, as for ``DrawnMark``."""
 
 
 class ListOperationsRequest(protocol.Request):

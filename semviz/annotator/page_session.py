@@ -9,6 +9,8 @@ import numpy as np
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
+from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_requests import PoseRequests, PoseSteps
 from semviz.annotator.pose_work import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
@@ -77,6 +79,8 @@ class AnnotatorPage:
         self._shared = shared
         self._poses = PoseRequests(send, shared)
         self._frame = next(iter(self._session.frames))
+        self._second: SecondImage | None = None
+        """The wish for the second image."""
         self._selected: str | None = None
         self._reviewed: frozenset[str] = frozenset()
         """Elements of the decision or finding on screen."""
@@ -117,7 +121,7 @@ class AnnotatorPage:
 
     def send_update(self, labels: LabelsView) -> None:
         """Send the session's updates with the frame on screen. The caller holds the lock."""
-        self._send(messages.UpdateEvent(labels=labels, frame=self._session.frame(self._frame)))
+        self._send(messages.UpdateEvent(labels=labels, frame=self._shown_frame()))
         self._redraw()
         self._search_images()
 
@@ -136,13 +140,16 @@ class AnnotatorPage:
         self._shared.forget(self)
         self._shared.scene_thread.submit(self._close_scene)
 
+    def _shown_frame(self) -> LabelledFrameView:
+        return self._session.frame(self._frame, self._second)
+
     # -- requests
 
     @protocol.handles(messages.GoToFrameRequest)
     def _go_to_frame(self, request: messages.GoToFrameRequest) -> None:
         with self._shared.lock:
-            frame = self._session.frame(request.frame)
-            self._frame = request.frame
+            frame = self._session.frame(request.frame, request.second)
+            self._frame, self._second = request.frame, request.second
             self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
         self._session.images.prefetch(request.frame)
         self._redraw()
@@ -203,7 +210,7 @@ class AnnotatorPage:
             messages.EditSavedEvent(
                 reply_to=request_id,
                 labels=self._session.updates(),
-                frame=self._session.frame(self._frame),
+                frame=self._shown_frame(),
                 element=None,
                 added=0,
                 note=text,
@@ -215,7 +222,7 @@ class AnnotatorPage:
         event = messages.EditSavedEvent(
             reply_to=request_id,
             labels=labels,
-            frame=self._session.frame(self._frame),
+            frame=self._shown_frame(),
             element=saved.element_id,
             added=saved.added,
             note=saved.note,
@@ -227,7 +234,7 @@ class AnnotatorPage:
     @protocol.handles(messages.ShowPastFrameRequest)
     def _show_past_frame(self, request: messages.ShowPastFrameRequest) -> None:
         with self._shared.lock:
-            past = self._session.history.frame(request.operation, request.frame)
+            past = self._session.history.frame(request.operation, request.frame, request.second)
         self._send(messages.PastFrameEvent(reply_to=request.id, past=past))
 
     @protocol.handles(messages.ListOperationsRequest)
@@ -301,7 +308,7 @@ class AnnotatorPage:
         self._search_queued.clear()
         index = self._frame
         with self._shared.lock:
-            queries = self._session.pending_queries(index)
+            queries = self._session.pending_queries(index, self._second)
         for query in queries:
             if self._search_queued.is_set():
                 return  # the frame or its labels changed: the next search takes over
@@ -310,7 +317,7 @@ class AnnotatorPage:
             return
         with self._shared.lock:  # or a newer update could go first
             if self._frame == index:
-                self._send(messages.LabelledFrameEvent(frame=self._session.frame(index)))
+                self._send(messages.LabelledFrameEvent(frame=self._shown_frame()))
 
     # -- the 3D scene
 

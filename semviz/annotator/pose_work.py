@@ -16,6 +16,7 @@ from semviz.workspace.pose_review import PoseFindings, PoseReview
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import frames_of_camera
 from semviz_core.pose_checks.faults import PoseCheck
 
 PoseState: TypeAlias = Literal["unknown", "working", "ready", "failed"]
@@ -75,7 +76,7 @@ class PoseWork:
 
     def _measured(self) -> PoseCheck:
         if self._check is None:
-            frames = self._workspace.given_source.frames
+            frames = frames_of_camera(self._workspace.given_source, None)
             self._check = check_poses(self._workspace, frames, self._on_progress)
         return self._check
 

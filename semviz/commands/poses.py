@@ -26,6 +26,8 @@ class PosesCheckCommand:
     """Folder of the workspace."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: check only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are checked; default: the first."""
     plot: parsing.OptionalPath = None
     """Also write a plot over the frames to this PNG file."""
     gate: bool = False
@@ -39,7 +41,7 @@ class PosesCheckCommand:
         from semviz.workspace.pose_labels import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         workspace = parsing.open_workspace(self.workspace)
         labels, source = workspace.read_labels(), workspace.source
         evidence = [label_evidence(labels, source, check, fault) for fault in check.faults]
@@ -69,6 +71,8 @@ class PosesRefineCommand:
     """File to write."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are refined; default: the first."""
     format: Literal["tum", "kitti"] = "tum"
     """tum: time and pose, z up; kitti: one pose per line, in KITTI's axes, all frames needed."""
     plot: parsing.OptionalPath = None
@@ -87,7 +91,7 @@ class PosesRefineCommand:
             self.out, outputs.never, force=self.force, reads=_files_read(self.workspace)
         )
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         save_trajectory(refined_frames(check), self.out, self.format)
         if self.plot is not None:
             draw_check(check, self.plot)
@@ -148,11 +152,13 @@ class PosesChooseCommand:
         from semviz.workspace.pose_check import check_poses
         from semviz.workspace.pose_review import PoseReview, choose_poses
         from semviz.workspace.workspace import login_name
+        from semviz_core.datasets.rig_cameras import frames_of_camera
 
         choice: Choice = "leave out" if self.choice == "leave-out" else self.choice  # type: ignore[assignment]
         author = self.author or login_name()
         with Steps() as steps:
-            check = check_poses(workspace, workspace.given_source.frames, steps.show)
+            frames = frames_of_camera(workspace.given_source, None)
+            check = check_poses(workspace, frames, steps.show)
         made: list[PoseOperation] = []
         while True:
             review = PoseReview.of(workspace, check, workspace.read_labels())
@@ -187,13 +193,13 @@ def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
     return None if check is None else PoseReview.of(workspace, check, workspace.read_labels())
 
 
-def _checked(path: Path, frames: str | None) -> "PoseCheck":
+def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
     from semviz.presentation.terminal import Steps
     from semviz.workspace.localize import select_frames
     from semviz.workspace.pose_check import check_poses
 
     workspace = parsing.open_workspace(path)
-    chosen = select_frames(workspace.source, parsing.parse_frames(frames))
+    chosen = select_frames(workspace.source, parsing.parse_frames(frames), camera)
     with Steps() as steps:
         return check_poses(workspace, chosen, steps.show)
 

@@ -205,6 +205,7 @@ export interface DraftState {
   selected_id?: string | null;
   is_chosen?: boolean;
   side?: "left" | "right";
+  second?: number | null;
   drawing?: ElementDraft | null;
   moved?: Record<string, [[number, number], [number, number] | null]>;
 }
@@ -215,6 +216,7 @@ export interface DrawEdit {
   element_id: string;
   frame_index: number;
   side: "left" | "right";
+  second?: number | null;
   anchor_px: [number, number];
   end_px?: [number, number] | null;
   anchor_known?: boolean;
@@ -234,6 +236,7 @@ export interface DrawnMark {
   element_id: string;
   frame_index: number;
   side: "left" | "right";
+  second?: number | null;
   anchor_px: [number, number];
   end_px?: [number, number] | null;
   anchor_known?: boolean;
@@ -288,6 +291,7 @@ export interface ElementDraft {
   end_known?: boolean;
   snap?: boolean;
   asks_bottom?: boolean;
+  whole?: boolean;
 }
 
 /** An element labelled in the images on the page, with its observations there. */
@@ -353,6 +357,7 @@ export interface GoToFrameRequest {
   type: "go_to_frame";
   id: string;
   frame: number;
+  second?: SecondImage | null;
 }
 
 /** An epipolar line as a polyline: in the whole image, and at plausible depths only. */
@@ -388,6 +393,7 @@ export interface LabelledFrameView {
   operation: number;
   hash: string;
   panes: Partial<Record<"left" | "right", PaneView>>;
+  at_that_time: Record<string, number>;
   elements: Array<ElementView>;
   proposals: Array<ProposalView>;
   nearby: Array<NearbyView>;
@@ -509,6 +515,7 @@ export interface OperationsEvent {
 export interface PaneView {
   frame: number;
   side: "left" | "right";
+  camera: string;
 }
 
 /** A frame as it was after operation number ``operation``; ``done`` describes it, None for 0. */
@@ -729,6 +736,12 @@ export interface SceneEvent {
   reply_to: string | null;
 }
 
+/** The wish for another second image than the usual one. */
+export interface SecondImage {
+  camera?: string | null;
+  step?: number | null;
+}
+
 /** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
 export interface SetBackdropRequest {
   type: "set_backdrop";
@@ -764,6 +777,7 @@ export interface ShowPastFrameRequest {
   id: string;
   operation: number;
   frame: number;
+  second?: number | null;
 }
 
 /** Request the elements of a frame under the given and the refined pose. */
@@ -875,6 +889,7 @@ export interface WorkspaceView {
   triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
   has_right: boolean;
+  cameras: Array<string>;
 }
 
 /** The label furthest from the projection of its element. */
