@@ -18,7 +18,8 @@ from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
-from semviz.workspace.workspace import Workspace, login_name
+from semviz.workspace.settings import login_name
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.snap import warm_up
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_core.base.frame import Side
