@@ -262,8 +262,8 @@ def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> Frame
 
 def class_counts(labels: Labels) -> dict[int, int]:
     """Return the number of elements by class, without those that are left out of maps."""
-    kept = [row for row in labels.elements.values() if not labels.is_left_out(row.id)]
-    return dict(Counter(element.class_id for element in kept))
+    rows = labels.elements.values()
+    return dict(Counter(row.class_id for row in rows if not labels.is_left_out(row.id)))
 
 
 def operation_view(operation: Operation, labels: Labels, classes: ClassSet) -> OperationView:
@@ -432,13 +432,12 @@ def _count(number: int, noun: str) -> str:
 
 def workspace_view(workspace: Workspace, author: str, center: TriangleCenter) -> WorkspaceView:
     """Return what does not change while the page of a workspace is open."""
-    source, rig = workspace.source, workspace.source.rig
-    right = rig.right or rig.left  # with one camera, of another frame
-    path = str(workspace.path.resolve())
+    rig = workspace.source.rig
+    right = rig.right or rig.left
     return WorkspaceView(
         name=workspace.name,
-        key=hashlib.sha256(path.encode()).hexdigest()[:16],
-        source=source.map_frame.name,
+        key=hashlib.sha256(str(workspace.path.resolve()).encode()).hexdigest()[:16],
+        source=workspace.source.map_frame.name,
         author=author,
         classes=list(workspace.classes),
         triangle_center=center,
@@ -447,5 +446,5 @@ def workspace_view(workspace: Workspace, author: str, center: TriangleCenter) ->
             "right": ImageSize(width=right.width, height=right.height),
         },
         has_right=rig.right is not None,
-        cameras=list(camera_names(source)),
+        cameras=list(camera_names(workspace.source)),
     )
