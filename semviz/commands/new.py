@@ -180,11 +180,17 @@ class NewCommand:
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
             )
+        checks = [
+            check.model_copy(update={"remedy": self._again_with(check.option)})
+            if check.option
+            else check
+            for check in checks
+        ]
         failed = [check for check in checks if check.passed is False]
         for text in others:
             print_warning(text)
         for check in failed:
-            print_warning(check.warning, self._again_with(check.option) if check.option else "")
+            print_warning(check.warning, check.remedy)
         count = len(others) + len(failed)
         if count and self.strict:
             raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")

@@ -44,6 +44,8 @@ class DriveCheck(_Model):
     """If it did not pass: what that does to the user."""
     option: str = ""
     """Of `semviz new`, which is the remedy; empty if there is none."""
+    remedy: str = ""
+    """The command with that option."""
     frame: int | None = None
     """Where to look."""
 
