@@ -115,7 +115,7 @@ def _facts(source: Dataset, frames: tuple[Frame, ...], places: FloatArray) -> li
     names, camera = camera_names(source), source.rig.left
     count = len(names) or (1 if source.rig.right is None else 2)
     of = "frames each" if names else "frames"
-    time = f"in {seconds:.0f} s" if seconds < 90.0 else f"in {seconds / 60.0:.0f} min"
+    time = f"in {seconds:.1f} s" if seconds < 90.0 else f"in {seconds / 60.0:.0f} min"
     size = f"{camera.width} \u00d7 {camera.height}"
     facts = [
         DriveFact(value=f"{len(frames)}", label=of),

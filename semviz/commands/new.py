@@ -150,7 +150,7 @@ class NewCommand:
         if self.rectify:
             rectify_all(workspace)
         self._warn_of_poses(workspace)
-        print(f"next: semviz annotate {self.folder}")
+        print(f"next: semviz annotate {self.folder}   (F9 there shows these checks as pictures)")
         return 0
 
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":

@@ -7,7 +7,7 @@
 import { byId, el } from "/static/dom.js";
 import { DrivePicture } from "./drive_picture.js";
 import { Trajectory } from "./trajectory.js";
-import { RenderCache, badge, header, row } from "./widgets.js";
+import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
 export class Drive {
   /**
@@ -22,13 +22,14 @@ export class Drive {
     this.cache = new RenderCache(state);
     /** @type {annotator.DriveView | null} */
     this.known = null;
-    this.chosen = 0; // the check on screen
+    this.chosen = -1; // the check on screen
     this.requested = -1; // the frame whose matches were requested
     this.picture = new DrivePicture(state, page.pictures);
     this.trajectory = new Trajectory(byId("drive-trajectory", HTMLCanvasElement), (frame) => page.go(frame));
     byId("tab-drive").addEventListener("click", () => this.open());
     page.socket.on("drive", ({ drive }) => {
       this.known = drive;
+      if (this.chosen < 0) this.#look(Math.max(0, drive.checks.findIndex(({ passed }) => passed === false)));
       state.set({});
     });
     page.socket.on("drive_frame", (event) => this.picture.received(event));
@@ -94,16 +95,22 @@ export class Drive {
    * @param {annotator.DriveCheck} check
    * @param {number} place
    */
-  #check({ name, measured, value, limit, passed, frame }, place) {
+  #check({ name, measured, value, limit, passed }, place) {
     const [sign, kind] = passed === null ? ["○", "dim"] : passed ? ["●", "sound"] : ["◆", "warning"];
-    const open = () => {
-      this.chosen = place;
-      if (typeof frame === "number") this.page.go(frame);
-      else this.state.set({});
-    };
-    return row({ chosen: place === this.chosen, title: measured, onclick: open },
-      el("span", { class: kind, text: sign }), el("span", { class: "fill", text: name }),
+    return row({ chosen: place === this.chosen, title: `${capital(name)}: ${measured}`, onclick: () => this.#look(place) },
+      el("span", { class: kind, text: sign }), el("span", { class: "fill", text: capital(name) }),
       el("b", { text: value }), el("span", { class: "drive-limit dim", text: limit }));
+  }
+
+  /** Shows a check by its frame.
+   *
+   * @param {number} place
+   */
+  #look(place) {
+    this.chosen = place;
+    const frame = this.known?.checks[place]?.frame;
+    if (typeof frame === "number") this.page.go(frame);
+    else this.state.set({});
   }
 
   /** @param {annotator.DriveView} drive */

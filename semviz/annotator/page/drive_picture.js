@@ -8,6 +8,7 @@ import { byId } from "/static/dom.js";
 const LIMITS_PX = [1, 2, 3, 5]; // of the residual scale
 const ROWS = 8; // lines in a picture of rows
 const MAGNIFIED = 8;
+const LEAST_OFF_PX = 0.5; // with a line
 
 export class DrivePicture {
   /**
@@ -105,22 +106,29 @@ export class DrivePicture {
   #matches(context, left, tops, scale) {
     const style = getComputedStyle(document.documentElement);
     context.lineWidth = 1.5;
-    for (const { here, there, off_px: off } of this.found?.matches ?? []) {
-      const place = LIMITS_PX.filter((limit) => Math.abs(off) >= limit).length;
-      context.strokeStyle = style.getPropertyValue(`--residual-${place}`);
-      [here, there].forEach(([u, v], at) => {
+    this.bitmaps.forEach((bitmap, at) => {
+      if (!bitmap) return;
+      context.save();
+      context.beginPath();
+      context.rect(left, tops[at], scale * bitmap.width, scale * bitmap.height);
+      context.clip();
+      for (const { here, there, off_px: off } of this.found?.matches ?? []) {
+        const place = LIMITS_PX.filter((limit) => Math.abs(off) >= limit).length;
+        const [u, v] = at ? there : here;
         const [x, y] = [left + scale * (u + 0.5), tops[at] + scale * (v + 0.5)];
+        context.strokeStyle = style.getPropertyValue(`--residual-${place}`);
         context.beginPath();
         context.moveTo(x - 4, y);
         context.lineTo(x + 4, y);
         context.moveTo(x, y - 4);
         context.lineTo(x, y + 4);
-        if (at === 1 && Math.abs(off) > 0.5) {
+        if (at === 1 && Math.abs(off) > LEAST_OFF_PX) {
           context.moveTo(x, y);
           context.lineTo(x, y + MAGNIFIED * scale * off);
         }
         context.stroke();
-      });
-    }
+      }
+      context.restore();
+    });
   }
 }
