@@ -16,6 +16,7 @@ from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.new import NewCommand
 from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
+from semviz.commands.record import RecordCommand
 from semviz.commands.research import (
     BenchmarkCommand,
     DetectChooseCommand,
@@ -75,6 +76,7 @@ Command = (
     | PoseCommands
     | MapCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
+    | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
     | Annotated[runs.CompareCommand, subcommand("compare")]
     | Annotated[runs.ReportCommand, subcommand("report")]

@@ -138,6 +138,8 @@ class ElementDraft:
     snap: bool = False
     asks_bottom: bool = False
     """Whether the server may mark the bottom as hidden."""
+    whole: bool = False
+    """Whether it is a point under which the whole pole is sought."""
 
     @property
     def has_shape(self) -> bool:

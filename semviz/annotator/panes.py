@@ -4,13 +4,14 @@ They are a frame's left and right image or images of two frames, of one camera o
 the page calls them left and right.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from semviz.web.protocol import Part, RefusedError
 from semviz_annotation.labels.views import PosedView, rig_view
+from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose
@@ -31,7 +32,11 @@ class Cameras:
         self.time_s = {frame.index: frame.time_s for frame in frames}
         self.T_map_camera = {frame.index: frame.T_map_camera for frame in frames}
         """Pose of the left camera by frame, in order of time; None if it is unknown."""
+        self.rank = {index: rank for rank, index in enumerate(self.T_map_camera)}
+        """Place of each frame in time."""
         self._views: dict[tuple[int, Side], PosedView] = {}
+        self._depths: dict[Pane, FloatArray] = {}
+        """(4,) depth in an image over its focal length, of homogeneous points in the map frame."""
 
     def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
         """Return the pose of a frame's left camera; None if it is unknown."""
@@ -44,6 +49,19 @@ class Cameras:
         if key not in self._views:
             self._views[key] = rig_view(self.rig, side, self.T_camera_map(frame_index))
         return self._views[key]
+
+    def sizes_px(self, element: Triangulated, panes: Sequence["Pane"]) -> FloatArray:
+        """Return (n,) the size of an element in images, px per metre; 0 behind the camera."""
+        depths = np.array([self._depth(pane) for pane in panes]) @ np.append(element.anchor_m, 1.0)
+        return np.asarray(np.where(depths > 0.0, 1.0 / np.where(depths > 0.0, depths, 1.0), 0.0))
+
+    def _depth(self, pane: "Pane") -> FloatArray:
+        if pane not in self._depths:
+            view = self.view(pane.frame_index, pane.side)
+            pose = view.T_camera_map
+            depth = np.append(pose.rotation[2], pose.translation[2])
+            self._depths[pane] = depth / view.camera.K[0, 0]
+        return self._depths[pane]
 
 
 LEAST_ANGLE_RAD = float(np.deg2rad(1.8))

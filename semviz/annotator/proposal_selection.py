@@ -185,7 +185,6 @@ class ProposalSelection:
         self._positions = positions
         self._image_worker = image_worker
         self._order = tuple(cameras.T_map_camera)
-        self._rank = {index: rank for rank, index in enumerate(self._order)}
         self._detected = detected
         self._labels = Labels()
         self._geometries: dict[tuple[Pane, ...], _Geometry] = {}
@@ -316,7 +315,7 @@ class ProposalSelection:
             for element in nearby
             for projection in element.projections
         ]
-        proposals = element_proposals(panes, expected, labels, self._rank)
+        proposals = element_proposals(panes, expected, labels, self._cameras)
         tracks_px = {
             pane: self._tracks.project(self._cameras.view(pane.frame_index, pane.side), labels)
             for pane in panes.values()

@@ -188,13 +188,10 @@ class MapCheckCommand:
         workspace = parsing.open_workspace(self.workspace)
         semantic_map = workspace.read_map(self.map)
         poses = known_pose_review(workspace)
-        check = check_map(
-            semantic_map,
-            read_labels_of(workspace, semantic_map),
-            workspace.source,
-            parsing.parse_frames(self.frames),
-            () if poses is None else poses.wrong_frames,
-        )
+        labels, sigma_ratio = read_labels_of(workspace, semantic_map)
+        frames = parsing.parse_frames(self.frames)
+        wrong_poses = () if poses is None else poses.wrong_frames
+        check = check_map(semantic_map, labels, workspace.source, frames, sigma_ratio, wrong_poses)
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
             print(json.dumps(check.as_dict() | said))

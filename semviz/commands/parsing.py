@@ -99,6 +99,17 @@ def parse_interval(text: str, option: str) -> tuple[float, float]:
     return low, high
 
 
+def parse_pair(text: str, option: str, example: str, second: float) -> tuple[float, float]:
+    """Return both numbers of ``5.5:0.3``; the other is ``second`` if there is only one."""
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2) or not all(0.0 < number < 1e6 for number in numbers):
+        raise SemvizError(f"{option} {text}: write numbers above 0, for example {example}")
+    return numbers[0], (*numbers, second)[1]
+
+
 def parse_anchor(text: str | None, x_heading_deg: float | None) -> "Georeference | None":
     """Return the georeference of ``49.0,8.4,115``: WGS84 latitude, longitude, optional height (m).
 

@@ -6,7 +6,6 @@ A table beside it, ``left-out.csv``, has a line for each image that is not in th
 for each frame without a pose.
 """
 
-import csv
 import re
 import zlib
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
@@ -42,8 +42,6 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
-_FORMULA = ("=", "+", "-", "@")
-"""Spreadsheets take a cell that begins with one of these for a formula."""
 _MOST_NAME = 1000
 """File systems allow 255."""
 _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
@@ -139,6 +137,8 @@ class DriveFile(_Model):
     """Largest field of view of the rectified images."""
     origin_m: tuple[float, float, float] | None = None
     """The map's origin in the world of the poses; None without poses."""
+    T_map_world: Matrix | None = None
+    """From the world of the poses; None without poses, and in files of earlier versions."""
     statements: tuple[tuple[str, str], ...] = ()
     """What was read and taken for granted: topic and text."""
     warnings: tuple[str, ...] = ()
@@ -172,6 +172,7 @@ class DriveFile(_Model):
             or None,
             most_view_deg=drive.most_view_deg,
             origin_m=None if drive.axes is None else drive.axes.origin_m,
+            T_map_world=None if drive.axes is None else _numbers(drive.axes.T_map_world),
             statements=drive.statements,
             warnings=drive.warnings,
             frames=tuple(
@@ -208,6 +209,11 @@ class DriveFile(_Model):
             rectify_rig(original, self.most_view_deg),
             cache,
         )
+
+    @property
+    def world(self) -> Pose | None:
+        """T_map_world, from the world of the poses; None if it is not known."""
+        return _pose(self.T_map_world)
 
     def _rig_dataset(
         self, cameras: Mapping[str, RigCameraEntry], folders: ImageFolders, cache: Path
@@ -287,19 +293,18 @@ def write_left_out(path: Path, images: Sequence["LeftOutImage"]) -> None:
     """Write the table, if there are images; the cell of a time that is not known is empty."""
     if not images:
         return
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["file", "side", "time_s", "reason"])
-        for image in images:
-            time_s = "" if image.time_s is None else image.time_s
-            side = _as_text(image.camera) if image.camera else image.side
-            writer.writerow([_as_text(image.file), side, time_s, image.reason])
-
-
-def _as_text(name: str) -> str:
-    """Return a name, behind an apostrophe if a spreadsheet would take it for a formula."""
-    name = shown(name, _MOST_NAME)
-    return f"'{name}" if name.startswith(_FORMULA) else name
+    rows = [
+        [
+            shown(image.file, _MOST_NAME),
+            shown(image.camera, _MOST_NAME) if image.camera else image.side,
+            image.time_s,
+            image.reason,
+        ]
+        for image in images
+    ]
+    with replacing(path) as temporary:
+        table = csv_text([["file", "side", "time_s", "reason"], *rows])
+        temporary.write_text(table, encoding="utf-8", newline="")
 
 
 def _numbers(pose: Pose | None) -> tuple[float, ...] | None:

@@ -27,8 +27,8 @@ from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
 from semviz_core.metrics.detection import ImageGroundTruth, match_confused_classes, match_detections
 
 if TYPE_CHECKING:
-    from semviz_annotation.labels.labels import Labels
     from semviz_annotation.labels.proposals import Proposals
+    from semviz_annotation.mapping.association.detection_tracks import LabelsOfMap
     from semviz_core.simulation.street import Street
 
 Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
@@ -67,16 +67,16 @@ def read_detections(workspace: Workspace, frames: Iterable[Frame]) -> "Proposals
     return Proposals.of(proposals.detections, processed)
 
 
-def read_labels_of(workspace: Workspace, semantic_map: SemanticMap) -> "Labels":
+def read_labels_of(workspace: Workspace, semantic_map: SemanticMap) -> "LabelsOfMap":
     """Return the labels of a workspace and, for a map of detections, its tracks."""
     from semviz_annotation.labels.proposals import load_proposals
-    from semviz_annotation.mapping.association.detection_tracks import labels_of_map
+    from semviz_annotation.mapping.association.detection_tracks import LabelsOfMap, labels_of_map
 
     labels = workspace.read_labels()
     if not uses_detections(semantic_map):
-        return labels
+        return LabelsOfMap(labels, {})
     detections = load_proposals(workspace.proposals_path, workspace.classes)
-    return labels_of_map(labels, semantic_map, detections)
+    return labels_of_map(labels, semantic_map, detections, workspace.source)
 
 
 def observe_detected(

@@ -17,7 +17,12 @@ import numpy as np
 from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
 from semviz.workspace.localizability import options_of
-from semviz.workspace.localize import SequenceLocalization
+from semviz.workspace.localize import (
+    LocalizeOptions,
+    OdometrySource,
+    SequenceLocalization,
+    simulated_odometry,
+)
 from semviz.workspace.observations import Observe, observe_labels, read_detections
 from semviz.workspace.pose_review import with_used_poses
 from semviz.workspace.workspace import Workspace
@@ -118,6 +123,7 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         tuple(frame.frame for frame in run.frames),
         observe,
         lambda frame: recorded[frame.index].localization.prior,
+        _odometry_of(recorded, options),
         Localizer(
             options.method,
             run.info.seed,
@@ -130,6 +136,13 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
     for record in localization:
         old = recorded[record.frame.index]
         yield replace(old, localization=record.localization, element_id=record.element_id)
+
+
+def _odometry_of(recorded: dict[int, FrameRecord], options: LocalizeOptions) -> OdometrySource:
+    """Return the odometry of a run: what was measured, else simulated again."""
+    if options.has_measurements:
+        return lambda before, now: recorded[now.index].odometry
+    return simulated_odometry(options.seed)
 
 
 def _recorded(recorded: dict[int, FrameRecord], new_id: dict[int, int]) -> Observe:

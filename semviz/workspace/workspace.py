@@ -23,7 +23,7 @@ import getpass
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -53,6 +53,7 @@ from semviz.workspace.settings import (
     StreetSettings,
     new_settings,
     read_settings,
+    settings_content,
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
@@ -62,13 +63,11 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import shown
 from semviz_core.datasets.validation import Calibration
 
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
     from semviz_annotation.storage.store import LabelStore
-    from semviz_core.datasets.own_drive.image_files import LeftOutImage
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
@@ -162,10 +161,14 @@ class Workspace:
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
             dataset = content.dataset(ImageFolders.of_drive(drive), Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
-        workspace = cls._create(path, settings, dataset.rig, content, drive.left_out)
-        if extracted is not None and extracted.is_dir():
-            shutil.move(extracted, path / RECORDED)
-        return workspace
+
+        def fill() -> None:
+            content.save(path / DRIVE_FILE)
+            write_left_out(path / LEFT_OUT, drive.left_out)
+            if extracted is not None and extracted.is_dir():
+                shutil.move(extracted, path / RECORDED)
+
+        return cls._create(path, settings, dataset.rig, fill)
 
     @classmethod
     def create_street(
@@ -194,10 +197,10 @@ class Workspace:
             ],
         }
         settings = new_settings(path, source)
-        street = cls(path, settings).street  # may fail, so before a folder is made
-        workspace = cls._create(path, settings, street.rig)
-        save_map(street.truth_map, workspace.map_path(TRUTH))
-        return workspace
+        workspace = cls(path, settings)
+        street = workspace.street  # may fail, so before a folder is made
+        truth = workspace.map_path(TRUTH)
+        return cls._create(path, settings, street.rig, lambda: save_map(street.truth_map, truth))
 
     @classmethod
     def _create(
@@ -205,25 +208,19 @@ class Workspace:
         path: Path,
         settings: Settings,
         rig: Rig,
-        drive: DriveFile | None = None,
-        left_out: Sequence["LeftOutImage"] = (),
+        fill: Callable[[], None] = lambda: None,
     ) -> "Workspace":
+        """Make the folder, ``fill`` it, and write its settings: a folder without is no workspace,
+        so one that was interrupted is never taken for a whole one."""
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
-        try:
-            content = tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
-        except UnicodeEncodeError:
-            raise SemvizError(
-                f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
-            ) from None
-        if drive is not None:
-            drive.save(path / DRIVE_FILE)
-        write_left_out(path / LEFT_OUT, left_out)
-        with replacing(path / SETTINGS) as temporary:  # last: a folder without is no workspace
+        content = settings_content(settings, path)
+        for name in ("maps", "runs"):
+            (path / name).mkdir(parents=True, exist_ok=True)
+        fill()
+        with replacing(path / SETTINGS) as temporary:
             temporary.write_bytes(content)
-        (path / "maps").mkdir(exist_ok=True)
-        (path / "runs").mkdir(exist_ok=True)
         return cls(path, settings)
 
     @property

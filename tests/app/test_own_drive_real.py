@@ -1,7 +1,6 @@
 """Files of real drives, which are not part of the project: SEMVIZ_DRIVES names their folder."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -12,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call
-from conftest import skip_or_fail
 from pyarrow import feather
 
 from semviz.workspace.workspace import Workspace
@@ -23,15 +21,6 @@ from semviz_core.datasets.own_drive.recording import DriveFiles
 
 REPOSITORY = Path(__file__).parents[2]
 pytestmark = pytest.mark.realdata
-
-
-@pytest.fixture
-def drives() -> Path:
-    default = REPOSITORY.parent / "shared" / "data" / "drives"
-    root = Path(os.environ.get("SEMVIZ_DRIVES", default))
-    if not (root / "utbm_stereo").is_dir():
-        skip_or_fail(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
-    return root
 
 
 def test_five_imports_of_a_real_drive_agree_with_colmap(drives: Path) -> None:

@@ -24,7 +24,7 @@ import { Past } from "./past.js";
 import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
-import { overwriting, replacedLabels, samePlace } from "./questions.js";
+import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
@@ -352,8 +352,19 @@ export class Page {
     if (!entry) this.notify(event.text, "wrong");
     else if ("overwritten" in event) this.state.set({ question: overwriting(entry, event, this) });
     else if ("observation_id" in event) this.state.set({ question: samePlace(entry, event, this) });
-    else if (event.code === "replaced") this.state.set({ question: replacedLabels(entry, event, this) });
+    else if (event.code === "replaced") this.#replaced(entry, event);
     else this.#refusedEdit(entry, event);
+  }
+
+  /** A backup replaced the labels that an edit is about: asks once for all edits that wait.
+   *
+   * @param {Entry} entry
+   * @param {import("/static/protocol").ErrorEvent} event
+   */
+  #replaced(entry, event) {
+    if (entry.place <= (this.outbox?.agreed ?? 0)) moveToRestored(entry, this);
+    else this.state.set({ question: replacedLabels(entry, event, this) });
+    this.#showPending();
   }
 
   /**

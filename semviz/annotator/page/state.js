@@ -1,7 +1,7 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
@@ -27,7 +27,7 @@ export class State {
     /** @type {"anchor" | "end"} */
     this.vertex = "anchor"; // which end of the selected pole the arrows move
     /** @type {Aids} */
-    this.aids = { snap: true, loupe: true, guides: true, proposals: true, bright: false, map: true, backdrop: false };
+    this.aids = { snap: true, whole: true, loupe: true, guides: true, proposals: true, bright: false, map: true, backdrop: false };
     /** @type {Brightness} */
     this.light = { ...PLAIN_LIGHT }; // of the images while the aid `bright` is on
     /** @type {annotator.PastFrame | null} */
@@ -42,6 +42,8 @@ export class State {
     this.preview = null; // guides, snapped drawing and card of the draft, from the server
     /** @type {{frame: number | null, subject: string}} */
     this.previewed = { frame: null, subject: "" }; // what `preview` is about
+    /** @type {Ghost | null} */
+    this.ghost = null; // the whole pole under the pointer or the cursor
     /** @type {string | null} */
     this.pointed = null; // the element of the proposal under the pointer
     /** @type {Set<string>} */

@@ -357,6 +357,7 @@ export interface ElementDraft {
   end_known?: boolean;
   snap?: boolean;
   asks_bottom?: boolean;
+  whole?: boolean;
 }
 
 /** An element labelled in the images on the page, with its observations there. */

@@ -90,7 +90,7 @@ class DetectedDrive:
         for row, detection in enumerate(detections):
             rows.append(LabelElement(detection.id, number + row, detection.class_id))
             rows.append(as_observation(detection))
-        sigma_ratio = {row.id: _sigma_ratio(row, link.place.sigma_px) for row in detections}
+        sigma_ratio = {row.id: sigma_ratio_of(row, link.place.sigma_px) for row in detections}
         gathered = gather_observations(Labels.from_rows(rows), source, frames, sigma_ratio)
         views, observations = gathered.views, gathered.observations
         elements = tuple(element for element in gathered.elements if element.number < number)
@@ -201,7 +201,8 @@ class DetectedDrive:
         return detection[on], label[on]
 
 
-def _sigma_ratio(detection: Proposal, sigma_px: float) -> tuple[float, float]:
+def sigma_ratio_of(detection: Proposal, sigma_px: float) -> tuple[float, float]:
+    """Return the sigmas of a detection, across and along, in multiples of ``sigma_px``."""
     along_px = detection.sigma_along_px or detection.sigma_px
     return (
         max(detection.sigma_px, _LEAST_SIGMA_PX) / sigma_px,

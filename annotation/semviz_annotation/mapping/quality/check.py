@@ -10,8 +10,9 @@ seconds.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -75,12 +76,13 @@ def leave_one_out(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> tuple[LeftOut, ...]:
     """Return the residuals of all labels of map elements in ``frames`` (None: all), worst first.
 
-    Elements with fewer than three labels are left out.
+    Elements with fewer than three labels are left out. ``sigma_ratio``: ``collect_observations``.
     """
-    linked = associate_labels(semantic_map, labels, source, frames)
+    linked = associate_labels(semantic_map, labels, source, frames, sigma_ratio)
     if linked is None:
         return ()
     options, elements = PlaceOptions(), semantic_map.elements
@@ -122,7 +124,8 @@ def delete_each(
     error, covariance = _predicted(observations, at, rows, options)
     chi2 = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     predicted = rows.any(axis=1)
-    residual_px = options.sigma_px * np.sqrt(_by_end(observations, error**2).max(axis=1))
+    squared = _by_end(observations, (error * at.sigma_ratio) ** 2)
+    residual_px = options.sigma_px * np.sqrt(squared.max(axis=1))
     normalized = _as_normal(chi2, np.maximum(rows.sum(axis=1), 1))
     return LeaveOneOutErrors(
         np.where(predicted, residual_px, np.nan), np.where(predicted, normalized, np.nan)
@@ -408,13 +411,13 @@ def check_map(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
     wrong_poses: Collection[int] = (),
 ) -> Check:
-    """Check a map in ``frames`` (None: all labelled); the rules use all frames. Labels in the
-    frames ``wrong_poses`` are measured, but not blamed.
+    """Check a map in ``frames`` (None: all labelled); the rules use all. Labels in the frames
+    ``wrong_poses`` are measured, but not blamed.
 
-    Raise SemvizError if the map is empty, of another frame or in other units, or a labelled frame
-    has no pose.
+    Raise SemvizError if it is empty, of another frame or unit, or a labelled frame has no pose.
     """
     _refuse(semantic_map, labels, source)
     if semantic_map.provenance:
@@ -424,7 +427,7 @@ def check_map(
     return Check(
         semantic_map=semantic_map,
         accuracy=accuracy,
-        left_out=leave_one_out(semantic_map, labels, source, frames),
+        left_out=leave_one_out(semantic_map, labels, source, frames, sigma_ratio),
         findings=lint(semantic_map, labels, source),
         labels_operation=labels.operation,
         wrong_poses=frozenset(wrong_poses),

@@ -54,6 +54,19 @@ class LabelledImage:
             object.__setattr__(self, "ignored", bool_array(self.ignored, shape, "ignored"))
 
 
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A part of an image with its elements."""
+
+    image: ByteImage
+    """(height, width, 3) sRGB."""
+    elements: Elements2D
+    """(m,) poles are cut off at the edges."""
+    rows: ByteImage
+    """(height, width) 1 + the row of the pixel's element, ``IGNORED``, or 0 for none."""
+    has_masks: bool
+
+
 class LabelledImages(Protocol):
     """Labelled images as a pure function of their number. Picklable to few bytes, since worker
     processes use them."""
