@@ -86,7 +86,7 @@ def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
         facts=_facts(source, frames, places),
         checks=list(stored.checks),
         steps=[
-            *(_mending(check) for check in failed),
+            *(_repair(check) for check in failed),
             *_usual_steps(workspace.path, source, bool(posed)),
         ],
         frames=[frame.index for frame in posed],
@@ -96,7 +96,7 @@ def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
     )
 
 
-_NUMBERS = {1: "One thing", 2: "Two things", 3: "Three things"}
+_NUMBERS = {1: "One step", 2: "Two steps", 3: "Three steps"}
 
 
 def _sentence(texts: list[str]) -> str:
@@ -127,7 +127,7 @@ def _facts(source: Dataset, frames: tuple[Frame, ...], places: FloatArray) -> li
     return facts
 
 
-_MENDING = {
+_REPAIRS = {
     "sides": "Exchange left and right",
     "rows": "Refine the extrinsics",
     "poses": "Correct the poses",
@@ -135,9 +135,9 @@ _MENDING = {
 }
 
 
-def _mending(check: DriveCheck) -> DriveStep:
+def _repair(check: DriveCheck) -> DriveStep:
     return DriveStep(
-        title=_MENDING[check.kind],
+        title=_REPAIRS[check.kind],
         text=f"{check.warning[0].upper()}{check.warning[1:]}.",
         command=check.remedy,
         view="poses" if check.kind == "poses" and not check.remedy else "",

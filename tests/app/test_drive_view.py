@@ -42,9 +42,9 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return Workspace.open(folder / "town")
 
 
-def test_what_failed_comes_first_with_the_command_that_mends_it(town: Workspace) -> None:
+def test_what_failed_comes_first_with_the_command_that_repairs_it(town: Workspace) -> None:
     view = drive_view(town, town.source)
-    assert view.title == "Your drive can be labelled. One thing first."
+    assert view.title == "Your drive can be labelled. One step first."
     assert view.sentence.startswith("Rows of both images are 2.")
     assert not view.is_sound
     assert [check.name for check in view.checks if check.passed is False] == ["rows agree"]
@@ -90,7 +90,7 @@ def served(town: Workspace) -> Iterator[Served]:
 def test_the_page_shows_the_worst_check_first(served: Served, page: "Page") -> None:
     mark = "&" if "?" in served.url else "?"
     page.goto(f"{served.url}{mark}view=drive")
-    page.wait_for_selector('#drive-head h2:has-text("One thing first")')
+    page.wait_for_selector('#drive-head h2:has-text("One step first")')
     assert "Rows agree" in page.inner_text("#drive-checks .row.chosen")
     page.wait_for_selector('#drive-about:has-text("px off their row")')
     page.keyboard.press("F2")
