@@ -19,7 +19,6 @@
 The author of stored operations defaults to the login name.
 """
 
-import getpass
 import os
 import shutil
 import tempfile
@@ -445,11 +444,3 @@ def _names(folder: Path, suffix: str) -> tuple[str, ...]:
     files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
     ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
     return tuple(file.stem for file in ordered)
-
-
-def login_name() -> str:
-    """Return the user's login name, the default author of edits."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "somebody"

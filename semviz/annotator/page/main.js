@@ -21,7 +21,7 @@ import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
-import { find, isIdle, seen, startOf } from "./pending.js";
+import { draftOf, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
 import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
@@ -135,40 +135,12 @@ export class Page {
   async #previewOnce() {
     try {
       const { frame, subject } = this.state;
-      const { preview } = await this.socket.request("preview_draft", { draft: this.#draft() });
+      const { preview } = await this.socket.request("preview_draft", { draft: draftOf(this.state) });
       this.state.set({ preview: this.state.past ? null : preview, previewed: { frame, subject } });
     } catch (refusal) {
       if (!(refusal instanceof Refusal)) throw refusal;
       if (refusal.code !== "offline") this.notify(refusal.message, "wrong");
     }
-  }
-
-  /** The selected or drawn element.
-   *
-   * @returns {annotator.PreviewDraftRequest["draft"]}
-   */
-  #draft() {
-    const { drawing, dragged, selected, pending, aids, frame } = this.state;
-    const held = dragged && find(this.state.elements, dragged.observation)?.observation;
-    const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
-    return {
-      frame_index: frame ?? 0,
-      selected_id: isSaved ? selected.element : null,
-      is_chosen: this.state.isChosen,
-      side: selected?.side ?? "left",
-      second: this.state.second,
-      drawing: drawing && {
-        side: drawing.side,
-        class_id: drawing.class,
-        anchor_px: drawing.anchor,
-        end_px: drawing.end,
-        anchor_known: drawing.anchor_known,
-        end_known: drawing.end_known,
-        snap: aids.snap && !drawing.box,
-        asks_bottom: aids.snap && drawing.asks_bottom,
-      },
-      moved: held ? { [held.id]: [held.anchor, held.end] } : {},
-    };
   }
 
   /** Shows frame `index`; the selection stays, so that the element can be continued there.
