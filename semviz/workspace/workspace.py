@@ -6,7 +6,7 @@
     left-out.csv         images that its import left out, if any; see ``drive_file``
     recorded/            images of a bag as recorded
     rectified/           images of an own drive without distortion, made when needed
-    checks/rows.png      rows and matches of a stereo pair, from the import
+    checks/              of an import: checks.json, and rows.png of a stereo pair
     labels.db            labels and their history
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
