@@ -258,7 +258,7 @@ class DetectTrainCommand:
     workers: int = 1
     """Processes that render and make crops."""
     precision: Literal["float32", "bf16"] = "float32"
-    """bf16: half precision, twice as fast on a GPU or a processor with AMX."""
+    """bf16: half precision, faster on a GPU or a processor with AMX or AVX-512 BF16."""
     stop_after_s: parsing.OptionalFloat = None
     """Save and stop after this many seconds of training."""
     allow_loss: bool = False

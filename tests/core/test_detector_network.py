@@ -194,7 +194,7 @@ def test_thresholds_keep_what_is_false_within_the_limit() -> None:
     """A model with all false positives below 0.5; regions score above."""
 
     class Planted(HeatmapModel):
-        def find(self, image: np.ndarray) -> list[Region]:
+        def find(self, image: np.ndarray, watch: object = None) -> list[Region]:
             right = Region(RECTANGULAR, 0.8, np.array([200.0, 100, 240, 140]))
             false = [
                 Region(RECTANGULAR, 0.4 + 0.01 * k, np.array([20.0 * k, 340, 20.0 * k + 15, 355]))

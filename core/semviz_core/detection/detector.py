@@ -108,9 +108,10 @@ class RegionModel(Protocol):
     def name(self) -> str:
         """The model's name in proposals, runs and reports."""
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: Stopwatch | None = None) -> Sequence[Region]:
         """Return the regions in an image (height, width, 3) sRGB, of any size.
 
+        ``watch`` gets the times of the stages "network" and "regions", if the model knows them.
         Raise SemvizError if the model cannot take the image, or its output has another format than
         described.
         """
@@ -131,7 +132,7 @@ class Detector:
     def detect(self, image: ByteImage) -> Elements2D:
         """Return the elements in an image (height, width, 3) sRGB, best score first."""
         watch = Stopwatch()
-        regions = watch.time("network and regions", lambda: self.model.find(image))
+        regions = self.model.find(image, watch)
         found = watch.time("measuring", lambda: measure(SampledImage(image), regions, self.measure))
         for stage, milliseconds in watch.time_ms.items():
             self.time_ms.setdefault(stage, []).append(milliseconds)
