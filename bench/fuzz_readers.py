@@ -264,4 +264,6 @@ READERS: Mapping[str, Reader] = {
     "colmap": Reader("input", drive.colmap),
     "nerfstudio": Reader("input.json", drive.nerfstudio),
     "drive-file": Reader("drive.json", drive.drive_file),
+    "recording": Reader("input", drive.recording),
+    "bag": Reader("input", drive.bag),
 }

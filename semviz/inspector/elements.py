@@ -21,8 +21,8 @@ from semviz.web.protocol import handles
 from semviz.workspace import localizability
 from semviz_core.base.pose import Pose
 from semviz_core.diagnosis.element_statistics import ElementRecord
-from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.run import RunDiagnosis, RunFault
+from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
+from semviz_core.diagnosis.run import RunDiagnosis
 from semviz_core.localizability.element_effects import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
 from semviz_core.localizability.route import Conditions
@@ -93,7 +93,11 @@ def findings_view(run: Run, findings: Findings) -> views_run.RunFindings:
     camera_faults = [] if camera is None else [_camera_fault(run, camera)]
     return views_run.RunFindings(
         compared=diagnosis.frames,
-        faults=(*camera_faults, *(_map_fault(run, fault) for fault in diagnosis.elements)),
+        faults=(
+            *(_recurring_fault(run, fault) for fault in diagnosis.causes),
+            *camera_faults,
+            *(_recurring_fault(run, fault) for fault in diagnosis.elements),
+        ),
         rows=tuple(
             _row(run, element) for element in findings.elements if _is_mapped(run, element.id)
         ),
@@ -104,8 +108,8 @@ def _is_mapped(run: Run, element_id: int) -> bool:
     return map_row(run.semantic_map, element_id) is not None
 
 
-def _map_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
-    """Return a fault with its element, or else its detection in the middle frame."""
+def _recurring_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
+    """Return a fault with its element or detection, if it has one, and the middle frame."""
     middle = len(fault.frames) // 2
     known = [id for id in fault.elements if _is_mapped(run, id)]
     return views_run.RunFaultView(
@@ -114,7 +118,7 @@ def _map_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
         evidence=_evidence(fault),
         frames=tuple(run.frames[position].frame.index for position in fault.frames),
         element=known[0] if known else None,
-        observed=None if known else fault.rows[middle],
+        observed=None if known or not fault.rows else fault.rows[middle],
         position=fault.frames[middle],
     )
 

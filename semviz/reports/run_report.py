@@ -154,13 +154,14 @@ def _frame_row(report: RunReport, row: int) -> tuple[str, ...]:
 
 
 def faults_table(report: RunReport) -> Table:
-    """List the recurring faults of map and camera."""
+    """List the faults of priors, map and camera that recur."""
     diagnosis = report.run_diagnosis
     camera = [] if diagnosis.calibration is None else [diagnosis.calibration]
-    rows = [(str(fault.kind), fault.sentence) for fault in (*camera, *diagnosis.elements)]
+    faults = (*diagnosis.causes, *camera, *diagnosis.elements)
+    rows = [(str(fault.kind), fault.sentence) for fault in faults]
     if not rows:
         frames = f"{diagnosis.frames} frames with a reference pose"
-        rows = [("none", f"No recurring fault of map or camera in {frames}.")]
+        rows = [("none", f"No recurring fault of priors, map or camera in {frames}.")]
     return Table(f"{report.name}: recurring faults", ("fault", "evidence"), tuple(rows), words=2)
 
 

@@ -321,7 +321,7 @@ def _draw_cameras(
     columns: Columns, result: Localization, truth: Pose | None, estimate: Pose | None
 ) -> None:
     known = truth or estimate
-    here = result.prior.position_m if known is None else known.translation
+    here = result.around_m if known is None else known.translation
     columns.points(HERE, here[None])
     for camera, image, pose in (
         (TRUE_CAMERA, TRUE_CAMERA, truth),
@@ -332,9 +332,10 @@ def _draw_cameras(
 
 
 def _draw_prior(columns: Columns, result: Localization) -> None:
-    prior = result.prior
-    circle = Strips.of((prior.position_m + prior.horizontal_sigma_m * _GROUND_CIRCLE)[None])
-    columns.strips(PRIOR_CIRCLE, circle)
+    prior, circle = result.prior, np.zeros((0, 1, 3))
+    if prior is not None:
+        circle = (prior.position_m + prior.horizontal_sigma_m * _GROUND_CIRCLE)[None]
+    columns.strips(PRIOR_CIRCLE, Strips.of(circle))
 
 
 def _draw_alternatives(columns: Columns, result: Localization) -> None:

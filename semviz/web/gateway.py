@@ -20,8 +20,10 @@ from pathlib import Path
 from urllib.parse import quote
 
 from aiohttp import web
+from aiohttp.typedefs import Middleware
 
 from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback
+from semviz.web.connections import Connections
 from semviz.web.sessions import close_sockets
 from semviz.web.tool import Tool, tool_application
 from semviz_core.common.errors import SemvizError
@@ -117,22 +119,23 @@ class Gateway:
             loop = asyncio.new_event_loop()
             thread = threading.Thread(target=loop.run_forever, name="semviz-gateway", daemon=True)
             thread.start()
-            runner = web.AppRunner(
-                self._app(port), access_log=None, shutdown_timeout=1.0, logger=http_log()
-            )
+            connections = Connections(listener)
+            app = self._app(port, connections.middleware())
+            runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0, logger=http_log())
             try:
-                asyncio.run_coroutine_threadsafe(_serve(runner, listener), loop).result()
+                asyncio.run_coroutine_threadsafe(_serve(runner, connections), loop).result()
                 yield self._url(port)
             finally:
-                asyncio.run_coroutine_threadsafe(_end(runner), loop).result(timeout=10)
+                ending = _end(runner, connections)
+                asyncio.run_coroutine_threadsafe(ending, loop).result(timeout=10)
                 loop.call_soon_threadsafe(loop.stop)
                 thread.join(timeout=5)
                 loop.close()
                 self._tool.scenes.close_all()
 
-    def _app(self, port: int) -> web.Application:
+    def _app(self, port: int, admitting: Middleware) -> web.Application:
         policy = AccessPolicy(is_loopback(self._host), self._token, port)
-        app = tool_application(self._tool, middlewares=[policy.middleware()])
+        app = tool_application(self._tool, middlewares=[policy.middleware(), admitting])
         app.on_response_prepare.append(add_headers)
         app.on_shutdown.append(close_sockets)
         return app
@@ -144,13 +147,15 @@ class Gateway:
         return f"http://{shown}:{port}/{token}"
 
 
-async def _serve(runner: web.AppRunner, listener: socket.socket) -> None:
+async def _serve(runner: web.AppRunner, connections: Connections) -> None:
     await runner.setup()
-    await web.SockSite(runner, listener).start()
+    assert runner.server is not None
+    connections.start(runner.server)
 
 
-async def _end(runner: web.AppRunner) -> None:
+async def _end(runner: web.AppRunner, connections: Connections) -> None:
     """Close the port and all connections, and stop waiting for disconnected pages."""
+    connections.stop()
     await runner.cleanup()
     waiting = asyncio.all_tasks() - {asyncio.current_task()}
     for task in waiting:

@@ -21,9 +21,10 @@ from semviz.runs.comparison import FrameChange, frame_change
 from semviz.runs.metrics import Errors, errors_of
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.writer import write_run
-from semviz.what_if import request_changes
+from semviz.what_if import prior_changes, request_changes
 from semviz.what_if.change import FrameRequest, WhatIfChange
-from semviz.what_if.request_changes import CropRadius, PriorAtTruth, StartAtTruth
+from semviz.what_if.prior_changes import CropRadius, PriorAtTruth
+from semviz.what_if.request_changes import StartAtTruth
 from semviz_core.base.localization import Localization, Refinement
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -46,10 +47,12 @@ KINDS: dict[str, type[WhatIfChange]] = {
     "force pair": request_changes.ForcePair,
     "forbid pair": request_changes.ForbidPair,
     "true pairs": request_changes.ForceTruePairs,
-    "move prior": request_changes.MovePrior,
-    "prior at truth": request_changes.PriorAtTruth,
-    "prior sigma": request_changes.PriorSigma,
-    "crop radius": request_changes.CropRadius,
+    "move prior": prior_changes.MovePrior,
+    "prior at truth": prior_changes.PriorAtTruth,
+    "prior sigma": prior_changes.PriorSigma,
+    "crop radius": prior_changes.CropRadius,
+    "without prior part": prior_changes.WithoutPriorPart,
+    "raise prior": prior_changes.RaisePrior,
     "method": request_changes.UseMethod,
     "start at truth": request_changes.StartAtTruth,
 }
@@ -319,6 +322,9 @@ DETECTION_FAULTS: tuple[FaultKind, ...] = (
 TOO_FEW: tuple[FaultKind, ...] = ("too few elements", "missed detection")
 """No change helps."""
 MAP_FAULTS: tuple[FaultKind, ...] = ("moved in the map", "twice in the map")
+PRIOR_FAULTS: tuple[FaultKind, ...] = (
+    "wrong heading prior", "wrong gravity prior", "wrong height prior", "wrong position prior",
+)  # fmt: skip
 SEARCH_FAULTS: tuple[FaultKind, ...] = (
     "wrong matches", "search miss", "refinement diverged", "ambiguous geometry", "unexplained",
 )  # fmt: skip
@@ -351,12 +357,30 @@ def _suggestions(request: FrameRequest, fault: Fault) -> Iterator[WhatIfChange]:
         yield from (request_changes.DropDetection(frame, row) for row in fault.rows)
     elif fault.kind == "wrong class":
         yield from _other_class(request, fault.rows, fault.elements)
+    elif fault.kind in PRIOR_FAULTS:
+        yield from _other_prior(fault)
+    elif fault.kind == "wrong detection sigma":
+        yield request_changes.NoiseFactor(round(fault.evidence[0].value, 1))
     elif fault.kind == "not in the submap":
         yield PriorAtTruth()
         yield CropRadius(RADIUS_FACTOR * request.radius_m)
     elif fault.kind in SEARCH_FAULTS:
         yield request_changes.ForceTruePairs()
         yield StartAtTruth()
+
+
+def _other_prior(fault: Fault) -> Iterator[WhatIfChange]:
+    """Yield the changes that leave out, or correct, the part of the prior that is wrong."""
+    off = fault.evidence[0].value
+    if fault.kind == "wrong heading prior":
+        yield prior_changes.WithoutPriorPart("heading")
+    elif fault.kind == "wrong gravity prior":
+        yield prior_changes.WithoutPriorPart("gravity")
+    elif fault.kind == "wrong height prior":
+        yield from (prior_changes.RaisePrior(round(up_m, 2)) for up_m in (off, -off))
+    else:
+        yield PriorAtTruth()
+        yield prior_changes.PriorSigma(round(off, 1))
 
 
 def _other_class(

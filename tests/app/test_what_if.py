@@ -16,10 +16,17 @@ from semviz.runs.metrics import errors_of
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.what_if.change import WhatIfChange
+from semviz.what_if.prior_changes import (
+    CropRadius,
+    MovePrior,
+    PriorAtTruth,
+    PriorSigma,
+    RaisePrior,
+    WithoutPriorPart,
+)
 from semviz.what_if.request_changes import (
     AddElement,
     ChangeElementClass,
-    CropRadius,
     DetectionClass,
     DropDetection,
     DropElement,
@@ -28,10 +35,7 @@ from semviz.what_if.request_changes import (
     ForceTruePairs,
     IgnoreClasses,
     LeastScore,
-    MovePrior,
     NoiseFactor,
-    PriorAtTruth,
-    PriorSigma,
     StartAtTruth,
     UseMethod,
 )
@@ -97,6 +101,7 @@ EVERY: tuple[WhatIfChange, ...] = (
     DetectionClass(10, 0, 1), LeastScore(0.5), NoiseFactor(2.0), IgnoreClasses(),
     ForcePair(10, 0, 3), ForbidPair(10, 0, 3), ForceTruePairs(), MovePrior(3.0, -1.5),
     PriorAtTruth(), PriorSigma(9.0), CropRadius(70.0), UseMethod("direct"), StartAtTruth(),
+    WithoutPriorPart("gravity"), RaisePrior(0.5),
 )  # fmt: skip
 
 

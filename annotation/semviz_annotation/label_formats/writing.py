@@ -10,11 +10,10 @@ holds the keys of labelme's files by image, and those of its shapes by observati
 deleted observation stay, and apply again if the deletion is undone.
 """
 
-import csv
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -27,6 +26,7 @@ from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, parsed_json, read_limited
@@ -184,8 +184,9 @@ def original_pixels(source: Dataset) -> OriginalPixels:
 
     def to_original(index: int, side: Side, pixels_px: FloatArray) -> tuple[str, FloatArray]:
         if isinstance(source, ImageFolder):
-            name = source.original_path(index, side).name
-            return name, source.to_original(pixels_px, side)
+            path, camera = source.original_path(index, side), source.camera_of.get(index)
+            name = path.name if camera is None else f"{camera}/{path.name}"
+            return name, source.to_original(pixels_px, index, side)
         return f"{side}/{index:06d}.png", pixels_px
 
     return to_original
@@ -193,27 +194,26 @@ def original_pixels(source: Dataset) -> OriginalPixels:
 
 def write_table(context: LabelExportContext, path: Path, original: OriginalPixels) -> None:
     """Write the table; cells of a sign's missing end are empty."""
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for labelled in context.images:
-            for row in labelled.observations:
-                ends = [row.anchor_px] if row.end_px is None else [row.anchor_px, row.end_px]
-                pixels = np.array(ends, dtype=np.float64)
-                name, recorded = original(labelled.frame_index, labelled.side, pixels)
-                cells = np.hstack([pixels, recorded]).tolist()
-                end = cells[1] if row.end_px is not None else [""] * 4
-                element = context.labels.element(row.element_id)
-                writer.writerow(
-                    [
-                        labelled.frame_index,
-                        labelled.side,
-                        name,
-                        element.number,
-                        context.class_name(row),
-                        *cells[0],
-                        as_word(row.anchor_known),
-                        *end,
-                        as_word(row.end_known),
-                    ]
-                )
+    with replacing(path) as temporary:
+        table = csv_text([COLUMNS, *_rows(context, original)])
+        temporary.write_text(table, encoding="utf-8", newline="")
+
+
+def _rows(context: LabelExportContext, original: OriginalPixels) -> Iterator[Sequence[object]]:
+    for labelled in context.images:
+        for row in labelled.observations:
+            ends = [row.anchor_px] if row.end_px is None else [row.anchor_px, row.end_px]
+            pixels = np.array(ends, dtype=np.float64)
+            name, recorded = original(labelled.frame_index, labelled.side, pixels)
+            cells = np.hstack([pixels, recorded]).tolist()
+            yield [
+                labelled.frame_index,
+                labelled.side,
+                name,
+                context.labels.element(row.element_id).number,
+                context.class_name(row),
+                *cells[0],
+                as_word(row.anchor_known),
+                *(cells[1] if row.end_px is not None else [""] * 4),
+                as_word(row.end_known),
+            ]

@@ -29,6 +29,7 @@ from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import parsing_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -333,17 +334,10 @@ def _covariance(row: ParsedElement) -> FloatArray:
 
 def read_xml(path: Path, root: str) -> "Element":
     """Return the root element without namespaces. Raise SemvizError if it is not ``root``."""
-    from xml.etree.ElementTree import ParseError
-
-    from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import fromstring
 
-    try:
+    with parsing_xml():
         document: Element = fromstring(read_bytes(path, MOST_XML_BYTES), forbid_dtd=True)
-    except DefusedXmlException:
-        raise SemvizError("declares a document type or entities; such files are refused") from None
-    except (ParseError, LookupError, ValueError) as error:
-        raise SemvizError(f"not XML ({str(error).splitlines()[0][:200]})") from None
     for element in document.iter():
         element.tag = element.tag.rpartition("}")[2]
     if document.tag != root:

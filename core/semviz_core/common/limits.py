@@ -16,6 +16,7 @@ import struct
 import tomllib
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -267,6 +268,21 @@ def parsed_json(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("JSON nested too deeply") from None
+
+
+@contextmanager
+def parsing_xml() -> Iterator[None]:
+    """Raise SemvizError, without the file's name, for what defusedxml or its parser refuses."""
+    from xml.etree.ElementTree import ParseError
+
+    from defusedxml.common import DefusedXmlException
+
+    try:
+        yield
+    except DefusedXmlException:
+        raise SemvizError("declares a document type or entities; such files are refused") from None
+    except (ParseError, LookupError, ValueError) as error:
+        raise SemvizError(f"not XML ({first_line(error)})") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:

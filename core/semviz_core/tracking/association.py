@@ -221,7 +221,7 @@ class TrackingFrame:
     detector: DetectorModel
     observed: Elements2D
     submap: Elements3D
-    prior: Prior
+    prior: Prior | None
 
     @cached_property
     def problem(self) -> PoseProblem:

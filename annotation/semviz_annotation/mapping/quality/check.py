@@ -19,7 +19,11 @@ import numpy as np
 
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
+from semviz_annotation.mapping.placement.observations import (
+    ObservationArray,
+    ViewArray,
+    labelled_poses,
+)
 from semviz_annotation.mapping.placement.reprojection import Residuals, information, residuals
 from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
 from semviz_annotation.mapping.quality.label_links import (
@@ -228,13 +232,12 @@ class Gate:
             if (reasons := list(self._reasons(class_accuracy)))
         ]
         if not any(class_.observations for class_ in accuracy.classes.values()):
-            lines.append("nothing was measured: no label is of an element of the map")
+            return (*lines, "nothing was measured: no label is of an element of the map")
         return tuple(lines)
 
     def _reasons(self, accuracy: ClassAccuracy) -> Iterator[str]:
-        lateral = (
-            accuracy.lateral_rmse_px if accuracy.rmse_px is None else None
-        )  # else it is within RMSE
+        is_pole = accuracy.rmse_px is None  # of signs it is within RMSE
+        lateral = accuracy.lateral_rmse_px if is_pole else None
         for what, value, limit, unit in (
             ("RMSE", accuracy.rmse_px, self.max_rmse_px, "px"),
             ("lateral RMSE", lateral, self.max_rmse_px, "px"),
@@ -250,8 +253,7 @@ def mapping_accuracy(
     source: Dataset,
     frames: Collection[int] | None = None,
 ) -> MapAccuracy:
-    """Return the accuracy of the map, projected into ``frames`` (None: all labelled) with true
-    poses.
+    """Return the accuracy of the map in ``frames`` (None: all labelled), by their poses.
 
     Raise SemvizError if the map is of another frame, was not made from labels, or a labelled frame
     has no pose.
@@ -274,26 +276,15 @@ def mapping_accuracy(
             errors[int(elements.class_id[row])].append(
                 ImageErrors.between(projected_px, _ends(observation))
             )
-    return MapAccuracy(
-        classes={
-            class_.name: ClassAccuracy.of(errors[class_.id]) for class_ in semantic_map.classes
-        },
-        elements=len(elements),
-        unmapped=unmapped,
-    )
+    classes = {class_.name: ClassAccuracy.of(errors[class_.id]) for class_ in semantic_map.classes}
+    return MapAccuracy(classes, len(elements), unmapped)
 
 
 def _observations(
     labels: Labels, source: Dataset, frames: Collection[int] | None
 ) -> Iterator[tuple[PosedView, Observation]]:
-    """Yield the labels in ``frames``, each with its camera in the map frame."""
-    poses = {frame.index: frame.T_map_camera for frame in source.frames}
-    for index in labels.frames:
-        if frames is not None and index not in frames:
-            continue
-        pose = poses.get(index)
-        if pose is None:
-            raise SemvizError(f"frame {index} is labelled but has no pose to project the map with")
+    """Yield the labels in ``frames``, each with its camera."""
+    for index, pose in labelled_poses(labels, source, frames).items():
         rows = labels.in_frame(index)
         sides = {row.side for row in rows}
         views = {side: rig_view(source.rig, side, pose.inverse()) for side in sides}
@@ -335,6 +326,8 @@ class Check:
     findings: tuple[Finding, ...]
     labels_operation: int
     """Number of the last operation of the labels."""
+    wrong_poses: frozenset[int] = frozenset()
+    """Frames with wrong poses: what their labels show is no error of the labels."""
 
     @property
     def is_old(self) -> bool:
@@ -347,7 +340,10 @@ class Check:
         return {
             **self.accuracy.as_dict(),
             "lint": [asdict(finding) for finding in self.findings],
-            "leave_out": [asdict(residual) for residual in self.left_out[:WORST_KEPT]],
+            "leave_out": [
+                asdict(residual) | {"pose_is_wrong": residual.frame_index in self.wrong_poses}
+                for residual in self.left_out[:WORST_KEPT]
+            ],
             "triangle_center": self.semantic_map.triangle_center,
             "existence_log_odds": dict(self._log_odds()),
             "operations": {"map": self.semantic_map.operation, "labels": self.labels_operation},
@@ -383,8 +379,11 @@ class Check:
     def _worst(self) -> Iterator[str]:
         elements, classes = self.semantic_map.elements, self.semantic_map.classes
         class_of = dict(zip(elements.id.tolist(), elements.class_id.tolist(), strict=True))
-        yield f"\nlabels that agree least with the others of their element, of {len(self.left_out)}"
-        for residual in self.left_out[:WORST_LISTED]:
+        blamed = [row for row in self.left_out if row.frame_index not in self.wrong_poses]
+        yield f"\nlabels that agree least with the others of their element, of {len(blamed)}"
+        if count := len(self.left_out) - len(blamed):
+            yield f"  {count} more are in frames with wrong poses: those are not the labels' errors"
+        for residual in blamed[:WORST_LISTED]:
             name = classes.element_name(class_of[residual.element_id], residual.element_id)
             yield (
                 f"  {name:<6} frame {residual.frame_index}, {residual.side + ':':<6} "
@@ -413,8 +412,10 @@ def check_map(
     source: Dataset,
     frames: Collection[int] | None = None,
     sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    wrong_poses: Collection[int] = (),
 ) -> Check:
-    """Check a map in ``frames`` (None: all labelled; the rules use all).
+    """Check a map in ``frames`` (None: all labelled); the rules use all. Labels in the frames
+    ``wrong_poses`` are measured, but not blamed.
 
     Raise SemvizError if it is empty, of another frame or unit, or a labelled frame has no pose.
     """
@@ -429,6 +430,7 @@ def check_map(
         left_out=leave_one_out(semantic_map, labels, source, frames, sigma_ratio),
         findings=lint(semantic_map, labels, source),
         labels_operation=labels.operation,
+        wrong_poses=frozenset(wrong_poses),
     )
 
 

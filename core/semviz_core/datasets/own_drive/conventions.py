@@ -147,10 +147,20 @@ def read_extrinsic(name: str, calibration: CalibrationFile) -> tuple[Pose, str]:
         )
     if path.suffix in (".yaml", ".yml", ".toml"):
         return read_extrinsic(CALIBRATION_EXTRINSIC, read_calibration(path))[0], path.name
+    return read_matrix(path), path.name
+
+
+def read_matrix(path: Path) -> Pose:
+    """Return T_body_camera from a file with the 12 or 16 numbers of a matrix."""
+    if not path.is_file():
+        raise SemvizError(
+            f"--extrinsic {shown(path)}: no such file; give one, "
+            + ", ".join(f"'{known}'" for known in NAMED_EXTRINSICS)
+        )
     text = " ".join(read_text(path).replace(",", " ").split())
     count = 16 if len(text.split()) == 16 else 12
     try:
-        return Pose.from_matrix(parsed_numbers(text, count, "numbers").reshape(-1, 4)), path.name
+        return Pose.from_matrix(parsed_numbers(text, count, "numbers").reshape(-1, 4))
     except SemvizError as error:
         raise SemvizError(f"{path}: {error}; give T_body_camera as a 3x4 or 4x4 matrix") from None
 

@@ -16,7 +16,11 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, parsed_json, read_limited, shown
 from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
+from semviz_core.datasets.own_drive.calibration_files import (
+    CalibrationFile,
+    read_calibration,
+    read_rig_calibration,
+)
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.image_files import size_of_images
@@ -135,6 +139,8 @@ def _calibration(
     if is_colmap(path) or path.suffix == ".json":
         cameras = read_colmap(path) if is_colmap(path) else read_nerfstudio(path)
         return _model_calibration(files, recording, cameras)
+    if files.rig:
+        return read_rig_calibration(path, files.rig, files.cameras[0])
     return read_calibration(path, files.right_calibration)
 
 

@@ -130,6 +130,9 @@ class DriveFiles:
     cameras: tuple[str, ...] = ()
     """Of a recording, as it names them: the left or only one, and the right one; empty: its own
     choice."""
+    rig: tuple[str, ...] = ()
+    """Cameras of a rig, each on its own: as a recording names them, or folders in ``images``. Poses
+    are those of the first one's images; empty: one camera or a stereo pair."""
     sequence: str | None = None
     """Of a recording of several; None: the only one."""
     extracted: Path | None = None
@@ -163,6 +166,11 @@ class DriveFiles:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < 1e6:
                 raise SemvizError(f"{name} {value:g}: give a positive number")
+        if self.rig and (len(set(self.rig)) < max(2, len(self.rig)) or self.right is not None):
+            raise SemvizError(
+                "a rig has at least two cameras, each named once: --cameras FIRST,SECOND,... "
+                "without --right"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,7 +132,7 @@ class PaperPipeline:
         ``problem`` has the constraints of ``pairing`` applied. ``start`` (T_camera_map) replaces
         RANSAC.
         """
-        frame = work.observed, work.submap, work.camera, work.prior
+        frame = work.observed, work.submap, work.camera, work.given_prior
         soft = watch.time("match", lambda: _constrained(self.matcher.match(*frame), pairing))
         work = replace(work, match=_match(soft, len(work.observed), len(work.submap)))
         coarse = _Coarse(start, 1)
@@ -170,7 +170,7 @@ def _search_of(work: Localization, problem: PoseProblem, coarse: _Coarse) -> Sea
     if coarse.T_camera_map is None:
         no_match = np.zeros((0, len(work.observed)), np.int64)
         return Search(coarse.hypotheses, (), np.zeros(0), None, no_match)
-    mode = mode_near(problem, work.prior, coarse.T_camera_map)
+    mode = mode_near(problem, work.given_prior, coarse.T_camera_map)
     return Search(coarse.hypotheses, (coarse.T_camera_map,), mode.score, None, mode.match)
 
 
@@ -278,8 +278,8 @@ def _completed(
     reason = f"Only {int(fit.inlier.sum())} of {len(work.observed)} elements fit the pose."
     if covariance is not None:
         estimate = PoseEstimate(T_camera_map, covariance, fit)
-        mode = mode_near(problem, work.prior, T_camera_map)
-        decision = decide_status(mode, estimate, work.observed, work.submap, work.prior)
+        mode = mode_near(problem, work.given_prior, T_camera_map)
+        decision = decide_status(mode, estimate, work.observed, work.submap, work.given_prior)
         status = "ok" if decision.status == "ok" else "ambiguous"
         reason = decision.reason
     return replace(

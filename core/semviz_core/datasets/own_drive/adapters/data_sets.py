@@ -13,6 +13,7 @@
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -295,7 +296,25 @@ def read_recording(files: DriveFiles) -> Recording:
                     "--cameras LEFT,RIGHT instead of --right"
                 )
             return read(files)
+    if files.rig and files.sequence is None:
+        return read_image_folders(replace(files, images=_folder_of_camera(files)))
     if files.cameras or files.sequence is not None:
         option = "--cameras" if files.cameras else "--sequence"
-        raise SemvizError(f"{files.images}: a folder of images, where {option} has no meaning")
+        raise SemvizError(
+            f"{files.images}: a folder of images, where {option} has no meaning; if it holds a "
+            "folder for each of several cameras, add --rig"
+        )
     return read_image_folders(files)
+
+
+def _folder_of_camera(files: DriveFiles) -> Path:
+    """Return the folder of the one camera of a rig that ``files`` are of."""
+    (name,) = files.cameras
+    folder = files.images / name
+    if Path(name).name != name or not folder.is_dir():
+        known = sorted(path.name for path in files.images.glob("*") if path.is_dir())
+        raise SemvizError(
+            f"{files.images}: no folder {shown(name, 60)} of a camera; --cameras FIRST,SECOND,... "
+            f"of {shown(', '.join(known) or 'none', 300)}"
+        )
+    return folder
