@@ -5,7 +5,7 @@ stride 4, as in CenterNet (Zhou et al., "Objects as Points", 2019). It must run 
 it has few channels at high resolution. It takes 8-bit sRGB images.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,10 @@ class HeatmapModel:
     def of(cls, network: "DetectorNet", classes: ClassSet) -> "HeatmapModel":
         """Return the model of a trained network, which is changed for inference."""
         return cls(network.eval().folded(), classes, network.threshold.double().numpy())
+
+    def from_score(self, least: float) -> "HeatmapModel":
+        """Return the model with one threshold, instead of those chosen in training."""
+        return replace(self, threshold=np.full(len(self.classes), least))
 
     def find(self, image: ByteImage, watch: Stopwatch | None = None) -> list[Region]:
         """Return the regions in an image (height, width, 3) sRGB of any size, best score first."""
