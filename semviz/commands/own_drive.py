@@ -73,7 +73,7 @@ def _print_checks(checks: Sequence[DriveCheck]) -> None:
 
 
 def print_warning(text: str, remedy: str = "") -> None:
-    """Print a warning, and the command that mends it: one line, or two on a terminal."""
+    """Print a warning, and the command that repairs it: one line, or two on a terminal."""
     if not sys.stderr.isatty():
         more = f"; remedy: {remedy}" if remedy else ""
         print(f"warning: {text}{more}", file=sys.stderr)
