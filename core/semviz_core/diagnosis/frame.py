@@ -20,7 +20,12 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.alignment import misalignment, misalignment_fault
-from semviz_core.diagnosis.assumptions import assumption_faults, check_assumptions
+from semviz_core.diagnosis.assumptions import (
+    assumption_faults,
+    check_assumptions,
+    solve_in_wide_submap,
+    solve_with_more_effort,
+)
 from semviz_core.diagnosis.checks import find_faults, sound_pairs
 from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
 from semviz_core.diagnosis.fault import (
@@ -32,7 +37,6 @@ from semviz_core.diagnosis.fault import (
     GroundTruthLevel,
 )
 from semviz_core.diagnosis.reference import FrameReference, is_healthy, pose_distance
-from semviz_core.diagnosis.solve_again import solve_in_wide_submap, solve_with_more_effort
 from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
