@@ -193,7 +193,7 @@ class NewCommand:
         if self.rectify:
             rectify_all(workspace)
         self._warn_of_poses(workspace)
-        print(f"next: semviz annotate {self.folder}")
+        print(f"next: semviz annotate {self.folder}   (F9 there shows these checks as pictures)")
         return 0
 
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
@@ -223,11 +223,17 @@ class NewCommand:
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
             )
+        checks = [
+            check.model_copy(update={"remedy": self._again_with(check.option)})
+            if check.option
+            else check
+            for check in checks
+        ]
         failed = [check for check in checks if check.passed is False]
         for text in others:
             print_warning(text)
         for check in failed:
-            print_warning(check.warning, self._again_with(check.option) if check.option else "")
+            print_warning(check.warning, check.remedy)
         count = len(others) + len(failed)
         if count and self.strict:
             raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")

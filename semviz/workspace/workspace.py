@@ -6,7 +6,7 @@
     left-out.csv         images that its import left out, if any; see ``drive_file``
     recorded/            images of a bag as recorded
     rectified/           images of an own drive without distortion, made when needed
-    checks/rows.png      rows and matches of a stereo pair, from the import
+    checks/              of an import: checks.json, and rows.png of a stereo pair
     labels.db            labels and their history
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
@@ -20,7 +20,6 @@
 The author of stored operations defaults to the login name.
 """
 
-import getpass
 import os
 import shutil
 import tempfile
@@ -435,11 +434,3 @@ def _names(folder: Path, suffix: str) -> tuple[str, ...]:
     files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
     ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
     return tuple(file.stem for file in ordered)
-
-
-def login_name() -> str:
-    """Return the user's login name, the default author of edits."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "somebody"

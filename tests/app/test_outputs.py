@@ -5,6 +5,7 @@ read or written, so that a new one cannot be forgotten.
 """
 
 import os
+import re
 import runpy
 import stat
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from command_line import Call, call
 
 from semviz.cli import Command
 from semviz.runs.writer import RunWriter
+from semviz.workspace import outputs, workspace
 from semviz.workspace.workspace import TRUTH, Workspace
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))
@@ -360,6 +362,13 @@ def test_a_workspace_s_own_files_stay_even_by_force(
     for force in ([], ["--force"]) if can_force(name) else ([],):
         assert run(*arguments_of(name, output, target, home), *force)[0] == 2
         assert state(home) == before
+
+
+def test_every_file_that_a_workspace_holds_is_its_own() -> None:
+    """The list in the module's text; a file that is missing in the other could be overwritten."""
+    held = re.findall(r"^    (\S+[./]\S*) ", f"{workspace.__doc__}\n".replace("\n", " \n"), re.M)
+    assert {"labels.db", "pose_choices.json", "maps/NAME.parquet"} <= set(held)
+    assert [name for name in held if not outputs._is_own(name, "")] == []
 
 
 CHEAP = [row for row in ALL if row.values[1].is_cheap and not row.values[1].inner]
