@@ -1,6 +1,6 @@
-"""Check an own drive against its images as it is imported, and write what shows it.
+"""What ``semviz new --images`` checks, prints and writes of a drive.
 
-What is found is printed below what was read: a topic and a text a line.
+Calibration and poses are compared with the images. Each line of output is a topic and a finding.
 """
 
 import os

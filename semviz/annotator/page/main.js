@@ -13,6 +13,7 @@ import { Light } from "./aids.js";
 import { Backdrop } from "./backdrop.js";
 import { commands, editing, zoomToSelection } from "./commands.js";
 import { Cursor } from "./cursor.js";
+import { Sketch } from "./drafts.js";
 import { Drive } from "./drive.js";
 import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
@@ -28,7 +29,7 @@ import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questi
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
-import { Sketch, Tools } from "./tools.js";
+import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
 import { SIDES, spaced } from "./values.js";
 
