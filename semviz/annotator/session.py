@@ -377,30 +377,24 @@ class LabelSession:
     ) -> draft.ElementDraft:
         """Snap a drawing to clear edges, and mark its bottom as hidden if the ground is clearly
         below; each only if the drawing asks for it."""
-        moved = drawing
-        if drawing.whole:
-            moved = self._whole(drawing, frame_index)
-        elif drawing.snap:
-            moved = self._on_edges(drawing, frame_index)
+        finds = drawing.snap or drawing.whole
+        moved = self._on_edges(drawing, frame_index) if finds else drawing
         if not (moved.asks_bottom and moved.end_known and moved.end_px and moved.has_shape):
             return moved
         selected_id = None if selected is None else selected.id
         hidden = self._hidden_ends.is_hidden(moved, frame_index, selected_id, self.labels)
         return replace(moved, end_known=False) if hidden else moved
 
-    def _whole(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
-        """Return the whole pole under a drawing that is a point; the drawing if none is clear."""
-        pane = self._panes.pane(frame_index, drawing.side)
-        mark = self.image_worker.whole_pole(pane, drawing.anchor_px, drawing.class_id)
-        return drawing if mark is None else drawing.moved_to(mark)
-
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
         camera, _ = camera_of(self.rig, pane.side)
         if not camera.contains(drawing.mark.ends_px).any():
             return drawing  # there are no edges outside
-        snapped = self._snap(pane, drawing.mark, drawing.class_id)
-        mark = None if snapped is None else inside(snapped.mark, camera)
+        if drawing.whole:
+            mark = self.image_worker.whole_pole(pane, drawing.anchor_px, drawing.class_id)
+        else:
+            snapped = self._snap(pane, drawing.mark, drawing.class_id)
+            mark = None if snapped is None else inside(snapped.mark, camera)
         return drawing if mark is None else drawing.moved_to(mark)
 
     def _associate(

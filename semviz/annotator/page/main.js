@@ -13,6 +13,8 @@ import { Light } from "./aids.js";
 import { Backdrop } from "./backdrop.js";
 import { commands, editing, zoomToSelection } from "./commands.js";
 import { Cursor } from "./cursor.js";
+import { Sketch } from "./drafts.js";
+import { Drive } from "./drive.js";
 import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
 import { History } from "./history.js";
@@ -27,7 +29,7 @@ import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questi
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
-import { Sketch, Tools } from "./tools.js";
+import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
 import { SIDES, spaced } from "./values.js";
 
@@ -64,7 +66,8 @@ export class Page {
     this.state.wish = wishInAddress(location.search);
     this.second = new SecondChoice(this.state, this.keys, this);
     this.poses = new Poses(this.state, this.keys, this);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses]);
+    this.drive = new Drive(this.state, this.keys, this);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -261,7 +264,7 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use(this.poses.commands(commands(state, this.images, this.tools, this)));
+    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this)), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
@@ -270,6 +273,7 @@ export class Page {
     const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
     if (isFirst && view === "poses") this.poses.open("poses");
+    if (isFirst && view === "drive") this.drive.open();
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();
