@@ -261,7 +261,9 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class MapExportCommand:
-    """Export a map for other tools, and list the losses of the format."""
+    """Export a map for other tools, and list the losses of the format.
+
+    Example: 'semviz map export town town.geojson --anchor 49.01,8.42,115'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -309,7 +311,10 @@ ImportFormat: TypeAlias = Annotated[
 
 @dataclass(frozen=True)
 class MapImportCommand:
-    """Import a map from a file of another tool."""
+    """Import a map from a file of another tool.
+
+    Examples: 'semviz map import town town.xodr --anchor 49.01,8.42'; 'semviz map import town
+    lamps.geojson --all-of-class pole --pole-height 6'."""
 
     workspace: Positional[Path]
     """Workspace; the map will be in the map frame of its poses."""
@@ -321,8 +326,18 @@ class MapImportCommand:
     """Default by ending: .geojson, .osm (lanelet2), .xodr (opendrive), .csv."""
     class_map: UseAppendAction[tuple[str, ...]] = ()
     """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    class_property: parsing.OptionalText = None
+    """Property of GeoJSON that says what a feature is; default: 'class', or the tags of
+    OpenStreetMap."""
+    all_of_class: parsing.OptionalText = None
+    """The class of everything in a file of GeoJSON, for example of a city's street lamps."""
+    pole_height: parsing.OptionalFloat = None
+    """Height (m) of poles that are points without one; default: they are left out."""
+    sign_height: parsing.OptionalFloat = None
+    """Height (m) of signs' middles above points of GeoJSON or OpenStreetMap; default: 0."""
     anchor: parsing.OptionalText = None
-    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), if the file does not contain it."""
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), if neither the file nor the
+    workspace has it."""
     anchor_heading: parsing.OptionalFloat = None
     """Compass direction of the map's x axis at the anchor, in degrees; default: 90 (east)."""
     replace: bool = False
@@ -345,7 +360,22 @@ class MapImportCommand:
             raise SemvizError(f"{path}: exists already; choose another --name or use --replace")
         check_outputs(path, PARQUET, can_force=False, reads=[self.file], purpose="map")
         frame = workspace.source.map_frame
-        context = MapImportContext(frame, workspace.classes, class_map, anchor)
+        for option, height in (
+            ("--pole-height", self.pole_height),
+            ("--sign-height", self.sign_height),
+        ):
+            if height is not None and not 0.0 < height < 1000.0:
+                raise SemvizError(f"{option} {height:g}: give metres above 0")
+        context = MapImportContext(
+            frame,
+            workspace.classes,
+            class_map,
+            anchor,
+            self.class_property,
+            self.all_of_class,
+            self.pole_height,
+            self.sign_height,
+        )
         semantic_map, report = import_map(self.file, context, self.format)
         save_map(semantic_map, path)
         if self.json:

@@ -1,4 +1,4 @@
-"""One click labels a pole in both images: shown before, taken by mouse or keys, or drawn by hand."""
+"""One click labels a pole: the whole one is shown before, and taken by mouse or keys."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,7 +112,7 @@ def test_the_same_by_keys_alone_and_off_by_one(
     driver.page.keyboard.press("Escape")
     driver.settle()
     driver.page.keyboard.press("w")
-    assert point_at(driver, pole_px.mean(axis=0) + [0.0, 2.0]) is None
+    assert point_at(driver, pole_px.mean(axis=0) + np.array([0.0, 2.0])) is None
     press(driver)
     assert driver.page.evaluate("semviz.state.drawing !== null")
     assert served.observations == []
@@ -128,5 +128,5 @@ def test_with_shift_or_another_class_a_click_draws_by_hand(
     assert driver.page.evaluate("semviz.state.drawing !== null")
     driver.page.keyboard.press("Escape")
     driver.page.keyboard.press(str(ROUNDED + 1))
-    assert point_at(driver, pole_px.mean(axis=0) + [0.0, 2.0]) is None
+    assert point_at(driver, pole_px.mean(axis=0) + np.array([0.0, 2.0])) is None
     assert served.observations == []
