@@ -1,6 +1,7 @@
 """The commands map build, check, diff, export, import and localizability."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -12,8 +13,6 @@ from semviz.commands.poses import known_pose_review
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.mapping.association.detection_tracks import TrackOptions
     from semviz_annotation.mapping.build import BuildOptions
