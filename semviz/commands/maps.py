@@ -99,8 +99,7 @@ class MapBuildCommand:
         built = with_used_poses(built, workspace)
         save_map(built, path)
         poses = known_pose_review(workspace)
-        if poses is not None:
-            report = replace(report, in_wrong_poses=poses.wrong_observations)
+        report = replace(report, in_wrong_poses=poses.wrong_observations if poses else frozenset())
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
             print(json.dumps({"map": str(path), **report.as_dict(), **said}))
