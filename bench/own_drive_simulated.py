@@ -113,7 +113,9 @@ def main() -> None:
     parser.add_argument("--seeds", default="3,5")
     args = parser.parse_args()
     first: list[float] | None = None
-    print("| drive | labels | elements | map, m | ok | RTE, m | RRE, deg | times |")
+    print(
+        "| drive | labels | elements | map, median (m) | ok | RTE, median (m) | RRE (deg) | times |"
+    )
     print("|---|--:|--:|--:|--:|--:|--:|--:|")
     for name, cameras in DRIVES.items():
         found = []
