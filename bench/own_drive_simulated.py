@@ -113,8 +113,9 @@ def main() -> None:
     parser.add_argument("--seeds", default="3,5")
     args = parser.parse_args()
     first: list[float] | None = None
-    head = "drive | labels | elements | map, median (m) | ok | RTE, median (m) | RRE (deg) | times"
-    print(f"| {head} |")
+    print(
+        "| drive | labels | elements | map, median (m) | ok | RTE, median (m) | RRE (deg) | times |"
+    )
     print("|---|--:|--:|--:|--:|--:|--:|--:|")
     for name, cameras in DRIVES.items():
         found = []

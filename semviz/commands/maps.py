@@ -359,10 +359,8 @@ class MapImportCommand:
             raise SemvizError(f"{path}: exists already; choose another --name or use --replace")
         check_outputs(path, PARQUET, can_force=False, reads=[self.file], purpose="map")
         frame = workspace.source.map_frame
-        for option, height in (
-            ("--pole-height", self.pole_height),
-            ("--sign-height", self.sign_height),
-        ):
+        heights = {"--pole-height": self.pole_height, "--sign-height": self.sign_height}
+        for option, height in heights.items():
             if height is not None and not 0.0 < height < 1000.0:
                 raise SemvizError(f"{option} {height:g}: give metres above 0")
         context = MapImportContext(

@@ -124,15 +124,17 @@ def _check_images(workspace: "Workspace") -> None:
     if not isinstance(source, FileDataset):
         return
     sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
-    missing = [
+    there = {
         frame.index
         for frame in source.frames
-        if not all(source.original_path(frame.index, side).is_file() for side in sides)
-    ]
-    if missing:
+        if all(source.original_path(frame.index, side).is_file() for side in sides)
+    }
+    labelled = {row.frame_index for row in workspace.read_labels().observations.values()}
+    needed = labelled | {frame.index for frame in source.frames}
+    if missing := sorted(needed - there):
         raise SemvizError(
-            f"the images there are others: {len(missing)} of {len(source.frames)} are missing, the "
-            f"first is that of frame {missing[0]}; nothing was changed"
+            f"the images there are others: of {len(needed)} frames {len(missing)} are missing, the "
+            f"first is {missing[0]}; nothing was changed"
         )
 
 

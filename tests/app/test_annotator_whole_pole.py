@@ -101,11 +101,10 @@ def test_one_click_saves_the_pole_that_is_shown_and_one_key_its_match(
 def test_the_same_by_keys_alone_and_off_by_one(
     driver: LabelDriver, served: Served, pole_px: FloatArray
 ) -> None:
-    point_at(driver, pole_px.mean(axis=0))
+    assert point_at(driver, pole_px.mean(axis=0)) is not None
     driver.page.keyboard.press("+")  # the cursor appears at the pointer
-    driver.page.wait_for_function(KNOWN)
-    driver.page.keyboard.press("+")
-    driver.settle()
+    driver.page.wait_for_function("() => semviz.state.cursor && semviz.state.ghost")
+    driver.press_and_save("+")
     (row,) = served.observations
     assert near(row.end_px, pole_px[1])
     driver.page.keyboard.press("Control+z")

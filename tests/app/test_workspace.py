@@ -109,7 +109,7 @@ def test_relink_changes_the_places_and_nothing_else(
 
     other = tmp_path / "other"
     shutil.copytree(moved, other)
-    next((other / "sequences").rglob("*.png")).unlink()
+    (other / "sequences" / "05" / "image_3" / "000001.png").unlink()
     for place, message in ((tmp_path / "none", "no such folder"), (other, "are missing")):
         status, _, errors = call(capsys, "relink", elsewhere, "--root", place)
         assert status == 2
@@ -122,7 +122,8 @@ def test_relink_changes_the_places_and_nothing_else(
     assert len(Workspace.open(elsewhere).source.frames) == 2
     text = (elsewhere / SETTINGS).read_text()
     assert 'root = "../../disk"' in text
-    assert text.replace("../../disk", "../kitti") == before.decode()
+    _, _, kept = before.decode().partition("\n")  # after the checksum of the old paths
+    assert text.replace("../../disk", "../kitti") == kept
 
 
 def test_a_link_to_a_workspace_finds_the_same_images(town: Workspace, tmp_path: Path) -> None:

@@ -300,6 +300,12 @@ _WITH_IDS: dict[FaultKind, float] = {
     "search miss": 0.96,
     "refinement diverged": 0.99,
     "ambiguous geometry": 0.98,
+    "wrong heading prior": 0.98,
+    "wrong gravity prior": 0.98,
+    "wrong height prior": 0.98,
+    "wrong position prior": 0.98,
+    "wrong detection sigma": 0.97,
+    "misaligned map": 0.98,
 }
 _WITH_POSE: dict[FaultKind, float] = _WITH_IDS | {
     "healthy": 0.98,
@@ -310,14 +316,22 @@ _WITH_POSE: dict[FaultKind, float] = _WITH_IDS | {
 _BLIND: dict[FaultKind, float] = {
     "healthy": 0.98,
     "too few elements": 0.87,
-    "missed detection": 0.78,
-    "wrong class": 0.99,
-    "false or not mapped": 0.91,
-    "not in the submap": 0.32,
-    "moved in the map": 0.38,
-    "twice in the map": 0.99,
-    "refinement diverged": 0.98,
-    "ambiguous geometry": 0.84,
+    "missed detection": 0.82,
+    "wrong class": 0.98,
+    "false or not mapped": 0.88,
+    "not in the submap": 0.98,
+    "moved in the map": 0.41,
+    "twice in the map": 0.98,
+    "wrong matches": 0.97,
+    "search miss": 0.97,
+    "refinement diverged": 0.93,
+    "ambiguous geometry": 0.78,
+    "wrong heading prior": 0.98,
+    "wrong gravity prior": 0.98,
+    "wrong height prior": 0.93,
+    "wrong position prior": 0.98,
+    "wrong detection sigma": 0.92,
+    "unexplained": 0.25,
 }
 CONFIDENCE: dict[GroundTruthLevel, dict[FaultKind, float]] = {
     knowledge: {kind: shares.get(kind, UNMEASURED) for kind in get_args(FaultKind)}
