@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.presentation.progress import announce_compiling, track
+from semviz.presentation.progress import announce_compiling, count_functions, track
 from semviz.runs.images import check_images_available, with_images
 from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
 from semviz.runs.writer import write_run
@@ -206,7 +206,10 @@ class SequenceLocalization:
             yield FrameRecord(frame, result, element_id)
 
     def _warm_up(self) -> None:
-        """Localize the first frames once, so that compilation is in no frame's time."""
+        """Localize an example and the first frames once, so that compilation is in no frame's
+        time."""
+        with count_functions() as tell:
+            self.localizer.warmup(tell)
         localize = self._tracker().localize if self.options.track else self._localize
         for frame in self.frames[:WARM_UP_FRAMES]:
             observed, _ = self.observe(frame)
