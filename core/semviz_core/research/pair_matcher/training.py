@@ -51,7 +51,7 @@ class MatcherTask:
     def losses(self, prepared: Prepared, progress: Progress) -> dict[str, Tensor]:
         """Return the mean negative log-likelihood of each element's pair, or of no pair."""
         log_probability = log_probabilities(self.network(prepared), prepared.batch)
-        return {"loss": _mean_surprise(log_probability, prepared.batch)}
+        return {"loss": mean_surprise(log_probability, prepared.batch)}
 
     def finish(self) -> None:
         """Do nothing."""
@@ -67,7 +67,7 @@ class MatcherTask:
         alone = log_probability[:, :-1, -1]
         with_pair, without = alone[paired], alone[prepared.batch.seen & ~paired]
         return {
-            "surprise": _mean_surprise(log_probability, prepared.batch),
+            "surprise": mean_surprise(log_probability, prepared.batch),
             **top_shares,
             "auc": (with_pair[:, None] < without).double().mean(),
         }
@@ -92,7 +92,7 @@ def make_task(name: str, source: SampleSource | None) -> MatcherTask:
     return MatcherTask(name, source or LEARNED_DISTRIBUTION)
 
 
-def _mean_surprise(log_probability: Tensor, batch: Batch) -> Tensor:
+def mean_surprise(log_probability: Tensor, batch: Batch) -> Tensor:
     """Return the mean negative log-probability; any of an element's true pairs is right, since the
     map may hold an element twice."""
     pairs = _pairs(batch)
