@@ -19,6 +19,7 @@ from typing import get_args
 import numpy as np
 import tests_support  # noqa: F401
 import tyro
+from support.planted_causes import CAUSES, plant_cause
 from support.planted_faults import PLANTED, Planted, plant
 from support.planted_runs import FRAMES, PlantedRun, plant_in_run
 
@@ -34,9 +35,11 @@ from semviz_core.diagnosis.run import diagnose_run
 from semviz_core.research.evaluation.problems import DETECTOR
 from semviz_core.research.evaluation.roads import simulated_road
 
-KINDS: tuple[FaultKind, ...] = ("healthy", *PLANTED)
+KINDS: tuple[FaultKind, ...] = ("healthy", *PLANTED, *CAUSES)
 RUN_KINDS: tuple[FaultKind, ...] = (
     "healthy", "wrong calibration", "moved in the map", "missing in the map", "twice in the map",
+    "misaligned map", "wrong extrinsic", "time offset", "wrong heading prior",
+    "wrong detection sigma",
 )  # fmt: skip
 UNDECIDED: FaultKind = "false or not mapped"
 MEANS: tuple[FaultKind, ...] = ("false detection", "missing in the map", "moved in the map")
@@ -67,9 +70,13 @@ def main(options: Options) -> None:
         planted = []
         seed = options.first_seed
         while len(planted) < options.frames:
-            if (
-                case := plant(fault, seed, roads[seed % ROADS], options.false_detections)
-            ) is not None:
+            road = roads[seed % ROADS]
+            case = (
+                plant_cause(fault, seed, road)
+                if fault in CAUSES
+                else plant(fault, seed, road, options.false_detections)
+            )
+            if case is not None:
                 planted.append(case)
             seed += 1
         harmed = sum(not case.is_healthy for case in planted)
@@ -117,7 +124,9 @@ def named(planted: Planted, knowledge: GroundTruthLevel) -> str:
         truly_false = np.flatnonzero(planted.truth.element_id == FALSE_POSITIVE)
         secondary = [
             other for other in diagnosis.secondary_faults
-            if set(other.rows) - set(truly_false) or set(other.rows) & set(planted.rows)
+            if not other.rows
+            or set(other.rows) - set(truly_false)
+            or set(other.rows) & set(planted.rows)
         ]  # fmt: skip
         fault = secondary[0] if secondary else fault
     if fault.kind == planted.fault and not is_meant(fault, planted):
@@ -135,6 +144,8 @@ def is_meant(fault: Fault, planted: Planted) -> bool:
 def named_in_run(planted_run: PlantedRun, knowledge: GroundTruthLevel) -> str:
     frames = [(found, told(truth, knowledge)) for found, truth in planted_run.frames]
     diagnosis = diagnose_run(frames, planted_run.semantic_map, DETECTOR)
+    if diagnosis.causes:
+        return diagnosis.causes[0].kind
     if diagnosis.calibration is not None:
         return diagnosis.calibration.kind
     wrong = [

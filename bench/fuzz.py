@@ -2,7 +2,7 @@
 
     pip install '.[fuzz]'
     python bench/fuzz.py --minutes 10                 # every reader
-    python bench/fuzz.py cvat run-values --minutes 1
+    python bench/fuzz.py cvat run-values --minutes 1 --grown grown     # again: goes on
 
 Inputs grow from ``bench/corpus``, guided by coverage (atheris, libFuzzer): half of them by changes
 that leave them JSON or XML, half by changes of bytes. Without atheris, the corpus is changed
@@ -31,7 +31,7 @@ NAMES = (
     "opendrive", "csv", "map", "run", "run-values", "poses", "calibration", "image", "settings",
     "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
     "mask", "pole-map", "camera-toml", "camera-yaml", "drive-poses", "drive-times", "colmap",
-    "nerfstudio", "drive-file", "boxes", "box-file",
+    "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -50,11 +50,11 @@ WORDS = (
 INSTRUMENTED = [
     "semviz_annotation.label_formats", "semviz_annotation.map_formats", "semviz_annotation.labels",
     "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
-    "semviz_core.common.parquet_footer", "semviz_core.datasets", "semviz.runs.codec",
-    "semviz_core.detection.model_config", "semviz.runs.reader", "semviz.runs.rrd",
+    "semviz_core.datasets", "semviz.runs.codec",
+    "semviz_core.detection.model_config", "semviz.runs.reader",
     "semviz.workspace.settings", "semviz.workspace.drive_file", "semviz_core.research.evaluation",
-    "semviz_core.research.training.segmentation_images", "semviz_core.research.training.box_images",
-    "semviz_core.pose_checks.image_motions", "yaml",
+    "semviz_core.research.training.annotated_images",
+    "semviz_core.pose_checks.image_motions", "yaml", "rosbags",
 ]  # fmt: skip
 LIMIT_S, LIMIT_MB, MOST_BYTES = 30, 2048, 8192
 
@@ -66,6 +66,8 @@ class Options:
     minutes: float = 10.0
     """For each reader."""
     seed: int = 1
+    grown: Path | None = None
+    """A folder that keeps the inputs that reached new code; a later call goes on from them."""
     alone: bool = False
     """Fuzz one reader in this process."""
 
@@ -76,7 +78,7 @@ def main(options: Options) -> int:
         print(f"no reader {unknown[0]!r}; there are {', '.join(NAMES)}", file=sys.stderr)
         return 2
     if options.alone:
-        return fuzz(options.readers[0], 60.0 * options.minutes, options.seed)
+        return fuzz(options.readers[0], 60.0 * options.minutes, options.seed, options.grown)
     if find_spec("atheris") is None:
         print("atheris is not installed: the corpus is changed without guidance by coverage")
     results = [_in_process(name, options) for name in options.readers or NAMES]
@@ -86,6 +88,8 @@ def main(options: Options) -> int:
 def _in_process(name: str, options: Options) -> int:
     """Fuzz one reader in a process of its own; print a line of a table."""
     command = [sys.executable, __file__, name, "--alone"]
+    if options.grown is not None:
+        command += ["--grown", str(options.grown)]
     done = subprocess.run(
         [*command, "--minutes", str(options.minutes), "--seed", str(options.seed)],
         capture_output=True,
@@ -102,25 +106,25 @@ def _in_process(name: str, options: Options) -> int:
     return done.returncode
 
 
-def fuzz(name: str, seconds: float, seed: int) -> int:
+def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int:
     """Fuzz one reader in this process, for so long. atheris ends the process."""
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
-        corpus = _corpus(name, folder)
+        kept = folder / "corpus" if grown is None else grown / name
         if find_spec("atheris") is None:
-            return _without_guidance(corpus, _attack(name, folder), seconds, seed)
+            return _without_guidance(_corpus(name, kept), _attack(name, folder), seconds, seed)
         import atheris
 
         with atheris.instrument_imports(include=INSTRUMENTED, exclude=_compiled_modules()):
-            attack = _attack(name, folder)
+            corpus, attack = _corpus(name, kept), _attack(name, folder)  # both import semviz
         words = folder / "words"
         quoted = (word.replace("\\", "\\\\").replace('"', '\\"') for word in WORDS)
         words.write_text("".join(f'"{word}"\n' for word in quoted))
         most = max(MOST_BYTES, *(2 * path.stat().st_size for path in corpus.iterdir()))
         limits = [f"-max_len={most}", f"-timeout={LIMIT_S}", f"-rss_limit_mb={LIMIT_MB}"]
         amount = [f"-max_total_time={round(seconds)}", f"-seed={seed}", f"-dict={words}"]
-        kept = f"-artifact_prefix={Path.cwd() / name}-"
-        arguments = [sys.argv[0], *amount, *limits, kept, "-print_final_stats=1", str(corpus)]
+        failed = f"-artifact_prefix={Path.cwd() / name}-"
+        arguments = [sys.argv[0], *amount, *limits, failed, "-print_final_stats=1", str(corpus)]
 
         def mutate(data: bytes, most_bytes: int, number: int) -> bytes:
             rng = random.Random(number)
@@ -144,16 +148,16 @@ def _compiled_modules() -> list[str]:
     ]
 
 
-def _corpus(name: str, folder: Path) -> Path:
-    """Return a folder with the seeds of a reader, which may be added to."""
-    corpus = folder / "corpus"
-    corpus.mkdir()
+def _corpus(name: str, corpus: Path) -> Path:
+    """Return the folder with the seeds of a reader, which may be added to."""
+    corpus.mkdir(parents=True, exist_ok=True)
     for path in (Path(__file__).parent / "corpus" / name).glob("*"):
         (corpus / path.name).write_bytes(path.read_bytes())
-    if name == "run":
-        from fuzz_corpus import write_run
+    if name in ("run", "recording", "bag"):
+        from fuzz_corpus import write_bags, write_recordings, write_run
 
-        write_run(corpus / "small.rrd")
+        writers = {"run": write_run, "recording": write_recordings, "bag": write_bags}
+        writers[name](corpus / "small.rrd" if name == "run" else corpus)
     return corpus
 
 

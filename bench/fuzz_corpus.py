@@ -16,7 +16,9 @@ from typing import Any
 import cv2
 import numpy as np
 import tests_support  # noqa: F401
+from bags import KINDS
 from drive_formats import CALIBRATIONS, colmap, colmap_binary, euroc, kitti, nerfstudio, stamps, tum
+from fuzz_drive_readers import LAYOUTS, SMALL_K, recorded_tables, write_bag
 from map_files import small_map
 
 from semviz.runs import reader, run
@@ -28,17 +30,17 @@ from semviz_annotation.labels.proposals import read_proposals, save_proposals
 from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.map_formats.exchange import export_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop, BackdropSource, save_backdrop
-from semviz_annotation.mapping.backdrop.depth_fusion import FusionOptions
+from semviz_annotation.mapping.backdrop import Backdrop, BackdropSource, save_backdrop
+from semviz_annotation.mapping.depth_fusion import FusionOptions
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.detector_calibration import (
+from semviz_core.base.detector_model import (
+    SHIPPED_DETECTOR,
     CalibratedRates,
     DetectorCalibration,
     ScoreCurve,
     SigmaScale,
 )
-from semviz_core.base.detector_model import SHIPPED_DETECTOR
 from semviz_core.base.frame import Frame
 from semviz_core.base.map_file import save_map
 from semviz_core.base.pose import Pose
@@ -50,7 +52,6 @@ from semviz_core.pose_checks.motion import Motion
 CORPUS = Path(__file__).parent / "corpus"
 CAMERA = Camera(640, 480, np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]))
 RIG = Rig(CAMERA, CAMERA, Pose(np.eye(3), np.array([-0.5, 0.0, 0.0])))
-SMALL_K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])
 CALIBRATION = "P2: 100 0 60 0 0 100 20 0 0 0 1 0\nP3: 100 0 60 -50 0 100 20 0 0 0 1 0\n"
 TIMES = "0.0\n"
 PROPOSALS = (
@@ -308,6 +309,24 @@ def write_run(path: Path) -> Path:
         for record in made["make_records"](semantic_map, 1, None):
             writer.write(replace(record, image_file="000000.png"))
     return path
+
+
+def write_recordings(folder: Path) -> None:
+    """Write each file of the small recordings that tests read, but images, behind its name."""
+    with tempfile.TemporaryDirectory() as name:
+        for write in LAYOUTS:
+            write(Path(name, write.__name__))
+        for number, (file, path) in enumerate(recorded_tables(Path(name)).items()):
+            (folder / f"{number}").write_bytes(file.encode() + b"\n" + path.read_bytes())
+
+
+def write_bags(folder: Path) -> None:
+    """Write a bag of two images, their calibration and odometry, of each kind."""
+    with tempfile.TemporaryDirectory() as name:
+        for kind in KINDS:
+            path = Path(name, kind.replace(" ", ""))
+            file = write_bag(path.with_suffix(".bag") if kind == "ROS 1" else path, kind)
+            shutil.copy(file, folder / file.name)
 
 
 def run_rows() -> dict[str, list[reader.Row]]:

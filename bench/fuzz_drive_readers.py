@@ -4,23 +4,29 @@ Each file goes on through all of an import: cameras are rectified, images get po
 ``drive.json`` would hold is made.
 """
 
+import shutil
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import bags
 import cv2
 import numpy as np
 from drive_formats import CALIBRATION, COUNT, stamps
+from drive_layouts import argoverse2, boreas, comma, euroc_layout, kitti_360, kitti_raw, nuscenes
 
 from semviz.workspace.drive_file import DriveFile, open_drive
+from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.conventions import read_extrinsic
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.lens import OriginalRig
+from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
+SMALL_K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])
 BETWEEN = b"\n%%%%\n"
 """Between the two files of a model of COLMAP, which are one input: cameras, then images."""
 
@@ -90,6 +96,82 @@ def drive_file(path: Path) -> None:
     dataset = open_drive(path, images, images, path.parent / "rectified")
     frame = dataset.frames[0]
     all_of(lambda: dataset.image(frame.index, "left"), lambda: dataset.image(frame.index, "right"))
+
+
+LAYOUTS = (kitti_raw, kitti_360, nuscenes, euroc_layout, argoverse2, boreas, comma)
+"""Each writes a small recording in the layout of others."""
+
+
+def recording(path: Path) -> None:
+    """``path`` is the name of a file of one of the layouts, a line end, and its content."""
+    name, _, content = path.read_bytes().partition(b"\n")
+    folder = path.parent / "layouts"
+    if not folder.is_dir():
+        for write in LAYOUTS:
+            write(folder / write.__name__)
+    tables = recorded_tables(folder)
+    table = (
+        tables.get(name.decode(errors="replace"))
+        or [*tables.values()][zlib.crc32(name) % len(tables)]
+    )
+    right = table.read_bytes()
+    try:
+        table.write_bytes(content)
+        _import(_described(table.relative_to(folder).parts[0], folder))
+    finally:
+        table.write_bytes(right)
+
+
+def recorded_tables(folder: Path) -> dict[str, Path]:
+    """Return all files but images, by their path in ``folder``."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {
+        str(path.relative_to(folder)): path for path in files if path.suffix not in (".png", ".jpg")
+    }
+
+
+def _described(layout: str, folder: Path) -> DriveFiles:
+    """Return a written recording as its user names it."""
+    root = folder / layout
+    match layout:
+        case "kitti_raw":
+            return DriveFiles(root / "2011_09_26" / "2011_09_26_drive_0001_sync")
+        case "nuscenes":
+            cameras = ("CAM_FRONT_LEFT", "CAM_FRONT")
+            return DriveFiles(root, cameras=cameras, sequence="scene-1")
+        case "argoverse2":
+            return DriveFiles(root, cameras=("ring_front_left", "ring_front_right"))
+        case "comma":
+            return DriveFiles(
+                root / "cam", calibration=root / "cam.toml", poses=root / "global_pose"
+            )
+    return DriveFiles(root)
+
+
+def bag(path: Path) -> None:
+    """A bag in one file: of ROS 1 or 2 by its first bytes, else MCAP."""
+    data = path.read_bytes()
+    kinds = {b"#ROSBAG": "ros1.bag", b"SQLite ": "ros2/ros2.db3"}
+    file = path.parent / kinds.get(data[:7], "ros2.mcap")
+    if not file.parent.is_dir():
+        write_bag(file.parent, "ROS 2")  # for its metadata.yaml
+    file.write_bytes(data)
+    extracted = path.parent / "extracted"
+    shutil.rmtree(extracted, ignore_errors=True)
+    _import(DriveFiles(file, extracted=extracted))
+
+
+def write_bag(path: Path, kind: bags.Kind) -> Path:
+    """Write two images, their calibration and odometry, and return the file that has them."""
+    camera = OriginalCamera("pinhole", 64, 48, SMALL_K, np.zeros(0))
+    image = path.with_name("image.png")
+    image.write_bytes(cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes())
+    images = [(10**18 + late_ns, image) for late_ns in (0, 10**8)]
+    with bags.bag(path, kind) as (put, types):
+        bags.put_camera(put, types, "/a", "a", images, camera)
+        bags.put_static(put, types, images[0][0], [("base", "a", Pose.identity())])
+        bags.put_odometry(put, types, [(t, Pose.identity()) for t, _ in images], "base")
+    return path if path.is_file() else next(path.glob("*.[dm]*[3p]"))
 
 
 def _import(files: DriveFiles) -> None:

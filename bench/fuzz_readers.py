@@ -21,17 +21,17 @@ from semviz.runs import run
 from semviz.workspace import settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
-from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
+from semviz_annotation.label_formats.exchange import ImportLabels, plan_import
 from semviz_annotation.label_formats.labelme import read_labelme
 from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import load_proposals, read_proposals
 from semviz_annotation.labels.rows import Rules
+from semviz_annotation.map_formats.conversion import MapImportContext
 from semviz_annotation.map_formats.exchange import ImportFormat, import_map
-from semviz_annotation.map_formats.reading import MapImportContext
-from semviz_annotation.mapping.backdrop.backdrop import load_backdrop
+from semviz_annotation.mapping.backdrop import load_backdrop
 from semviz_core.base.classes import DEFAULT_CLASSES
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.map_file import load_map
 from semviz_core.base.semantic_map import MapFrame
@@ -43,8 +43,8 @@ from semviz_core.detection.model_config import model_classes, read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.pose_checks.image_motions import load_motions
 from semviz_core.research.evaluation.roads import kitti_road
-from semviz_core.research.training import box_images
-from semviz_core.research.training.segmentation_images import TABLE, SegmentationImages
+from semviz_core.research.training import annotated_images
+from semviz_core.research.training.annotated_images import MASK_TABLE, SegmentationImages
 
 Read = Callable[[Path], object]
 
@@ -173,7 +173,7 @@ def _mask(path: Path) -> None:
     for kind, key in (("ids", "2"), ("colours", "#c0c080")):
         table = f'images = "*.png"\nmasks = "{{name}}.png"\nclasses = {{"{key}" = "pole"}}\n'
         (folder / kind).mkdir(exist_ok=True)
-        (folder / kind / TABLE).write_text(table)
+        (folder / kind / MASK_TABLE).write_text(table)
         for name in ("a.png", "b.png"):
             shutil.copy(path, folder / kind / name)
     ids, colours = (SegmentationImages.of(folder / kind, folder) for kind in ("ids", "colours"))
@@ -192,7 +192,7 @@ def _boxes(path: Path) -> None:
         if not (path.parent / folder / name).is_file():
             (path.parent / folder).mkdir(exist_ok=True)
             shutil.copy(source, path.parent / folder / name)
-    box_images.BoxImages.of(path.parent, path.parent / "prepared").prepare(0)
+    annotated_images.BoxImages.of(path.parent, path.parent / "prepared").prepare(0)
 
 
 def _box_file(path: Path) -> None:
@@ -201,13 +201,13 @@ def _box_file(path: Path) -> None:
     def read(kind: str, table: str, names: Sequence[str]) -> None:
         folder = path.parent / kind
         folder.mkdir(exist_ok=True)
-        (folder / box_images.TABLE).write_text(table)
+        (folder / annotated_images.BOX_TABLE).write_text(table)
         for image in ("a.png", "b.png"):
             if not (folder / image).is_file():
                 shutil.copy(CORPUS / "mask" / "ids.png", folder / image)
         for name in names:
             shutil.copy(path, folder / name)
-        box_images.BoxImages.of(folder, folder / "prepared").prepare(0)
+        annotated_images.BoxImages.of(folder, folder / "prepared").prepare(0)
 
     coco, yolo = (CORPUS / "boxes" / f"{kind}.toml" for kind in ("coco", "yolo"))
     drive.all_of(
@@ -252,9 +252,9 @@ READERS: Mapping[str, Reader] = {
     "card": Reader("input.json", _card),
     "motions": Reader("input.safetensors", lambda path: load_motions(path, "a source")),
     "detector-calibration": Reader("input.toml", _detector_calibration),
-    "segmentation": Reader(TABLE, _segmentation),
+    "segmentation": Reader(MASK_TABLE, _segmentation),
     "mask": Reader("input.png", _mask),
-    "boxes": Reader(box_images.TABLE, _boxes),
+    "boxes": Reader(annotated_images.BOX_TABLE, _boxes),
     "box-file": Reader("input", _box_file),
     "pole-map": Reader("input.npz", _pole_map),
     "camera-toml": Reader("input.toml", drive.calibration),
@@ -264,4 +264,6 @@ READERS: Mapping[str, Reader] = {
     "colmap": Reader("input", drive.colmap),
     "nerfstudio": Reader("input.json", drive.nerfstudio),
     "drive-file": Reader("drive.json", drive.drive_file),
+    "recording": Reader("input", drive.recording),
+    "bag": Reader("input", drive.bag),
 }

@@ -25,13 +25,13 @@ import numpy as np
 import tests_support  # noqa: F401
 from support.street_labels import careful, label_street
 
-from semviz.presentation.tables import Table
+from semviz.presentation.terminal import Table
 from semviz.runs.metrics import errors_of, is_overconfident
 from semviz.runs.run import FrameRecord, Observations
 from semviz.workspace.detect import DetectOptions, detect_images, images_of
 from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import TRUTH, Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.storage.backup import import_operations

@@ -30,16 +30,15 @@ from semviz_core.localization.localizer import Localizer
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import DETECTOR, HARD_SETS, LocalizationProblem
 from semviz_core.research.evaluation.roads import kitti_road
-from semviz_core.research.pair_matcher.network import ConsensusNetwork
+from semviz_core.research.pair_matcher.network import ConsensusNetwork, Prepared
 from semviz_core.research.pair_matcher.pose_losses import (
     PoseItem,
     mean_hypothesis_loss,
     mean_pose_loss,
 )
-from semviz_core.research.pair_matcher.prepared import Prepared
 from semviz_core.research.pair_matcher.training import log_probabilities, mean_surprise
+from semviz_core.research.training.batch import Progress, cosine
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION, SimulatedSamples
-from semviz_core.research.training.task import Progress, cosine
 
 LOSSES = ("correspondences", "with pose", "with hypotheses")
 SETS = ("low", "paper", "GPS 30 m", "clutter 100 %")

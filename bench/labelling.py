@@ -3,6 +3,7 @@
     python bench/labelling.py
     python bench/labelling.py --detector own        after 'semviz detect'
     python bench/labelling.py --detector simulated  one as good as the paper's
+    python bench/labelling.py --kitti /data/kitti   real images too: KITTI 02 with our own labels
 
 The script labels every pole and sign up to 40 m ahead that is visible in both images, by the
 street's truth. Its clicks have an error of 1.5 CSS pixels, at the zoom that shows the whole image,
@@ -19,12 +20,14 @@ import argparse
 import subprocess
 import tempfile
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from labelling_driver import Labeller, Spent, Work
-from labelling_truth import RIGHT_PX, SIDES, errors_px, flags_right
+from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
+from labelling_driver import Labeller, Spent
+from labelling_truth import RIGHT_PX, errors_px, flags_right
 from playwright.sync_api import sync_playwright
 
 from semviz.annotator.server import Annotator
@@ -32,6 +35,7 @@ from semviz.web.gateway import Gateway
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.proposals import Proposals, save_proposals
+from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.simulation.detector import SimulatedDetector
 
 CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader"]
@@ -43,7 +47,8 @@ Inputs that a pole in both images of a frame needs, counted by its steps (other 
   each image by itself (labelme, CVAT):   5 and more: class, two clicks in each image; not linked
   linked by hand afterwards:              6 and more: the same, and a key to link them
   semviz, both by hand:                   5: class, two clicks in each image; linked by the rays
-  semviz, first frame:                    3: class, two clicks; the frame's key takes its partner
+  semviz, first frame:                    2: class, one click where the whole pole is shown, else
+                                             two; the frame's key takes its partner
   semviz, later frames:                   none of its own: the frame's key takes it
 """
 
@@ -68,17 +73,37 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
     save_proposals(Proposals.of(found), workspace.proposals_path)
 
 
-def run(
-    seed: int, folder: Path, browser: Any, detector: str, model: str | None
-) -> tuple[Work, list[float], tuple[float, float], str]:
+@dataclass(frozen=True)
+class Outcome:
+    """What labelling a drive cost, and what came out."""
+
+    name: str
+    frames: int
+    labeller: Labeller
+    errors_px: dict[int, list[float]]
+    """By class."""
+    ends_right: tuple[float, float]
+    said: str
+    """The page's own count."""
+
+
+def run_street(seed: int, folder: Path, browser: Any, detector: str, model: str | None) -> Outcome:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
         simulated_proposals(workspace, seed)
     elif detector == "own":
         which = [] if model is None else ["--model", model]
         subprocess.run(["semviz", "detect", str(workspace.path), *which], check=True)
+    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed)
+
+
+def run_kitti(kitti: Path, folder: Path, browser: Any) -> Outcome:
+    workspace = Workspace.create_kitti(folder / "kitti-02", kitti, "02", (2, 3), KITTI_FRAMES)
+    return run(workspace, KittiDrive.of(kitti), len(KITTI_FRAMES), browser, 0)
+
+
+def run(workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int) -> Outcome:
     annotator = Annotator(workspace, author="script")
-    street = workspace.street
     try:
         with Gateway(annotator).running() as url:
             page = browser.new_page(viewport={"width": 1600, "height": 950})
@@ -87,13 +112,14 @@ def run(
             page.goto(url)
             page.wait_for_selector("#saved.saved")
             page.keyboard.press("f")  # the 3D pane: slow without a graphics card
-            labeller = Labeller(page, annotator, street, seed)
-            for frame in range(FRAMES):
+            labeller = Labeller(page, annotator, drive, seed)
+            for frame in range(frames):
                 labeller.label(frame)
-            said = page.get_attribute("#effort", "title")
+            said = page.get_attribute("#effort", "title") or ""
             page.close()
         made = annotator.session.labels
-        return labeller.work, errors_px(made, street), flags_right(made, street), said
+        errors = errors_px(made, drive)
+        return Outcome(workspace.name, frames, labeller, errors, flags_right(made, drive), said)
     finally:
         annotator.close()
 
@@ -111,53 +137,65 @@ def print_causes(spent: list[Spent], labels: int) -> None:
             print(f"  {cause:48s} {times[cause]:5d} {count:7d} {count / labels:10.3f}")
 
 
-def print_street(
-    seed: int, work: Work, errors: list[float], flags: tuple[float, float], said: str
-) -> None:
+def print_outcome(outcome: Outcome) -> None:
+    work = outcome.labeller.work
+    errors = [error for each in outcome.errors_px.values() for error in each]
     right = [error for error in errors if error <= RIGHT_PX]
     print(
-        f"street {seed}: {len(errors)} observations in {FRAMES} frames, "
+        f"{outcome.name}: {len(errors)} observations in {outcome.frames} frames, "
         f"{work.inputs / len(errors):.3f} inputs each ({work.keys} keys, {work.clicks} "
         f"clicks), {work.seconds:.0f} s; {len(right) / len(errors):.1%} within "
         f"{RIGHT_PX:g} px, median {np.median(right):.2f} px"
     )
+    for class_id, each in sorted(outcome.errors_px.items()):
+        share = np.mean([error <= RIGHT_PX for error in each])
+        print(f"  {DEFAULT_CLASSES[class_id].name:<17} {len(each):>4}: {share:.1%}")
+    first, later = outcome.labeller.inputs_by_sighting()
+    print(f"  inputs for a first sighting {first:.2f} (goal 2.5), a later one {later:.2f} (0.2)")
     print(f"  keys: {dict(work.pressed)}")
+    ends = outcome.ends_right
     print(
         f"  the first drawings and the frames' keys alone: {work.least / len(errors):.3f}; "
-        f"ends that are seen and are said to be: {flags[0]:.1%}, hidden ones: {flags[1]:.1%}"
+        f"ends that are seen and are said to be: {ends[0]:.1%}, hidden ones: {ends[1]:.1%}"
     )
-    print(f"  the page's own count since it was opened: {said}", flush=True)
+    print(f"  the page's own count since it was opened: {outcome.said}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1001, 1002, 1003])
+    parser.add_argument("--seeds", type=int, nargs="*", default=[1001, 1002, 1003])
     parser.add_argument("--detector", choices=["none", "simulated", "own"], default="none")
     parser.add_argument("--model", help="of --detector own, as 'semviz detect' takes it")
     parser.add_argument("--each", action="store_true", help="what each input was for")
+    parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry: label 02 as well")
     arguments = parser.parse_args()
-    labels, seconds, least = 0, 0.0, 0
-    spent: list[Spent] = []
-    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+    outcomes: list[Outcome] = []
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
+        folder = Path(name)
         for seed in arguments.seeds:
-            work, errors, flags, said = run(
-                seed, Path(folder), browser, arguments.detector, arguments.model
-            )
-            print_street(seed, work, errors, flags, said)
-            if arguments.each:
-                for step in work.spent:
-                    print(f"    frame {step.frame}: {step.inputs} for {step.cause}; {step.about}")
-            spent += work.spent
-            labels, least = labels + len(errors), least + work.least
-            seconds += work.seconds
-    inputs = sum(step.inputs for step in spent)
+            outcomes.append(run_street(seed, folder, browser, arguments.detector, arguments.model))
+            print_outcome(outcomes[-1])
+        if arguments.kitti is not None:
+            outcomes.append(run_kitti(arguments.kitti, folder, browser))
+            print_outcome(outcomes[-1])
+    if arguments.each:
+        for step in [step for outcome in outcomes for step in outcome.labeller.work.spent]:
+            print(f"    frame {step.frame}: {step.inputs} for {step.cause}; {step.about}")
+    print_sum(outcomes)
+    print(BY_HAND)
+
+
+def print_sum(outcomes: list[Outcome]) -> None:
+    works = [outcome.labeller.work for outcome in outcomes]
+    labels = sum(len(each) for outcome in outcomes for each in outcome.errors_px.values())
+    spent = [step for work in works for step in work.spent]
+    inputs, least = sum(step.inputs for step in spent), sum(work.least for work in works)
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
-    pairs = labels / 2
-    print(f"1,000 stereo observations: {seconds / pairs * 1000 / 60:.1f} min (goal 20)")
+    minutes = sum(work.seconds for work in works) / (labels / 2) * 1000 / 60
+    print(f"1,000 stereo observations: {minutes:.1f} min (goal 20)")
     print_causes(spent, labels)
-    print(BY_HAND)
 
 
 if __name__ == "__main__":

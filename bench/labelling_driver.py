@@ -6,14 +6,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
-from labelling_truth import RIGHT_PX, SIDES, Truth, is_about, meant, truth_of, why_wrong
+from drives import SIDES, Drive
+from labelling_truth import ALONG_M, ALONG_PX, RIGHT_PX, Truth, is_about, meant, truth_of, why_wrong
 from playwright.sync_api import Page
 
 from semviz.annotator.draft import ProposalView
 from semviz.annotator.server import Annotator
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_core.base.frame import Side
-from semviz_core.simulation.street import Street
 
 TREMOR_CSS_PX = 1.5
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
@@ -29,6 +29,8 @@ class Spent:
     frame: int
     about: str
     """What it was, for people who look into it."""
+    element: int | None = None
+    """The element that it was for."""
 
 
 @dataclass
@@ -58,31 +60,35 @@ class Work:
         return self.keys * KEY_S + self.clicks * CLICK_S + moves + self.thoughts * THINK_S
 
     @contextmanager
-    def on(self, cause: str, frame: int, about: str = "") -> Iterator[None]:
+    def on(
+        self, cause: str, frame: int, about: str = "", element: int | None = None
+    ) -> Iterator[None]:
         """What is done within it is for ``cause``, but for what has a cause of its own there."""
         before = self.inputs - sum(step.inputs for step in self.spent)
         yield
         inputs = self.inputs - sum(step.inputs for step in self.spent) - before
-        self.spent.append(Spent(cause, inputs, frame, about))
+        self.spent.append(Spent(cause, inputs, frame, about, element))
 
 
 class Labeller:
-    """Labels a street through the page."""
+    """Labels a drive through the page."""
 
-    def __init__(self, page: Page, annotator: Annotator, street: Street, seed: int) -> None:
+    def __init__(self, page: Page, annotator: Annotator, drive: Drive, seed: int) -> None:
         self.page = page
         self.annotator = annotator
-        self.street = street
+        self.drive = drive
         self.hand = np.random.default_rng(seed)
         self.work = Work()
         self.class_id = 0
         self.labelled: set[int] = set()
         """Elements, in any frame."""
+        self.sightings: list[tuple[int, int]] = []
+        """Frame and element of what was to be labelled."""
 
     def label(self, frame: int) -> None:
         """One frame: proposals first, then what is missing; then on to the next."""
         self.work.thoughts += 1
-        truth = truth_of(self.street, frame)
+        truth = truth_of(self.drive, frame)
         self.settle()
         self.judge(frame, truth)
         missing = [element for element in truth.wanted if not self.is_here(frame, truth, element)]
@@ -96,6 +102,7 @@ class Labeller:
                 self.draw(frame, truth, element, "right")
         with self.work.on(FRAME, frame):
             self.key("Control+Enter")
+        self.sightings += [(frame, element) for element in truth.wanted]
         self.labelled |= {
             mark
             for mark in truth.marks
@@ -115,7 +122,7 @@ class Labeller:
                 and element is not None
                 and self.lacking(frame, truth, element)
             ):
-                with self.work.on("weak but right", frame, told(offer)):
+                with self.work.on("weak but right", frame, told(offer), element):
                     self.point_at(offer)
                     self.key(" ")
 
@@ -126,7 +133,7 @@ class Labeller:
         cause = "drawn again: " + self.why_again(frame, truth, element) if again else FIRST
         about = f"{truth.named(element)}, {side}"
         before = {row.id for row in self.labels.in_frame(frame, side)}
-        with self.work.on(cause, frame, about):
+        with self.work.on(cause, frame, about, element):
             self.set_points(frame, truth, element, side)
         new = [row for row in self.labels.in_frame(frame, side) if row.id not in before]
         if not new:
@@ -140,10 +147,17 @@ class Labeller:
             self.class_id = truth.class_id[element]
             self.key(str(self.class_id + 1))
         marks = truth.marks[element][side]
+        is_line = bool(np.isfinite(marks[1]).all())
+        if is_line and self.is_whole_shown(truth, element, side):
+            self.work.clicks += 1
+            self.page.mouse.down()
+            self.page.mouse.up()
+            self.saved()
+            return
         self.click(side, marks[0])
-        if np.isfinite(marks[1]).all():
+        if is_line:
             peak_known, bottom_known = truth.known[element][side]
-            with self.work.on("keys for hidden ends", frame):
+            with self.work.on("keys for hidden ends", frame, element=element):
                 if not peak_known and not self.is_at_border(marks[0]):  # there the page knows
                     self.key("c")
                 self.hover(side, marks[1])
@@ -151,6 +165,24 @@ class Labeller:
                     self.key("o")
             self.click(side, marks[1], snapped=self.is_preview_right(truth, element, side))
         self.saved()
+
+    def is_whole_shown(self, truth: Truth, element: int, side: Side) -> bool:
+        """Whether the page shows the whole pole under the pointer, and rightly."""
+        anchor, end = truth.marks[element][side]
+        point = anchor + self.hand.uniform(0.3, 0.7) * (end - anchor)
+        self.page.mouse.move(*self.on_screen(side, point, self.hand))
+        self.page.wait_for_function("() => !semviz.tools.ghosts.isBusy")
+        ghost = self.page.evaluate("semviz.state.ghost")
+        if ghost is None or ghost["side"] != side:
+            return False
+        shown = ghost["anchor"], ghost["end"]
+        if not truth.is_right(element, side, *shown):
+            return False
+        told = np.array([ghost["anchor_known"], ghost["end_known"]])
+        true = np.array(truth.known[element][side])
+        gaps = np.linalg.norm(np.array(shown) - truth.marks[element][side], axis=1)
+        wrong = told & (~true | (gaps > truth.within_px(element, ALONG_PX, ALONG_M)))
+        return not wrong.any()
 
     def why_again(self, frame: int, truth: Truth, element: int) -> str:
         """What is proposed for an element that has to be drawn all the same."""
@@ -160,7 +192,7 @@ class Labeller:
         return "weak, " + why_wrong(near[0], truth)
 
     def is_at_border(self, pixel: np.ndarray) -> bool:
-        camera = self.street.rig.left
+        camera = self.drive.source.rig.left
         return bool(
             (pixel < 2.0).any() or (pixel > [camera.width - 3.0, camera.height - 3.0]).any()
         )
@@ -181,7 +213,8 @@ class Labeller:
             return
         self.work.thoughts += 1
         ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
-        with self.work.on("drawings corrected", row.frame_index, f"{truth.named(element)}, {side}"):
+        about = f"{truth.named(element)}, {side}"
+        with self.work.on("drawings corrected", row.frame_index, about, element):
             self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
             self.wheel(-1)
             for drawn, true in ends:
@@ -204,6 +237,21 @@ class Labeller:
             self.page.locator("#elements .row").nth(ids.index(offer.id)).click()
             self.work.clicks += 1
 
+    def inputs_by_sighting(self) -> tuple[float, float]:
+        """Return inputs for each element's first sighting, and for each later one, which bear all
+        that is for no single element."""
+        firsts: dict[int, int] = {}
+        for frame, element in self.sightings:
+            firsts.setdefault(element, frame)
+        first = sum(
+            step.inputs
+            for step in self.work.spent
+            if step.element is not None and firsts.get(step.element) == step.frame
+        )
+        later = self.work.inputs - first
+        count = len(self.sightings) - len(firsts)
+        return first / max(len(firsts), 1), later / max(count, 1)
+
     # -- what there is
 
     def offers(self, frame: int) -> list[ProposalView]:
@@ -214,7 +262,7 @@ class Labeller:
         """The element that a proposal is right for; None where that is not the one it is of."""
         element = meant(offer, truth)
         for row in self.labels.of_element(offer.id)[:1]:
-            then = truth_of(self.street, row.frame_index)
+            then = truth_of(self.drive, row.frame_index)
             mark = row.side, row.anchor_px, row.end_px
             labelled = [name for name in then.marks if then.is_right(name, *mark)]
             return element if not labelled or element in labelled else None

@@ -1,18 +1,17 @@
 """Truth of the scripted annotator: what is visible in a street, and which marks are right."""
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from drives import SIDES, Drive, focal_px
 
 from semviz.annotator.proposal_views import ProposalMark, ProposalView
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.classes import DEFAULT_CLASSES
-from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
-from semviz_core.simulation.street import Street
 
-SIDES: tuple[Side, Side] = ("left", "right")
 REACH_M = 40.0
 RIGHT_PX, RIGHT_M = 2.0, 0.04
 """A mark this near to the truth, by one or the other, is right: across a pole, to a middle."""
@@ -65,13 +64,10 @@ class Truth:
         return max(pixels, metres * self.focal_px / self.depth_m[element])
 
 
-def truth_of(street: Street, frame: int) -> Truth:
-    pose = street.frames[frame].T_map_camera
-    assert pose is not None
-    elements = street.truth_map.elements
-    depths = pose.inverse().apply(elements.anchor_m)[:, 2]
-    seen = {side: by_id(*street.labels(frame, side)) for side in SIDES}
-    visible = sorted(seen["left"].keys() | seen["right"].keys())
+def truth_of(drive: Drive, frame: int) -> Truth:
+    seen = {side: drive.seen(frame, side) for side in SIDES}
+    depths = drive.depths_m(frame)
+    visible = sorted((seen["left"].keys() | seen["right"].keys()) & depths.keys())
     marks = {
         element: {side: seen[side][element][:2] for side in SIDES if element in seen[side]}
         for element in visible
@@ -84,19 +80,9 @@ def truth_of(street: Street, frame: int) -> Truth:
         marks,
         known,
         {element: (seen["left"].get(element) or seen["right"][element])[2] for element in visible},
-        dict(zip(elements.id.tolist(), depths.tolist(), strict=True)),
-        float(street.rig.left.K[0, 0]),
+        depths,
+        focal_px(drive.source.rig.left),
     )
-
-
-Seen = tuple[np.ndarray, np.ndarray, int, tuple[bool, bool]]
-
-
-def by_id(seen: Elements2D, ids: np.ndarray) -> dict[int, Seen]:
-    """Anchor, end, class, and which ends are known."""
-    known = zip(seen.anchor_known.tolist(), seen.end_known.tolist(), strict=True)
-    rows = zip(seen.anchor_px, seen.end_px, seen.class_id.tolist(), known, strict=True)
-    return dict(zip(ids.tolist(), rows, strict=True))
 
 
 def meant(offer: ProposalView, truth: Truth) -> int | None:
@@ -128,14 +114,14 @@ def error_px(mark: tuple[Any, Any], truth: tuple[np.ndarray, np.ndarray]) -> flo
     return float(np.abs(across).max())
 
 
-def flags_right(labels: Labels, street: Street) -> tuple[float, float]:
+def flags_right(labels: Labels, drive: Drive) -> tuple[float, float]:
     """Shares of the poles' ends in labels that are said to be seen, and hidden, of those that
     truly are."""
     said: dict[bool, list[bool]] = {True: [], False: []}
     for row in labels.observations.values():
         if row.end_px is None:
             continue
-        marks = list(by_id(*street.labels(row.frame_index, row.side)).values())
+        marks = list(drive.seen(row.frame_index, row.side).values())
         gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
         if min(gaps, default=np.inf) <= RIGHT_PX:
             known = marks[int(np.argmin(gaps))][3]
@@ -144,13 +130,14 @@ def flags_right(labels: Labels, street: Street) -> tuple[float, float]:
     return float(np.mean(said[True])), float(np.mean(said[False]))
 
 
-def errors_px(labels: Labels, street: Street) -> list[float]:
-    """How far each label is from the nearest truth of its kind."""
-    errors = []
+def errors_px(labels: Labels, drive: Drive) -> dict[int, list[float]]:
+    """How far each label is from the nearest truth of its kind, by class."""
+    errors: dict[int, list[float]] = defaultdict(list)
     for row in labels.observations.values():
-        marks = by_id(*street.labels(row.frame_index, row.side)).values()
+        marks = drive.seen(row.frame_index, row.side).values()
         gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
-        errors.append(min(gaps, default=float("inf")))
+        class_id = labels.element(row.element_id).class_id
+        errors[class_id].append(min(gaps, default=float("inf")))
     return errors
 
 

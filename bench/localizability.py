@@ -42,10 +42,14 @@ from semviz_core.research.evaluation.problems import (
     make_problem,
     mapped_elements,
 )
-from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
+from semviz_core.research.evaluation.roads import (
+    BenchmarkRoad,
+    kitti_road,
+    simulated_road,
+    with_errors,
+)
 from semviz_core.simulation.detector import SimulatedDetector
 from semviz_core.simulation.layout import StreetOptions
-from semviz_core.simulation.map_errors import with_errors
 from semviz_core.simulation.street import Street
 
 Noise = Literal["low", "paper"]

@@ -29,8 +29,7 @@ from semviz_annotation.mapping.placement.observations import (
     collect_observations,
 )
 from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
-from semviz_annotation.mapping.quality.check import mapping_accuracy
-from semviz_annotation.mapping.quality.leave_one_out import delete_each, leave_one_out
+from semviz_annotation.mapping.quality.check import delete_each, leave_one_out, mapping_accuracy
 from semviz_annotation.mapping.quality.lint import lint
 from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.camera import Rig

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.workspace.drive_file import DriveFile
+from semviz.workspace.drive_file import DriveFile, ImageFolders
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 
@@ -72,7 +72,7 @@ def recorded_pixels(
     for frame in dataset.frames:
         assert frame.T_map_camera is not None
         in_camera = frame.T_map_camera.inverse().apply(T_map_world.apply(points))
-        pixels.append(dataset.to_original(dataset.rig.left.project(in_camera), "left"))
+        pixels.append(dataset.to_original(dataset.rig.left.project(in_camera), frame.index, "left"))
     return pixels
 
 
@@ -101,7 +101,7 @@ def measure(root: Path) -> dict[str, tuple[float, float, float]]:
             start = time.perf_counter()
             drive = read_drive(files)
             content = DriveFile.of(drive, "utbm")
-            dataset = content.dataset(drive.left_folder, drive.right_folder, Path(folder) / name)
+            dataset = content.dataset(ImageFolders.of_drive(drive), Path(folder) / name)
             dataset.image(dataset.frames[0].index, "left")
             seconds = time.perf_counter() - start
             assert drive.axes is not None

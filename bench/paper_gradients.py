@@ -18,20 +18,21 @@ from torch import Tensor
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.localization.correspondences.sample import Sample, SampleTarget
-from semviz_core.research.paper import pnpl_layer, transport
+from semviz_core.research.paper import training, transport
 from semviz_core.research.paper.matcher import MU
-from semviz_core.research.paper.pnpl_layer import StartPoses, differentiable_pnpl, start_poses
 from semviz_core.research.paper.training import (
     POSE_FROM,
     PaperTask,
+    StartPoses,
     correspondence_loss,
+    differentiable_pnpl,
     pose_loss,
+    start_poses,
     whole_loss,
 )
 from semviz_core.research.paper.transport import sinkhorn, sinkhorn_with_dustbins
-from semviz_core.research.training.batch import Batch, BatchTruth
+from semviz_core.research.training.batch import Batch, BatchTruth, Progress
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
-from semviz_core.research.training.task import Progress
 
 BATCH = 12
 WELL_POSED = 7
@@ -163,7 +164,7 @@ def tell_optima(batches: list[Batch]) -> None:
         "dustbins": perfect_with_dustbins,
         "uniform priors": lambda batch: sinkhorn(wrong(batch), batch.same_class),
     }
-    most, pnpl_layer.MOST_SHIFT_M = pnpl_layer.MOST_SHIFT_M, np.inf
+    most, training.MOST_SHIFT_M = training.MOST_SHIFT_M, np.inf
     for name, kind in kinds.items():
         moved, mass = [], []
         for batch in batches:
@@ -180,7 +181,7 @@ def tell_optima(batches: list[Batch]) -> None:
             f"{1.0 - len(found) / len(away_m):.0%}; else RTE quartiles {quartiles} m, "
             f"beyond {most:.0f} m {np.mean(found > most):.0%}"
         )
-    pnpl_layer.MOST_SHIFT_M = most
+    training.MOST_SHIFT_M = most
 
 
 def wrong(batch: Batch) -> Tensor:

@@ -37,7 +37,7 @@ from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildReport, build_map
 from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.classes import POLE
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.frame import Side
 from semviz_core.base.localization import Localization
 from semviz_core.base.map_file import save_map

@@ -25,8 +25,7 @@ from unittest import mock
 import numpy as np
 
 from semviz.runs import rerun_plots, writer
-from semviz.runs.checksum import row_checksum
-from semviz.runs.codec import decode
+from semviz.runs.codec import decode, row_checksum
 from semviz.runs.codec import encode as encode_value
 from semviz.runs.columns import Columns
 from semviz.runs.images import JPEG_QUALITY

@@ -9,13 +9,13 @@ metadata alone; the same installation gives the same bytes.
 
 import hashlib
 import json
-import re
 import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 
 def main(path: Path) -> None:
@@ -43,11 +43,11 @@ def main(path: Path) -> None:
 
 
 def installed(root: str) -> dict[str, metadata.Distribution]:
-    """Return ``root`` and the installed distributions that it needs, by normalized name."""
+    """Return ``root`` and the installed distributions that it needs, by canonical name."""
     found: dict[str, metadata.Distribution] = {}
     pending = [root]
     while pending:
-        name = normalized(pending.pop())
+        name = canonicalize_name(pending.pop())
         if name in found:
             continue
         try:
@@ -59,11 +59,11 @@ def installed(root: str) -> dict[str, metadata.Distribution]:
 
 
 def needs(distribution: metadata.Distribution) -> set[str]:
-    """Return the normalized names of its requirements, those of extras among them."""
+    """Return the canonical names of its requirements, those of extras among them."""
     extras = ["", *(distribution.metadata.get_all("Provides-Extra") or [])]
     requirements = [Requirement(text) for text in distribution.requires or []]
     return {
-        normalized(need.name)
+        canonicalize_name(need.name)
         for need in requirements
         if need.marker is None or any(need.marker.evaluate({"extra": extra}) for extra in extras)
     }
@@ -75,7 +75,7 @@ def component(distribution: metadata.Distribution) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "type": "library",
         "bom-ref": reference(distribution),
-        "name": normalized(about["Name"]),
+        "name": canonicalize_name(about["Name"]),
         "version": distribution.version,
         "purl": reference(distribution),
         "properties": [{"name": "semviz:record-sha256", "value": record_hash(distribution)}],
@@ -91,11 +91,7 @@ def record_hash(distribution: metadata.Distribution) -> str:
 
 
 def reference(distribution: metadata.Distribution) -> str:
-    return f"pkg:pypi/{normalized(distribution.metadata['Name'])}@{distribution.version}"
-
-
-def normalized(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
+    return f"pkg:pypi/{canonicalize_name(distribution.metadata['Name'])}@{distribution.version}"
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.detection.detector import MeasureRegion, by_edges, load_region_model, measure
 from semviz_core.metrics.detection import HELD_OUT_SEED, match_detections
-from semviz_core.research.paper.measurement import measure_as_in_paper
+from semviz_core.research.paper.method import measure_as_in_paper
 
 TUNING_SEED = 20_000
 WAYS: dict[str, MeasureRegion] = {"edges": by_edges, "paper": measure_as_in_paper}

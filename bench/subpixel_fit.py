@@ -30,7 +30,7 @@ from semviz_core.detection.sign_centers import (
     shape_evidence,
     without_arms,
 )
-from semviz_core.research.paper.measurement import measure_as_in_paper
+from semviz_core.research.paper.method import measure_as_in_paper
 from semviz_core.subpixel import pole_ends as rows_end
 
 STAGES = (

@@ -13,7 +13,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.detection.detector import RegionModel
 from semviz_core.detection.regions import Region
 from semviz_core.metrics.detection import ImageGroundTruth, match_detections
-from semviz_core.simulation.ground_truth import RenderedTruth, rendered_truth
+from semviz_core.simulation.detector import RenderedTruth, rendered_truth
 from semviz_core.simulation.street import Street
 from semviz_core.subpixel.sampling import SampledImage
 

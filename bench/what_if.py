@@ -16,7 +16,7 @@ from semviz.runs.diagnosis import detector_of, frame_diagnosis
 from semviz.runs.metrics import errors_of
 from semviz.runs.run import FrameRecord, Run, RunInfo
 from semviz.what_if.change import WhatIfChange
-from semviz.what_if.scene_changes import DropElement, ForcePair, ForceTruePairs
+from semviz.what_if.request_changes import DropElement, ForcePair, ForceTruePairs
 from semviz.what_if.solve import best_suggestion, solve_with_changes
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
@@ -24,8 +24,8 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
+from semviz_core.research.evaluation.roads import duplicate_element, move_element
 from semviz_core.simulation.detector import SimulatedDetector
-from semviz_core.simulation.map_errors import duplicate_element, move_element
 from semviz_core.simulation.street import Street
 
 FIRST_SEED, STREETS = 1000, 20

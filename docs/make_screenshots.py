@@ -29,13 +29,13 @@ from semviz.web.gateway import Gateway
 from semviz.workspace.demo import MAP, RUN, SEED, ensure_demo
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.edits import AddObservation, Edit
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.frame import Side
 from semviz_core.base.map_file import save_map
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 from semviz_core.simulation.street import Street
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from semviz.runs.reader import load_run
+    from semviz.runs.recorder import MatchedPose, RunRecorder
     from semviz.workspace.workspace import Workspace
     from semviz_core.base.camera import Camera, Rig
     from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ElementClass
@@ -46,12 +47,14 @@ _HOMES = {
     "Localization": "semviz_core.base.localization",
     "Localizer": "semviz_core.localization.localizer",
     "MapFrame": "semviz_core.base.semantic_map",
+    "MatchedPose": "semviz.runs.recorder",
     "Odometry": "semviz_core.base.frame",
     "OdometryNoise": "semviz_core.base.frame",
     "PairConstraints": "semviz_core.localization.association",
     "Pose": "semviz_core.base.pose",
     "Prior": "semviz_core.base.frame",
     "Rig": "semviz_core.base.camera",
+    "RunRecorder": "semviz.runs.recorder",
     "SemanticMap": "semviz_core.base.semantic_map",
     "SemvizError": "semviz_core.common.errors",
     "Street": "semviz_core.simulation.street",
@@ -83,12 +86,14 @@ __all__ = [
     "Localization",
     "Localizer",
     "MapFrame",
+    "MatchedPose",
     "Odometry",
     "OdometryNoise",
     "PairConstraints",
     "Pose",
     "Prior",
     "Rig",
+    "RunRecorder",
     "SemanticMap",
     "SemvizError",
     "Street",

@@ -14,10 +14,15 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
-from semviz.commands.detector_choice import DetectChooseCommand
 from semviz.commands.new import NewCommand
-from semviz.commands.poses import PosesCheckCommand, PosesRefineCommand
-from semviz.commands.research import BenchmarkCommand, TrainCommand, WeightsCommand
+from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
+from semviz.commands.record import RecordCommand
+from semviz.commands.research import (
+    BenchmarkCommand,
+    DetectChooseCommand,
+    TrainCommand,
+    WeightsCommand,
+)
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
 from semviz_core.common.errors import SemvizError
 
@@ -35,8 +40,13 @@ MapCommands = Annotated[
 ]
 PoseCommands = Annotated[
     Annotated[PosesCheckCommand, subcommand("check")]
-    | Annotated[PosesRefineCommand, subcommand("refine")],
-    subcommand("poses", description="Check poses against the images of a workspace; refine them."),
+    | Annotated[PosesRefineCommand, subcommand("refine")]
+    | Annotated[PosesChooseCommand, subcommand("choose")],
+    subcommand(
+        "poses",
+        description="Check poses against the images of a workspace; refine them, or choose what to "
+        "do with wrong ones.",
+    ),
 ]
 LabelCommands = Annotated[
     Annotated[labels.LabelsExportCommand, subcommand("export")]
@@ -66,6 +76,7 @@ Command = (
     | PoseCommands
     | MapCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
+    | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
     | Annotated[runs.CompareCommand, subcommand("compare")]
     | Annotated[runs.ReportCommand, subcommand("report")]

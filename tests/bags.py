@@ -43,8 +43,8 @@ class Types:
 
 
 @contextmanager
-def bag(path: Path, kind: Kind) -> Iterator[tuple[Put, Types]]:
-    """Open a new bag at ``path``."""
+def bag(path: Path, kind: Kind, packed: str = "") -> Iterator[tuple[Put, Types]]:
+    """Open a new bag at ``path``; ``packed``: by bz2 or lz4 (ROS 1), or what of it by zstd."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -57,6 +57,11 @@ def bag(path: Path, kind: Kind) -> Iterator[tuple[Put, Types]]:
     writer: Any = (
         rosbag1.Writer(path) if is_ros1 else rosbag2.Writer(path, version=9, storage_plugin=plugin)
     )
+    if packed and is_ros1:
+        writer.set_compression(writer.CompressionFormat[packed.upper()])
+    elif packed:
+        mode = rosbag2.CompressionMode[packed.upper()]
+        writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
     with writer:
         connections: dict[str, Any] = {}
 

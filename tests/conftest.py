@@ -15,11 +15,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import hypothesis
 import platformdirs
+import psutil
 import pytest
 from fonts import font_settings
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads only wait
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # No deadline: machines are shared. Derandomized: a test fails or passes, whoever runs it.
 hypothesis.settings.register_profile("semviz", deadline=None, derandomize=True)
@@ -44,6 +49,20 @@ CHROMIUM_ARGS = [
 ]
 
 
+WORKER_BYTES = 2.5e9
+"""Memory of a worker with its browser and what the networks' libraries load."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads its option
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Let plain ``pytest`` use all cores, with a worker each; who names tests gets none."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    asked = getattr(config.option, "numprocesses", 0) is not None or config.option.usepdb
+    if whole and not asked:
+        room = int(psutil.virtual_memory().available / WORKER_BYTES)
+        config.option.numprocesses = min(psutil.cpu_count() or 1, max(room, 1))
+
+
 def skip_or_fail(reason: str) -> NoReturn:
     if os.environ.get("SEMVIZ_REQUIRE_ALL") == "1":
         pytest.fail(reason, pytrace=False)
@@ -57,6 +76,16 @@ def kitti_root() -> Path:
     root = Path(os.environ.get("SEMVIZ_KITTI", default))
     if not (root / "sequences" / "02" / "image_2").is_dir():
         skip_or_fail(f"no KITTI sequence 02 in {root}; set SEMVIZ_KITTI to the folder that has it")
+    return root
+
+
+@pytest.fixture(scope="session")
+def drives() -> Path:
+    """A folder with files of real drives."""
+    default = REPOSITORY.parent / "shared" / "data" / "drives"
+    root = Path(os.environ.get("SEMVIZ_DRIVES", default))
+    if not (root / "utbm_stereo").is_dir():
+        skip_or_fail(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
     return root
 
 

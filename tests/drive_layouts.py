@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from street_places import geodetic
 
 from semviz_core.base.pose import Pose
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 K = [50.0, 0.0, 31.5, 0.0, 50.0, 23.5, 0.0, 0.0, 1.0]
 T_RIGHT_LEFT = Pose(np.eye(3), np.array([-0.5, 0.0, 0.0]))

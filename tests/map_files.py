@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from semviz_annotation.map_formats.conversion import MapImportContext
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import MapImportContext
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap

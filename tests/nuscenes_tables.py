@@ -24,12 +24,17 @@ class _PlainUnpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
+def read_frame(source: Path) -> Any:
+    """Return the first frame of the pickle."""
+    with source.open("rb") as file:
+        return _PlainUnpickler(file).load()["data_list"][0]
+
+
 def write_tables(source: Path, folder: Path, images: Path) -> None:
     """Write the tables of the first frame in ``source``; sizes are those of the images."""
     import cv2
 
-    with source.open("rb") as file:
-        frame = _PlainUnpickler(file).load()["data_list"][0]
+    frame = read_frame(source)
     tables: dict[str, list[dict[str, Any]]] = {
         "scene": [{"token": "scene", "name": "scene"}],
         "sample": [{"token": "sample", "scene_token": "scene"}],

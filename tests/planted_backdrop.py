@@ -4,8 +4,8 @@ import numpy as np
 
 from semviz.workspace.backdrop import backdrop_path
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop, BackdropSource, save_backdrop
-from semviz_annotation.mapping.backdrop.depth_fusion import Cloud, FusionOptions
+from semviz_annotation.mapping.backdrop import Backdrop, BackdropSource, save_backdrop
+from semviz_annotation.mapping.depth_fusion import Cloud, FusionOptions
 
 COLOR = (255, 90, 0)
 AHEAD_M, SPACING_M = 3.0, 0.2

@@ -12,7 +12,7 @@ from semviz_core.base.classes import POLE
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import ByteImage
 from semviz_core.detection.regions import Region
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.street import Street
 
 SIDES: tuple[Side, ...] = ("left", "right")

@@ -13,7 +13,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.localization.localizer import Localizer
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 from semviz_core.simulation.street import Street
 
 FRAMES = (10, 12, 14, 16, 18, 20)

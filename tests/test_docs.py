@@ -137,8 +137,9 @@ def test_python_of_the_docs(tmp_path: Path, environment: dict[str, str]) -> None
         cwd=tmp_path, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    status, centre, _, *frames = done.stdout.splitlines()
+    status, centre, _, recorded, *frames = done.stdout.splitlines()
     assert status.startswith("ok ")
     numbers = [float(number) for number in re.findall(r"-?\d+\.?\d*", centre)]
     assert all(abs(have - want) < 0.01 for have, want in zip(numbers, (0, 0, 1.65), strict=True))
+    assert recorded.startswith("recorded: ")
     assert len(frames) == 3

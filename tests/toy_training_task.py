@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.research.training.task import Progress, cosine
+from semviz_core.research.training.batch import Progress, cosine
 from semviz_core.research.training.trainer import Trainer, TrainingOptions
 
 

@@ -138,6 +138,8 @@ class ElementDraft:
     snap: bool = False
     asks_bottom: bool = False
     """Whether the server may mark the bottom as hidden."""
+    whole: bool = False
+    """Whether it is a point under which the whole pole is sought."""
 
     @property
     def has_shape(self) -> bool:
@@ -169,6 +171,8 @@ class DraftState:
     """Whether a person chose the selected element in this frame."""
     side: Side = "left"
     """Side of the selected observation."""
+    second: int | None = None
+    """Frame of the second image as shown; None: the frame's own right one."""
     drawing: ElementDraft | None = None
     moved: dict[Id, tuple[PagePixel, PagePixel | None]] = Field(default_factory=dict)
     """Ends of the observations that are being dragged."""
@@ -312,6 +316,8 @@ class LabelledFrameView(Part):
     hash: str
     """Of that operation; empty in former states, which cannot be edited."""
     panes: dict[Side, PaneView]
+    at_that_time: dict[str, int]
+    """Of a rig: the frames that its other cameras took nearest in time, by name."""
     elements: list[ElementView]
     proposals: list[ProposalView]
     nearby: list[NearbyView]

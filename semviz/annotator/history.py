@@ -12,6 +12,7 @@ from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
 from semviz.annotator.views import OperationView
 from semviz.web.protocol import Part, RefusedError
+from semviz.workspace.pose_choices import PoseChoices
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation
@@ -52,13 +53,14 @@ class HistoryView:
         names = {operation.number: operation.text for operation in named}
         return [view.model_copy(update={"text": names[view.number]}) for view in self._views(named)]
 
-    def frame(self, operation: int, frame_index: int) -> PastFrame:
+    def frame(self, operation: int, frame_index: int, second: int | None = None) -> PastFrame:
         """Return the labels of a frame after an operation, and that operation (None for 0).
 
         Raise RefusedError if there is no such operation or frame.
         """
         if frame_index not in self._frames:
             raise RefusedError("not_found", f"frame {frame_index} is not in this sequence")
+        self._panes.show(frame_index, second)
         labels = self._labels_at(operation)
         panes = self._panes.of(frame_index)
         done = self._store.operations(after=operation - 1, limit=1) if operation else ()
@@ -66,13 +68,23 @@ class HistoryView:
             index=frame_index,
             operation=operation,
             hash="",
-            panes=views.pane_views(panes),
+            panes=views.pane_views(self._panes, frame_index),
+            at_that_time=self._panes.at_that_time(frame_index),
             elements=views.element_views(labels, panes, self._classes),
             proposals=[],
             nearby=[],
             is_searching=False,
         )
         return PastFrame(operation=operation, done=next(iter(self._views(done)), None), frame=frame)
+
+    def undoes_poses(self, choices: PoseChoices, author: str) -> bool:
+        """Return whether the author's last step that can be undone is a choice of poses."""
+        last = choices.present[-1:]
+        if not last or last[0].author != author:
+            return False
+        number = self._store.undoable(author)
+        edits = () if number is None else self._store.operations(after=number - 1, limit=1)
+        return not edits or edits[0].time <= last[0].time
 
     def _labels_at(self, number: int) -> Labels:
         if self._last_read.operation != number:

@@ -9,14 +9,20 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Generic, TypeVar
 
+import numpy as np
+
 from semviz.annotator import proposals
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.detection_refinement import RawDetection, refine_detection
-from semviz_annotation.assist.in_view import matched_element, not_sure_if_cut
+from semviz_annotation.assist.expected_position import matched_element, not_sure_if_cut
+from semviz_annotation.assist.image_search import ReferenceView
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
-from semviz_annotation.assist.propagation import ReferenceView, propagate
+from semviz_annotation.assist.propagation import propagate
 from semviz_annotation.assist.snap import Snapped, snap
 from semviz_annotation.assist.stereo_matching import find_correspondence
+from semviz_annotation.assist.track import LabelledView, Track
+from semviz_annotation.assist.whole_pole import whole_pole
+from semviz_annotation.labels.labels import Pixel
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.triangle_center import TriangleCenter
@@ -129,8 +135,8 @@ def _encode(suffix: str, image: ByteImage, option: int, value: int) -> bytes:
 
 
 CACHED_RESULTS = 5000
-CACHED_MARKED_IMAGES = 12
-"""About 23 MB of KITTI's."""
+CACHED_MARKED_IMAGES = 24
+"""About 46 MB of KITTI's: a dozen moments, as tracks are searched with the views before."""
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -194,6 +200,16 @@ class ImageWorker:
         except SemvizError:
             return None
 
+    def whole_pole(self, pane: Pane, point_px: Pixel, class_id: int) -> Mark | None:
+        """Return the whole pole under a point; None if none is clear, or the class has signs."""
+        class_ = self._classes[class_id]
+        if class_.kind != "line":
+            return None
+        try:
+            return whole_pole(self._marked_image(pane), np.array(point_px), class_)
+        except SemvizError:
+            return None
+
     def _with_result(self, proposal: proposals.LabelProposal) -> proposals.LabelProposal:
         results = None if proposal.query is None else self._results.get(proposal.query)
         if results is None:
@@ -224,7 +240,11 @@ class ImageWorker:
             )
             for image in query.images
         ]
-        marks = propagate(views, query.element, self._classes[query.class_id])
+        beside = tuple(
+            LabelledView(self._marked_image(image.pane), image.mark) for image in query.beside
+        )
+        track = Track(beside, query.growth)
+        marks = propagate(views, query.element, self._classes[query.class_id], track=track)
         return {
             image.there: proposals.ImageSearchResult(
                 not_sure_if_cut(mark, query.element, view.target.view)

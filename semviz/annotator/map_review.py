@@ -190,8 +190,10 @@ class MapWork:
         return built
 
     def _saved(self, name: str, semantic_map: SemanticMap) -> SemanticMap:
+        from semviz.workspace.pose_review import with_used_poses
         from semviz_core.base.map_file import save_map
 
+        semantic_map = with_used_poses(semantic_map, self._workspace)
         save_map(semantic_map, self._workspace.map_path(name))
         return semantic_map
 

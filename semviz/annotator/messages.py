@@ -14,10 +14,19 @@ from semviz.annotator.draft import (
 )
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
+from semviz.annotator.panes import SecondImage
+from semviz.annotator.pose_messages import (
+    ChoosePosesRequest,
+    PoseFrameEvent,
+    PosesChosenEvent,
+    PosesEvent,
+    ShowPoseFrameRequest,
+    ShowPosesRequest,
+)
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
-from semviz_annotation.storage.background_check import HealthState
+from semviz_annotation.storage.label_file import HealthState
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 
@@ -35,6 +44,8 @@ class DrawnMark(protocol.Part):
     frame_index: Index
     side: Side
     """Side on the page: with one camera, right is another frame."""
+    second: Index | None = None
+    """Frame of the second image as the page shows it; None: the frame's own right one."""
     anchor_px: PagePixel
     end_px: PagePixel | None = None
     anchor_known: bool = True
@@ -166,6 +177,7 @@ class GoToFrameRequest(protocol.Request):
 
     type: Literal["go_to_frame"] = "go_to_frame"
     frame: int
+    second: SecondImage | None = None
 
 
 class PreviewDraftRequest(protocol.Request):
@@ -181,6 +193,8 @@ class ShowPastFrameRequest(protocol.Request):
     type: Literal["show_past_frame"] = "show_past_frame"
     operation: Count
     frame: int
+    second: Index | None = None
+    """Frame of the second image, as for ``DrawnMark``."""
 
 
 class ListOperationsRequest(protocol.Request):
@@ -235,6 +249,9 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | ShowPosesRequest
+    | ShowPoseFrameRequest
+    | ChoosePosesRequest
     | protocol.SetThemeRequest
     | protocol.SetBackdropRequest,
     Field(discriminator="type"),
@@ -384,6 +401,9 @@ AnnotatorEvent: TypeAlias = (
     | OperationsEvent
     | NamedStatesEvent
     | ReviewEvent
+    | PosesEvent
+    | PoseFrameEvent
+    | PosesChosenEvent
     | protocol.SceneEvent
     | protocol.BackdropEvent
     | ElementClickedEvent

@@ -9,6 +9,10 @@ import numpy as np
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
+from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.panes import SecondImage
+from semviz.annotator.pose_requests import PoseRequests, PoseSteps
+from semviz.annotator.pose_work import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
 from semviz.annotator.session import LabelSession, SavedEdit
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
@@ -16,9 +20,8 @@ from semviz.web import protocol
 from semviz.web.shapes import Theme
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import find_backdrop
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop
-from semviz_annotation.storage.background_check import Health
-from semviz_annotation.storage.label_file import LabelFileError
+from semviz_annotation.mapping.backdrop import Backdrop
+from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
 
@@ -31,6 +34,16 @@ class AnnotatorServices(Protocol):
     @property
     def lock(self) -> threading.RLock:
         """Held around every use of ``session``."""
+        ...
+
+    @property
+    def pose_work(self) -> PoseWork: ...
+
+    @property
+    def pose_steps(self) -> PoseSteps: ...
+
+    def use_chosen_poses(self) -> None:
+        """Open the session again with the poses that are chosen now, and tell all pages."""
         ...
 
     @property
@@ -64,8 +77,10 @@ class AnnotatorPage:
         self._id = session_id
         self._send = send
         self._shared = shared
-        self._session = shared.session
+        self._poses = PoseRequests(send, shared)
         self._frame = next(iter(self._session.frames))
+        self._second: SecondImage | None = None
+        """The wish for the second image."""
         self._selected: str | None = None
         self._reviewed: frozenset[str] = frozenset()
         """Elements of the decision or finding on screen."""
@@ -76,7 +91,12 @@ class AnnotatorPage:
         self._shows_backdrop = False
         self._redraw_queued = threading.Event()
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self)
+        self._handle = HANDLERS.bound_to(self, self._poses)
+
+    @property
+    def _session(self) -> LabelSession:
+        """Another one after the poses were chosen anew."""
+        return self._shared.session
 
     # -- called by the web tools' sessions and by the annotator
 
@@ -85,13 +105,23 @@ class AnnotatorPage:
             workspace, labels = self._session.describe(), self._session.summary()
             self._send(messages.WorkspaceEvent(workspace=workspace, labels=labels))
         self.send_health(self._session.health())
+        self._poses.send_progress()
         if self._scene is not None:
             self._send(protocol.SceneEvent())
         self._redraw()
 
+    def restart(self) -> None:
+        """Send everything again, with other poses. The caller holds the lock."""
+        self._shared.scene_thread.submit(self._drop_scene)
+        self.connected()
+
+    def send_poses(self) -> None:
+        """Send how far the comparison of poses is."""
+        self._poses.send_progress()
+
     def send_update(self, labels: LabelsView) -> None:
         """Send the session's updates with the frame on screen. The caller holds the lock."""
-        self._send(messages.UpdateEvent(labels=labels, frame=self._session.frame(self._frame)))
+        self._send(messages.UpdateEvent(labels=labels, frame=self._shown_frame()))
         self._redraw()
         self._search_images()
 
@@ -110,13 +140,16 @@ class AnnotatorPage:
         self._shared.forget(self)
         self._shared.scene_thread.submit(self._close_scene)
 
+    def _shown_frame(self) -> LabelledFrameView:
+        return self._session.frame(self._frame, self._second)
+
     # -- requests
 
     @protocol.handles(messages.GoToFrameRequest)
     def _go_to_frame(self, request: messages.GoToFrameRequest) -> None:
         with self._shared.lock:
-            frame = self._session.frame(request.frame)
-            self._frame = request.frame
+            frame = self._session.frame(request.frame, request.second)
+            self._frame, self._second = request.frame, request.second
             self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
         self._session.images.prefetch(request.frame)
         self._redraw()
@@ -154,6 +187,10 @@ class AnnotatorPage:
                 )
 
     def _save_edit(self, request: messages.ApplyEditRequest) -> None:
+        stepped = self._shared.pose_steps.step(request.edit, request.id, self._session)
+        if stepped is not None:
+            self._send_pose_step(request.id, stepped)
+            return
         saved = self._session.apply(request.id, request.edit, request.base)
         number = saved.operation.number
         self._send(messages.SavedOperationEvent(reply_to=request.id, operation=number))
@@ -165,11 +202,27 @@ class AnnotatorPage:
             if page is not self:
                 page.send_update(labels)
 
+    def _send_pose_step(self, request_id: str, text: str) -> None:
+        """Confirm that a choice of poses was undone or redone, and use the poses of now."""
+        number = self._session.labels.operation
+        self._send(messages.SavedOperationEvent(reply_to=request_id, operation=number))
+        self._send(
+            messages.EditSavedEvent(
+                reply_to=request_id,
+                labels=self._session.updates(),
+                frame=self._shown_frame(),
+                element=None,
+                added=0,
+                note=text,
+            )
+        )
+        self._shared.use_chosen_poses()
+
     def _send_saved(self, request_id: str, saved: SavedEdit, labels: LabelsView) -> None:
         event = messages.EditSavedEvent(
             reply_to=request_id,
             labels=labels,
-            frame=self._session.frame(self._frame),
+            frame=self._shown_frame(),
             element=saved.element_id,
             added=saved.added,
             note=saved.note,
@@ -181,7 +234,7 @@ class AnnotatorPage:
     @protocol.handles(messages.ShowPastFrameRequest)
     def _show_past_frame(self, request: messages.ShowPastFrameRequest) -> None:
         with self._shared.lock:
-            past = self._session.history.frame(request.operation, request.frame)
+            past = self._session.history.frame(request.operation, request.frame, request.second)
         self._send(messages.PastFrameEvent(reply_to=request.id, past=past))
 
     @protocol.handles(messages.ListOperationsRequest)
@@ -255,7 +308,7 @@ class AnnotatorPage:
         self._search_queued.clear()
         index = self._frame
         with self._shared.lock:
-            queries = self._session.pending_queries(index)
+            queries = self._session.pending_queries(index, self._second)
         for query in queries:
             if self._search_queued.is_set():
                 return  # the frame or its labels changed: the next search takes over
@@ -264,7 +317,7 @@ class AnnotatorPage:
             return
         with self._shared.lock:  # or a newer update could go first
             if self._frame == index:
-                self._send(messages.LabelledFrameEvent(frame=self._session.frame(index)))
+                self._send(messages.LabelledFrameEvent(frame=self._shown_frame()))
 
     # -- the 3D scene
 
@@ -273,6 +326,11 @@ class AnnotatorPage:
         if not self._redraw_queued.is_set():
             self._redraw_queued.set()
             self._shared.scene_thread.submit(self._draw)
+
+    def _drop_scene(self) -> None:
+        """Draw the scene from nothing: its trajectory is that of other poses."""
+        self._scene = None
+        self._shared.scenes.close(self._id)
 
     def _close_scene(self) -> None:
         self._closed = True
@@ -352,4 +410,4 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
     )
 
 
-HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage)
+HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests)

@@ -21,6 +21,7 @@ from semviz.annotator.rejected_proposals import RejectedProposals, is_left_out, 
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposals
+from semviz_core.base.frame import Side
 
 TAKEN_PX = 1.5
 """A proposal this close to a label of its class duplicates that label. Poles in line with the
@@ -184,14 +185,13 @@ class ProposalSelection:
         self._positions = positions
         self._image_worker = image_worker
         self._order = tuple(cameras.T_map_camera)
-        self._rank = {index: rank for rank, index in enumerate(self._order)}
         self._detected = detected
         self._labels = Labels()
-        self._geometries: dict[int, _Geometry] = {}
-        """By frame, for these labels."""
+        self._geometries: dict[tuple[Pane, ...], _Geometry] = {}
+        """By the images on the page, for these labels."""
         self._last_tracks = tracks
         self._tracks = NO_TRACKS
-        self._matches = lru_cache(CACHED_FRAMES)(self._matches_in)
+        self._matches_of = lru_cache(CACHED_FRAMES)(self._matches_in)
         self._rejected = RejectedProposals(cameras, self._matches)
 
     def proposals(self, frame_index: int, labels: Labels) -> list[LabelProposal]:
@@ -253,10 +253,12 @@ class ProposalSelection:
             )
         )
 
-    def _matches_in(self, frame_index: int) -> tuple[DetectorMatch, ...]:
-        panes = self._panes.of(frame_index)
+    def _matches(self, frame_index: int) -> tuple[DetectorMatch, ...]:
+        return self._matches_of(tuple(self._panes.of(frame_index).items()))
+
+    def _matches_in(self, panes: tuple[tuple[Side, Pane], ...]) -> tuple[DetectorMatch, ...]:
         return detector_proposals.detector_matches(
-            panes, self._detected, self._cameras, self._tracks.tracks
+            dict(panes), self._detected, self._cameras, self._tracks.tracks
         )
 
     def _follow_map(self) -> None:
@@ -265,7 +267,7 @@ class ProposalSelection:
         if tracks is not self._tracks:
             self._tracks = tracks
             self._geometries.clear()
-            self._matches.cache_clear()
+            self._matches_of.cache_clear()
             self._rejected = RejectedProposals(self._cameras, self._matches)
 
     def _open_matches(self, frame_index: int, labels: Labels) -> tuple[DetectorMatch, ...]:
@@ -283,9 +285,10 @@ class ProposalSelection:
         if labels is not self._labels:
             self._labels = labels
             self._geometries.clear()
-        if frame_index not in self._geometries:
-            self._geometries[frame_index] = self._computed(frame_index, labels)
-        return self._geometries[frame_index]
+        panes = tuple(self._panes.of(frame_index).values())
+        if panes not in self._geometries:
+            self._geometries[panes] = self._computed(frame_index, labels)
+        return self._geometries[panes]
 
     def _computed(self, frame_index: int, labels: Labels) -> _Geometry:
         panes = self._panes.of(frame_index)
@@ -312,7 +315,7 @@ class ProposalSelection:
             for element in nearby
             for projection in element.projections
         ]
-        proposals = element_proposals(panes, expected, labels, self._rank)
+        proposals = element_proposals(panes, expected, labels, self._cameras)
         tracks_px = {
             pane: self._tracks.project(self._cameras.view(pane.frame_index, pane.side), labels)
             for pane in panes.values()

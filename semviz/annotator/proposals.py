@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from semviz.annotator.element_positions import REACH_M, ProjectedElement
-from semviz.annotator.panes import Pane
+from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.marked_image import SURE, Mark, ProposedMark, clip_to_image
+from semviz_annotation.assist.track import growth, view_to_follow, views_beside
 from semviz_annotation.labels.labels import Labels, proposal_id
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Camera
@@ -59,12 +60,24 @@ class SearchImage:
 
 
 @dataclass(frozen=True)
+class LabelledImage:
+    """An image in which an element is labelled."""
+
+    pane: Pane
+    mark: Mark
+
+
+@dataclass(frozen=True)
 class PropagationQuery:
     """Find a mapped element in images taken at one time."""
 
     class_id: int
     element: Triangulated
     images: tuple[SearchImage, ...]
+    beside: tuple[LabelledImage, ...] = ()
+    """Other images in which it is labelled."""
+    growth: float = 1.0
+    """By how much larger it is than when somebody looked at it last."""
 
 
 @dataclass(frozen=True)
@@ -159,19 +172,16 @@ def label_proposals(
     panes: Mapping[Side, Pane],
     expected: Iterable[Expected],
     labels: Labels,
-    order: Mapping[int, int],
+    cameras: Cameras,
 ) -> list[LabelProposal]:
-    """Return all proposals of known elements for ``panes``, before any image search.
-
-    ``order`` maps a frame index to its rank in time.
-    """
+    """Return all proposals of known elements for ``panes``, before any image search."""
     rejected = {
         dismissal.id
         for pane in panes.values()
         for dismissal in labels.dismissed_in(pane.frame_index)
     }
     expected = list(expected)
-    mapped = {proposal.id: proposal for proposal in _map_proposals(expected, labels, order)}
+    mapped = {proposal.id: proposal for proposal in _map_proposals(expected, labels, cameras)}
     positions = {element.projection.element_id: element.position for element in expected}
     matches = {match.id: match for match in _match_proposals(panes, labels, positions)}
     for id_ in (
@@ -212,7 +222,7 @@ def _match_proposals(
 
 
 def _map_proposals(
-    expected: Sequence[Expected], labels: Labels, order: Mapping[int, int]
+    expected: Sequence[Expected], labels: Labels, cameras: Cameras
 ) -> list[LabelProposal]:
     """Propose each expected element; those with a known position are searched for in the images."""
     proposals = []
@@ -237,24 +247,42 @@ def _map_proposals(
                 if other.projection.element_id == projection.element_id
                 and other.pane.frame_index == pane.frame_index
             ]
-            images = tuple(
-                _search_image(projection.element_id, pane, labels, order) for pane in panes
+            proposal = replace(
+                proposal,
+                query=_propagation(class_id, element, panes, labels, cameras),
             )
-            proposal = replace(proposal, query=PropagationQuery(class_id, element.position, images))
         proposals.append(proposal)
     return proposals
 
 
-def _search_image(
-    element_id: str, there: Pane, labels: Labels, order: Mapping[int, int]
-) -> SearchImage:
-    """Pair an image with the labelled image nearest in time, of the same camera if possible."""
-    rows = [row for row in labels.of_element(element_id) if row.frame_index in order]
-    rank = order[there.frame_index]
-    nearest = min(
-        rows, key=lambda row: (abs(order[row.frame_index] - rank), row.side != there.side)
+def _propagation(
+    class_id: int, element: Expected, panes: Sequence[Pane], labels: Labels, cameras: Cameras
+) -> PropagationQuery:
+    """Search ``panes`` of one time for an element, by its labels in other images."""
+    assert element.position is not None
+    rows = [
+        row
+        for row in labels.of_element(element.projection.element_id)
+        if row.frame_index in cameras.rank
+    ]
+    there = [Pane(row.frame_index, row.side) for row in rows]
+    sizes = cameras.sizes_px(element.position, there)
+    moments = np.array([cameras.rank[pane.frame_index] for pane in there])
+    moments = np.abs(moments - cameras.rank[element.pane.frame_index])
+    followed = []
+    for pane in panes:
+        other_camera = np.array([source.side != pane.side for source in there])
+        now = float(cameras.sizes_px(element.position, [pane])[0])
+        followed.append(view_to_follow(sizes, moments, other_camera, now))
+    images = tuple(
+        SearchImage(pane, there[row], Mark.of(rows[row]))
+        for pane, row in zip(panes, followed, strict=True)
     )
-    return SearchImage(there, Pane(nearest.frame_index, nearest.side), Mark.of(nearest))
+    beside = tuple(
+        LabelledImage(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
+    )
+    now = float(cameras.sizes_px(element.position, panes).max())
+    return PropagationQuery(class_id, element.position, images, beside, growth(sizes, now))
 
 
 def inside(mark: Mark, camera: Camera) -> Mark | None:

@@ -12,14 +12,15 @@ from pathlib import Path
 from aiohttp import web
 
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
+from semviz.annotator.pose_requests import PoseSteps
+from semviz.annotator.pose_work import PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.workspace import Workspace, login_name
 from semviz_annotation.assist.snap import warm_up
-from semviz_annotation.storage.background_check import Health
-from semviz_annotation.storage.label_file import LabelFileError
+from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
@@ -48,6 +49,10 @@ class Annotator:
         self._closing = threading.Event()
         self._sent_health: Health | None = None
         self.session.map_work.refresh()
+        self.pose_work = PoseWork(workspace, lambda: self.session.labels)
+        self.pose_steps = PoseSteps()
+        self._sent_poses = self.pose_work.version
+        self.pose_work.look_up()
         self._poller = threading.Thread(target=self._poll, name="semviz-updates", daemon=True)
         self._poller.start()
         self._analyzer = threading.Thread(target=self._analyze, name="semviz-analysis", daemon=True)
@@ -72,9 +77,24 @@ class Annotator:
         self._closing.set()
         self._poller.join()
         self._analyzer.join()
-        for pool in (self.scene_thread, self.search_thread):
-            pool.shutdown(wait=True, cancel_futures=True)
+        self.pose_work.close()
+        self.scene_thread.shutdown(wait=True, cancel_futures=True)
+        self.search_thread.shutdown(wait=True)  # its last task may be to close a session
         self.session.close()
+
+    def use_chosen_poses(self) -> None:
+        """Open the session again with the poses that are chosen now, and tell all pages.
+
+        Raise SemvizError, and keep the session, if the choices cannot be used.
+        """
+        with self.lock:
+            old = self.session
+            self.session = LabelSession(Workspace.open(old.workspace.path), old.author)
+            self.session.map_work.refresh()
+            for page in self.pages:
+                page.restart()
+        self.search_thread.submit(old.close)  # after the searches that use it
+        self.pose_work.look_up()
 
     def routes(self) -> list[web.AbstractRouteDef]:
         return [
@@ -93,8 +113,10 @@ class Annotator:
     def _poll(self) -> None:
         """Send changes of other processes to the open pages."""
         while not self._closing.wait(POLL_EVERY_S):
-            self.session.map_work.refresh()
+            with self.lock:
+                self.session.map_work.refresh()
             self._send_health()
+            self._follow_poses()
             with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
                 self._send_updates()
 
@@ -104,6 +126,16 @@ class Annotator:
             self._sent_health = health
             for page in self.pages:
                 page.send_health(health)
+
+    def _follow_poses(self) -> None:
+        """Use choices that another process made, and send how far the comparison is."""
+        with contextlib.suppress(SemvizError):  # the file is damaged: the session stays
+            if self.session.workspace.pose_choices() != self.session.choices:
+                self.use_chosen_poses()
+        if self.pose_work.version != self._sent_poses:
+            self._sent_poses = self.pose_work.version
+            for page in self.pages:
+                page.send_poses()
 
     def _analyze(self) -> None:
         """Analyze all frames, a few at a time, because edits come first."""

@@ -26,11 +26,11 @@ from semviz.annotator.hidden_ends import HiddenEnds
 from semviz.annotator.history import HistoryView, UpdateFeed
 from semviz.annotator.image_worker import Images, ImageWorker
 from semviz.annotator.map_review import MapWork, ReviewEntry, Reviews
-from semviz.annotator.panes import Cameras, Panes
+from semviz.annotator.panes import Cameras, Panes, SecondImage
 from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
-from semviz.annotator.scene_elements import SceneElements
+from semviz.annotator.scene_view import SceneElements
 from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import ImageSize, RefusedError
@@ -41,11 +41,12 @@ from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.proposals import load_proposals
 from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
-from semviz_annotation.storage.background_check import Health
+from semviz_annotation.storage.label_file import Health
 from semviz_annotation.storage.store import EditBase, Operation
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Frame, Side
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import camera_names, cameras_by_frame
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,8 @@ class LabelSession:
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
+        self.choices = workspace.pose_choices()
+        """What people chose for wrong poses when the session was opened."""
         self._store = workspace.open_labels()
         self._triangle_center = self._store.labels.triangle_center
         proposals = load_proposals(workspace.proposals_path, self.classes)
@@ -86,7 +89,7 @@ class LabelSession:
         """Triangular signs whose middle is of the other definition, and whose height is unknown."""
         self._store.check_in_background()
         self.images = Images(self.source)
-        cameras = Cameras(self.rig, self.source.frames)
+        cameras = Cameras(self.rig, self.source.frames, cameras_by_frame(self.source))
         self._panes = Panes(cameras)
         self._positions = ElementPositions(cameras)
         self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
@@ -144,6 +147,7 @@ class LabelSession:
                 for side, camera in cameras.items()
             },
             has_right=self.rig.right is not None,
+            cameras=list(camera_names(self.source)),
         )
 
     def summary(self) -> LabelsView:
@@ -178,9 +182,10 @@ class LabelSession:
         frames, done = self._quality.update(labels, seconds)
         return self._summaries(labels, frames), done
 
-    def frame(self, index: int) -> draft.LabelledFrameView:
+    def frame(self, index: int, second: SecondImage | None = None) -> draft.LabelledFrameView:
         """Return the labels and proposals of a frame, and the elements that may continue in it."""
         self._check_frame(index)
+        self._panes.show(index, self._panes.chosen(index, second))
         labels, end = self._store.labels_and_end
         panes = self._panes.of(index)
         proposals = self._hidden_ends.with_hidden_ends(
@@ -191,7 +196,8 @@ class LabelSession:
             index=index,
             operation=end.number,
             hash=end.hash,
-            panes=views.pane_views(panes),
+            panes=views.pane_views(self._panes, index),
+            at_that_time=self._panes.at_that_time(index),
             elements=views.element_views(labels, panes, self.classes),
             proposals=proposal_views(proposals, panes, labels, self.rig, self.classes),
             nearby=views.nearby_views(nearby, labels, self.classes),
@@ -204,8 +210,9 @@ class LabelSession:
             request.list_name, request.key, request.place, request.by, self.labels
         )
 
-    def pending_queries(self, index: int) -> list[ImageQuery]:
+    def pending_queries(self, index: int, second: SecondImage | None = None) -> list[ImageQuery]:
         """Return the queries for ``image_worker`` that complete the proposals of a frame."""
+        self._panes.show(index, self._panes.chosen(index, second))
         return self._selection.pending_queries(index, self.labels)
 
     def position(self, element_id: str) -> Triangulated | None:
@@ -309,6 +316,7 @@ class LabelSession:
         ``selected``, to an element expected there, or to a new ``element_id``.
         """
         self._check_frame(mark.frame_index)
+        self._panes.show(mark.frame_index, mark.second)
         pane = self._panes.pane(mark.frame_index, mark.side)
         addition = edits.AddObservation(
             observation_id=mark.observation_id,
@@ -355,6 +363,7 @@ class LabelSession:
     def preview(self, state: draft.DraftState) -> draft.DraftPreview:
         """Return guides in both images, the element that a drawing joins, and its card."""
         self._check_frame(state.frame_index)
+        self._panes.show(state.frame_index, state.second)
         labels = self.labels
         association, snapped, below = DraftAssociation(state.selected_id), None, None
         selected = SelectedElement.of(state.selected_id, state.is_chosen)
@@ -386,12 +395,22 @@ class LabelSession:
     ) -> draft.ElementDraft:
         """Snap a drawing to clear edges, and mark its bottom as hidden if the ground is clearly
         below; each only if the drawing asks for it."""
-        moved = self._on_edges(drawing, frame_index) if drawing.snap else drawing
+        moved = drawing
+        if drawing.whole:
+            moved = self._whole(drawing, frame_index)
+        elif drawing.snap:
+            moved = self._on_edges(drawing, frame_index)
         if not (moved.asks_bottom and moved.end_known and moved.end_px and moved.has_shape):
             return moved
         selected_id = None if selected is None else selected.id
         hidden = self._hidden_ends.is_hidden(moved, frame_index, selected_id, self.labels)
         return replace(moved, end_known=False) if hidden else moved
+
+    def _whole(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
+        """Return the whole pole under a drawing that is a point; the drawing if none is clear."""
+        pane = self._panes.pane(frame_index, drawing.side)
+        mark = self.image_worker.whole_pole(pane, drawing.anchor_px, drawing.class_id)
+        return drawing if mark is None else drawing.moved_to(mark)
 
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
@@ -430,7 +449,8 @@ class LabelSession:
             hash=self._feed.end.hash,
             counts=views.class_counts(labels),
             mapped=len(self.scene.elements()),
-            can_undo=self._store.undoable(self.author) is not None,
+            can_undo=self._store.undoable(self.author) is not None
+            or self.history.undoes_poses(self.choices, self.author),
             can_redo=self._store.redoable(self.author) is not None,
             history=history,
             map=self._reviews.summary(labels),

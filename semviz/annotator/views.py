@@ -7,7 +7,7 @@ from semviz.annotator.association import NearbyElement
 from semviz.annotator.detector_proposals import Disagreement
 from semviz.annotator.frame_quality import FrameFacts
 from semviz.annotator.map_review import MapSummary
-from semviz.annotator.panes import Pane
+from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
 from semviz_annotation.labels.labels import (
     Dismissal,
@@ -96,6 +96,8 @@ class PaneView(Part):
 
     frame: int
     side: Side
+    camera: str = ""
+    """Of a rig."""
 
 
 class WorstLabel(Part):
@@ -161,6 +163,8 @@ class WorkspaceView(Part):
     """What the point of a triangular sign is."""
     images: dict[Side, ImageSize]
     has_right: bool
+    cameras: list[str]
+    """Of a rig."""
 
 
 def label_element_name(element: LabelElement, classes: ClassSet) -> str:
@@ -174,9 +178,14 @@ def element_ref(element: LabelElement, classes: ClassSet) -> ElementRef:
     return ElementRef(id=element.id, name=name, class_id=element.class_id)
 
 
-def pane_views(panes: Mapping[Side, Pane]) -> dict[Side, PaneView]:
+def pane_views(panes: Panes, frame_index: int) -> dict[Side, PaneView]:
     """Return the images on the page."""
-    return {side: PaneView(frame=pane.frame_index, side=pane.side) for side, pane in panes.items()}
+    return {
+        side: PaneView(
+            frame=pane.frame_index, side=pane.side, camera=panes.camera(pane.frame_index)
+        )
+        for side, pane in panes.of(frame_index).items()
+    }
 
 
 def element_views(

@@ -11,7 +11,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz_annotation.mapping.backdrop.backdrop import Backdrop
+    from semviz_annotation.mapping.backdrop import Backdrop
 
 CloudFormat: TypeAlias = Annotated[
     Literal["ply", "pcd"] | None, arg(metavar="{ply,pcd}", help_behavior_hint="")
@@ -43,10 +43,10 @@ class MapBackdropCommand:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.terminal import Steps
         from semviz.workspace.backdrop import backdrop_path, ensure_backdrop
         from semviz.workspace.localize import select_frames
-        from semviz_annotation.mapping.backdrop.depth_fusion import FusionOptions
+        from semviz_annotation.mapping.depth_fusion import FusionOptions
 
         options = FusionOptions(self.max_depth_m, self.voxel_m, self.max_points)
         self._check_export()
@@ -63,7 +63,7 @@ class MapBackdropCommand:
     def _check_export(self) -> None:
         """Before minutes of work: SemvizError for an export that would be refused."""
         from semviz.workspace.outputs import check_outputs, never
-        from semviz_annotation.map_formats.point_cloud import cloud_format
+        from semviz_annotation.map_formats.mesh import cloud_format
 
         if self.export is None:
             if self.format is not None:
@@ -75,7 +75,7 @@ class MapBackdropCommand:
             raise SemvizError(f"{self.export}: is there already; --force replaces it")
 
     def _export(self, backdrop: "Backdrop", path: Path) -> None:
-        from semviz_annotation.map_formats.point_cloud import cloud_format, export_backdrop
+        from semviz_annotation.map_formats.mesh import cloud_format, export_backdrop
 
         export_backdrop(backdrop, path, cloud_format(path, self.format))
 

@@ -22,7 +22,7 @@ from semviz_core.common.errors import SemvizError, require_extra
 if TYPE_CHECKING:
     from semviz.research.detector_data import LabelledSide
     from semviz.research.detector_evaluation import EvaluationImage
-    from semviz.research.forgetting import ForgettingCheck
+    from semviz.research.training_run import ForgettingCheck
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.labels.proposals import Proposals
     from semviz_core.base.frame import Side
@@ -57,7 +57,7 @@ class DetectCommand:
     """Minimum score; default: the model's own threshold."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import announce_compiling
+        from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.detect import DetectOptions, detect_images, images_of
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_core.detection.detector import load_detector
@@ -88,7 +88,7 @@ class DetectCommand:
 def measurement(measuring: Literal["edges", "paper"]) -> "MeasureRegion":
     """Return the function that ``--measuring`` names."""
     if measuring == "paper":
-        from semviz_core.research.paper.measurement import measure_as_in_paper
+        from semviz_core.research.paper.method import measure_as_in_paper
 
         return measure_as_in_paper
     from semviz_core.detection.detector import by_edges
@@ -293,7 +293,7 @@ class DetectTrainCommand:
 
     def _check_of(self, start: Path, sources: "dict[str, LabelledImages]") -> "ForgettingCheck":
         """Return the check for what the initial weights found; streets are always part of it."""
-        from semviz.research.forgetting import REPLAYED, ForgettingCheck
+        from semviz.research.training_run import REPLAYED, ForgettingCheck
 
         streets = sources.get(REPLAYED) or self._render(0)
         check = ForgettingCheck(self.out, start, {**sources, REPLAYED: streets}, self.allow_loss)
@@ -311,7 +311,7 @@ class DetectTrainCommand:
 
     def _sources(self) -> "dict[str, LabelledImages]":
         """Return labelled images, rendered streets, or both; render streets that are missing."""
-        from semviz.research.forgetting import REPLAYED
+        from semviz.research.training_run import REPLAYED
 
         sources: dict[str, LabelledImages] = {}
         if self.workspaces:
@@ -354,8 +354,7 @@ class DetectTrainCommand:
 
     def _data_sets(self) -> "dict[str, PreparedImages[Any]]":
         """Return data sets by name, their elements measured."""
-        from semviz_core.research.training.box_images import BoxImages
-        from semviz_core.research.training.segmentation_images import SegmentationImages
+        from semviz_core.research.training.annotated_images import BoxImages, SegmentationImages
 
         prepared = self.out / PREPARED
         data_sets: dict[str, PreparedImages[Any]] = {
@@ -368,7 +367,7 @@ class DetectTrainCommand:
 
     def _make(self, make: Callable[[int], None], numbers: Sequence[int], doing: str) -> None:
         """Call ``make`` with each number, in processes of its own."""
-        from semviz.presentation.progress import track
+        from semviz.presentation.terminal import track
 
         if not numbers:
             return

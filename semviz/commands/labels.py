@@ -57,7 +57,7 @@ class LabelsExportCommand:
 
     def run(self) -> int:
         from semviz_annotation.label_formats.exchange import export_labels
-        from semviz_annotation.label_formats.table import original_pixels
+        from semviz_annotation.label_formats.writing import original_pixels
 
         workspace = parsing.open_workspace(self.workspace)
         format_ = self.format or _BY_ENDING.get(self.file.suffix.lower())

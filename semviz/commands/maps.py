@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from tyro.conf import Positional, UseAppendAction, arg
 
 from semviz.commands import parsing
-from semviz.commands.poses import print_known_pose_faults
+from semviz.commands.poses import known_pose_review
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -67,9 +67,11 @@ class MapBuildCommand:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import Steps, announce_compiling
+        from semviz.presentation.terminal import Steps, announce_compiling
+        from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz.workspace.pose_review import with_used_poses
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
 
@@ -95,11 +97,17 @@ class MapBuildCommand:
                 detections=detections,
                 tracking=tracking or DEFAULT_TRACKING,
             )
+        built = with_used_poses(built, workspace)
         save_map(built, path)
-        print_known_pose_faults(workspace)
+        poses = known_pose_review(workspace)
+        if poses is not None:
+            report = replace(report, in_wrong_poses=poses.wrong_observations)
         if self.json:
-            print(json.dumps({"map": str(path), **report.as_dict()}))
+            said = {} if poses is None else {"poses": review_as_dict(poses)}
+            print(json.dumps({"map": str(path), **report.as_dict(), **said}))
         else:
+            for line in [] if poses is None else review_lines(poses):
+                print(line)
             print(report)
             print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
         return 0
@@ -172,25 +180,33 @@ class MapCheckCommand:
     def run(self) -> int:
         import sys
 
+        from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_labels_of
+        from semviz.workspace.pose_review import pose_change
         from semviz_annotation.mapping.quality.check import Gate, check_map
 
         workspace = parsing.open_workspace(self.workspace)
         semantic_map = workspace.read_map(self.map)
-        check = check_map(
-            semantic_map,
-            read_labels_of(workspace, semantic_map),
-            workspace.source,
-            parsing.parse_frames(self.frames),
-        )
-        print(json.dumps(check.as_dict()) if self.json else check.as_text())
+        poses = known_pose_review(workspace)
+        labels, sigma_ratio = read_labels_of(workspace, semantic_map)
+        frames = parsing.parse_frames(self.frames)
+        wrong_poses = () if poses is None else poses.wrong_frames
+        check = check_map(semantic_map, labels, workspace.source, frames, sigma_ratio, wrong_poses)
+        if self.json:
+            said = {} if poses is None else {"poses": review_as_dict(poses)}
+            print(json.dumps(check.as_dict() | said))
+        else:
+            for line in [] if poses is None else review_lines(poses):
+                print(line)
+            print(check.as_text())
         if check.is_old:
             print(
                 f"the map is older than its labels (operation {check.semantic_map.operation}, "
                 f"labels {check.labels_operation}): rebuild it",
                 file=sys.stderr,
             )
-        print_known_pose_faults(workspace)
+        if change := pose_change(semantic_map, workspace):
+            print(f"the map was built with other poses ({change}): rebuild it", file=sys.stderr)
         if not self.gate:
             return 0
         failures = Gate(self.max_rmse_px, self.max_angle_deg).failures(check.accuracy)
@@ -317,8 +333,8 @@ class MapImportCommand:
     def run(self) -> int:
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_annotation.label_formats.reading import parse_class_map
+        from semviz_annotation.map_formats.conversion import MapImportContext
         from semviz_annotation.map_formats.exchange import import_map
-        from semviz_annotation.map_formats.reading import MapImportContext
         from semviz_core.base.map_file import save_map
 
         anchor = parsing.parse_anchor(self.anchor, self.anchor_heading)
@@ -358,7 +374,7 @@ class MapLocalizabilityCommand:
     """Print one JSON object with every position instead of a table."""
 
     def run(self) -> int:
-        from semviz.presentation.progress import announce_compiling, track
+        from semviz.presentation.terminal import announce_compiling, track
         from semviz.workspace import localizability, localize, outputs
         from semviz_core.localizability.predict import predict
 

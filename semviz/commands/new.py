@@ -2,7 +2,7 @@
 
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from semviz.workspace.workspace import Workspace
-    from semviz_core.datasets.own_drive.drive_files import DriveFiles
+    from semviz_core.datasets.own_drive.recording import DriveFiles
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,10 @@ class NewCommand:
     """Sequence of the KITTI dataset, default 02; scene or sequence of a recording of several."""
     cameras: parsing.OptionalText = None
     """Left and right camera, or one camera. KITTI's 2,3 is the colour pair (default), 0,1 the grey
-    pair; a recording's are its own names, for example topics of a bag, or CAM_FRONT."""
+    pair; a recording's are its own names, for example topics of a bag, or CAM_FRONT. Three or more
+    are a rig; of plain images, the names of folders in --images."""
+    rig: bool = False
+    """Take two --cameras as a rig, each on its own, and not as a stereo pair."""
     simulate: parsing.OptionalInt = None
     """Seed of a simulated street."""
     frames: parsing.OptionalText = None
@@ -153,8 +156,14 @@ class NewCommand:
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
         """Return the new workspace and the number of warnings; a bag's images go through
         ``extracted``."""
-        from semviz.commands.own_drive import check_against_images, print_topic, write_refined
-        from semviz.presentation.progress import Steps
+        from semviz.commands.own_drive import (
+            check_against_images,
+            print_topic,
+            print_warning,
+            write_refined,
+        )
+        from semviz.presentation.terminal import Steps
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -164,33 +173,45 @@ class NewCommand:
             drive = read_drive(files)
         for topic, text in drive.statements:
             print_topic(topic, text)
-        drive, found = check_against_images(drive, self.refine_extrinsics)
-        warnings = [*drive.warnings, *found]
-        if where := unusual_motion(drive.frames):
-            warnings.append(
+        drive, checks = check_against_images(drive, self.refine_extrinsics)
+        others = list(drive.warnings)
+        if where := unusual_motion(drive.first_frames):
+            others.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
             )
-        for warning in warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        if warnings and self.strict:
-            raise SemvizError(
-                f"--strict: {len(warnings)} warning{'s' * (len(warnings) > 1)}; nothing was made"
-            )
+        failed = [check for check in checks if check.passed is False]
+        for text in others:
+            print_warning(text)
+        for check in failed:
+            print_warning(check.warning, self._again_with(check.option) if check.option else "")
+        count = len(others) + len(failed)
+        if count and self.strict:
+            raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")
         workspace = Workspace.create_images(self.folder, drive, self.trust_poses, extracted)
+        stored = DriveChecks(checks=tuple(checks), warnings=tuple(others))
+        save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)
-        return workspace, len(warnings)
+        return workspace, count
+
+    def _again_with(self, option: str) -> str:
+        """Return this command with another option, for another folder: this one will exist."""
+        again = replace(self, folder=self.folder.with_name(f"{self.folder.name}-2"))
+        return f"semviz new {parsing.command_text(again)} {option}"
 
     def _files(
         self, images: Path, extracted: Path, show: "Callable[[str, int, int], None]"
     ) -> "DriveFiles":
-        from semviz_core.datasets.own_drive.drive_files import DriveFiles
+        from semviz_core.datasets.own_drive.recording import DriveFiles
 
+        cameras = tuple(self.cameras.split(",")) if self.cameras else ()
+        is_rig = self.rig or len(cameras) > 2
         return DriveFiles(
             images=images,
             right=self.right,
-            cameras=tuple(self.cameras.split(",")) if self.cameras else (),
+            cameras=() if is_rig else cameras,
+            rig=cameras if is_rig else (),
             sequence=self.sequence,
             extracted=extracted,
             calibration=self.calibration,
@@ -215,24 +236,29 @@ class NewCommand:
     def _print_summary(self, workspace: "Workspace", warnings: int) -> None:
         import numpy as np
 
-        frames = workspace.source.frames
+        from semviz_core.datasets.rig_cameras import camera_names, frames_of_camera
+
+        source = workspace.source
+        frames, cameras = frames_of_camera(source, None), camera_names(source)
         t = [frame.T_map_camera.translation for frame in frames if frame.T_map_camera is not None]
         length_m = float(np.linalg.norm(np.diff(t, axis=0), axis=1).sum()) if len(t) > 1 else 0.0
         length = f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
-        count = 1 if workspace.source.rig.right is None else 2
+        count = len(cameras) or (1 if source.rig.right is None else 2)
+        each = " each" if cameras else ""
         print(
-            f"{workspace.path}: {len(frames)} frames, {len(t)} with a pose, {length}, "
+            f"{workspace.path}: {len(frames)} frames{each}, {len(t)} with a pose, {length}, "
             f"{count} camera{'s' * (count > 1)}, {warnings} warning{'s' * (warnings != 1)}"
         )
 
     def _warn_of_poses(self, workspace: "Workspace") -> None:
         """Print a line for each fault of the poses; with images only if asked."""
-        from semviz.presentation.progress import Steps
+        from semviz.presentation.terminal import Steps
         from semviz.reports.pose_check import warning_lines
         from semviz.workspace.pose_check import check_poses
+        from semviz_core.datasets.rig_cameras import frames_of_camera
         from semviz_core.pose_checks.faults import suspicions
 
-        frames = workspace.source.frames
+        frames = frames_of_camera(workspace.source, None)
         if self.check_poses:
             with Steps() as steps:
                 check = check_poses(workspace, frames, steps.show)

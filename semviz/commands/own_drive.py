@@ -3,26 +3,32 @@
 What is found is printed below what was read: a topic and a text a line.
 """
 
+import os
+import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
-from semviz.presentation.progress import track
-from semviz.workspace.drive_file import LEFT_OUT, DriveFile, calibration_toml
+from semviz.presentation.terminal import track
+from semviz.workspace.drive_checks import DriveCheck, check_drive_files
+from semviz.workspace.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
 from semviz.workspace.workspace import Workspace
-from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.frame import Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive import extrinsic_refinement, match_checks
+from semviz_core.datasets.own_drive import match_checks
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 ROW_PICTURE = Path("checks", "rows.png")
 REFINED = "calibration-refined.toml"
 _TOPIC_WIDTH = 13
+_YELLOW, _BLUE, _DIM = "33", "34", "2"
 
 
 def print_topic(topic: str, text: str) -> None:
@@ -30,37 +36,85 @@ def print_topic(topic: str, text: str) -> None:
     print(f"  {topic:<{_TOPIC_WIDTH}}{text}")
 
 
-def check_against_images(drive: RecordedDrive, refine: bool) -> tuple[RecordedDrive, list[str]]:
-    """Compare calibration and poses with the images, print figures and return warnings.
+def check_against_images(
+    drive: RecordedDrive, refine: bool
+) -> tuple[RecordedDrive, list[DriveCheck]]:
+    """Compare calibration and poses with the images, and print the checks.
 
     With ``refine``, the drive that is returned has the refined pose of the right camera.
     """
     with tempfile.TemporaryDirectory() as cache:
         if refine:
             drive = _refined(drive, Path(cache) / "calibrated")
-        dataset = _dataset(drive, Path(cache) / "used")
-        warnings = [] if drive.right_folder is None else _row_warnings(dataset)
-        return drive, warnings if drive.axes is None else warnings + _pose_warnings(dataset, drive)
+        checks = list(check_drive_files(_dataset(drive, Path(cache) / "used"), drive))
+    if checks:
+        _print_checks(checks)
+    return drive, checks
+
+
+def _print_checks(checks: Sequence[DriveCheck]) -> None:
+    """Print a line for each check, in colour on a terminal."""
+    signs = ("\u25cf", "\u25c6", "\u25cb")
+    if not _can_print("".join(signs), sys.stdout):
+        signs = ("+", "!", "-")
+    named, measured, valued, limited = (
+        max(len(getattr(check, field)) for check in checks)
+        for field in ("name", "measured", "value", "limit")
+    )
+    width = named + measured + 6
+    print(f"  {'checks':<{width}}{'is':>{valued}}  {'limit':>{limited}}")
+    for check in checks:
+        sign = signs[2 if check.passed is None else 0 if check.passed else 1]
+        color = _YELLOW if check.passed is False else _BLUE
+        print(
+            f"  {_colored(sign, color, sys.stdout)} {check.name:<{named}}  "
+            f"{check.measured:<{measured}}  {check.value:>{valued}}  {check.limit:>{limited}}"
+        )
+
+
+def print_warning(text: str, remedy: str = "") -> None:
+    """Print a warning, and the command that mends it: one line, or two on a terminal."""
+    if not sys.stderr.isatty():
+        more = f"; remedy: {remedy}" if remedy else ""
+        print(f"warning: {text}{more}", file=sys.stderr)
+        return
+    sign = "\u25c6" if _can_print("\u25c6", sys.stderr) else "warning:"
+    print(f"{_colored(sign, _YELLOW, sys.stderr)} {text}", file=sys.stderr)
+    if remedy:
+        print(f"  {_colored('remedy:', _DIM, sys.stderr)}  {remedy}", file=sys.stderr)
+
+
+def _colored(text: str, color: str, stream: TextIO) -> str:
+    shows = stream.isatty() and "NO_COLOR" not in os.environ
+    return f"\x1b[{color}m{text}\x1b[0m" if shows else text
+
+
+def _can_print(text: str, stream: TextIO) -> bool:
+    try:
+        text.encode(stream.encoding or "ascii")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _dataset(drive: RecordedDrive, cache: Path) -> ImageFolder:
     content = DriveFile.of(drive, "drive")
-    return content.dataset(drive.left_folder, drive.right_folder, cache)
+    return content.dataset(ImageFolders.of_drive(drive), cache)
 
 
 def _refined(drive: RecordedDrive, cache: Path) -> RecordedDrive:
     if drive.original.T_right_left is None:
         raise SemvizError("--refine-extrinsics needs a right camera: give --right")
-    found = extrinsic_refinement.refine_extrinsics(_dataset(drive, cache), drive)
+    found = match_checks.refine_extrinsics(_dataset(drive, cache), drive)
     said = _refinement_said(found, drive)
     for topic, text in said:
         print_topic(topic, text)
-    changed = extrinsic_refinement.with_extrinsics(drive, found.T_right_left)
+    changed = match_checks.with_extrinsics(drive, found.T_right_left)
     return replace(changed, statements=(*changed.statements, *said))
 
 
 def _refinement_said(
-    found: extrinsic_refinement.RefinedExtrinsics, drive: RecordedDrive
+    found: match_checks.RefinedExtrinsics, drive: RecordedDrive
 ) -> tuple[tuple[str, str], tuple[str, str]]:
     assert drive.original.T_right_left is not None
     R, before = found.T_right_left.rotation, drive.original.T_right_left.rotation
@@ -118,34 +172,3 @@ def rectify_all(workspace: Workspace) -> None:
     images = [(frame.index, side) for frame in source.frames for side in sides]
     for index, side in track(images, "rectifying", len(images)):
         source.image_path(index, side)
-
-
-def _row_warnings(dataset: Dataset) -> list[str]:
-    """Print how far rows of a stereo pair are apart; return a warning if they are."""
-    rows = match_checks.check_rows(dataset)
-    if rows.matches < match_checks.LEAST_ROW_MATCHES:
-        print_topic("rows", f"not checked: {rows.matches} matches")
-        return []
-    print_topic("rows", f"{rows.matches} matches, off their row by {rows.apart_px:.2f} px (median)")
-    if rows.agrees:
-        return []
-    return [
-        f"rows of both images are {rows.apart_px:.1f} px apart (right {rows.offset_px:+.1f} px "
-        "lower): the calibration is not that of these images, or the cameras have moved"
-    ]
-
-
-def _pose_warnings(dataset: Dataset, drive: RecordedDrive) -> list[str]:
-    """Print how many matches between images agree with the poses; return a warning if few do."""
-    assert drive.axes is not None
-    found = match_checks.check_poses(
-        dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified
-    )
-    if not found.is_known:
-        print_topic("motion", f"not checked: {found.matches} matches between images apart")
-        return []
-    print_topic("motion", f"{found.share:.0%} of {found.matches} matches agree with the poses")
-    if found.agrees:
-        return []
-    remedy = f"{found.remedy} fits" if found.remedy else "poses of another drive, or other axes"
-    return [f"only {found.share:.0%} of the matches between images agree with the poses: {remedy}"]

@@ -1,6 +1,8 @@
 """Types and parsers of options: workspaces, frame ranges, cameras, intervals, anchors."""
 
+import shlex
 import sys
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +13,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
-    from semviz_core.base.detector_calibration import DetectorCalibration
+    from semviz_core.base.detector_model import DetectorCalibration
 
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")]
@@ -97,6 +99,17 @@ def parse_interval(text: str, option: str) -> tuple[float, float]:
     return low, high
 
 
+def parse_pair(text: str, option: str, example: str, second: float) -> tuple[float, float]:
+    """Return both numbers of ``5.5:0.3``; the other is ``second`` if there is only one."""
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2) or not all(0.0 < number < 1e6 for number in numbers):
+        raise SemvizError(f"{option} {text}: write numbers above 0, for example {example}")
+    return numbers[0], (*numbers, second)[1]
+
+
 def parse_anchor(text: str | None, x_heading_deg: float | None) -> "Georeference | None":
     """Return the georeference of ``49.0,8.4,115``: WGS84 latitude, longitude, optional height (m).
 
@@ -119,3 +132,18 @@ def parse_anchor(text: str | None, x_heading_deg: float | None) -> "Georeference
     latitude, longitude, height = (*numbers, 0.0)[:3]
     heading = 90.0 if x_heading_deg is None else x_heading_deg
     return Georeference(latitude, longitude, height, heading)
+
+
+def command_text(command: object) -> str:
+    """Return the arguments that make a command, as a shell takes them; defaults are left out."""
+    assert is_dataclass(command)
+    words = []
+    for field in fields(command):
+        value = getattr(command, field.name)
+        if field.default is MISSING:
+            words.append(str(value))  # a positional argument
+        elif value is True:
+            words.append(f"--{field.name.replace('_', '-')}")
+        elif value != field.default:
+            words += [f"--{field.name.replace('_', '-')}", str(value)]
+    return shlex.join(words)

@@ -1,4 +1,4 @@
-"""The commands poses check and refine."""
+"""The commands poses check, refine and choose."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
+    from semviz.workspace.pose_choices import Choice, PoseOperation, Subject
+    from semviz.workspace.pose_review import PoseReview
     from semviz.workspace.workspace import Workspace
     from semviz_core.pose_checks.faults import PoseCheck
 
@@ -17,12 +20,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class PosesCheckCommand:
     """Check poses and stereo calibration against the images, and name what is wrong. Changes
-    nothing."""
+    nothing. Poses are checked as they are used, with the choices of 'poses choose'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: check only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are checked; default: the first."""
     plot: parsing.OptionalPath = None
     """Also write a plot over the frames to this PNG file."""
     gate: bool = False
@@ -32,11 +37,11 @@ class PosesCheckCommand:
     """Print one JSON object with every pair of frames instead of text."""
 
     def run(self) -> int:
-        from semviz.reports.pose_check import check_text, draw_check
+        from semviz.reports.pose_check import check_text, choice_lines, draw_check
         from semviz.workspace.pose_labels import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         workspace = parsing.open_workspace(self.workspace)
         labels, source = workspace.read_labels(), workspace.source
         evidence = [label_evidence(labels, source, check, fault) for fault in check.faults]
@@ -44,9 +49,12 @@ class PosesCheckCommand:
             result = check.as_dict()
             for fault, said in zip(result["faults"], evidence, strict=True):
                 fault["labels"] = None if said is None else asdict(said)
+            result["choices"] = [one.as_dict() for one in workspace.pose_choices().present]
             print(json.dumps(result))
         else:
             print(check_text(check, ["" if said is None else str(said) for said in evidence]))
+            for line in choice_lines(workspace):
+                print(line)
         if self.plot is not None:
             draw_check(check, self.plot)
         return 1 if self.gate and check.faults else 0
@@ -63,6 +71,8 @@ class PosesRefineCommand:
     """File to write."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: only these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera whose poses are refined; default: the first."""
     format: Literal["tum", "kitti"] = "tum"
     """tum: time and pose, z up; kitti: one pose per line, in KITTI's axes, all frames needed."""
     plot: parsing.OptionalPath = None
@@ -81,7 +91,7 @@ class PosesRefineCommand:
             self.out, outputs.never, force=self.force, reads=_files_read(self.workspace)
         )
         _check_plot(self.plot, self.workspace, self.force)
-        check = _checked(self.workspace, self.frames)
+        check = _checked(self.workspace, self.frames, self.camera)
         save_trajectory(refined_frames(check), self.out, self.format)
         if self.plot is not None:
             draw_check(check, self.plot)
@@ -95,25 +105,101 @@ class PosesRefineCommand:
         return 0
 
 
-def print_known_pose_faults(workspace: "Workspace") -> None:
-    """Print a warning for each fault of poses that an earlier check of all frames measured."""
-    import sys
+_STEPS: "dict[str, Literal[-1, 1]]" = {"undo": -1, "redo": 1}
 
-    from semviz.reports.pose_check import warning_lines
+
+@dataclass(frozen=True)
+class PosesChooseCommand:
+    """Choose what to do with wrong poses: everything after it (annotate, map build, localize) then
+    uses refined poses, or leaves those frames out. The drive's own file is never changed."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    choice: Positional[Literal["refine", "leave-out", "keep", "ask", "undo", "redo"]]
+    """refine: use poses refined by the images; leave-out: use no pose; keep: use the given poses,
+    and do not warn again; ask: as if nothing was chosen; undo, redo: step through the choices."""
+    frames: parsing.OptionalText = None
+    """FIRST:END: choose for these frames; default: for every fault that is still open (ask: for
+    every choice)."""
+    author: parsing.OptionalText = None
+    """Name in the record; default: your login name."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        from semviz.reports.pose_check import choice_text
+        from semviz.workspace.pose_review import step_choices
+
+        workspace = parsing.open_workspace(self.workspace)
+        if self.choice in _STEPS:
+            if self.frames is not None:
+                raise SemvizError(f"--frames is not for {self.choice}; leave it out")
+            made = [step_choices(workspace, _STEPS[self.choice])]
+        else:
+            made = self._choose(workspace)
+        if self.json:
+            choices = [one.as_dict() for one in made]
+            print(json.dumps({"choice": self.choice, "operations": choices}))
+        elif not made:
+            print("no fault is open: there is nothing to choose")
+        for one in () if self.json else made:
+            word = f"{self.choice}: " if self.choice in _STEPS else ""
+            print(f"{word}{choice_text(one)}")
+        return 0
+
+    def _choose(self, workspace: "Workspace") -> "list[PoseOperation]":
+        from semviz.presentation.terminal import Steps
+        from semviz.workspace.pose_check import check_poses
+        from semviz.workspace.pose_review import PoseReview, choose_poses
+        from semviz.workspace.workspace import login_name
+        from semviz_core.datasets.rig_cameras import frames_of_camera
+
+        choice: Choice = "leave out" if self.choice == "leave-out" else self.choice  # type: ignore[assignment]
+        author = self.author or login_name()
+        with Steps() as steps:
+            frames = frames_of_camera(workspace.given_source, None)
+            check = check_poses(workspace, frames, steps.show)
+        made: list[PoseOperation] = []
+        while True:
+            review = PoseReview.of(workspace, check, workspace.read_labels())
+            wanted = self._stretches(review) if not made or self.frames is None else []
+            if not wanted:
+                return made
+            made.append(choose_poses(review, choice, wanted[0], author))
+
+    def _stretches(self, review: "PoseReview") -> "list[tuple[int, int, Subject]]":
+        """Return the stretches to choose for, with what the choice is about."""
+        frames = parsing.parse_frames(self.frames)
+        if frames is not None and frames.step != 1:
+            raise SemvizError(f"--frames {self.frames}: a stretch has no steps; write FIRST:END")
+        if frames is not None:
+            return [(frames.start, frames.stop - 1, "frames")]
+        wanted = review.open
+        if self.choice == "ask":
+            wanted = tuple(one for one in review.stretches if review.choice_for(one) is not None)
+        elif self.choice == "refine":
+            wanted = tuple(one for one in wanted if one.can_refine)
+        elif self.choice == "leave-out":
+            wanted = tuple(one for one in wanted if one.subject == "frames")
+        return [(one.fault.first, one.fault.last, one.subject) for one in wanted]
+
+
+def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
+    """Return the faults of poses that an earlier check of all frames measured; None without one."""
     from semviz.workspace.pose_check import known_check
+    from semviz.workspace.pose_review import PoseReview
 
     check = known_check(workspace)
-    for line in [] if check is None else warning_lines(check, workspace.path):
-        print(line, file=sys.stderr)
+    return None if check is None else PoseReview.of(workspace, check, workspace.read_labels())
 
 
-def _checked(path: Path, frames: str | None) -> "PoseCheck":
-    from semviz.presentation.progress import Steps
+def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
+    from semviz.presentation.terminal import Steps
     from semviz.workspace.localize import select_frames
     from semviz.workspace.pose_check import check_poses
 
     workspace = parsing.open_workspace(path)
-    chosen = select_frames(workspace.source, parsing.parse_frames(frames))
+    chosen = select_frames(workspace.source, parsing.parse_frames(frames), camera)
     with Steps() as steps:
         return check_poses(workspace, chosen, steps.show)
 

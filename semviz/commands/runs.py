@@ -4,18 +4,19 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from semviz.commands import parsing
+from semviz.commands.measurements import MeasurementOptions
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Run
-    from semviz_annotation.map_formats.writing import ConversionTally
+    from semviz_annotation.map_formats.conversion import ConversionTally
     from semviz_core.base.frame import Frame
 
 
@@ -36,10 +37,12 @@ class LocalizeCommand:
     weights: parsing.OptionalPath = None
     """Weights of a learned method, written by 'semviz weights'; default: the shipped weights."""
     track: bool = False
-    """Track the camera with odometry (simulated, 1 %), also through frames with few elements.
-    --method applies while the pose is unknown."""
+    """Track the camera with odometry (simulated, 1 %, or from --odometry), also through frames with
+    few elements. --method applies while the pose is unknown."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP], END excluded; default: all frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera to localize; default: the first."""
     observations: Annotated[
         Literal["labels", "detected", "simulated"] | None,
         arg(metavar="labels|detected|simulated", help_behavior_hint=""),
@@ -54,7 +57,9 @@ class LocalizeCommand:
     prior_distance: str = "5:10"
     """LOW:HIGH: error of the simulated GPS fix, in metres."""
     heading_sigma_deg: parsing.OptionalFloat = None
-    """Standard deviation of a simulated compass; default: heading unknown."""
+    """Standard deviation of a simulated compass; default: heading unknown. With --priors, that of
+    headings without a column of it; default: 5."""
+    measurements: MeasurementOptions = field(default_factory=MeasurementOptions)
     crop_radius: parsing.OptionalFloat = None
     """Radius of the submap around the GPS fix, in metres; default: 50 for the simulated detector
     (range 40 m), 120 for labels and detections (unlimited range)."""
@@ -82,6 +87,10 @@ class LocalizeCommand:
         crop_radius = self.crop_radius
         if crop_radius is None:
             crop_radius = localize.CROP_RADIUS_M[observations]
+        given = self.measurements
+        given.check_used()
+        if given.odometry is not None and not self.track:
+            raise SemvizError("--odometry is for tracking; add --track")
         options = localize.LocalizeOptions(
             method=self.method,
             weights=None if self.weights is None else str(self.weights.resolve()),
@@ -91,18 +100,27 @@ class LocalizeCommand:
             least_score=least_score,
             prior_distance_m=parsing.parse_interval(self.prior_distance, "--prior-distance"),
             heading_sigma_deg=self.heading_sigma_deg,
+            priors=None if given.priors is None else str(given.priors),
+            odometry=None if given.odometry is None else str(given.odometry),
             crop_radius_m=crop_radius,
             seed=self.seed,
         )
         frames = parsing.parse_frames(self.frames)
         path = self.out or workspace.run_path(TRACK if self.track else self.method)
         outputs.check_outputs(
-            path, outputs.RUN, force=self.force, reads=[self.workspace], purpose="run"
+            path,
+            outputs.RUN,
+            force=self.force,
+            reads=[self.workspace, *given.reads],
+            purpose="run",
         )
+        measured = given.files(self.heading_sigma_deg).read(workspace, workspace.read_map(self.map))
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration
+            workspace, self.map, options, frames, calibration, measured, self.camera
         )
-        chosen = localize.select_frames(workspace.source, frames)
+        for note in measured.notes(localization.frames):
+            print(note, file=sys.stderr)
+        chosen = localize.select_frames(workspace.source, frames, self.camera)
         if left_out := len(chosen) - len(localization.frames):
             print(f"{left_out} frames without a pose are left out", file=sys.stderr)
         counts = localize.record(
@@ -219,7 +237,7 @@ class ReportCommand:
     force: parsing.Force = False
 
     def run(self) -> int:
-        from semviz.reports.run_data import load_reports
+        from semviz.reports.run_plots import load_reports
         from semviz.reports.run_report import as_latex, as_markdown, run_report_html
         from semviz.workspace.outputs import check_outputs, contains
         from semviz_core.common.files import replacing
@@ -294,7 +312,7 @@ class TrajectoryCommand:
 
     def run(self) -> int:
         from semviz.workspace import outputs
-        from semviz_annotation.map_formats.writing import ConversionTally, ExchangeReport
+        from semviz_annotation.map_formats.conversion import ConversionTally, ExchangeReport
         from semviz_core.datasets.trajectory import save_trajectory
 
         # Files of poses have no place for a mark, and a sequence's own may have any name.

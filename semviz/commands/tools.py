@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
@@ -39,7 +41,7 @@ class AnnotateCommand:
 
     def run(self) -> int:
         from semviz.annotator.server import Annotator
-        from semviz.presentation.progress import announce_compiling
+        from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
 
         announce_compiling("snapping to edges")
@@ -77,14 +79,34 @@ class ServeCommand:
         from contextlib import closing
 
         from semviz.inspector.server import Inspector
-        from semviz.presentation.progress import announce_compiling
+        from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
-        from semviz.workspace.workspace import find_runs
 
         announce_compiling()
         with closing(Inspector(find_runs(self.paths or (ensure_demo(),)))) as tool:
             _serve(tool, self)
         return 0
+
+
+def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """Return the runs in ``paths``: .rrd files, and all runs of workspaces, oldest first.
+
+    Raise SemvizError if a path is neither, or a workspace has no runs.
+    """
+    from semviz.runs.reader import check_run_file
+    from semviz.workspace.workspace import Workspace
+
+    runs: list[Path] = []
+    for path in paths:
+        if path.is_file() or path.suffix == ".rrd":
+            check_run_file(path)
+            runs.append(path)
+        else:
+            workspace = Workspace.open(path)
+            if not workspace.runs():
+                raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
+            runs += [workspace.run_path(name) for name in workspace.runs()]
+    return tuple(runs)
 
 
 def _serve(tool: "Tool", command: AnnotateCommand | ServeCommand) -> None:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.inspector import views_comparison
-from semviz.inspector.context import Background, Panel
+from semviz.inspector import views_run
+from semviz.inspector.context import Background, Panel, RunLibrary
 from semviz.inspector.image import right_view
 from semviz.inspector.messages import CheckGatesRequest, CompareRunsRequest
-from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.scene_cameras import BaseFrame, route
 from semviz.inspector.views import frame_view, run_head
 from semviz.runs.comparison import Comparison, compare_runs
@@ -64,14 +63,14 @@ class SideBySide:
             record.frame.index: position for position, record in enumerate(base.run.frames)
         }
 
-    def base_frame(self, index: int) -> views_comparison.BaseFrameEvent:
+    def base_frame(self, index: int) -> views_run.BaseFrameEvent:
         """Return frame number ``index`` of the base, with the submap in its right image."""
         position, run = self._positions.get(index), self.base.run
         if position is None:
-            return views_comparison.BaseFrameEvent(index=index, base=None)
+            return views_run.BaseFrameEvent(index=index, base=None)
         right = None if run.info.rig.right is None else right_view(run, position)
-        base = views_comparison.BaseFrameView(frame=frame_view(run, position), right=right)
-        return views_comparison.BaseFrameEvent(index=index, base=base)
+        base = views_run.BaseFrameView(frame=frame_view(run, position), right=right)
+        return views_run.BaseFrameEvent(index=index, base=base)
 
     def base_in_3d(self, index: int) -> BaseFrame | None:
         """Return frame number ``index`` of the base for the 3D pane; None if the base lacks it."""
@@ -95,12 +94,12 @@ class SideBySide:
         changed = elements[np.flatnonzero(np.isin(elements.id, ids))]
         return changed, shapes.facing(changed.anchor_m, route(self.base.run))
 
-    def view(self) -> views_comparison.ComparisonView:
+    def view(self) -> views_run.ComparisonView:
         """Return all that does not depend on the frame shown."""
         comparison, base, other = self.comparison, self.base, self.other
         maps, listed = comparison.maps, self.changes[:MAX_CHANGES]
         both_maps = base.run.semantic_map, other.run.semantic_map
-        return views_comparison.ComparisonView(
+        return views_run.ComparisonView(
             other=other.name,
             base=run_head(base.name, base.run),
             frames=self._frames(),
@@ -109,8 +108,7 @@ class SideBySide:
             metrics=_metrics(comparison),
             names=tuple(comparison.measured[1]),
             setups=tuple(
-                views_comparison.SetupRow(**setup._asdict())
-                for setup in setups(base.run, other.run)
+                views_run.SetupRow(**setup._asdict()) for setup in setups(base.run, other.run)
             ),
             notes=comparison.notes,
             same_map=maps is None,
@@ -121,7 +119,7 @@ class SideBySide:
             command=shlex.join(["semviz", "compare", str(base.path), str(other.path)]),
         )
 
-    def gate(self, text: str) -> views_comparison.GateView:
+    def gate(self, text: str) -> views_run.GateView:
         """Check a condition of ``--fail-if``: whether it fails, and its values, or an error."""
         text = " ".join(text.split())
         try:
@@ -132,16 +130,16 @@ class SideBySide:
             fails, values = condition.holds(*measured), condition.values_text(*measured)
         except SemvizError as error:
             reason = str(error).removeprefix(f"--fail-if '{text}': ")
-            return views_comparison.GateView(text=text, fails=None, values=reason)
-        return views_comparison.GateView(text=text, fails=fails, values=values)
+            return views_run.GateView(text=text, fails=None, values=reason)
+        return views_run.GateView(text=text, fails=fails, values=values)
 
-    def _frames(self) -> tuple[views_comparison.ComparedFrame, ...]:
+    def _frames(self) -> tuple[views_run.ComparedFrame, ...]:
         """Return the frames of both runs, with their positions in run B."""
         positions = {
             record.frame.index: position for position, record in enumerate(self.other.run.frames)
         }
         return tuple(
-            views_comparison.ComparedFrame(
+            views_run.ComparedFrame(
                 index=frame.index,
                 position=positions[frame.index],
                 change=frame.change,
@@ -152,9 +150,9 @@ class SideBySide:
         )
 
 
-def _answer(status: Status, errors: Errors | None) -> views_comparison.ComparedAnswer:
+def _answer(status: Status, errors: Errors | None) -> views_run.ComparedAnswer:
     error_m = None if errors is None else errors.distance_m
-    return views_comparison.ComparedAnswer(
+    return views_run.ComparedAnswer(
         status=status,
         error_m=error_m,
         error_deg=None if errors is None else errors.angle_deg,
@@ -162,16 +160,14 @@ def _answer(status: Status, errors: Errors | None) -> views_comparison.ComparedA
     )
 
 
-def _metrics(comparison: Comparison) -> tuple[views_comparison.MetricRow, ...]:
+def _metrics(comparison: Comparison) -> tuple[views_run.MetricRow, ...]:
     """Return the metrics as text. A change that rounding hides counts as none."""
     rows = []
     for name, label in LABELS.items():
         values = comparison.base[name], comparison.other[name]
         base, other = (_with_unit(name, value) for value in values)
         changed = "same" if base == other else trend(name, *values)
-        rows.append(
-            views_comparison.MetricRow(name=name, label=label, a=base, b=other, trend=changed)
-        )
+        rows.append(views_run.MetricRow(name=name, label=label, a=base, b=other, trend=changed))
     return tuple(rows)
 
 
@@ -185,8 +181,8 @@ def _with_unit(name: str, value: float | None) -> str:
     return f"{value:.1f} ms" if name.endswith("_ms") else f"{100.0 * value:.1f} %"
 
 
-def _change(change: MapChange) -> views_comparison.MapChangeView:
-    return views_comparison.MapChangeView(
+def _change(change: MapChange) -> views_run.MapChangeView:
+    return views_run.MapChangeView(
         kind=change.kind,
         names=change.other or change.base,
         was=change.base if change.other else (),
@@ -254,7 +250,7 @@ class ComparisonPanel(Panel):
         shown = self._current()
         if shown is not None:
             gates = tuple(shown.gate(text) for text in request.conditions)
-            self.context.send(views_comparison.GatesEvent(gates=gates))
+            self.context.send(views_run.GatesEvent(gates=gates))
 
     def _current(self) -> SideBySide | None:
         """Return the comparison of the runs shown; None until it is computed."""
@@ -287,7 +283,7 @@ class ComparisonPanel(Panel):
                 context.send_state()
                 context.send(ErrorEvent(code="invalid", text=comparing.progress))
                 return
-            context.send(views_comparison.ComparisonEvent(comparison=comparing.value.view()))
+            context.send(views_run.ComparisonEvent(comparison=comparing.value.view()))
             self._send_frame()
             self._draw()
 

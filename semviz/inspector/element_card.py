@@ -206,7 +206,7 @@ def _eye_m(record: FrameRecord) -> FloatArray:
     """Return (3,) the camera centre: of the estimate, else the true pose, else the prior."""
     estimate = record.localization.T_camera_map
     pose = record.frame.T_map_camera if estimate is None else estimate.inverse()
-    return record.localization.prior.position_m if pose is None else pose.translation
+    return record.localization.around_m if pose is None else pose.translation
 
 
 def _place(element: Elements3D, eye_m: FloatArray) -> tuple[views_frame.EndView, ...]:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from semviz.inspector import views, views_frame, views_run, what_if_options
 from semviz.inspector.state import ImageMode, MapColors, View
-from semviz.inspector.views_comparison import BaseFrameEvent, ComparisonEvent, GatesEvent
+from semviz.inspector.views_run import BaseFrameEvent, ComparisonEvent, GatesEvent
 from semviz.web.protocol import (
     BackdropEvent,
     ErrorEvent,

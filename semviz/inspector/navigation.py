@@ -1,4 +1,4 @@
-"""Open runs and frames, select, and change the viewpoint and the map's colours."""
+"""Open runs and frames, select, and change viewpoint, map colours and backdrop."""
 
 import threading
 from dataclasses import replace
@@ -7,11 +7,13 @@ import numpy as np
 
 from semviz.inspector import messages
 from semviz.inspector.context import Panel
+from semviz.inspector.element_card import workspaces_near
 from semviz.inspector.scene_map import ELLIPSOID_SCALE
 from semviz.inspector.state import State
 from semviz.inspector.views import MapColorsEvent, ViewpointEvent
-from semviz.web.protocol import SetThemeRequest, handles
+from semviz.web.protocol import BackdropEvent, SetBackdropRequest, SetThemeRequest, handles
 from semviz.web.viewpoint import Viewpoint
+from semviz.workspace.backdrop import FoundBackdrop, find_backdrop
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 
@@ -123,3 +125,28 @@ class ViewpointPanel(Panel):
 def _rounded(point_m: FloatArray) -> tuple[float, float, float]:
     x, y, z = point_m.tolist()
     return round(x, 3), round(y, 3), round(z, 3)
+
+
+class BackdropPanel(Panel):
+    """Finds the backdrop in the run's workspace, for each opened run and at each request."""
+
+    def on_run(self) -> None:
+        self._show()
+
+    @handles(SetBackdropRequest)
+    def _set_shown(self, request: SetBackdropRequest) -> None:
+        self.context.state = self.context.state.with_backdrop(request.shown)
+        self._show(request.id)
+        self.context.send_state()
+
+    def _show(self, reply_to: str | None = None) -> None:
+        found = self._found()
+        self.context.scene.show_backdrop(found.backdrop, self.context.state)
+        available = found.backdrop is not None
+        self.context.send(BackdropEvent(reply_to=reply_to, available=available, note=found.note))
+
+    def _found(self) -> FoundBackdrop:
+        run, path = self.context.run, self.context.library.path(self.context.state.run)
+        workspace = next(workspaces_near(run, path), None)
+        frames = (record.frame for record in run.frames)
+        return find_backdrop(workspace, run.semantic_map.frame, run.info.rig, frames)

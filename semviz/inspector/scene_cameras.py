@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.inspector.state import State, View
-from semviz.presentation.palette import STATUS, residual_level
+from semviz.presentation.plots import STATUS, residual_level
 from semviz.runs.images import frame_image
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.scene import (
@@ -124,7 +124,7 @@ def image_camera_pose(record: FrameRecord) -> Pose | None:
 def vehicle_pose(record: FrameRecord) -> Pose:
     """Return T_map_camera of the estimate, else the truth, else the prior facing along x."""
     pose = image_camera_pose(record)
-    return Pose(FACING_X, record.localization.prior.position_m) if pose is None else pose
+    return Pose(FACING_X, record.localization.around_m) if pose is None else pose
 
 
 def _poses(record: FrameRecord, state: State) -> dict[str, Pose]:
@@ -286,7 +286,7 @@ def draw_base(scene: SceneDrawer, base: BaseFrame | None) -> None:
         scene.draw_camera(BASE, pose, localization.camera, BASE_STYLE)
         below = pose.translation - UP_M - BESIDE_M * pose.rotation[:, 0]
         scene.draw_label(f"{BASE}-label", base.name, below, "center-right")
-    _draw_elements(scene, base, localization.prior.position_m)
+    _draw_elements(scene, base, localization.around_m)
 
 
 def _draw_elements(scene: SceneDrawer, base: BaseFrame, around_m: FloatArray) -> None:
@@ -334,8 +334,12 @@ CROSS_M = 0.6 * np.array([[[-1.0, 0, 0], [1, 0, 0]], [[0, -1.0, 0], [0, 1, 0]]])
 
 
 def draw_prior(scene: SceneDrawer, run: Run, record: FrameRecord, view: View) -> None:
-    """Draw the prior with its sigma, and the circle of the submap."""
+    """Draw the prior, if any, with its sigma, and the circle of the submap."""
     prior = record.localization.prior
+    if prior is None:
+        for name in ("/prior", "/prior-cross", "/prior-label", "/crop"):
+            scene.clear_under(name)
+        return
     center, color = _on_road(prior.position_m), scene.palette.prior
     scene.draw_circle("/prior", center, prior.horizontal_sigma_m, color)
     scene.draw_lines("/prior-cross", CROSS_M, color, 1.5, T_map_local=Pose(np.eye(3), center))

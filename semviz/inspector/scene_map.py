@@ -11,7 +11,7 @@ import numpy as np
 
 from semviz.inspector.state import MapColors
 from semviz.inspector.views import MapColorLevel, MapLegend
-from semviz.presentation.palette import (
+from semviz.presentation.plots import (
     RESIDUAL,
     RESIDUAL_LIMITS_PX,
     STATUS,

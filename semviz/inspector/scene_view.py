@@ -11,10 +11,9 @@ from semviz.inspector.state import State, View
 from semviz.inspector.views import MapLegend
 from semviz.runs.run import FrameRecord, Run
 from semviz.web import viewpoint
-from semviz.web.scene import PoseStyle, SceneDrawer
-from semviz.web.scene_backdrop import BackdropLayer
+from semviz.web.scene import BackdropLayer, PoseStyle, SceneDrawer
 from semviz.web.viewpoint import Picker, Viewpoint
-from semviz_annotation.mapping.backdrop.backdrop import Backdrop
+from semviz_annotation.mapping.backdrop import Backdrop
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import ByteImage

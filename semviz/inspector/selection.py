@@ -4,8 +4,6 @@ Candidates include the dustbin and the true correspondence. ``/matrix.csv?run=NA
 exports probabilities as recorded, to the last digit.
 """
 
-import csv
-import io
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,11 +13,10 @@ from urllib.parse import quote
 import numpy as np
 from aiohttp import web
 
-from semviz.inspector.context import Panel
+from semviz.inspector.context import Panel, RunLibrary
 from semviz.inspector.element_card import Origins, element_card, map_row, mapped, origins_view
 from semviz.inspector.label_repair import RunLabels
 from semviz.inspector.messages import GetOriginsRequest
-from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.state import Selection, State
 from semviz.inspector.views_frame import MatrixCell, ResidualView, SelectionCard, SelectionEvent
 from semviz.runs.diagnosis import detector_of, truth_of
@@ -29,6 +26,7 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
 from semviz_core.localization.problem import PoseProblem
@@ -106,13 +104,10 @@ def matrix_csv(run: Run, record: FrameRecord) -> str:
     localization = record.localization
     if localization.match is None:
         return ""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["seen", *element_names(localization, run.semantic_map.classes), NOT_MAPPED])
+    header = ["seen", *element_names(localization, run.semantic_map.classes), NOT_MAPPED]
     names = [*(f"#{row}" for row in range(len(localization.observed))), NOT_SEEN]
-    for name, row in zip(names, localization.match.probability.tolist(), strict=True):
-        table.writerow([name, *row])  # csv writes floats as repr does: exactly
-    return text.getvalue()
+    rows = zip(names, localization.match.probability.tolist(), strict=True)
+    return csv_text([header, *([name, *row] for name, row in rows)])
 
 
 def element_names(localization: Localization, classes: ClassSet) -> list[str]:
@@ -207,9 +202,9 @@ def _role(run: Run, record: FrameRecord, selection: Selection) -> str:
     observed, element = selection.observed, selection.element
     localization = record.localization
     if element is not None and element not in localization.submap.id:
-        offset_m = mapped(run, element).anchor_m[0] - localization.prior.position_m
+        offset_m = mapped(run, element).anchor_m[0] - localization.around_m
         distance_m = np.linalg.norm(offset_m[:2])
-        return f"Outside this frame's submap, {distance_m:.0f} m from the prior."
+        return f"Outside this frame's submap, {distance_m:.0f} m from its camera or prior."
     if localization.refinement is None:
         return "This frame has no pairs."
     i, j = localization.refinement.pairs.T

@@ -5,17 +5,14 @@ from pathlib import Path
 
 from aiohttp import web
 
-from semviz.inspector.backdrop import BackdropPanel
 from semviz.inspector.comparison import ComparisonPanel
-from semviz.inspector.context import EmbeddedAnnotators, PageContext
+from semviz.inspector.context import EmbeddedAnnotators, PageContext, RunLibrary, image_route
 from semviz.inspector.decisions import DecisionPanel
-from semviz.inspector.elements import ElementPanel
-from semviz.inspector.forecast import ForecastPanel
+from semviz.inspector.elements import ElementPanel, ForecastPanel
 from semviz.inspector.image import ImagePanel, RenderPanel
 from semviz.inspector.label_repair import LabelRepairPanel
 from semviz.inspector.messages import InspectorRequest
-from semviz.inspector.navigation import NavigationPanel, ViewpointPanel
-from semviz.inspector.run_library import RunLibrary, image_route
+from semviz.inspector.navigation import BackdropPanel, NavigationPanel, ViewpointPanel
 from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.what_if import WhatIfPanel

@@ -11,7 +11,7 @@ from semviz.runs.images import project_elements
 from semviz.runs.metrics import errors_of
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import Event, Part
-from semviz.what_if import scene_changes, solver_changes
+from semviz.what_if import prior_changes, request_changes
 from semviz.what_if.change import FrameRequest, WhatIfChange, map_element_name
 from semviz.what_if.solve import has_effect, localize_request, to_json
 from semviz_core.base.classes import ClassSet
@@ -217,8 +217,8 @@ def _selected_element(
     rows = np.flatnonzero(elements.id == element)
     if element is None or not len(rows):
         return
-    drop, add = scene_changes.DropElement(element), scene_changes.AddElement(element)
-    rename = scene_changes.ChangeElementClass(element, int(elements.class_id[rows[0]]))
+    drop, add = request_changes.DropElement(element), request_changes.AddElement(element)
+    rename = request_changes.ChangeElementClass(element, int(elements.class_id[rows[0]]))
     options = [_button("Remove from the map", drop)] if drop.affects(request) else []
     if add.affects(request):
         options.append(_button("Add to the submap", add))
@@ -234,56 +234,61 @@ def _selected_detection(
     if row is None:
         return
     frame, semantic_map = request.record.frame.index, run.semantic_map
-    options = [_button("Remove", scene_changes.DropDetection(frame, row))]
+    options = [_button("Remove", request_changes.DropDetection(frame, row))]
     if element is not None and element in request.submap.id:
         name = map_element_name(semantic_map, element)
-        options.append(_button(f"Is {name}", scene_changes.ForcePair(frame, row, element)))
-        options.append(_button(f"Is not {name}", scene_changes.ForbidPair(frame, row, element)))
+        options.append(_button(f"Is {name}", request_changes.ForcePair(frame, row, element)))
+        options.append(_button(f"Is not {name}", request_changes.ForbidPair(frame, row, element)))
     true = int(request.element_id[row])
     if true != element and true in request.submap.id:
         text = f"Is {map_element_name(semantic_map, true)} (ground truth)"
-        options.append(_button(text, scene_changes.ForcePair(frame, row, true)))
-    rename = scene_changes.DetectionClass(frame, row, int(request.observed.class_id[row]))
+        options.append(_button(text, request_changes.ForcePair(frame, row, true)))
+    rename = request_changes.DetectionClass(frame, row, int(request.observed.class_id[row]))
     yield f"Detection #{row}", [*options, *_class_choice(semantic_map.classes, rename)]
 
 
 def _prior_and_submap(request: FrameRequest) -> Iterator[WhatIfOption]:
     prior, radius_m = request.prior, request.radius_m
     if request.truth is not None:
-        yield _button("Prior at the true pose", solver_changes.PriorAtTruth())
+        yield _button("Prior at the true pose", prior_changes.PriorAtTruth())
     if request.reference_pose is not None:
         yield _fields(
             "Move the prior",
-            solver_changes.MovePrior(0.0, 0.0),
+            prior_changes.MovePrior(0.0, 0.0),
             ("ahead_m", "ahead"),
             ("left_m", "left"),
         )
     yield _fields(
         "Prior sigma",
-        solver_changes.PriorSigma(round(prior.horizontal_sigma_m, 1)),
+        prior_changes.PriorSigma(round(prior.horizontal_sigma_m, 1)),
         ("sigma_m", ""),
     )
-    yield _fields("Submap radius", solver_changes.CropRadius(round(radius_m, 1)), ("radius_m", ""))
+    for part in prior_changes.LEFT_OUT:
+        without = prior_changes.WithoutPriorPart(part)
+        if without.affects(request):
+            yield _button(f"Without the {part} prior", without)
+    yield _fields("Raise the prior", prior_changes.RaisePrior(0.0), ("up_m", "up"))
+    yield _fields("Submap radius", prior_changes.CropRadius(round(radius_m, 1)), ("radius_m", ""))
 
 
 def _detections(request: FrameRequest) -> Iterator[WhatIfOption]:
-    if scene_changes.ForceTruePairs().affects(request):
-        yield _button("Use the true pairs", scene_changes.ForceTruePairs())
-    yield _button("Ignore classes", scene_changes.IgnoreClasses())
-    yield _fields("Noise factor", scene_changes.NoiseFactor(2.0), ("factor", ""))
+    if request_changes.ForceTruePairs().affects(request):
+        yield _button("Use the true pairs", request_changes.ForceTruePairs())
+    yield _button("Ignore classes", request_changes.IgnoreClasses())
+    yield _fields("Noise factor", request_changes.NoiseFactor(2.0), ("factor", ""))
     if np.ptp(request.observed.score) > 0.0:
         middle = round(float(np.median(request.observed.score)), 2)
-        yield _fields("Minimum score", scene_changes.LeastScore(middle), ("score", ""))
+        yield _fields("Minimum score", request_changes.LeastScore(middle), ("score", ""))
 
 
 def _solver(request: FrameRequest) -> Iterator[WhatIfOption]:
     if request.truth is not None:
-        yield _button("Start at the true pose", solver_changes.StartAtTruth())
+        yield _button("Start at the true pose", request_changes.StartAtTruth())
     recorded = () if request.record.localization.match is None else matched.METHODS
     options = tuple(
         OptionValue(value=name, text=name) for name in (*available_methods(), *recorded)
     )
-    yield _choice("Method", solver_changes.UseMethod(request.method), "method", options)
+    yield _choice("Method", request_changes.UseMethod(request.method), "method", options)
 
 
 def _button(text: str, change: WhatIfChange) -> WhatIfOption:
@@ -298,7 +303,7 @@ def _choice(
 
 
 def _class_choice(
-    classes: ClassSet, change: scene_changes.ChangeElementClass | scene_changes.DetectionClass
+    classes: ClassSet, change: request_changes.ChangeElementClass | request_changes.DetectionClass
 ) -> Iterator[WhatIfOption]:
     """Yield a choice among the classes of the same kind, if there are several."""
     kind = classes[change.class_id].kind

@@ -1,5 +1,5 @@
 """Define the common appearance of all pages, reports and terminals.
 
-`palette` holds colours, `plots` the style of plots, `tables` tables in several formats, and
-`progress` progress bars. Nothing here loads data.
+`plots` holds colours and the style of plots, `terminal` tables in several formats and progress
+bars. Nothing here loads data.
 """

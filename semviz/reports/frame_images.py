@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 
-from semviz.presentation.palette import ESTIMATE, TRUTH
+from semviz.presentation.plots import ESTIMATE, TRUTH
 from semviz.reports.html import Html, element
 from semviz.runs.images import Projected, project_elements
 from semviz.runs.run import FrameRecord

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 
-from semviz.presentation.palette import STATUS
-from semviz.presentation.plots import COLORS
-from semviz.presentation.tables import Table
+from semviz.presentation.plots import COLORS, STATUS
+from semviz.presentation.terminal import Table
 
 Attribute = str | int | float | None
 

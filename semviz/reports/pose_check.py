@@ -1,12 +1,15 @@
 """Show the check of a drive's poses as text and as a plot."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from semviz.presentation.plots import COLORS, add_grid, new_figure, save_png
+from semviz.workspace.pose_choices import Choice, PoseOperation
+from semviz.workspace.pose_review import PoseReview, PoseStretch, used_poses
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import check_replaceable
 from semviz_core.pose_checks.comparison import BASELINE, RIGHT_U, RIGHT_V
@@ -14,6 +17,8 @@ from semviz_core.pose_checks.faults import PoseCheck
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from semviz.workspace.workspace import Workspace
 
 _NO_FAULT = "no fault found"
 
@@ -49,6 +54,67 @@ def check_text(check: PoseCheck, evidence: Sequence[str]) -> str:
 def warning_lines(check: PoseCheck, workspace: Path) -> list[str]:
     """Return one line per fault, with the command that shows more."""
     return [f"poses: {fault.text} (semviz poses check {workspace})" for fault in check.faults]
+
+
+def review_lines(review: "PoseReview") -> list[str]:
+    """Return one line per fault of the given poses: what it is, who agrees, what was chosen."""
+    lines = [f"poses: {stretch_text(review, stretch)}" for stretch in review.stretches]
+    if review.open:
+        where = review.workspace.path
+        lines.append(f"poses: choose what to do: semviz poses choose {where}, or annotate, F4")
+    return lines
+
+
+def stretch_text(review: "PoseReview", stretch: "PoseStretch") -> str:
+    """Return ``frames 0-11: poses turned by up to 0.7 deg left; stereo and 9 elements agree``."""
+    text, operation = stretch.fault.text, review.choice_for(stretch)
+    has_stereo = stretch.check.motions.has_stereo
+    evidence = None if stretch.seen is None else stretch.seen.evidence
+    if evidence is not None:
+        witness = "stereo" if has_stereo else "the images"
+        text += f"; {witness} and {evidence.agreeing} of {evidence.elements} elements agree"
+    elif stretch.can_refine:
+        text += "; stereo says so" if has_stereo else "; the images say so"
+    return text if operation is None else f"{text}; {DONE[operation.choice]} by {operation.author}"
+
+
+def review_as_dict(review: "PoseReview") -> dict[str, Any]:
+    """Return the faults of the given poses, with evidence and choices, for JSON."""
+    faults = []
+    for stretch in review.stretches:
+        evidence = None if stretch.seen is None else stretch.seen.evidence
+        operation = review.choice_for(stretch)
+        faults.append(
+            {
+                **asdict(stretch.fault),
+                "text": stretch_text(review, stretch),
+                "labels": None if evidence is None else asdict(evidence),
+                "choice": None if operation is None else operation.as_dict(),
+            }
+        )
+    return {"faults": faults, "used": used_poses(review.workspace)}
+
+
+DONE: dict[Choice, str] = {
+    "refine": "refined",
+    "leave out": "left out",
+    "keep": "kept as they are",
+    "ask": "to be asked again",
+}
+
+
+def choice_text(operation: PoseOperation) -> str:
+    """Return what was chosen, for whom it matters."""
+    subject = "" if operation.subject == "frames" else f", {operation.subject}"
+    return f"{operation.where}{subject}: {DONE[operation.choice]}"
+
+
+def choice_lines(workspace: "Workspace") -> list[str]:
+    """Return one line per choice made for the poses of a workspace."""
+    return [
+        f"{choice_text(one)} ({one.author}, {one.time[:10]})"
+        for one in workspace.pose_choices().present
+    ]
 
 
 def check_plot_path(path: Path) -> None:

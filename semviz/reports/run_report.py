@@ -11,11 +11,10 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from semviz.presentation.tables import Table, figure, in_latex, in_markdown, percent
+from semviz.presentation.terminal import Table, figure, in_latex, in_markdown, percent
 from semviz.reports.frame_images import frame_svg
 from semviz.reports.html import Html, element, html_page, plot, table_element, table_section
-from semviz.reports.run_data import RunReport
-from semviz.reports.run_plots import as_svg, comparing_plots, plot_over_frames
+from semviz.reports.run_plots import RunReport, as_svg, comparing_plots, plot_over_frames
 from semviz.runs.comparison import compare_runs
 from semviz.runs.diagnosis import diagnosis_sentence
 from semviz.runs.metrics import errors_of, settings_of
@@ -155,13 +154,14 @@ def _frame_row(report: RunReport, row: int) -> tuple[str, ...]:
 
 
 def faults_table(report: RunReport) -> Table:
-    """List the recurring faults of map and camera."""
+    """List the faults of priors, map and camera that recur."""
     diagnosis = report.run_diagnosis
     camera = [] if diagnosis.calibration is None else [diagnosis.calibration]
-    rows = [(str(fault.kind), fault.sentence) for fault in (*camera, *diagnosis.elements)]
+    faults = (*diagnosis.causes, *camera, *diagnosis.elements)
+    rows = [(str(fault.kind), fault.sentence) for fault in faults]
     if not rows:
         frames = f"{diagnosis.frames} frames with a reference pose"
-        rows = [("none", f"No recurring fault of map or camera in {frames}.")]
+        rows = [("none", f"No recurring fault of priors, map or camera in {frames}.")]
     return Table(f"{report.name}: recurring faults", ("fault", "evidence"), tuple(rows), words=2)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz.presentation.palette import PRIOR, TRUTH
+from semviz.presentation.plots import PRIOR, TRUTH
 from semviz.reports.frame_images import JPEG_QUALITY, cased, trace
 from semviz.reports.html import Html, element, void_element
 from semviz.research.detector_evaluation import Evaluation

@@ -1,6 +1,7 @@
-"""Evaluate a detector on images with known content: rendered streets or labelled workspaces.
+"""Evaluate a detector on images with known content, or calibrate it and choose its minimum score.
 
-Streets are ones that nothing was trained or tuned on. Images are made or read on demand.
+Images are rendered streets, labelled workspaces or mapped ones, made or read on demand. Streets are
+ones that nothing was trained or tuned on.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from semviz.annotator import element_positions
 from semviz.annotator.panes import Cameras
-from semviz.presentation.progress import track
+from semviz.presentation.terminal import Table, track
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.labels import Labels, Observation, proposal_id
@@ -21,15 +22,17 @@ from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.base.frame import Side
 from semviz_core.base.triangle_center import OLDER, TriangleCenter, converted
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector
-from semviz_core.metrics import detection_summary
+from semviz_core.metrics import detection_calibration, detection_summary
 from semviz_core.metrics.detection import HELD_OUT_SEED, REACH_M, ImageGroundTruth
-from semviz_core.simulation.ground_truth import street_truth
+from semviz_core.metrics.detection_calibration import CalibrationImage, FittedCalibration
+from semviz_core.simulation.detector import street_truth
 from semviz_core.simulation.street import Street
 
 
@@ -328,3 +331,91 @@ def _notes(images: Sequence[EvaluationImage]) -> list[str]:
         f"{partial} of {len(images)} images are labelled but not reviewed; what is not labelled "
         "in them counts as false"
     ]
+
+
+CHOSEN = "<- chosen"
+
+
+def calibration_images(
+    detector: Detector | None, images: Sequence[EvaluationImage]
+) -> list[CalibrationImage]:
+    """Detect in images, or take their stored detections if ``detector`` is None."""
+    evaluated = ((evaluate_image(detector, image), image.is_complete) for image in images)
+    return [
+        CalibrationImage.of(seen.detections, seen.truth, is_complete)
+        for seen, is_complete in track(evaluated, "looking", len(images))
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorChoice:
+    """The calibration of a detector, with the figures it was chosen by."""
+
+    fitted: FittedCalibration
+    calibration: DetectorCalibration
+    most_false: float | None
+    """Limit of false detections per image, if one was given."""
+
+    def as_text(self) -> str:
+        """Return the thresholds with their figures, why one was chosen, and the sigma scale."""
+        scale, best = self.calibration.sigma_scale, self.fitted.best
+        why = "the most right detections minus false ones"
+        if self.most_false is not None:
+            why = f"the lowest with at most {self.most_false:g} false an image"
+        return "\n\n".join(
+            [
+                f"{self.calibration.detector} on {self.calibration.truth}",
+                self._table().as_text(),
+                f"minimum score {best.rates.least_score:g}: {why}; scores are probabilities now",
+                f"sigma, measured over stated: across poles {scale.pole_across:.2f}, along them "
+                f"{scale.pole_along:.2f}, signs {scale.sign:.2f}",
+            ]
+        )
+
+    def _table(self) -> Table:
+        rows = tuple(
+            (
+                f"{row.rates.least_score:g}",
+                f"{row.recall:.0%}".replace("%", " %"),
+                f"{row.precision:.0%}".replace("%", " %"),
+                f"{row.right:.2f}",
+                f"{row.rates.false_detections:.2f}",
+                f"{row.surplus:+.2f}",
+                f"{row.rates.recall_near:.2f}",
+                f"{row.rates.recall_far:.2f}",
+                f"{row.rates.hidden_bottoms:.2f}",
+                CHOSEN if row is self.fitted.best else "",
+            )
+            for row in self.fitted.figures
+        )
+        header = (
+            "score from", "recall to 40 m", "precision", "right an image", "false", "right - false",
+            "in view: near", "far", "hidden bottoms", "",
+        )  # fmt: skip
+        return Table("Minimum scores", header, rows, words=0)
+
+
+def choose(
+    images: Sequence[CalibrationImage],
+    detector: str,
+    settings: tuple[str, str],
+    truth: str,
+    most_false: float | None = None,
+) -> DetectorChoice:
+    """Return the calibration on one image or more.
+
+    ``settings`` are the hash of the model's files and the measuring, ``truth`` describes the
+    images. Raise SemvizError if too few detections are known to be right or false.
+    """
+    fitted = detection_calibration.fit_calibration(images, most_false)
+    calibration = DetectorCalibration(
+        detector=detector,
+        model=settings[0],
+        measuring=settings[1],
+        truth=truth,
+        least_score=fitted.best.rates.least_score,
+        scores=fitted.scores,
+        sigma_scale=fitted.sigma_scale,
+        rates=tuple(row.rates for row in fitted.figures),
+    )
+    return DetectorChoice(fitted, calibration, most_false)

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from semviz.presentation.plots import add_grid, add_legend, line_style, new_figure, plain_numbers
-from semviz.presentation.tables import Table
+from semviz.presentation.terminal import Table
 from semviz.reports.html import Html, element, html_page, plot, table_section
 from semviz.reports.run_plots import as_svg
 from semviz.research import detection_crops

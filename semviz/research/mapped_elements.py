@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from semviz.presentation.progress import track
+from semviz.presentation.terminal import track
 from semviz.research.detector_data import LabelledSide, boxes_of
 from semviz.research.detector_evaluation import EvaluationImage
 from semviz.workspace.localize import check_map_frame

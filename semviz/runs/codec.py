@@ -3,12 +3,14 @@
 The structure has the value's tree: an object for a dataclass, null for None, a list for a tuple,
 and the shape for an array. The pool of a dtype holds the numbers of its arrays in tree order.
 Decoding follows the type hints of the requested class, so a file can never create anything else.
-Fields missing in an older file take their defaults.
+Fields missing in an older file take their defaults. Checksums are of a run's rows: of its head, of
+each frame with its images, of its end.
 """
 
 import math
+import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
@@ -16,6 +18,9 @@ from typing import Any, Final, Literal, TypeVar, Union, cast, get_args, get_orig
 
 import numpy as np
 from numpy.typing import NDArray
+
+from semviz.runs import run
+from semviz_core.common.errors import SemvizError
 
 Pools = dict[str, NDArray[Any]]
 """Numbers (n,) by the name of their dtype."""
@@ -124,3 +129,44 @@ def _kind(hint: Any) -> tuple[str, Any]:
     if hint is Any or origin is Literal:
         return "as it is", None
     raise TypeError(f"the codec does not know {hint}")
+
+
+class DamagedRowError(SemvizError):
+    """A row is not as it was written."""
+
+
+def row_checksum(
+    entity: str,
+    frame: int,
+    row: Mapping[str, NDArray[Any] | str],
+    images: Sequence[bytes | None] = (),
+) -> int:
+    """Return the CRC-32 of a row: its entity, frame number (0 without), components and images.
+
+    Each part is preceded by its name, type and length, so that none can pass for another.
+    """
+    checksum = zlib.crc32(f"{entity} {frame}\n".encode())
+    for name in sorted(row.keys() - {run.CHECKSUM}):
+        value = row[name]
+        content = value.encode() if isinstance(value, str) else np.ascontiguousarray(value).data
+        kind = "text" if isinstance(value, str) else value.dtype.str
+        checksum = zlib.crc32(f"{name} {kind} {len(content)}\n".encode(), checksum)
+        checksum = zlib.crc32(content, checksum)
+    for image in images:
+        checksum = zlib.crc32(f"image {-1 if image is None else len(image)}\n".encode(), checksum)
+        checksum = zlib.crc32(image or b"", checksum)
+    return checksum
+
+
+def verify_row(
+    entity: str, frame: int, row: Mapping[str, Any], images: Sequence[bytes | None] = ()
+) -> None:
+    """Raise DamagedRowError if the row does not have the checksum that it was written with."""
+    try:
+        values = {name: value[0] if value.dtype == object else value for name, value in row.items()}
+        (recorded,) = values[run.CHECKSUM].tolist()
+        is_sound = recorded == row_checksum(entity, frame, values, images)
+    except (KeyError, IndexError, ValueError, AttributeError):
+        is_sound = False
+    if not is_sound:
+        raise DamagedRowError(f"{entity} of frame {frame} is not as it was written")

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from semviz.presentation.tables import Table
+from semviz.presentation.terminal import Table
 from semviz.runs.metrics import Errors, Metrics, errors_of, metrics_of, settings_of
 from semviz.runs.run import FrameRecord, Run
 from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps

@@ -279,7 +279,7 @@ def _prior(record: FrameRecord) -> str:
     center = record.frame.T_map_camera
     if center is None and result.T_camera_map is not None:
         center = result.T_camera_map.inverse()
-    if center is None:
+    if center is None or result.prior is None:
         return ""
     error_m = np.linalg.norm((result.prior.position_m - center.translation)[:2])
     return f"{error_m:.1f} m (σ {result.prior.horizontal_sigma_m:.1f} m)"

@@ -15,11 +15,12 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Dataset, FileDataset, Side
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_IMAGE_BYTES, check_image_size, read_limited, shown
 
 JPEG_QUALITY = 90
+SIDES: tuple[Side, ...] = ("left", "right")
 
 
 def check_images_available(source: Dataset, images: Images) -> None:
@@ -46,10 +47,10 @@ def with_images(record: FrameRecord, source: Dataset, images: Images, folder: Pa
             right = _relative(source.image_path(index, "right"), folder) if has_right else ""
             return replace(record, image_file=left, image_right_file=right)
         case "embedded":
-            return replace(record, image=_jpeg(source, index, "left"))
+            return replace(record, image=jpeg(source.image(index, "left")))
         case "both":
-            right_jpeg = _jpeg(source, index, "right")
-            return replace(record, image=_jpeg(source, index, "left"), image_right=right_jpeg)
+            left_jpeg, right_jpeg = (jpeg(source.image(index, side)) for side in SIDES)
+            return replace(record, image=left_jpeg, image_right=right_jpeg)
 
 
 def frame_image(run: Run, path: Path, position: int, side: Side) -> bytes | None:
@@ -123,10 +124,10 @@ def _relative(file: Path, folder: Path) -> str:
     return str(file) if shared == Path(file.anchor) else os.path.relpath(file, folder)
 
 
-def _jpeg(source: Dataset, index: int, side: Side) -> bytes:
+def jpeg(image: ByteImage) -> bytes:
+    """Return an image (height, width, 3), RGB, as a JPEG file."""
     import cv2
 
-    image = source.image(index, side)
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     return cv2.imencode(".jpg", image[:, :, ::-1], quality)[1].tobytes()
 

@@ -3,7 +3,6 @@
 A frame is overconfident if its status is ok and it is more than 1 m off.
 """
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from semviz.runs.run import FrameRecord, Run
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, angle_between
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.files import replacing
 from semviz_core.metrics.pose_errors import Summary, pose_error, summarize
 
@@ -97,10 +97,10 @@ def frame_row(run: Run, record: FrameRecord) -> Row:
 def write_csv(runs: Sequence[Run], path: Path) -> None:
     """Write one row per frame of every run, below a header."""
     rows = [frame_row(run, record) for run in runs for record in run.frames]
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ["run", "frame"])
-        writer.writeheader()
-        writer.writerows(rows)
+    header = list(rows[0]) if rows else ["run", "frame"]
+    table = csv_text([header, *(list(row.values()) for row in rows)], line_end="\r\n")
+    with replacing(path) as temporary:
+        temporary.write_text(table, encoding="utf-8", newline="")
 
 
 Metrics = dict[str, float | None]

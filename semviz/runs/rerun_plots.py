@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from semviz.presentation.palette import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, rgba
+from semviz.presentation.plots import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, rgba
 from semviz.runs.columns import Columns
 from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, frame_diagnosis
 from semviz.runs.run import FrameRecord, Run, RunInfo
@@ -121,10 +121,25 @@ STATUSES, DIAGNOSES, WHY = "/status", "/verdict", "/why"
 DIAGNOSIS_COLORS = {
     "healthy": STATUS["ok"],
     STARTING_OR_LOST: PRIOR,
-    "not in the submap": PRIOR,
+    **dict.fromkeys(
+        (
+            "not in the submap",
+            "wrong heading prior",
+            "wrong gravity prior",
+            "wrong height prior",
+            "wrong position prior",
+        ),
+        PRIOR,
+    ),
     "ambiguous geometry": STATUS["ambiguous"],
     **dict.fromkeys(
-        ("moved in the map", "missing in the map", "twice in the map", "wrong calibration"),
+        (
+            "moved in the map",
+            "missing in the map",
+            "twice in the map",
+            "misaligned map",
+            "wrong calibration",
+        ),
         ALTERNATIVE,
     ),
     **dict.fromkeys(
@@ -134,6 +149,7 @@ DIAGNOSIS_COLORS = {
             "false detection",
             "wrong class",
             "false or not mapped",
+            "wrong detection sigma",
         ),
         ESTIMATE,
     ),

@@ -3,8 +3,8 @@
 import numpy as np
 import rerun as rr
 
-from semviz.presentation import palette
-from semviz.presentation.palette import residual_colors, rgba
+from semviz.presentation import plots
+from semviz.presentation.plots import residual_colors, rgba
 from semviz.runs import rerun_plots, run
 from semviz.runs.columns import Columns, Strips
 from semviz.runs.rerun_plots import readme
@@ -40,8 +40,8 @@ _GLYPHS: dict[str, FloatArray] = {
 def draw_overlay_styles(stream: rr.RecordingStream) -> None:
     """Draw the static styles of the image overlay: line widths, colours and drawing order."""
     styles = (
-        (TRUE, 1.2, rgba(palette.TRUTH.dark, 0.75)),
-        (PROJECTED, 1.6, rgba(palette.ESTIMATE.dark)),
+        (TRUE, 1.2, rgba(plots.TRUTH.dark, 0.75)),
+        (PROJECTED, 1.6, rgba(plots.ESTIMATE.dark)),
         (OBSERVED, 2.2, None),
         (RESIDUALS, 2.6, None),
     )
@@ -243,7 +243,7 @@ class RerunScene:
         if previous is not None and center is not None:
             columns.strips(TRUE_PATH, _line(previous, center))
         if estimate is not None:
-            color = np.array([rgba(palette.STATUS[record.localization.status].dark)])
+            color = np.array([rgba(plots.STATUS[record.localization.status].dark)])
             columns.points(PATH, estimate.translation[None], color)
             if center is not None:
                 columns.strips(PATH, _line(center, estimate.translation), color)
@@ -272,13 +272,13 @@ def _draw_map(stream: rr.RecordingStream, semantic_map: SemanticMap) -> None:
             columns.labels(entity, "Points3D", names, show=len(semantic_map) <= MAX_LABELLED)
             columns.radius(entity, "Points3D", 5.0)
     road = Strips(semantic_map.trajectory_m, np.array([len(semantic_map.trajectory_m)]))
-    columns.strips(ROAD, road, np.array([rgba(palette.PRIOR.dark, 0.5)]))
+    columns.strips(ROAD, road, np.array([rgba(plots.PRIOR.dark, 0.5)]))
     columns.send(stream)
 
 
 def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
     """Draw the static styles of the 3D view and the matrix: sizes, cameras, colours."""
-    for entity, color in ((TRUE_CAMERA, palette.TRUTH), (run.IMAGE, palette.ESTIMATE)):
+    for entity, color in ((TRUE_CAMERA, plots.TRUTH), (run.IMAGE, plots.ESTIMATE)):
         pinhole = rr.Pinhole.from_fields(
             camera_xyz=rr.ViewCoordinates.RDF,
             image_from_camera=camera.K,
@@ -288,9 +288,9 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
         stream.log(entity, pinhole, static=True)
     stream.log(run.IMAGE, _JPEG, static=True)
     lines = (
-        (TRUE_PATH, 1.5, palette.TRUTH),
-        (PRIOR_CIRCLE, 1.0, palette.PRIOR),
-        (ALTERNATIVES, 1.0, palette.ALTERNATIVE),
+        (TRUE_PATH, 1.5, plots.TRUTH),
+        (PRIOR_CIRCLE, 1.0, plots.PRIOR),
+        (ALTERNATIVES, 1.0, plots.ALTERNATIVE),
     )
     for entity, width, tone in lines:
         radius, colors = rr.Radius.ui_points(width / 2), rgba(tone.dark)
@@ -299,7 +299,7 @@ def _draw_styles(stream: rr.RecordingStream, camera: Camera) -> None:
         thin = rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width / 2))
         stream.log(entity, thin, static=True)
     stream.log(PATH, rr.Points3D.from_fields(radii=rr.Radius.ui_points(3.0)), static=True)
-    stream.log(HERE, rr.Points3D.from_fields(colors=rgba(palette.TRUTH.dark, 0.0)), static=True)
+    stream.log(HERE, rr.Points3D.from_fields(colors=rgba(plots.TRUTH.dark, 0.0)), static=True)
     matrix = rr.DepthImage.from_fields(meter=1.0, colormap="viridis", depth_range=[0.0, 1.0])
     cells = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0))
     stream.log(MATRIX, matrix, cells, static=True)
@@ -321,7 +321,7 @@ def _draw_cameras(
     columns: Columns, result: Localization, truth: Pose | None, estimate: Pose | None
 ) -> None:
     known = truth or estimate
-    here = result.prior.position_m if known is None else known.translation
+    here = result.around_m if known is None else known.translation
     columns.points(HERE, here[None])
     for camera, image, pose in (
         (TRUE_CAMERA, TRUE_CAMERA, truth),
@@ -332,9 +332,10 @@ def _draw_cameras(
 
 
 def _draw_prior(columns: Columns, result: Localization) -> None:
-    prior = result.prior
-    circle = Strips.of((prior.position_m + prior.horizontal_sigma_m * _GROUND_CIRCLE)[None])
-    columns.strips(PRIOR_CIRCLE, circle)
+    prior, circle = result.prior, np.zeros((0, 1, 3))
+    if prior is not None:
+        circle = (prior.position_m + prior.horizontal_sigma_m * _GROUND_CIRCLE)[None]
+    columns.strips(PRIOR_CIRCLE, Strips.of(circle))
 
 
 def _draw_alternatives(columns: Columns, result: Localization) -> None:
@@ -384,7 +385,7 @@ def _draw_matrix(columns: Columns, record: FrameRecord) -> None:
     pairs = truth if result.refinement is None else np.concatenate([truth, result.refinement.pairs])
     cells = np.stack([np.argsort(order)[pairs[:, 1]], np.argsort(rows)[pairs[:, 0]]], axis=1)
     is_truth = np.arange(len(pairs)) < len(truth)
-    colors = np.where(is_truth, rgba(palette.TRUTH.dark), rgba(palette.ESTIMATE.dark))
+    colors = np.where(is_truth, rgba(plots.TRUTH.dark), rgba(plots.ESTIMATE.dark))
     columns.points(MATRIX, cells.astype(np.float64) + 0.5, colors)
 
 

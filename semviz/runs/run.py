@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from semviz_core.base.camera import Rig
 from semviz_core.base.detector_model import SHIPPED_DETECTOR, SIMULATED_DETECTOR, DetectorModel
-from semviz_core.base.frame import Frame
+from semviz_core.base.frame import Frame, Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
@@ -66,6 +66,8 @@ class FrameRecord:
     image_file: str = ""
     """Path of the left image, absolute or relative to the run's folder; empty if not recorded."""
     image_right_file: str = ""
+    odometry: Odometry | None = None
+    """Motion of the camera since the frame before, if it was measured and used."""
 
     def __post_init__(self) -> None:
         rows = len(self.localization.observed)

@@ -7,8 +7,8 @@ sound frames of a run to a new file.
 import atexit
 import json
 from collections import Counter
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -19,8 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from semviz.runs import rerun_plots, rerun_scene, run
-from semviz.runs.checksum import row_checksum
-from semviz.runs.codec import Pools, encode
+from semviz.runs.codec import Pools, encode, row_checksum
 from semviz.runs.columns import FRAME, Columns
 from semviz.runs.images import relocate_images
 from semviz.runs.reader import load_run
@@ -142,7 +141,8 @@ class RunWriter:
         self._completes = completes
         self._lost_frames = lost
         self._lost = False
-        self._frames = 0
+        self.frames = 0
+        """Number of frames written."""
         self._last_index: int | None = None
         self._stream = rr.RecordingStream(run.APPLICATION, send_properties=False)
         self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
@@ -170,11 +170,11 @@ class RunWriter:
         if record.image_right is not None:
             columns.jpeg(run.IMAGE_RIGHT, record.image_right)
         # Last, so that a frame with readable values has its images too.
-        _add_exact(columns, run.FRAME, record, ordinal=self._frames)
+        _add_exact(columns, run.FRAME, record, ordinal=self.frames)
         columns.send(self._stream)
         self._flush()
         self._last_index = frame.index
-        self._frames += 1
+        self.frames += 1
 
     def __enter__(self) -> "RunWriter":
         return self
@@ -191,7 +191,7 @@ class RunWriter:
             self._send_drawn()
         if kind is None and self._completes:
             columns = Columns()
-            frames = {"frames": np.array([self._frames + self._lost_frames])}
+            frames = {"frames": np.array([self.frames + self._lost_frames])}
             _add_checked(columns, run.END, frames, row_checksum(run.END, 0, frames))
             columns.send(self._stream)
         self._flush()
@@ -222,22 +222,30 @@ def write_run(
     earlier run at ``path`` is only replaced by a complete one. Raise SemvizError if ``path``
     cannot be written.
     """
+    counts: Counter[str] = Counter()
+    with unfinished_run(path, info, semantic_map) as writer:
+        for record in records:
+            writer.write(record)
+            counts[record.localization.status] += 1
+    return counts
+
+
+@contextmanager
+def unfinished_run(path: Path, info: RunInfo, semantic_map: SemanticMap) -> Iterator[RunWriter]:
+    """Yield the writer of a run whose file gets its name when the block ends; see ``write_run``."""
     check_replaceable(path)
     unfinished = path.with_name(f"{path.stem}.partial.rrd")
     _remove_earlier(unfinished)
-    counts: Counter[str] = Counter()
+    writer: RunWriter | None = None
     try:
         with RunWriter(unfinished, info, semantic_map) as writer:
-            for record in records:
-                writer.write(record)
-                counts[record.localization.status] += 1
+            yield writer
     except BaseException:
-        if not counts:  # the file has no frames
+        if writer is None or not writer.frames:  # the file has no frames
             with suppress(OSError):
                 unfinished.unlink()
         raise
     unfinished.replace(path)
-    return counts
 
 
 def _remove_earlier(unfinished: Path) -> None:

@@ -1,23 +1,77 @@
-"""Serve one web tool on one port, and open its address in a browser."""
+"""Serve one web tool on one port, and open its address in a browser.
+
+Other users of the machine do not see the page's token.
+"""
 
 import asyncio
 import contextlib
 import errno
+import html
 import os
 import secrets
 import signal
 import socket
+import sys
+import tempfile
 import threading
+import webbrowser
 from collections.abc import Iterator
+from pathlib import Path
 from urllib.parse import quote
 
 from aiohttp import web
+from aiohttp.typedefs import Middleware
 
-from semviz.web import browser
 from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback
+from semviz.web.connections import Connections
 from semviz.web.sessions import close_sockets
 from semviz.web.tool import Tool, tool_application
 from semviz_core.common.errors import SemvizError
+
+FORWARD = """<!doctype html>
+<meta charset="utf-8">
+<meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={url}">
+<title>semviz</title>
+<a href="{url}">Open semviz</a>
+"""
+
+
+@contextlib.contextmanager
+def opened(url: str) -> Iterator[None]:
+    """Open the default browser, if there is a display; remove the file that leads there at the end.
+
+    On Linux every user can read a browser's command line, so it gets the name of a private file
+    that forwards to ``url``.
+    """
+    if not sys.platform.startswith("linux"):
+        _start(url)
+        yield
+    elif os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        file = _forwarding_file(url)
+        try:
+            _start(file.as_uri())
+            yield
+        finally:
+            file.unlink(missing_ok=True)
+    else:
+        yield
+
+
+def _forwarding_file(url: str) -> Path:
+    """Return a file that only this user can read. Browsers in a sandbox read the home folder only,
+    without its hidden files."""
+    home = Path.home()
+    folder = home if os.access(home, os.W_OK) else Path(tempfile.gettempdir())
+    handle, name = tempfile.mkstemp(prefix="semviz-", suffix=".html", dir=folder)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(FORWARD.format(url=html.escape(url)))
+    return Path(name)
+
+
+def _start(url: str) -> None:
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
 
 CLOSING_S = 5.0
 """Longest time for closing after Ctrl-C."""
@@ -53,7 +107,7 @@ class Gateway:
         """Serve until Ctrl-C or SIGTERM; print the address and open it in a browser."""
         with self.running() as url, _stop_signal() as stopped:
             print(f"{self._tool.title}: {url}\nCtrl-C stops it.", flush=True)
-            with browser.opened(url) if open_browser else contextlib.nullcontext():
+            with opened(url) if open_browser else contextlib.nullcontext():
                 stopped.recv(1)
             _end_within(CLOSING_S)
 
@@ -65,22 +119,23 @@ class Gateway:
             loop = asyncio.new_event_loop()
             thread = threading.Thread(target=loop.run_forever, name="semviz-gateway", daemon=True)
             thread.start()
-            runner = web.AppRunner(
-                self._app(port), access_log=None, shutdown_timeout=1.0, logger=http_log()
-            )
+            connections = Connections(listener)
+            app = self._app(port, connections.middleware())
+            runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0, logger=http_log())
             try:
-                asyncio.run_coroutine_threadsafe(_serve(runner, listener), loop).result()
+                asyncio.run_coroutine_threadsafe(_serve(runner, connections), loop).result()
                 yield self._url(port)
             finally:
-                asyncio.run_coroutine_threadsafe(_end(runner), loop).result(timeout=10)
+                ending = _end(runner, connections)
+                asyncio.run_coroutine_threadsafe(ending, loop).result(timeout=10)
                 loop.call_soon_threadsafe(loop.stop)
                 thread.join(timeout=5)
                 loop.close()
                 self._tool.scenes.close_all()
 
-    def _app(self, port: int) -> web.Application:
+    def _app(self, port: int, admitting: Middleware) -> web.Application:
         policy = AccessPolicy(is_loopback(self._host), self._token, port)
-        app = tool_application(self._tool, middlewares=[policy.middleware()])
+        app = tool_application(self._tool, middlewares=[policy.middleware(), admitting])
         app.on_response_prepare.append(add_headers)
         app.on_shutdown.append(close_sockets)
         return app
@@ -92,13 +147,15 @@ class Gateway:
         return f"http://{shown}:{port}/{token}"
 
 
-async def _serve(runner: web.AppRunner, listener: socket.socket) -> None:
+async def _serve(runner: web.AppRunner, connections: Connections) -> None:
     await runner.setup()
-    await web.SockSite(runner, listener).start()
+    assert runner.server is not None
+    connections.start(runner.server)
 
 
-async def _end(runner: web.AppRunner) -> None:
+async def _end(runner: web.AppRunner, connections: Connections) -> None:
     """Close the port and all connections, and stop waiting for disconnected pages."""
+    connections.stop()
     await runner.cleanup()
     waiting = asyncio.all_tasks() - {asyncio.current_task()}
     for task in waiting:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from semviz.presentation import palette
+from semviz.presentation import plots
 from semviz_core.base.camera import Camera
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements3D
@@ -191,7 +191,7 @@ class Palette:
 
 
 def _palette(theme: Theme, scene: str, road: str, grid: str, faint: str, accent: str) -> Palette:
-    def pick(tone: palette.Tone) -> str:
+    def pick(tone: plots.Tone) -> str:
         return tone.dark if theme == "dark" else tone.light
 
     return Palette(
@@ -200,11 +200,11 @@ def _palette(theme: Theme, scene: str, road: str, grid: str, faint: str, accent:
         grid=grid,
         faint=faint,
         accent=accent,
-        truth=pick(palette.TRUTH),
-        estimate=pick(palette.ESTIMATE),
-        prior=pick(palette.PRIOR),
-        alternative=pick(palette.ALTERNATIVE),
-        residual=tuple(pick(tone) for tone in palette.RESIDUAL),
+        truth=pick(plots.TRUTH),
+        estimate=pick(plots.ESTIMATE),
+        prior=pick(plots.PRIOR),
+        alternative=pick(plots.ALTERNATIVE),
+        residual=tuple(pick(tone) for tone in plots.RESIDUAL),
     )
 
 

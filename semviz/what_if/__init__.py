@@ -1,5 +1,5 @@
 """Solve recorded frames again with changes, from the run file alone.
 
-`change` defines a change and the request of one frame. `scene_changes` and `solver_changes` are
-the kinds of change. `solve` applies a set of them to one frame or to a whole run.
+`change` defines a change and the request of one frame. `request_changes` are the kinds of change.
+`solve` applies a set of them to one frame or to a whole run.
 """

@@ -21,6 +21,7 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
+from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import Localizer, known_methods
 from semviz_core.localization.matched import MatchedMethodName
 
@@ -56,6 +57,11 @@ class FrameRequest:
     def of(cls, run: Run, record: FrameRecord) -> "FrameRequest":
         """The recorded request. A frame of a tracked run becomes a request without its history."""
         recorded, info = record.localization, run.info
+        if recorded.prior is None:
+            raise SemvizError(
+                f"frame {record.frame.index} has no prior, so there is no place to search: what-if "
+                "needs one; localize or record the run with --priors"
+            )
         is_single = info.method in known_methods()
         method = info.method if is_single else "search"
         weights = info.options.get("weights") if is_single else None

@@ -21,9 +21,10 @@ from semviz.runs.comparison import FrameChange, frame_change
 from semviz.runs.metrics import Errors, errors_of
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.writer import write_run
-from semviz.what_if import scene_changes, solver_changes
+from semviz.what_if import prior_changes, request_changes
 from semviz.what_if.change import FrameRequest, WhatIfChange
-from semviz.what_if.solver_changes import CropRadius, PriorAtTruth, StartAtTruth
+from semviz.what_if.prior_changes import CropRadius, PriorAtTruth
+from semviz.what_if.request_changes import StartAtTruth
 from semviz_core.base.localization import Localization, Refinement
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -35,23 +36,25 @@ from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
 
 KINDS: dict[str, type[WhatIfChange]] = {
-    "drop element": scene_changes.DropElement,
-    "add element": scene_changes.AddElement,
-    "element class": scene_changes.ChangeElementClass,
-    "drop detection": scene_changes.DropDetection,
-    "detection class": scene_changes.DetectionClass,
-    "least score": scene_changes.LeastScore,
-    "noise": scene_changes.NoiseFactor,
-    "ignore classes": scene_changes.IgnoreClasses,
-    "force pair": scene_changes.ForcePair,
-    "forbid pair": scene_changes.ForbidPair,
-    "true pairs": scene_changes.ForceTruePairs,
-    "move prior": solver_changes.MovePrior,
-    "prior at truth": solver_changes.PriorAtTruth,
-    "prior sigma": solver_changes.PriorSigma,
-    "crop radius": solver_changes.CropRadius,
-    "method": solver_changes.UseMethod,
-    "start at truth": solver_changes.StartAtTruth,
+    "drop element": request_changes.DropElement,
+    "add element": request_changes.AddElement,
+    "element class": request_changes.ChangeElementClass,
+    "drop detection": request_changes.DropDetection,
+    "detection class": request_changes.DetectionClass,
+    "least score": request_changes.LeastScore,
+    "noise": request_changes.NoiseFactor,
+    "ignore classes": request_changes.IgnoreClasses,
+    "force pair": request_changes.ForcePair,
+    "forbid pair": request_changes.ForbidPair,
+    "true pairs": request_changes.ForceTruePairs,
+    "move prior": prior_changes.MovePrior,
+    "prior at truth": prior_changes.PriorAtTruth,
+    "prior sigma": prior_changes.PriorSigma,
+    "crop radius": prior_changes.CropRadius,
+    "without prior part": prior_changes.WithoutPriorPart,
+    "raise prior": prior_changes.RaisePrior,
+    "method": request_changes.UseMethod,
+    "start at truth": request_changes.StartAtTruth,
 }
 _NAMES = {kind: name for name, kind in KINDS.items()}
 
@@ -115,7 +118,7 @@ def solve_recorded_matches(request: FrameRequest) -> Localization:
     if isinstance(result, Failure):
         return replace(failed, reason=result.reason)
     refinement = _refinement(request, result)
-    if violation := scene_changes.pair_constraints(request).violated(refinement, request.submap):
+    if violation := request_changes.pair_constraints(request).violated(refinement, request.submap):
         return replace(failed, reason=violation, refinement=refinement)
     return replace(
         failed,
@@ -143,7 +146,7 @@ def recorded_matches(request: FrameRequest) -> tuple[IntArray, FloatArray]:
         i, j = observed.get(row), mapped.get(int(recorded.submap.id[column]))
         if i is not None and j is not None and _same_class(request, i, j):
             score[i, j] = float(recorded.match.probability[row, column])
-    constraints = scene_changes.pair_constraints(request)
+    constraints = request_changes.pair_constraints(request)
     for i, j in constraints.forced.tolist():
         score = {pair: p for pair, p in score.items() if pair[0] != i and pair[1] != j}
         score[i, j] = 1.0
@@ -189,7 +192,7 @@ def _localize(request: FrameRequest) -> Localization:
         request.submap,
         request.record.localization.camera,
         request.prior,
-        pairing=scene_changes.pair_constraints(request),
+        pairing=request_changes.pair_constraints(request),
         start=request.start,
     )
 
@@ -319,6 +322,9 @@ DETECTION_FAULTS: tuple[FaultKind, ...] = (
 TOO_FEW: tuple[FaultKind, ...] = ("too few elements", "missed detection")
 """No change helps."""
 MAP_FAULTS: tuple[FaultKind, ...] = ("moved in the map", "twice in the map")
+PRIOR_FAULTS: tuple[FaultKind, ...] = (
+    "wrong heading prior", "wrong gravity prior", "wrong height prior", "wrong position prior",
+)  # fmt: skip
 SEARCH_FAULTS: tuple[FaultKind, ...] = (
     "wrong matches", "search miss", "refinement diverged", "ambiguous geometry", "unexplained",
 )  # fmt: skip
@@ -346,17 +352,35 @@ def best_suggestion(
 def _suggestions(request: FrameRequest, fault: Fault) -> Iterator[WhatIfChange]:
     frame = request.record.frame.index
     if fault.kind in MAP_FAULTS:
-        yield from map(scene_changes.DropElement, fault.elements)
+        yield from map(request_changes.DropElement, fault.elements)
     elif fault.kind in DETECTION_FAULTS:
-        yield from (scene_changes.DropDetection(frame, row) for row in fault.rows)
+        yield from (request_changes.DropDetection(frame, row) for row in fault.rows)
     elif fault.kind == "wrong class":
         yield from _other_class(request, fault.rows, fault.elements)
+    elif fault.kind in PRIOR_FAULTS:
+        yield from _other_prior(fault)
+    elif fault.kind == "wrong detection sigma":
+        yield request_changes.NoiseFactor(round(fault.evidence[0].value, 1))
     elif fault.kind == "not in the submap":
         yield PriorAtTruth()
         yield CropRadius(RADIUS_FACTOR * request.radius_m)
     elif fault.kind in SEARCH_FAULTS:
-        yield scene_changes.ForceTruePairs()
+        yield request_changes.ForceTruePairs()
         yield StartAtTruth()
+
+
+def _other_prior(fault: Fault) -> Iterator[WhatIfChange]:
+    """Yield the changes that leave out, or correct, the part of the prior that is wrong."""
+    off = fault.evidence[0].value
+    if fault.kind == "wrong heading prior":
+        yield prior_changes.WithoutPriorPart("heading")
+    elif fault.kind == "wrong gravity prior":
+        yield prior_changes.WithoutPriorPart("gravity")
+    elif fault.kind == "wrong height prior":
+        yield from (prior_changes.RaisePrior(round(up_m, 2)) for up_m in (off, -off))
+    else:
+        yield PriorAtTruth()
+        yield prior_changes.PriorSigma(round(off, 1))
 
 
 def _other_class(
@@ -366,8 +390,8 @@ def _other_class(
     for row, element in zip(rows, elements, strict=False):
         mapped = request.semantic_map.elements
         for class_id in mapped.class_id[mapped.id == element].tolist():
-            yield scene_changes.DetectionClass(request.record.frame.index, row, class_id)
-        yield scene_changes.ChangeElementClass(element, int(request.observed.class_id[row]))
+            yield request_changes.DetectionClass(request.record.frame.index, row, class_id)
+        yield request_changes.ChangeElementClass(element, int(request.observed.class_id[row]))
 
 
 def _cost(run: Run, record: FrameRecord, change: WhatIfChange) -> tuple[float, float]:

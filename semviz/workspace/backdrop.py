@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.mapping.backdrop import depth_fusion
-from semviz_annotation.mapping.backdrop.backdrop import (
+from semviz_annotation.mapping import depth_fusion
+from semviz_annotation.mapping.backdrop import (
     Backdrop,
     BackdropSource,
     load_backdrop,

@@ -21,7 +21,7 @@ from semviz.workspace import localize
 from semviz.workspace.observations import observe_simulated
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.rows import LabelElement, Observation, derived_id
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_core.base.frame import Frame, Prior, Side
@@ -162,7 +162,14 @@ def _localization(workspace: Workspace, semantic_map: SemanticMap) -> localize.S
     street = workspace.street
     localizer = Localizer(detector=detector_model(options.observations))
     return localize.SequenceLocalization(
-        street, semantic_map, street.frames, observe, prior_of, localizer, options
+        street,
+        semantic_map,
+        street.frames,
+        observe,
+        prior_of,
+        localize.simulated_odometry(options.seed),
+        localizer,
+        options,
     )
 
 
@@ -178,9 +185,9 @@ def _often_seen(street: Street, frames: range) -> int:
 def _sometimes_wrong(prior_of: localize.PriorSource) -> localize.PriorSource:
     far_off = PriorOptions(distance_m=FAR_OFF_M)
 
-    def wrong_prior_of(frame: Frame) -> Prior:
+    def wrong_prior_of(frame: Frame) -> Prior | None:
         usual = prior_of(frame)
-        if frame.index not in FAR_OFF_FRAMES or frame.T_map_camera is None:
+        if usual is None or frame.index not in FAR_OFF_FRAMES or frame.T_map_camera is None:
             return usual
         wrong = simulate_prior(frame.T_map_camera, far_off, (SEED, frame.index))
         # The fix is far off, but its stated sigma is the usual one.

@@ -15,12 +15,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal, TypeAlias
 
-from semviz.presentation.progress import track
+from semviz.presentation.terminal import track
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.proposal import ProcessedImages, Proposal, Setting
 from semviz_annotation.labels.proposals import Proposals, load_proposals, save_proposals
-from semviz_core.base.detector_calibration import CALIBRATION_ENDING, DetectorCalibration
+from semviz_core.base.detector_model import CALIBRATION_ENDING, DetectorCalibration
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector

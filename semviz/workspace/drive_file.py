@@ -6,10 +6,10 @@ A table beside it, ``left-out.csv``, has a line for each image that is not in th
 for each frame without a pose.
 """
 
-import csv
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -21,12 +21,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.rectification import rectify_rig
+from semviz_core.datasets.own_drive.rectification import rectify_cameras, rectify_rig
 
 if TYPE_CHECKING:
     from semviz_core.datasets.own_drive.image_files import LeftOutImage
@@ -41,13 +42,32 @@ RECORDED = Path("recorded")
 
 Matrix = Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 """A pose: the 12 numbers of a 3x4 matrix, row by row."""
-_FORMULA = ("=", "+", "-", "@")
-"""Spreadsheets take a cell that begins with one of these for a formula."""
 _MOST_NAME = 1000
 """File systems allow 255."""
 _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
 ImageName = Annotated[str, Field(pattern=rf"^[^/\\{_CONTROLS}]+$")]
 """Of a file in the folder of images, and nowhere else."""
+
+
+@dataclass(frozen=True)
+class ImageFolders:
+    """Where the recorded images of a drive are."""
+
+    left: Path
+    right: Path | None = None
+    cameras: Mapping[str, Path] = field(default_factory=dict)
+    """Of a rig, by name of the camera."""
+
+    @classmethod
+    def of_drive(cls, drive: "RecordedDrive") -> "ImageFolders":
+        cameras = {name: camera.folder for name, camera in drive.cameras.items()}
+        return cls(drive.left_folder, drive.right_folder, cameras)
+
+    def of(self, camera: str) -> Path:
+        """Return a camera's folder. Raise SemvizError if there is none."""
+        if camera not in self.cameras:
+            raise SemvizError(f"no folder of camera {shown(camera, 60)} in the settings")
+        return self.cameras[camera]
 
 
 class _Model(BaseModel):
@@ -79,6 +99,14 @@ class CameraEntry(_Model):
         return OriginalCamera(self.model, *self.size_px, K, np.array(self.distortion))
 
 
+class RigCameraEntry(_Model):
+    """A camera of a rig of several."""
+
+    recorded: CameraEntry
+    T_first_camera: Matrix | None = None
+    """From this camera to the rig's first one, if that is known."""
+
+
 class FrameEntry(_Model):
     """An image, or a pair."""
 
@@ -88,6 +116,8 @@ class FrameEntry(_Model):
     right: ImageName | None = None
     T_map_camera: Matrix | None = None
     """Of the rectified left camera."""
+    camera: str | None = None
+    """Of a rig: the camera of the image ``left``."""
 
 
 class DriveFile(_Model):
@@ -95,15 +125,20 @@ class DriveFile(_Model):
 
     crc32: int | None = None
     """Of what follows it in the file; None in files of earlier versions of semviz."""
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 1
+    """2 for a rig of several cameras."""
     map_frame: str
     left: CameraEntry
     right: CameraEntry | None = None
     T_right_left: Matrix | None = None
+    cameras: dict[str, RigCameraEntry] | None = None
+    """Of a rig: all its cameras, ``left`` is the first one again."""
     most_view_deg: float
     """Largest field of view of the rectified images."""
     origin_m: tuple[float, float, float] | None = None
     """The map's origin in the world of the poses; None without poses."""
+    T_map_world: Matrix | None = None
+    """From the world of the poses; None without poses, and in files of earlier versions."""
     statements: tuple[tuple[str, str], ...] = ()
     """What was read and taken for granted: topic and text."""
     warnings: tuple[str, ...] = ()
@@ -114,17 +149,30 @@ class DriveFile(_Model):
             raise ValueError("frames are not in the order of their numbers")
         if re.search(f"[{_CONTROLS}]", self.map_frame):
             raise ValueError("the map frame's name has a control character")
+        known: set[str | None] = {None} if self.cameras is None else set(self.cameras)
+        if {row.camera for row in self.frames} - known:
+            raise ValueError("a frame is of a camera that is not there")
 
     @classmethod
     def of(cls, drive: "RecordedDrive", map_frame: str) -> "DriveFile":
         original = drive.original
         return cls(
+            version=2 if drive.cameras else 1,
             map_frame=map_frame,
             left=CameraEntry.of(original.left),
             right=None if original.right is None else CameraEntry.of(original.right),
             T_right_left=_numbers(original.T_right_left),
+            cameras={
+                name: RigCameraEntry(
+                    recorded=CameraEntry.of(camera.original),
+                    T_first_camera=_numbers(camera.T_first_camera),
+                )
+                for name, camera in drive.cameras.items()
+            }
+            or None,
             most_view_deg=drive.most_view_deg,
             origin_m=None if drive.axes is None else drive.axes.origin_m,
+            T_map_world=None if drive.axes is None else _numbers(drive.axes.T_map_world),
             statements=drive.statements,
             warnings=drive.warnings,
             frames=tuple(
@@ -134,13 +182,16 @@ class DriveFile(_Model):
                     left=drive.left[frame.index],
                     right=drive.right.get(frame.index),
                     T_map_camera=_numbers(frame.T_map_camera),
+                    camera=drive.camera_of.get(frame.index),
                 )
                 for frame in drive.frames
             ),
         )
 
-    def dataset(self, images: Path, right: Path | None, cache: Path) -> ImageFolder:
+    def dataset(self, folders: ImageFolders, cache: Path) -> ImageFolder:
         """Return the images of these folders as a dataset; rectified ones are kept in ``cache``."""
+        if self.cameras is not None:
+            return self._rig_dataset(self.cameras, folders, cache)
         original = OriginalRig(
             self.left.camera(),
             None if self.right is None else self.right.camera(),
@@ -149,12 +200,38 @@ class DriveFile(_Model):
         return ImageFolder(
             MapFrame(self.map_frame),
             tuple(Frame(row.index, row.time_s, _pose(row.T_map_camera)) for row in self.frames),
-            {row.index: images / row.left for row in self.frames},
+            {row.index: folders.left / row.left for row in self.frames},
             {}
-            if right is None
-            else {row.index: right / row.right for row in self.frames if row.right is not None},
+            if folders.right is None
+            else {
+                row.index: folders.right / row.right for row in self.frames if row.right is not None
+            },
             rectify_rig(original, self.most_view_deg),
             cache,
+        )
+
+    @property
+    def world(self) -> Pose | None:
+        """T_map_world, from the world of the poses; None if it is not known."""
+        return _pose(self.T_map_world)
+
+    def _rig_dataset(
+        self, cameras: Mapping[str, RigCameraEntry], folders: ImageFolders, cache: Path
+    ) -> ImageFolder:
+        originals = [camera.recorded.camera() for camera in cameras.values()]
+        rectified = rectify_cameras(originals, self.most_view_deg)
+        camera_of = {row.index: row.camera for row in self.frames if row.camera is not None}
+        mounts = {name: _pose(camera.T_first_camera) for name, camera in cameras.items()}
+        return ImageFolder(
+            MapFrame(self.map_frame),
+            tuple(Frame(row.index, row.time_s, _pose(row.T_map_camera)) for row in self.frames),
+            {row.index: folders.of(camera_of[row.index]) / row.left for row in self.frames},
+            {},
+            rectified[0],
+            cache,
+            camera_of,
+            {name: mount for name, mount in mounts.items() if mount is not None},
+            dict(zip(cameras, rectified, strict=True)),
         )
 
     def save(self, path: Path) -> None:
@@ -182,14 +259,14 @@ def read_drive_file(path: Path) -> DriveFile:
     return content
 
 
-def open_drive(path: Path, images: Path, right: Path | None, cache: Path) -> ImageFolder:
+def open_drive(path: Path, folders: ImageFolders, cache: Path) -> ImageFolder:
     """Return the dataset of the file ``path``; see ``DriveFile.dataset``.
 
     Raise SemvizError if the file is missing, damaged, or its cameras are impossible.
     """
     content = read_drive_file(path)
     try:
-        return content.dataset(images, right, cache)
+        return content.dataset(folders, cache)
     except SemvizError as error:
         raise SemvizError(f"{path}: {error}; run 'semviz new' again") from None
 
@@ -216,18 +293,18 @@ def write_left_out(path: Path, images: Sequence["LeftOutImage"]) -> None:
     """Write the table, if there are images; the cell of a time that is not known is empty."""
     if not images:
         return
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["file", "side", "time_s", "reason"])
-        for image in images:
-            time_s = "" if image.time_s is None else image.time_s
-            writer.writerow([_as_text(image.file), image.side, time_s, image.reason])
-
-
-def _as_text(name: str) -> str:
-    """Return a name, behind an apostrophe if a spreadsheet would take it for a formula."""
-    name = shown(name, _MOST_NAME)
-    return f"'{name}" if name.startswith(_FORMULA) else name
+    rows = [
+        [
+            shown(image.file, _MOST_NAME),
+            shown(image.camera, _MOST_NAME) if image.camera else image.side,
+            image.time_s,
+            image.reason,
+        ]
+        for image in images
+    ]
+    with replacing(path) as temporary:
+        table = csv_text([["file", "side", "time_s", "reason"], *rows])
+        temporary.write_text(table, encoding="utf-8", newline="")
 
 
 def _numbers(pose: Pose | None) -> tuple[float, ...] | None:

@@ -16,17 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from semviz.presentation.progress import announce_compiling, count_functions, track
+from semviz.presentation.terminal import announce_compiling, count_functions, track
 from semviz.runs.images import check_images_available, with_images
+from semviz.runs.recorder import fitted_pairs
 from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
 from semviz.workspace.detect import MODEL_FILE
+from semviz.workspace.measurements import Measurements
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_core.base.camera import Camera
-from semviz_core.base.detector_calibration import DetectorCalibration
-from semviz_core.base.detector_model import NoiseName
+from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Dataset, Frame, Odometry, OdometryNoise, Prior
 from semviz_core.base.localization import Localization, Refinement
@@ -34,12 +35,18 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
+from semviz_core.datasets.rig_cameras import frames_of_camera
 from semviz_core.localization.localizer import Localizer
-from semviz_core.localization.residuals import pair_residuals
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
 ODOMETRY_NOISE = OdometryNoise()
 _ODOMETRY_SEED = 2  # 0 and 1 seed the prior and the detector
+
+
+PriorSource = Callable[[Frame], Prior | None]
+"""Returns the prior of a frame; None if it has none."""
+OdometrySource = Callable[[Frame, Frame], Odometry | None]
+"""Returns the motion of the camera from a frame to the next one; None if it is not known."""
 
 
 @dataclass
@@ -51,11 +58,7 @@ class SequenceTracker:
     localizer: Localizer
     """Localizes single frames while the pose is unknown."""
     crop_m: float
-    seed: int
-    """Seed of the simulated odometry."""
     _tracker: Tracker = field(init=False)
-    _previous: Pose | None = None
-    """True T_map_camera of the previous frame."""
 
     def __post_init__(self) -> None:
         self._tracker = Tracker(
@@ -66,25 +69,20 @@ class SequenceTracker:
             crop_m=self.crop_m,
         )
 
-    def localize(self, frame: Frame, observed: Elements2D, prior: Prior) -> Localization:
-        """Return the tracked pose as ``ok``, or ``cannot`` while it is starting or lost."""
-        odometry = self._odometry(frame)
-        self._previous = frame.T_map_camera
+    def localize(
+        self, observed: Elements2D, prior: Prior | None, odometry: Odometry | None
+    ) -> Localization:
+        """Return the tracked pose as ``ok``, or ``cannot`` while it is starting or lost.
+
+        ``odometry`` is the motion since the frame before.
+        """
         start = perf_counter()
         tracked = self._tracker.step(observed, odometry, prior)
         time_ms = (perf_counter() - start) * 1e3
         return self._as_localization(tracked, observed, prior, time_ms)
 
-    def _odometry(self, frame: Frame) -> Odometry | None:
-        """Return the true motion since the previous frame with noise; None for the first."""
-        pose, previous = frame.T_map_camera, self._previous
-        if pose is None or previous is None:
-            return None
-        rng = np.random.default_rng([self.seed, frame.index, _ODOMETRY_SEED])
-        return ODOMETRY_NOISE.measure(pose.inverse() @ previous, rng)
-
     def _as_localization(
-        self, tracked: TrackedPose, observed: Elements2D, prior: Prior, time_ms: float
+        self, tracked: TrackedPose, observed: Elements2D, prior: Prior | None, time_ms: float
     ) -> Localization:
         single, pose = tracked.localization, tracked.T_camera_map
         submap = single.submap if single else self._submap(pose, prior)
@@ -101,14 +99,24 @@ class SequenceTracker:
             covariance=tracked.covariance,
             match=single.match if single else None,
             search=single.search if single else None,
-            refinement=None if pose is None else _fit(tracked, pose, self.camera, observed, submap),
+            refinement=None if pose is None else self._fit(tracked, pose, observed, submap),
             alternatives=single.alternatives if single else (),
             time_ms={**stages, "track": time_ms - sum(stages.values())},
         )
 
-    def _submap(self, T_camera_map: Pose | None, prior: Prior) -> Elements3D:
-        center_m = prior.position_m if T_camera_map is None else T_camera_map.inverse().translation
-        return self.semantic_map.crop(center_m, self.crop_m)
+    def _fit(
+        self, tracked: TrackedPose, T_camera_map: Pose, observed: Elements2D, submap: Elements3D
+    ) -> Refinement:
+        """Return the tracked pairs and their residuals against the map at the tracked pose."""
+        pairs = np.argwhere(tracked.element_id[:, None] == submap.id)
+        return fitted_pairs(T_camera_map, self.camera, observed, submap, pairs)
+
+    def _submap(self, T_camera_map: Pose | None, prior: Prior | None) -> Elements3D:
+        if T_camera_map is not None:
+            return self.semantic_map.crop(T_camera_map.inverse().translation, self.crop_m)
+        if prior is None:
+            return self.semantic_map.elements[:0]
+        return self.semantic_map.crop(prior.position_m, self.crop_m)
 
 
 def _reason(tracked: TrackedPose) -> str:
@@ -118,26 +126,11 @@ def _reason(tracked: TrackedPose) -> str:
     return f"{state}: {tracked.reason[0].lower()}{tracked.reason[1:]}"
 
 
-def _fit(
-    tracked: TrackedPose,
-    T_camera_map: Pose,
-    camera: Camera,
-    observed: Elements2D,
-    submap: Elements3D,
-) -> Refinement:
-    """Return the tracked pairs and their residuals against the map at the tracked pose."""
-    pairs = np.argwhere(tracked.element_id[:, None] == submap.id)
-    residuals = pair_residuals(T_camera_map, camera, observed, submap, pairs)
-    cost = np.array([np.minimum(residuals.chi2, 1e9).sum()])  # nothing was iterated
-    return Refinement(pairs, residuals.residual_px, residuals.chi2, residuals.inlier, cost)
-
-
-PriorSource = Callable[[Frame], Prior]
-"""Returns the prior of a frame."""
 CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 120.0, "simulated": 50.0}
 """The simulated detector has a range of 40 m; labels and detections have no fixed range."""
 WARM_UP_FRAMES = 2
 """The second is the first that a tracker predicts."""
+NO_PRIOR = "No prior: the file has no fix for this frame."
 ROAD_RADIUS_M = 60.0
 """The prior holds the road within this distance of the fix."""
 
@@ -158,6 +151,10 @@ class LocalizeOptions:
     """Minimum score of a detection."""
     prior_distance_m: tuple[float, float] = (5.0, 10.0)
     heading_sigma_deg: float | None = None
+    priors: str | None = None
+    """File of measured priors; None: they are simulated."""
+    odometry: str | None = None
+    """File of measured odometry; None: it is simulated, or unknown if priors are measured."""
     crop_radius_m: float = CROP_RADIUS_M["labels"]
     seed: int = 0
 
@@ -168,6 +165,11 @@ class LocalizeOptions:
             raise SemvizError(f"crop radius {self.crop_radius_m:g} m: give a positive number")
         if not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
+
+    @property
+    def has_measurements(self) -> bool:
+        """Whether priors or odometry are from files."""
+        return self.priors is not None or self.odometry is not None
 
     @property
     def weights_path(self) -> Path | None:
@@ -183,6 +185,7 @@ class SequenceLocalization:
     frames: tuple[Frame, ...]
     observe: observations.Observe
     prior_of: PriorSource
+    odometry_of: OdometrySource
     localizer: Localizer
     options: LocalizeOptions
     processed: ProcessedImages | None = None
@@ -198,38 +201,59 @@ class SequenceLocalization:
             )
 
     def __iter__(self) -> Iterator[FrameRecord]:
-        self._warm_up()
-        localize = self._tracker().localize if self.options.track else self._localize
-        for frame in self.frames:
-            observed, element_id = self.observe(frame)
-            result = localize(frame, observed, self._prior(frame))
-            yield FrameRecord(frame, result, element_id)
-
-    def _warm_up(self) -> None:
-        """Localize an example and the first frames once, so that compilation is in no frame's
-        time."""
         with count_functions() as tell:
             self.localizer.warmup(tell)
-        localize = self._tracker().localize if self.options.track else self._localize
-        for frame in self.frames[:WARM_UP_FRAMES]:
-            observed, _ = self.observe(frame)
-            localize(frame, observed, self._prior(frame))
+        for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
+            pass  # the method is compiled: now what observes and tracks
+        yield from self._localized(self.frames)
 
-    def _prior(self, frame: Frame) -> Prior:
-        """Return the prior, with the map's road around the fix."""
+    def _localized(self, frames: tuple[Frame, ...]) -> Iterator[FrameRecord]:
+        options = self.options
+        tracker = self._tracker() if options.track else None
+        for before, frame in zip((None, *frames), frames, strict=False):
+            observed, element_id = self.observe(frame)
+            prior, odometry = self._prior(frame), None
+            if tracker is None:
+                result = self._localize(observed, prior)
+            else:
+                odometry = None if before is None else self.odometry_of(before, frame)
+                result = tracker.localize(observed, prior, odometry)
+            measured = odometry if options.has_measurements else None
+            yield FrameRecord(frame, result, element_id, odometry=measured)
+
+    def _prior(self, frame: Frame) -> Prior | None:
+        """Return the prior, if any, with the map's road around the fix."""
         prior = self.prior_of(frame)
+        if prior is None:
+            return None
         road_m = self.semantic_map.road_near(prior.position_m, ROAD_RADIUS_M)
         return replace(prior, road_m=road_m)
 
-    def _localize(self, frame: Frame, observed: Elements2D, prior: Prior) -> Localization:
-        """Localize a single frame."""
+    def _localize(self, observed: Elements2D, prior: Prior | None) -> Localization:
+        """Localize a single frame; one without a prior is recorded as such."""
+        camera = self.source.rig.left
+        if prior is None:
+            nothing = self.semantic_map.elements[:0]
+            return Localization(
+                self.localizer.method,
+                camera,
+                None,
+                observed,
+                nothing,
+                "cannot",
+                NO_PRIOR,
+                None,
+                None,
+            )
         submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
-        return self.localizer.localize(observed, submap, self.source.rig.left, prior)
+        return self.localizer.localize(observed, submap, camera, prior)
 
     def _tracker(self) -> SequenceTracker:
-        options, camera = self.options, self.source.rig.left
         return SequenceTracker(
-            camera, self.semantic_map, self.localizer, options.crop_radius_m, options.seed
+            self.source.rig.left,
+            self.semantic_map,
+            self.localizer,
+            self.options.crop_radius_m,
         )
 
 
@@ -243,12 +267,18 @@ def check_map_frame(semantic_map: SemanticMap, source: Dataset) -> None:
         )
 
 
-def select_frames(source: Dataset, numbers: range | None) -> tuple[Frame, ...]:
-    """Return the frames with these numbers (None: all). Raise SemvizError if there are none."""
-    selected = tuple(frame for frame in source.frames if numbers is None or frame.index in numbers)
-    if not selected:
+def select_frames(
+    source: Dataset, numbers: range | None, camera: str | None = None
+) -> tuple[Frame, ...]:
+    """Return the frames with these numbers (None: all), of one camera if the source is a rig.
+
+    ``camera`` None takes that of the first of these frames. Raise SemvizError if there are none.
+    """
+    selected = [frame for frame in source.frames if numbers is None or frame.index in numbers]
+    frames = frames_of_camera(source, camera, selected)
+    if not frames:
         raise SemvizError("--frames: the sequence has none of these frames")
-    return selected
+    return frames
 
 
 def posed_frames(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
@@ -271,11 +301,14 @@ def localize_workspace(
     options: LocalizeOptions,
     frames: range | None = None,
     calibration: DetectorCalibration | None = None,
+    measured: Measurements | None = None,
+    camera: str | None = None,
 ) -> SequenceLocalization:
     """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
 
-    Frames without a pose are left out. ``calibration`` is that of the observed detections; without
-    one, rates are assumed.
+    Of a rig, those of one camera: see ``select_frames``. Frames without a pose are left out, unless
+    their priors are ``measured``. ``calibration`` is that of the observed detections; without one,
+    rates are assumed.
     """
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
@@ -287,7 +320,10 @@ def localize_workspace(
     localizer = Localizer(
         options.method, options.seed, semantic_map.classes, detector, options.weights_path
     )
-    selected = posed_frames(select_frames(source, frames))
+    measured = measured or Measurements()
+    selected = select_frames(source, frames, camera)
+    if measured.priors is None:
+        selected = posed_frames(selected)
     processed: ProcessedImages | None = None
     if options.observations == "labels":
         observe = observations.observe_labels(workspace, semantic_map)
@@ -301,13 +337,14 @@ def localize_workspace(
         observe = observations.observe_simulated(
             workspace, semantic_map, options.noise, options.seed
         )
-    prior_of = simulated_prior(options)
+    measured.check(semantic_map, selected)
     return SequenceLocalization(
         source,
         semantic_map,
         selected,
         observe,
-        prior_of,
+        measured.prior_of if measured.priors else simulated_prior(options),
+        measured.odometry_of if measured.is_any else simulated_odometry(options.seed),
         localizer,
         options,
         processed,
@@ -322,6 +359,18 @@ def prior_options(options: LocalizeOptions) -> PriorOptions:
         distance_m=options.prior_distance_m,
         heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
     )
+
+
+def simulated_odometry(seed: int) -> OdometrySource:
+    """Simulate odometry: the true motion between two frames, with noise."""
+
+    def odometry_of(before: Frame, now: Frame) -> Odometry | None:
+        if now.T_map_camera is None or before.T_map_camera is None:
+            return None
+        rng = np.random.default_rng([seed, now.index, _ODOMETRY_SEED])
+        return ODOMETRY_NOISE.measure(now.T_map_camera.inverse() @ before.T_map_camera, rng)
+
+    return odometry_of
 
 
 def simulated_prior(options: LocalizeOptions) -> PriorSource:

@@ -17,8 +17,7 @@ from semviz.workspace.settings import StreetSettings
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.mapping.quality.label_links import map_rows, observe
-from semviz_core.base.detector_calibration import DetectorCalibration
-from semviz_core.base.detector_model import NoiseName
+from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import SemanticMap
@@ -28,8 +27,8 @@ from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
 from semviz_core.metrics.detection import ImageGroundTruth, match_confused_classes, match_detections
 
 if TYPE_CHECKING:
-    from semviz_annotation.labels.labels import Labels
     from semviz_annotation.labels.proposals import Proposals
+    from semviz_annotation.mapping.association.detection_tracks import LabelsOfMap
     from semviz_core.simulation.street import Street
 
 Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
@@ -68,16 +67,16 @@ def read_detections(workspace: Workspace, frames: Iterable[Frame]) -> "Proposals
     return Proposals.of(proposals.detections, processed)
 
 
-def read_labels_of(workspace: Workspace, semantic_map: SemanticMap) -> "Labels":
+def read_labels_of(workspace: Workspace, semantic_map: SemanticMap) -> "LabelsOfMap":
     """Return the labels of a workspace and, for a map of detections, its tracks."""
     from semviz_annotation.labels.proposals import load_proposals
-    from semviz_annotation.mapping.association.detection_tracks import labels_of_map
+    from semviz_annotation.mapping.association.detection_tracks import LabelsOfMap, labels_of_map
 
     labels = workspace.read_labels()
     if not uses_detections(semantic_map):
-        return labels
+        return LabelsOfMap(labels, {})
     detections = load_proposals(workspace.proposals_path, workspace.classes)
-    return labels_of_map(labels, semantic_map, detections)
+    return labels_of_map(labels, semantic_map, detections, workspace.source)
 
 
 def observe_detected(
@@ -173,7 +172,7 @@ def matched_rows(detections: Elements2D, elements: Elements2D) -> IntArray:
 
 
 def _on_street(street: "Street", index: int) -> _Visible:
-    from semviz_core.simulation.ground_truth import street_truth
+    from semviz_core.simulation.detector import street_truth
 
     elements, ids = street_truth(street, index, "left").elements, street.labels(index, "left")[1]
     return elements, np.append(ids, np.full(len(elements) - len(ids), UNKNOWN_ID))

@@ -12,6 +12,7 @@ from pathlib import Path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import FileDataset, Frame, Side
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import frames_of_camera
 from semviz_core.datasets.validation import Calibration
 from semviz_core.pose_checks.faults import PoseCheck, check_drive
 from semviz_core.pose_checks.image_motions import (
@@ -54,14 +55,15 @@ def check_poses(
 
 
 def known_check(workspace: Workspace) -> PoseCheck | None:
-    """Return the check of all poses if the motions of the images are known; measure nothing."""
-    frames = workspace.source.frames
+    """Return the check of all given poses if the motions of the images are known; measure
+    nothing."""
+    frames = frames_of_camera(workspace.given_source, None)
     if not motions_path(workspace).is_file() or len(frames) < MIN_FRAMES:
         return None
     motions = load_motions(motions_path(workspace), source_key(workspace, frames))
     if motions is None:
         return None
-    check = check_drive(frames, motions, workspace.source.rig)
+    check = check_drive(frames, motions, workspace.given_source.rig)
     return check if check.is_checked else None
 
 

@@ -17,8 +17,14 @@ import numpy as np
 from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
 from semviz.workspace.localizability import options_of
-from semviz.workspace.localize import SequenceLocalization
+from semviz.workspace.localize import (
+    LocalizeOptions,
+    OdometrySource,
+    SequenceLocalization,
+    simulated_odometry,
+)
 from semviz.workspace.observations import Observe, observe_labels, read_detections
+from semviz.workspace.pose_review import with_used_poses
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import rebuild_map, uses_detections
 from semviz_core.base.elements import Elements2D
@@ -52,6 +58,7 @@ def rebuild_run(
         on_progress,
         read_detections(workspace, ()) if detected else None,
     )
+    semantic_map = with_used_poses(semantic_map, workspace)
     info = _info(run, path, workspace)
     frames: list[FrameRecord] = []
 
@@ -116,6 +123,7 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         tuple(frame.frame for frame in run.frames),
         observe,
         lambda frame: recorded[frame.index].localization.prior,
+        _odometry_of(recorded, options),
         Localizer(
             options.method,
             run.info.seed,
@@ -128,6 +136,13 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
     for record in localization:
         old = recorded[record.frame.index]
         yield replace(old, localization=record.localization, element_id=record.element_id)
+
+
+def _odometry_of(recorded: dict[int, FrameRecord], options: LocalizeOptions) -> OdometrySource:
+    """Return the odometry of a run: what was measured, else simulated again."""
+    if options.has_measurements:
+        return lambda before, now: recorded[now.index].odometry
+    return simulated_odometry(options.seed)
 
 
 def _recorded(recorded: dict[int, FrameRecord], new_id: dict[int, int]) -> Observe:

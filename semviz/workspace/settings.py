@@ -1,19 +1,34 @@
-"""The settings of a workspace, ``semviz.toml``: where its images come from."""
+"""The settings of a workspace, ``semviz.toml``: where its images come from.
 
+People edit it, so only what decides which images the labels belong to has a checksum, in a comment
+that an editor deletes: a seed, a frame number or a folder's name with one wrong bit opens others.
+"""
+
+import json
+import re
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import first_line, read_toml
+from semviz_core.common.limits import (
+    MOST_SETTINGS_BYTES,
+    first_line,
+    read_limited,
+    read_toml,
+    shown,
+)
 from semviz_core.datasets.validation import Calibration
 from semviz_core.simulation.objects import SectionKind
 
 VERSION: Final = 1
 SETTINGS = "semviz.toml"
 STREET_FRAMES = 60
+_CHECKSUM = re.compile(r"^# Checksum ([0-9a-f]{8}) of ", re.MULTILINE)
 
 
 class _Model(BaseModel):
@@ -57,6 +72,8 @@ class ImagesSettings(_Model):
     images: str
     """Folder of the left, or the only, camera, absolute or relative to the workspace."""
     right: str | None = None
+    cameras: dict[str, str] | None = None
+    """Of a rig: the folders of all its cameras by name, of the first one's again."""
 
 
 class SectionSettings(_Model):
@@ -100,9 +117,38 @@ def read_settings(path: Path) -> Settings:
             f"{file}: workspace version {version}; this semviz reads up to {VERSION}: update semviz"
         )
     try:
-        return Settings.model_validate(raw)
+        settings = Settings.model_validate(raw)
     except ValidationError as error:
         raise SemvizError(f"{file}: {_first_fault(error)}; repair it") from None
+    written = _CHECKSUM.search(read_limited(file, MOST_SETTINGS_BYTES).decode("utf-8", "replace"))
+    if written is not None and written[1] != _checksum(settings):
+        raise SemvizError(
+            f"{file}: name or [source] is not as semviz wrote it; if you edited it, delete the "
+            "line '# Checksum ...' there, else restore the file"
+        )
+    return settings
+
+
+def settings_content(settings: Settings, path: Path) -> bytes:
+    """Return the content of ``semviz.toml`` of the workspace ``path``.
+
+    Raise SemvizError for names that are no text.
+    """
+    checksum = _checksum(settings)
+    note = f"# Checksum {checksum} of name and [source]: if you edit them, delete this line."
+    text = f"{note}\n{tomli_w.dumps(settings.model_dump(exclude_none=True))}"
+    try:
+        return text.encode()
+    except UnicodeEncodeError:
+        raise SemvizError(
+            f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
+        ) from None
+
+
+def _checksum(settings: Settings) -> str:
+    """Return the checksum of which images these are; spaces and comments do not count."""
+    values = settings.model_dump(mode="json", include={"name", "source"}, exclude_defaults=True)
+    return f"{zlib.crc32(json.dumps(values, sort_keys=True).encode()):08x}"
 
 
 def new_settings(path: Path, source: Mapping[str, object], trust_poses: bool = False) -> Settings:

@@ -11,6 +11,7 @@
     kept/                keys that other labelling tools wrote, if any
     backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
     image_motions.safetensors  motions measured in the images; see ``pose_check``
+    pose_choices.json    what people chose for wrong poses, if anything; see ``pose_choices``
     detector.calibration.toml  what the scores of the detector mean, if chosen; see ``calibration``
     maps/NAME.parquet
     runs/NAME.rrd
@@ -22,7 +23,7 @@ import getpass
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -36,9 +37,12 @@ from semviz.workspace.drive_file import (
     RECORDED,
     RECTIFIED,
     DriveFile,
+    ImageFolders,
     open_drive,
     write_left_out,
 )
+from semviz.workspace.pose_choices import FILE as POSE_CHOICES
+from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
@@ -49,22 +53,21 @@ from semviz.workspace.settings import (
     StreetSettings,
     new_settings,
     read_settings,
+    settings_content,
 )
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.base.frame import Dataset
+from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import shown
 from semviz_core.datasets.validation import Calibration
 
 if TYPE_CHECKING:
     from semviz_annotation.labels.labels import Labels
     from semviz_annotation.storage.store import LabelStore
-    from semviz_core.datasets.own_drive.image_files import LeftOutImage
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
@@ -142,22 +145,30 @@ class Workspace:
         ``trust_poses`` accepts poses that jump or are inverted. Images in the folder ``extracted``
         move into the workspace; others stay where they are.
         """
-        folders = {"images": drive.left_folder, "right": drive.right_folder}
-        source: dict[str, object] = {"kind": "images"}
-        for name, folder in folders.items():
-            if folder is not None and extracted is not None and folder.is_relative_to(extracted):
-                source[name] = str(RECORDED / folder.relative_to(extracted))
-            elif folder is not None:
-                source[name] = os.path.relpath(folder.resolve(), path.resolve())
+
+        def kept(folder: Path) -> str:
+            if extracted is not None and folder.is_relative_to(extracted):
+                return str(RECORDED / folder.relative_to(extracted))
+            return os.path.relpath(folder.resolve(), path.resolve())
+
+        source: dict[str, object] = {"kind": "images", "images": kept(drive.left_folder)}
+        if drive.right_folder is not None:
+            source["right"] = kept(drive.right_folder)
+        if drive.cameras:
+            source["cameras"] = {name: kept(one.folder) for name, one in drive.cameras.items()}
         settings = new_settings(path, source, trust_poses)
         content = DriveFile.of(drive, f"drive-{settings.name}")
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
-            dataset = content.dataset(drive.left_folder, drive.right_folder, Path(cache))
+            dataset = content.dataset(ImageFolders.of_drive(drive), Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
-        workspace = cls._create(path, settings, dataset.rig, content, drive.left_out)
-        if extracted is not None and extracted.is_dir():
-            shutil.move(extracted, path / RECORDED)
-        return workspace
+
+        def fill() -> None:
+            content.save(path / DRIVE_FILE)
+            write_left_out(path / LEFT_OUT, drive.left_out)
+            if extracted is not None and extracted.is_dir():
+                shutil.move(extracted, path / RECORDED)
+
+        return cls._create(path, settings, dataset.rig, fill)
 
     @classmethod
     def create_street(
@@ -186,10 +197,10 @@ class Workspace:
             ],
         }
         settings = new_settings(path, source)
-        street = cls(path, settings).street  # may fail, so before a folder is made
-        workspace = cls._create(path, settings, street.rig)
-        save_map(street.truth_map, workspace.map_path(TRUTH))
-        return workspace
+        workspace = cls(path, settings)
+        street = workspace.street  # may fail, so before a folder is made
+        truth = workspace.map_path(TRUTH)
+        return cls._create(path, settings, street.rig, lambda: save_map(street.truth_map, truth))
 
     @classmethod
     def _create(
@@ -197,25 +208,19 @@ class Workspace:
         path: Path,
         settings: Settings,
         rig: Rig,
-        drive: DriveFile | None = None,
-        left_out: Sequence["LeftOutImage"] = (),
+        fill: Callable[[], None] = lambda: None,
     ) -> "Workspace":
+        """Make the folder, ``fill`` it, and write its settings: a folder without is no workspace,
+        so one that was interrupted is never taken for a whole one."""
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
         if path.is_file() or (path.is_dir() and any(path.iterdir())):
             raise SemvizError(f"{path}: exists and is not empty; choose another name")
-        try:
-            content = tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
-        except UnicodeEncodeError:
-            raise SemvizError(
-                f"{shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
-            ) from None
-        if drive is not None:
-            drive.save(path / DRIVE_FILE)
-        write_left_out(path / LEFT_OUT, left_out)
-        with replacing(path / SETTINGS) as temporary:  # last: a folder without is no workspace
+        content = settings_content(settings, path)
+        for name in ("maps", "runs"):
+            (path / name).mkdir(parents=True, exist_ok=True)
+        fill()
+        with replacing(path / SETTINGS) as temporary:
             temporary.write_bytes(content)
-        (path / "maps").mkdir(exist_ok=True)
-        (path / "runs").mkdir(exist_ok=True)
         return cls(path, settings)
 
     @property
@@ -228,11 +233,20 @@ class Workspace:
 
     @cached_property
     def source(self) -> Dataset:
-        """Images and poses.
+        """Images and poses, as people chose them: some refined, some frames left out. Raise
+        SemvizError like ``given_source``, and if the choices belong to other poses."""
+        given, choices = self.given_source, self.pose_choices()
+        if not choices.present or not isinstance(given, FileDataset):
+            return given
+        try:
+            return given.with_frames(choices.applied(given.frames))
+        except SemvizError as error:
+            raise SemvizError(f"{self.pose_choices_path}: {error}") from None
 
-        Raise SemvizError if they are missing or implausible, or if the calibration is not that of
-        the labels.
-        """
+    @cached_property
+    def given_source(self) -> Dataset:
+        """Images, and poses as the drive gives them. Raise SemvizError if they are missing or
+        implausible, or if the calibration is not that of the labels."""
         settings = self.settings.source
         if isinstance(settings, StreetSettings):
             source = self._open_street(settings)
@@ -252,6 +266,14 @@ class Workspace:
         if not isinstance(self.source, Street):
             raise SemvizError(f"{self.path}: only a simulated street has ground truth for this")
         return self.source
+
+    def pose_choices(self) -> PoseChoices:
+        """Read what people chose for wrong poses. Raise SemvizError if the file is damaged."""
+        return read_choices(self.pose_choices_path)
+
+    @property
+    def pose_choices_path(self) -> Path:
+        return self.path / POSE_CHOICES
 
     @property
     def labels_path(self) -> Path:
@@ -312,7 +334,7 @@ class Workspace:
 
     @property
     def _center_of_proposals(self) -> TriangleCenter:
-        """What new labels of triangular signs mark: what the stored proposals can follow."""
+        """What new labels of triangular signs mark, as stored proposals can follow it."""
         from semviz_annotation.labels.proposals import load_proposals
 
         return load_proposals(self.proposals_path, self.classes).triangle_center
@@ -363,19 +385,21 @@ class Workspace:
         return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
-        folders = [
-            None if folder is None else (self.path.resolve() / folder).resolve()
-            for folder in (settings.images, settings.right)
-        ]
-        for name, folder in zip(("images", "right"), folders, strict=True):
-            if folder is not None and not folder.is_dir():
+        def found(name: str, kept: str) -> Path:
+            folder = (self.path.resolve() / kept).resolve()
+            if not folder.is_dir():
                 raise SemvizError(
                     f"{folder}: images of workspace '{self.name}' not found; "
                     f"edit '{name}' in {self.path / SETTINGS}"
                 )
-        left, right = folders
-        assert left is not None
-        return open_drive(self.path / DRIVE_FILE, left, right, self.path / RECTIFIED)
+            return folder
+
+        folders = ImageFolders(
+            found("images", settings.images),
+            None if settings.right is None else found("right", settings.right),
+            {name: found(name, kept) for name, kept in (settings.cameras or {}).items()},
+        )
+        return open_drive(self.path / DRIVE_FILE, folders, self.path / RECTIFIED)
 
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions
@@ -391,6 +415,7 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
 
     The camera of a vehicle that ``looks_ahead`` moves ahead.
     """
+    from semviz_core.datasets.rig_cameras import frames_by_camera
     from semviz_core.datasets.validation import check_poses, check_sides, check_sizes
 
     name = source.map_frame.name
@@ -400,33 +425,13 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
     except SemvizError as error:
         raise SemvizError(f"{name}: {error}") from None
     try:
-        if not trust_poses:
-            check_poses(source.frames, looks_ahead)
+        for frames in () if trust_poses else frames_by_camera(source).values():
+            check_poses(frames, looks_ahead)
     except SemvizError as error:
         raise SemvizError(
             f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "
             f"or set trust_poses = true at the top of {SETTINGS}"
         ) from None
-
-
-def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
-    """Return the runs in ``paths``: .rrd files, and all runs of workspaces, oldest first.
-
-    Raise SemvizError if a path is neither, or a workspace has no runs.
-    """
-    from semviz.runs.reader import check_run_file
-
-    runs: list[Path] = []
-    for path in paths:
-        if path.is_file() or path.suffix == ".rrd":
-            check_run_file(path)
-            runs.append(path)
-        else:
-            workspace = Workspace.open(path)
-            if not workspace.runs():
-                raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
-            runs += [workspace.run_path(name) for name in workspace.runs()]
-    return tuple(runs)
 
 
 def _checked_name(name: str) -> str:

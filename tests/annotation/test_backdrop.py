@@ -10,21 +10,21 @@ import pytest
 from scipy.ndimage import map_coordinates
 from streets import street
 
-from semviz_annotation.map_formats.point_cloud import CloudFormat, cloud_format, export_backdrop
-from semviz_annotation.mapping.backdrop import depth_fusion
-from semviz_annotation.mapping.backdrop.backdrop import (
+from semviz_annotation.map_formats.mesh import CloudFormat, cloud_format, export_backdrop
+from semviz_annotation.mapping import depth_fusion
+from semviz_annotation.mapping.backdrop import (
     Backdrop,
     BackdropSource,
     load_backdrop,
     save_backdrop,
 )
-from semviz_annotation.mapping.backdrop.depth_fusion import (
+from semviz_annotation.mapping.depth_fusion import (
     Cloud,
     FusionOptions,
+    StereoDepth,
     chosen_frames,
     fuse,
 )
-from semviz_annotation.mapping.backdrop.stereo_depth import StereoDepth
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose

@@ -18,7 +18,7 @@ from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildOptions, BuildReport, build_map, rebuild_map
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import POLE
-from semviz_core.base.detector_calibration import CalibratedRates, DetectorCalibration, SigmaScale
+from semviz_core.base.detector_model import CalibratedRates, DetectorCalibration, SigmaScale
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap

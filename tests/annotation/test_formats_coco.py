@@ -8,7 +8,7 @@ import pytest
 from label_files import FRAMES, RULES
 
 from semviz_annotation.label_formats.coco import read_coco
-from semviz_annotation.label_formats.import_plan import plan_import
+from semviz_annotation.label_formats.exchange import plan_import
 from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_core.common.errors import SemvizError

@@ -8,7 +8,7 @@ from defusedxml import ElementTree
 from label_files import FRAMES, RIG, RULES, labels_of, pole
 
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
-from semviz_annotation.label_formats.import_plan import plan_import
+from semviz_annotation.label_formats.exchange import plan_import
 from semviz_annotation.label_formats.reading import MOST_XML_BYTES, LabelImportContext, ParsedLabels
 from semviz_annotation.label_formats.writing import LabelExportContext
 from semviz_annotation.labels.labels import Labels

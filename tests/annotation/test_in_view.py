@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_annotation.assist.in_view import matched_element, not_sure_if_cut, visible_share
+from semviz_annotation.assist.expected_position import (
+    matched_element,
+    not_sure_if_cut,
+    visible_share,
+)
 from semviz_annotation.assist.marked_image import SURE, Mark, ProposedMark
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated

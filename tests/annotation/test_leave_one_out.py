@@ -16,9 +16,8 @@ from semviz_annotation.mapping.placement.observations import (
 )
 from semviz_annotation.mapping.placement.reprojection import residuals
 from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
-from semviz_annotation.mapping.quality.check import mapping_accuracy
+from semviz_annotation.mapping.quality.check import delete_each, leave_one_out, mapping_accuracy
 from semviz_annotation.mapping.quality.label_links import observe
-from semviz_annotation.mapping.quality.leave_one_out import delete_each, leave_one_out
 from semviz_core.base.semantic_map import Provenance
 from semviz_core.simulation.street import Street
 

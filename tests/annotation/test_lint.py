@@ -21,7 +21,7 @@ from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 from semviz_core.simulation.street import Street
 
 FRAMES = range(0, 40, 2)

@@ -8,8 +8,8 @@ import pytest
 
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.views import rig_view
+from semviz_annotation.map_formats.conversion import ExchangeReport
 from semviz_annotation.map_formats.exchange import export_colmap
-from semviz_annotation.map_formats.writing import ExchangeReport
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Dataset

@@ -13,7 +13,7 @@ from semviz_annotation.mapping.quality.diff import diff_maps, match_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.simulation.map_errors import duplicate_element, move_element, remove_element
+from semviz_core.research.evaluation.roads import duplicate_element, move_element, remove_element
 
 NOTHING = [np.nan] * 3
 LABELS = {number: new_id() for number in range(1, 9)}

@@ -7,9 +7,9 @@ import pytest
 from conftest import skip_or_fail
 from map_files import READING
 
+from semviz_annotation.map_formats.conversion import MapImportContext
 from semviz_annotation.map_formats.exchange import import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import MapImportContext
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.errors import SemvizError

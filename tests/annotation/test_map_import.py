@@ -9,10 +9,9 @@ import pytest
 from map_files import FRAME, KARLSRUHE, READING, feature, small_map
 from mutations import mutated
 
+from semviz_annotation.map_formats.conversion import ExchangeReport, MapImportContext
 from semviz_annotation.map_formats.exchange import FileFormat, ImportFormat, export_map, import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import MapImportContext
-from semviz_annotation.map_formats.writing import ExchangeReport
 from semviz_core.base.classes import POLE, RECTANGULAR, TRIANGULAR
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, SemanticMap

@@ -10,11 +10,10 @@ from map_files import READING
 from scipy.integrate import quad
 from scipy.special import fresnel
 
+from semviz_annotation.map_formats.conversion import ExchangeReport, MapImportContext
 from semviz_annotation.map_formats.exchange import import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import MapImportContext
 from semviz_annotation.map_formats.reference_line import Bend, ParamPoly3, Poly3
-from semviz_annotation.map_formats.writing import ExchangeReport
 from semviz_core.base.classes import POLE, ROUNDED, TRIANGULAR
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray

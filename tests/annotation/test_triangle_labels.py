@@ -24,9 +24,9 @@ from semviz_annotation.labels.proposals import (
     save_proposals,
 )
 from semviz_annotation.labels.views import PosedView
+from semviz_annotation.map_formats.conversion import MapImportContext
 from semviz_annotation.map_formats.exchange import export_map, import_map
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.reading import MapImportContext
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.mapping.quality.check import check_map
 from semviz_annotation.mapping.quality.diff import diff_maps

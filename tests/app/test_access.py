@@ -18,7 +18,7 @@ import pytest
 from echo_tool import UPGRADE, EchoTool, ask, finished, stranger
 from serving import at
 
-from semviz.web import browser
+from semviz.web import connections, gateway
 from semviz.web.gateway import Gateway
 from semviz.web.sessions import MAX_REQUEST
 from semviz.web.viser_servers import SECRET_HEADER, ViserServers
@@ -34,6 +34,35 @@ def tool() -> EchoTool:
 def url(tool: EchoTool) -> Iterator[str]:
     with Gateway(tool).running() as url:
         yield url
+
+
+# -- connections
+
+
+def test_silent_connections_are_ended_and_those_with_the_token_stay(
+    tool: EchoTool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thousand of them took all files of the process: no page opened, no label was saved."""
+    monkeypatch.setattr(connections, "MOST_STRANGERS", 3)
+    monkeypatch.setattr(connections, "STRANGER_S", 0.5)
+    with Gateway(tool).running() as url:
+        address = ("127.0.0.1", urlsplit(url).port or 0)
+        known = http.client.HTTPConnection(*address, timeout=5)
+        for _ in range(2):  # the same connection
+            known.request("GET", at(url, "static/base.css"))
+            known.getresponse().read()
+        silent = [socket.create_connection(address, timeout=5) for _ in range(4)]
+        silent[0].settimeout(0.4)
+        assert silent[0].recv(1) == b""  # one too many
+        for other in silent[1:]:
+            assert other.recv(1) == b""  # too long
+        socket_before = known.sock
+        known.request("GET", at(url, "static/base.css"))
+        assert known.getresponse().status == 200
+        assert known.sock is socket_before
+        known.close()
+        for each in silent:
+            each.close()
 
 
 # -- the token
@@ -121,7 +150,7 @@ def test_the_browser_is_told_a_private_file(
     monkeypatch.setattr(webbrowser, "open", open_)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("HOME", str(tmp_path))
-    with browser.opened("http://127.0.0.1:8080/?token=s3cret"):
+    with gateway.opened("http://127.0.0.1:8080/?token=s3cret"):
         assert done.wait(10)
         assert "s3cret" not in opened[0]
         (file,) = tmp_path.iterdir()

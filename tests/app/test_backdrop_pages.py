@@ -15,8 +15,7 @@ from streets import street_workspace
 
 from semviz.inspector.server import Inspector
 from semviz.web.gateway import Gateway
-from semviz.web.scene import SceneDrawer
-from semviz.web.scene_backdrop import NAME, BackdropLayer, muted
+from semviz.web.scene import NAME, BackdropLayer, SceneDrawer, muted
 from semviz.web.shapes import PALETTES, Theme
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import backdrop_path

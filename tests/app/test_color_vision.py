@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from semviz import web
-from semviz.presentation import palette
-from semviz.presentation.palette import Tone
+from semviz.presentation import plots
+from semviz.presentation.plots import Tone
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.common.arrays import FloatArray
 
@@ -48,8 +48,8 @@ XYZ_OF_RGB = np.array(
 
 FAMILIES = {
     "classes": [Tone(class_.color, class_.color_light) for class_ in DEFAULT_CLASSES],
-    "poses": [palette.TRUTH, palette.ESTIMATE, palette.PRIOR, palette.ALTERNATIVE],
-    "status": list(palette.STATUS.values()),
+    "poses": [plots.TRUTH, plots.ESTIMATE, plots.PRIOR, plots.ALTERNATIVE],
+    "status": list(plots.STATUS.values()),
 }
 
 

@@ -13,8 +13,8 @@ from command_line import call
 from semviz.runs.diagnosis import detector_of, frame_diagnosis, truth_of
 from semviz.runs.metrics import errors_of
 from semviz.runs.reader import load_run
+from semviz.what_if.request_changes import UseMethod
 from semviz.what_if.solve import solve_with_changes
-from semviz.what_if.solver_changes import UseMethod
 from semviz_core.base.localization import Match
 from semviz_core.diagnosis.frame import check_association
 from semviz_core.diagnosis.reference import FrameReference

@@ -14,7 +14,7 @@ from semviz.runs.reader import load_run
 from semviz.workspace.detect import DetectOptions, detect_images
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.classes import POLE
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import ByteImage

@@ -13,7 +13,7 @@ from command_line import Call, call
 from safetensors.torch import load_file
 
 from semviz.cli import main
-from semviz.research.forgetting import HeldOutRecall
+from semviz.research.training_run import HeldOutRecall
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.weights import shipped_weights
 from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shipped_model
@@ -149,7 +149,7 @@ def planted_recall(monkeypatch: pytest.MonkeyPatch, before: float, after: float)
     def recall(*_: object) -> HeldOutRecall:
         return HeldOutRecall(before if next(names) == "old" else after, None)
 
-    monkeypatch.setattr("semviz.research.forgetting.HeldOutRecall.of", recall)
+    monkeypatch.setattr("semviz.research.training_run.HeldOutRecall.of", recall)
 
 
 def test_a_training_that_forgets_is_refused(

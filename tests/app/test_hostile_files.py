@@ -33,25 +33,24 @@ from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.exchange import guess_format
 from semviz_annotation.label_formats.reading import read_bytes
 from semviz_annotation.labels.proposals import load_proposals, read_proposals
-from semviz_annotation.mapping.backdrop.backdrop import load_backdrop
+from semviz_annotation.mapping.backdrop import load_backdrop
 from semviz_annotation.storage.backup import import_operations, tells_its_length
 from semviz_annotation.storage.store import LabelStore
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.pose import Pose
 from semviz_core.base.weights import read_weights
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import decode_image, read_limited, unpacked
-from semviz_core.common.parquet_footer import unpacked_columns
+from semviz_core.common.limits import decode_image, read_limited, unpacked, unpacked_columns
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
 from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
 from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.model_config import read_settings
 from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.research.evaluation.roads import kitti_road
-from semviz_core.research.training import box_images
-from semviz_core.research.training.segmentation_images import TABLE, SegmentationImages
+from semviz_core.research.training import annotated_images
+from semviz_core.research.training.annotated_images import MASK_TABLE, SegmentationImages
 
 REPOSITORY = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
@@ -303,14 +302,14 @@ def test_a_pole_map_does_not_unpack_to_gigabytes(tmp_path: Path) -> None:
 
 def test_a_pattern_with_line_ends_is_shown_on_one_line(tmp_path: Path) -> None:
     """Found by fuzzing."""
-    (tmp_path / TABLE).write_text(
+    (tmp_path / MASK_TABLE).write_text(
         'images = "*.p\\n"\nmasks = "{name}\\r.png"\n[classes]\n1 = "pole"\n'
     )
     with pytest.raises(SemvizError, match="0 images") as refused:
         SegmentationImages.of(tmp_path, tmp_path / "prepared")
     assert str(refused.value).isprintable()
-    (tmp_path / box_images.TABLE).write_text(
+    (tmp_path / annotated_images.BOX_TABLE).write_text(
         'format = "yolo"\nimages = "."\nboxes = "{name}.txt"\n[classes]\n0 = "pole"\n'
     )
     with pytest.raises(SemvizError, match=r"images '\.': "):
-        box_images.BoxImages.of(tmp_path, tmp_path / "prepared")
+        annotated_images.BoxImages.of(tmp_path, tmp_path / "prepared")

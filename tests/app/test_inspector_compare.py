@@ -21,7 +21,7 @@ from semviz.web.gateway import Gateway
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.localization.localizer import Localizer
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 from semviz_core.simulation.street import Street
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from semviz.runs.diagnosis import run_diagnosis, run_elements
 from semviz.runs.run import Run
 from semviz.web.gateway import Gateway
 from semviz_core.diagnosis.element_statistics import ElementRecord
-from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.run import RunDiagnosis, RunFault
+from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
+from semviz_core.diagnosis.run import RunDiagnosis
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -22,8 +22,8 @@ from inspector_page import (
 )
 from small_runs import saved
 
+from semviz.inspector.context import RunImages
 from semviz.inspector.image import neighbours_view, right_view
-from semviz.inspector.run_library import RunImages
 from semviz.inspector.server import HANDLERS, Inspector
 from semviz.inspector.state import State
 from semviz.inspector.views import frame_view

@@ -26,7 +26,7 @@ from semviz.inspector.scene_map import Usage, legend, levels, usage_of
 from semviz.inspector.scene_view import InspectorScene
 from semviz.inspector.server import HANDLERS, Inspector
 from semviz.inspector.state import MapColors, State, View
-from semviz.presentation.palette import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
+from semviz.presentation.plots import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
 from semviz.runs.run import Run
 from semviz.runs.writer import RunWriter
 from semviz.web.gateway import Gateway

@@ -13,7 +13,7 @@ from duplicated_pole import TWICE, element_id, merge, planted_map, street
 from inspector_page import open_flat, open_page, wait_for
 from small_runs import off_by, saved, small_run, spoiled, unanswered, without_truth
 
-from semviz.inspector.context import EmbeddedAnnotators
+from semviz.inspector.context import EmbeddedAnnotators, RunLibrary
 from semviz.inspector.element_card import Origins, element_card, origins_view
 from semviz.inspector.messages import (
     GetOriginsRequest,
@@ -22,7 +22,6 @@ from semviz.inspector.messages import (
     SelectRequest,
     SetViewRequest,
 )
-from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.selection import (
     SelectionPanel,
     candidates_of_column,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from semviz.inspector.server import Inspector
 from semviz.inspector.solver import letter, missing_stages, solver_view
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.gateway import Gateway
-from semviz.workspace.localize import SequenceTracker
+from semviz.workspace.localize import SequenceTracker, simulated_odometry
 from semviz_core.base.localization import Localization
 from semviz_core.localization.localizer import Localizer
 from semviz_core.simulation.street import Street
@@ -102,8 +103,13 @@ def test_direct_says_where_its_pairs_are_from() -> None:
 
 def test_a_followed_frame_says_what_carries_its_pose() -> None:
     street, run = Street(7), small_run()
-    follower = SequenceTracker(street.rig.left, street.truth_map, Localizer(), 50.0, 0)
-    found = [follower.localize(frame.frame, *asked(frame)) for frame in run.frames]
+    follower = SequenceTracker(street.rig.left, street.truth_map, Localizer(), 50.0)
+    moved = simulated_odometry(0)
+    steps = [None, *(moved(*step) for step in pairwise(frame.frame for frame in run.frames))]
+    found = [
+        follower.localize(*asked(frame), step)
+        for frame, step in zip(run.frames, steps, strict=True)
+    ]
     last = found[-1]
     assert last.status == "ok"
     assert last.search is None

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz.inspector.run_library import RunLibrary
+from semviz.inspector.context import RunLibrary
 from semviz.inspector.scene_cameras import merge_labels
 from semviz.inspector.server import HANDLERS
 from semviz.inspector.state import State

@@ -142,7 +142,7 @@ def test_damage_that_the_check_finds_is_told_until_a_backup_is_restored(
         opened.wait()
         return check_labels(*arguments)
 
-    monkeypatch.setattr("semviz_annotation.storage.background_check.check_labels", check_later)
+    monkeypatch.setattr("semviz_annotation.storage.label_file.check_labels", check_later)
     monkeypatch.setattr("semviz_annotation.storage.integrity.TAIL", 1)
     with annotating(workspace) as served:
         driver = LabelDriver(page)

@@ -17,6 +17,7 @@ import pytest
 from inspector_page import open_page
 from serving import at
 
+from semviz.inspector.context import RunLibrary
 from semviz.inspector.label_repair import RunLabels
 from semviz.inspector.messages import (
     ExcludeElementRequest,
@@ -24,7 +25,6 @@ from semviz.inspector.messages import (
     OpenLabelRequest,
     OpenRunRequest,
 )
-from semviz.inspector.run_library import RunLibrary
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.runs.run import Run

@@ -13,7 +13,7 @@ import pytest
 from command_line import Call, call
 
 from semviz.cli import main
-from semviz.inspector.forecast import Forecast
+from semviz.inspector.elements import Forecast
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway

@@ -18,7 +18,7 @@ from streets import street, street_workspace
 
 from semviz.workspace.backdrop import backdrop_path, find_backdrop
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.mapping.backdrop.backdrop import load_backdrop
+from semviz_annotation.mapping.backdrop import load_backdrop
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 FRAMES = 3
@@ -153,7 +153,7 @@ def test_who_stops_it_keeps_what_was_there(
     Workspace.create_street(folder, 7, range(60))
     before = sorted(one.name for one in folder.iterdir())
     script = (
-        "import signal, sys; from semviz.presentation.progress import Steps; show = Steps.show\n"
+        "import signal, sys; from semviz.presentation.terminal import Steps; show = Steps.show\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # shells may ignore it
         "def said(self, *what):\n"
         "    print(*what, flush=True); show(self, *what)\n"

@@ -8,7 +8,7 @@ from command_line import call
 from support.street_labels import label_street
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_core.base.map_file import load_map
 from semviz_core.simulation.detector import SimulatedDetector
 from semviz_core.simulation.layout import StreetOptions
@@ -100,7 +100,7 @@ def test_an_interrupted_build_overwrites_nothing(town, capsys, monkeypatch):
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("semviz.presentation.progress.Steps.show", interrupt)
+    monkeypatch.setattr("semviz.presentation.terminal.Steps.show", interrupt)
     code, out, _ = build(capsys, town, "--name", "kept")
     assert (code, out) == (130, "")
     assert path.read_bytes() == written

@@ -13,7 +13,7 @@ from command_line import call
 from support.street_labels import careful, label_street
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.edits import DeleteObservation, MoveObservation
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.quality.check import FINDINGS_LISTED
@@ -21,8 +21,8 @@ from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.research.evaluation.roads import move_element, remove_element
 from semviz_core.simulation.layout import StreetOptions
-from semviz_core.simulation.map_errors import move_element, remove_element
 from semviz_core.simulation.street import Street
 
 FRAMES = range(12)

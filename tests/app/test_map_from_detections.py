@@ -11,14 +11,16 @@ from semviz.runs.reader import load_run
 from semviz.workspace.observations import observe_detected, read_detections, read_labels_of
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
+from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import DecideElements
-from semviz_annotation.labels.labels import LabelElement
+from semviz_annotation.labels.labels import LabelElement, Labels
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_annotation.labels.rows import new_id, review_decision
 from semviz_annotation.mapping.association.detected_drive import TRACK_NUMBER, as_observation
+from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.quality.check import leave_one_out
 from semviz_core.base.frame import Side
 from semviz_core.base.map_file import load_map
 from semviz_core.base.semantic_map import SemanticMap
@@ -120,7 +122,7 @@ def test_the_map_is_checked_with_its_detections(town, capsys):
     assert "pole" in out
     workspace = Workspace.open(town)
     built = load_map(town / "maps" / "from-detections.parquet")
-    labels = read_labels_of(workspace, built)
+    labels = read_labels_of(workspace, built).labels
     assert len(labels.elements) == len(built)
     used = sum(len(source.observation_ids) for source in built.provenance)
     assert len(labels.observations) == used
@@ -191,3 +193,30 @@ def test_without_detections_one_is_told_what_to_do(tmp_path, capsys):
     code, _, err = call(capsys, "map", "build", tmp_path / "town", "--from", "detections")
     assert code == 2
     assert "no detections yet; run 'semviz detect" in err
+
+
+def test_the_check_does_not_blame_ends_that_building_gave_up(tmp_path):
+    """One peak of a pole that many images show is said to be known, 60 px below where it is."""
+    workspace = detected_street(tmp_path / "town")
+    detections = read_detections(workspace, ())
+    built, _ = build_map(Labels(), workspace.source, detections=detections)
+    pole = max(
+        (origin for origin, line in zip(built.provenance, built.elements.is_line, strict=True)
+         if line),
+        key=lambda origin: len(origin.observation_ids),
+    )  # fmt: skip
+    ours = [row for row in detections.rows() if row.id in pole.observation_ids]
+    wrong = next(row for row in ours if row.anchor_known and row.end_px[1] > row.anchor_px[1] + 80)
+    share = 60.0 / (wrong.end_px[1] - wrong.anchor_px[1])
+    lower = tuple(a + share * (b - a) for a, b in zip(wrong.anchor_px, wrong.end_px, strict=True))
+    rows = [replace(row, anchor_px=lower) if row is wrong or row.id == wrong.id else row
+            for row in detections.rows()]  # fmt: skip
+    planted = Proposals.of(rows, detections.processed)
+    save_proposals(planted, workspace.proposals_path)
+    built, report = build_map(Labels(), workspace.source, detections=planted)
+    assert report.detections is not None
+    assert report.detections.unknown_ends > 0
+    labels, sigma_ratio = read_labels_of(workspace, built)
+    assert not labels.observations[wrong.id].anchor_known
+    worst = leave_one_out(built, labels, workspace.source, None, sigma_ratio)[0]
+    assert worst.normalized < 6.0

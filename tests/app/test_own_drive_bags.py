@@ -98,8 +98,8 @@ def same_poses(found: Workspace, wanted: Workspace) -> None:
 
 @pytest.fixture(scope="module")
 def from_files(tmp_path_factory: pytest.TempPathFactory, recording: Recording) -> Workspace:
-    from semviz_core.datasets.own_drive.drive_files import DriveFiles
     from semviz_core.datasets.own_drive.recorded_drive import read_drive
+    from semviz_core.datasets.own_drive.recording import DriveFiles
 
     drive = read_drive(
         DriveFiles(

@@ -1,6 +1,7 @@
 """An own drive is checked against its images as it is imported: rows, extrinsics, poses."""
 
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from command_line import call
 from recorded_streets import LENSES, Recording, kalibr, record
 from streets import street
 
+from semviz.workspace.drive_checks import CHECKS, read_checks
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.pose import Pose, so3_exp, so3_log
 from semviz_core.common.arrays import ByteImage
@@ -52,7 +54,7 @@ def test_rows_that_disagree_are_measured_and_warned_about(
     )  # fmt: skip
     code, out, err = call(capsys, *arguments, recording.kalibr, "--strict")
     assert (code, err) == (0, "")
-    apart = re.search(r"off their row by (\d\.\d\d) px", out)
+    apart = re.search(r"off their row, median +(\d\.\d\d) px", out)
     assert apart is not None
     assert float(apart[1]) < 0.3
     shutil.rmtree(tmp_path / "town")
@@ -63,6 +65,13 @@ def test_rows_that_disagree_are_measured_and_warned_about(
     found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
     assert found is not None
     assert float(found[1]) == pytest.approx(2.1, abs=0.3)
+    remedy = re.search(r"remedy: semviz (new .*-2 .*--strict --refine-extrinsics)\n", err)
+    assert remedy is not None
+    code, _, err = call(capsys, *shlex.split(remedy[1]))
+    assert (code, err) == (0, "")
+    checks = read_checks(tmp_path / "town-2" / CHECKS)
+    assert checks is not None
+    assert [check.passed for check in checks.checks][:2] == [True, True]
 
 
 def test_extrinsics_are_refined_from_images(tmp_path: Path, source: Street, semviz: Semviz) -> None:
@@ -98,7 +107,7 @@ def test_extrinsics_are_refined_from_images(tmp_path: Path, source: Street, semv
         np.testing.assert_allclose(
             one.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
         )
-    assert "off their row by 0." in again
+    assert re.search(r"off their row, median +0\.", again)
 
 
 def test_the_import_writes_a_picture_and_all_rectified_images(
@@ -157,12 +166,12 @@ def test_poses_are_compared_with_the_images(
         capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
         "--calibration", short.kalibr, "--poses", short.poses, "--strict", *options,
     )  # fmt: skip
-    share = re.search(r"motion +(\d+)% of (\d+) matches agree with the poses", out)
+    share = re.search(r"poses against images +(\d+) matches, that agree +(\d+)%", out)
     assert share is not None
     if remedy is None:
         assert (code, err) == (0, "")
-        assert int(share[1]) > 70
+        assert int(share[2]) > 70
     else:
         assert code == 2
-        assert int(share[1]) < 50
+        assert int(share[2]) < 50
         assert f"matches between images agree with the poses: {remedy}\n" in err

@@ -1,7 +1,6 @@
 """Files of real drives, which are not part of the project: SEMVIZ_DRIVES names their folder."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -12,25 +11,16 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call
-from conftest import skip_or_fail
 from pyarrow import feather
 
 from semviz.workspace.workspace import Workspace
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 REPOSITORY = Path(__file__).parents[2]
 pytestmark = pytest.mark.realdata
-
-
-@pytest.fixture
-def drives() -> Path:
-    default = REPOSITORY.parent / "shared" / "data" / "drives"
-    root = Path(os.environ.get("SEMVIZ_DRIVES", default))
-    if not (root / "utbm_stereo").is_dir():
-        skip_or_fail(f"no drive utbm_stereo in {root}; set SEMVIZ_DRIVES to its folder")
-    return root
 
 
 def test_five_imports_of_a_real_drive_agree_with_colmap(drives: Path) -> None:
@@ -95,11 +85,49 @@ def test_a_real_frame_of_nuscenes(
         assert frame.T_map_camera is not None
         assert frame.T_map_camera.rotation[2, 1] < -0.99  # y is down
     assert 0.04 < np.ptp(times) < 0.046
-    code, _, err = call(
-        capsys, "new", tmp_path / "pair", "--images", root, "--cameras", "CAM_FRONT,CAM_BACK"
-    )
+    pair = ("new", tmp_path / "pair", "--images", root, "--cameras", "CAM_FRONT,CAM_BACK")
+    code, _, err = call(capsys, *pair)
     assert code == 2
     assert "no stereo pair; choose one camera" in err
+    assert call(capsys, *pair, "--rig")[0] == 0
+
+
+def test_a_real_frame_of_nuscenes_as_a_rig_of_six(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A point of the world lands where nuScenes puts it, in all cameras that see it."""
+    from nuscenes_tables import read_frame, write_tables
+
+    source = drives / "nuscenes_frame"
+    root = tmp_path / "nuscenes"
+    write_tables(source / "mmdet3d_info.pkl", root / "v1.0-mini", source)
+    (root / "samples").symlink_to(source / "samples")
+    names = sorted(path.name for path in (source / "samples").iterdir())
+    town = tmp_path / "town"
+    code, out, err = call(capsys, "new", town, "--images", root, "--cameras", ",".join(names))
+    assert code == 0, err
+    assert "one pinhole camera for all 6" in out
+    assert "CAM_BACK: sees 89 x 58 deg, of which 63 x 38 are left" in err
+    dataset = Workspace.open(town).source
+    assert isinstance(dataset, ImageFolder)
+    assert np.ptp([frame.time_s for frame in dataset.frames]) > 0.04
+    told = read_frame(source / "mmdet3d_info.pkl")
+    ego2global = np.array(told["ego2global"])
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-40.0, -40.0, -1.0], [40.0, 40.0, 6.0], (4000, 3))
+    world = points @ ego2global[:3, :3].T + ego2global[:3, 3]
+    for frame in dataset.frames:
+        camera = told["images"][dataset.camera_of[frame.index]]
+        T_camera_ego = np.linalg.inv(np.array(camera["cam2ego"]))
+        in_camera = points @ T_camera_ego[:3, :3].T + T_camera_ego[:3, 3]
+        pixels = in_camera @ np.array(camera["cam2img"])[:3, :3].T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        assert frame.T_map_camera is not None
+        rectified = dataset.rig.left.project(frame.T_map_camera.inverse().apply(world))
+        shown = np.flatnonzero(dataset.rig.left.contains(rectified))
+        assert len(shown) > 100
+        found = dataset.to_original(rectified[shown], frame.index, "left")
+        assert np.linalg.norm(found - pixels[shown], axis=1).max() < 0.1
 
 
 def test_real_pairs_of_kitti_360_in_the_layout_of_nerfstudio(
@@ -114,10 +142,10 @@ def test_real_pairs_of_kitti_360_in_the_layout_of_nerfstudio(
     assert (code, err) == (0, "")
     assert "2 pairs, by name" in out
     assert "2 cameras 0.595 m apart" in out
-    rows = re.search(r"off their row by (\d\.\d\d) px", out)
+    rows = re.search(r"off their row, median +(\d\.\d\d) px", out)
     assert rows is not None
     assert float(rows[1]) < 0.5
-    assert re.search(r"motion +\d\d% of \d+ matches agree", out)
+    assert re.search(r"\d+ matches, that agree +\d\d%", out)
 
 
 def test_a_real_log_of_argoverse_2(

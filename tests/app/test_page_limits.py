@@ -18,7 +18,8 @@ from echo_tool import EchoTool, ask, finished
 from serving import at
 
 from semviz.annotator.server import Annotator
-from semviz.web import scene_proxy, sessions
+from semviz.web import sessions
+from semviz.web import tool as web_tool
 from semviz.web.gateway import Gateway
 from semviz.workspace.workspace import Workspace
 
@@ -123,14 +124,14 @@ def test_a_client_has_a_limited_number_of_pages(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_scene_has_few_connections_with_short_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_proxy, "MAX_MESSAGE", 1000)
+    monkeypatch.setattr(web_tool, "MAX_MESSAGE", 1000)
     tool = EchoTool()
 
     async def talk(url: str) -> None:
         view = at(url, "view/one")
         async with aiohttp.ClientSession() as http:
             sockets = [
-                await http.ws_connect(view, protocols=VISER) for _ in range(scene_proxy.MAX_SOCKETS)
+                await http.ws_connect(view, protocols=VISER) for _ in range(web_tool.MAX_SOCKETS)
             ]
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 await http.ws_connect(view, protocols=VISER)

@@ -13,8 +13,8 @@ from semviz.inspector.server import Inspector
 from semviz.runs.diagnosis import frame_diagnosis
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
+from semviz.what_if.request_changes import UseMethod
 from semviz.what_if.solve import solve_with_changes
-from semviz.what_if.solver_changes import UseMethod
 from semviz_core.base.weights import NetworkWeights
 from semviz_core.research.paper.training import PaperTask
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION

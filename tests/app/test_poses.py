@@ -7,75 +7,26 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from command_line import Call, call
 from streets import street
 from support.planted_pose_faults import moved
 from support.street_labels import careful, label_street
+from turned_drive import COUNT, SEED, TURNED, drive, wrong_poses
 
-from semviz.workspace.pose_check import check_poses, motions_path
-from semviz.workspace.pose_labels import label_evidence
+from semviz.workspace.pose_check import check_poses, label_evidence, motions_path
 from semviz.workspace.workspace import Workspace
-from semviz_core.base.frame import Frame, Side
-from semviz_core.base.pose import Pose, so3_exp
-from semviz_core.datasets.trajectory import T_MAP_WORLD, load_trajectory, save_trajectory
+from semviz_core.base.pose import Pose
+from semviz_core.datasets.trajectory import load_trajectory, save_trajectory
 
-SEED, COUNT = 7, 12
-SIDES: tuple[tuple[Side, int], ...] = (("left", 2), ("right", 3))
-TURNED = range(5, 8)
+__all__ = ["drive", "wrong_poses"]
 
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Call:
     """Exit status, output and error output of one command."""
     return partial(call, capsys)
-
-
-def poses_text(frames: tuple[Frame, ...]) -> str:
-    lines = []
-    for frame in frames:
-        assert frame.T_map_camera is not None
-        matrix = (T_MAP_WORLD.inverse() @ frame.T_map_camera).as_matrix()[:3]
-        lines.append(" ".join(map(repr, matrix.ravel().tolist())))
-    return "\n".join(lines)
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated drive in KITTI's folders; its left camera is camera 2, as is its camera 0."""
-    root = tmp_path_factory.mktemp("drive")
-    folder, source = root / "sequences" / "02", street(SEED, COUNT)
-    for side, camera in SIDES:
-        (folder / f"image_{camera}").mkdir(parents=True)
-        for frame in source.frames:
-            image = source.image(frame.index, side)[:, :, ::-1]
-            cv2.imwrite(str(folder / f"image_{camera}" / f"{frame.index:06d}.png"), image)
-    left = np.column_stack([source.rig.left.K, np.zeros(3)])
-    right = left.copy()
-    right[0, 3] = -source.rig.left.K[0, 0] * source.rig.baseline_m
-    rows = [left, left, left, right]
-    text = [
-        f"P{camera}: " + " ".join(map(repr, P.ravel().tolist())) for camera, P in enumerate(rows)
-    ]
-    (folder / "calib.txt").write_text("\n".join(text))
-    (folder / "times.txt").write_text("\n".join(f"{frame.time_s:.3f}" for frame in source.frames))
-    (root / "poses").mkdir()
-    (root / "poses" / "02.txt").write_text(poses_text(source.frames))
-    return root
-
-
-@pytest.fixture(scope="module")
-def wrong_poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames 5 to 7 turned by 0.7 deg."""
-    turn = Pose(so3_exp(np.deg2rad([0.0, 0.7, 0.0])), np.zeros(3))
-    frames = moved(
-        street(SEED, COUNT).frames, lambda row, pose: pose @ turn if row in TURNED else pose
-    )
-    path = tmp_path_factory.mktemp("poses") / "wrong.tum"
-    save_trajectory(frames, path, "tum")
-    return path
 
 
 def test_healthy_poses_pass_the_gate_and_motions_are_measured_once(
@@ -192,5 +143,9 @@ def test_elements_that_jump_together_agree(
     assert healthy is not None
     assert healthy.before_px < 1.0
     assert healthy.agreeing <= 0.3 * healthy.elements
-    whole = replace(fault, first=0, last=COUNT - 1)
-    assert label_evidence(labels, workspace.source, check, whole) is None
+    whole = replace(fault, first=0, last=COUNT - 1)  # each set of poses places the elements
+    everywhere = label_evidence(labels, workspace.source, check, whole)
+    assert everywhere is not None
+    assert everywhere.after_px < everywhere.before_px
+    of_rig = replace(whole, kind="baseline")
+    assert label_evidence(labels, workspace.source, check, of_rig) is None

@@ -17,7 +17,7 @@ def four_times(number):
     return twice(twice(number))
 """
 FIRST_CALL = """
-from semviz.presentation.progress import announce_compiling
+from semviz.presentation.terminal import announce_compiling
 announce_compiling()
 announce_compiling()
 from sums import four_times

@@ -31,10 +31,10 @@ from small_runs import (
 from semviz.cli import main
 from semviz.commands.tools import ServeCommand
 from semviz.presentation.plots import histograms
-from semviz.presentation.tables import Table, figure, in_latex, in_markdown
+from semviz.presentation.terminal import Table, figure, in_latex, in_markdown
 from semviz.reports.frame_images import frame_svg
 from semviz.reports.html import element
-from semviz.reports.run_data import RunReport, load_reports
+from semviz.reports.run_plots import RunReport, load_reports
 from semviz.reports.run_report import INSPECTOR, comparison_tables
 from semviz.runs.diagnosis import diagnosis_name
 from semviz.runs.metrics import summarize_run

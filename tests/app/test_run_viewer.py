@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import skip_or_fail
 
-from semviz.presentation.palette import ESTIMATE
+from semviz.presentation.plots import ESTIMATE
 from semviz.runs.writer import RunWriter
 
 BENCH = Path(__file__).parents[2] / "bench" / "recording.py"

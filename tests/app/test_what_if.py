@@ -16,7 +16,15 @@ from semviz.runs.metrics import errors_of
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.what_if.change import WhatIfChange
-from semviz.what_if.scene_changes import (
+from semviz.what_if.prior_changes import (
+    CropRadius,
+    MovePrior,
+    PriorAtTruth,
+    PriorSigma,
+    RaisePrior,
+    WithoutPriorPart,
+)
+from semviz.what_if.request_changes import (
     AddElement,
     ChangeElementClass,
     DetectionClass,
@@ -28,6 +36,8 @@ from semviz.what_if.scene_changes import (
     IgnoreClasses,
     LeastScore,
     NoiseFactor,
+    StartAtTruth,
+    UseMethod,
 )
 from semviz.what_if.solve import (
     KINDS,
@@ -45,19 +55,11 @@ from semviz.what_if.solve import (
     to_json,
 )
 from semviz.what_if.solve import describe_sweep as outcome
-from semviz.what_if.solver_changes import (
-    CropRadius,
-    MovePrior,
-    PriorAtTruth,
-    PriorSigma,
-    StartAtTruth,
-    UseMethod,
-)
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import Localizer
-from semviz_core.simulation.map_errors import move_element
+from semviz_core.research.evaluation.roads import move_element
 
 
 def first() -> tuple[Run, FrameRecord]:
@@ -99,6 +101,7 @@ EVERY: tuple[WhatIfChange, ...] = (
     DetectionClass(10, 0, 1), LeastScore(0.5), NoiseFactor(2.0), IgnoreClasses(),
     ForcePair(10, 0, 3), ForbidPair(10, 0, 3), ForceTruePairs(), MovePrior(3.0, -1.5),
     PriorAtTruth(), PriorSigma(9.0), CropRadius(70.0), UseMethod("direct"), StartAtTruth(),
+    WithoutPriorPart("gravity"), RaisePrior(0.5),
 )  # fmt: skip
 
 

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from semviz.commands.tools import find_runs
 from semviz.workspace.settings import SETTINGS
-from semviz.workspace.workspace import Workspace, find_runs
+from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map

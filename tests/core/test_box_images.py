@@ -13,9 +13,9 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES
 from semviz_core.detection.regions import Region
 from semviz_core.metrics.detection import ImageGroundTruth, match_detections
-from semviz_core.research.training.box_images import TABLE, BoxImages
+from semviz_core.research.training.annotated_images import BOX_TABLE, BoxImages
 from semviz_core.research.training.detector_crops import middle_crop
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.street import Street
 
 FRAMES = (0, 20)
@@ -57,7 +57,7 @@ def write_yolo(folder: Path, street: Street) -> None:
             numbers = (left + w / 2) / width, (top + h / 2) / height, w / width, h / height
             lines.append(f"{int(region.class_id == POLE)} {' '.join(map(repr, numbers))}\n")
         (folder / "labels" / f"{index:03d}.txt").write_text("".join(lines) + "7 .5 .5 .1 .1\n")
-    (folder / TABLE).write_text(
+    (folder / BOX_TABLE).write_text(
         "format = 'yolo'\nimages = 'images/*.png'\nboxes = 'labels/{name}.txt'\n"
         + CLASSES.format(0, 1, 2)
     )
@@ -81,7 +81,7 @@ def write_coco(folder: Path, street: Street) -> None:
         "annotations": annotations,
     }
     (folder / "boxes.json").write_text(json.dumps(content))
-    (folder / TABLE).write_text(
+    (folder / BOX_TABLE).write_text(
         "format = 'coco'\nimages = 'images'\nboxes = 'boxes.json'\n"
         + CLASSES.format("plate", "post", "tree")
     )
@@ -154,7 +154,7 @@ def test_a_damaged_data_set_is_refused_in_one_line(
     (images / "labels").mkdir(exist_ok=True)
     for index in FRAMES:
         (images / "labels" / f"{index:03d}.txt").write_text(boxes)
-    (images / TABLE).write_text(
+    (images / BOX_TABLE).write_text(
         f"format = 'yolo'\nimages = 'images/*.png'\n{table}\n{CLASSES.format(0, 1, 2)}"
     )
     with pytest.raises(SemvizError, match=why) as refused:
@@ -177,7 +177,7 @@ def test_a_damaged_data_set_is_refused_in_one_line(
 )  # fmt: skip
 def test_a_damaged_coco_file_is_named(tmp_path: Path, content: str, why: str) -> None:
     (tmp_path / "boxes.json").write_text(content)
-    (tmp_path / TABLE).write_text(
+    (tmp_path / BOX_TABLE).write_text(
         "format = 'coco'\nimages = 'images'\nboxes = 'boxes.json'\n[classes]\nplate = 'sign'\n"
     )
     with pytest.raises(SemvizError, match=why) as refused:
@@ -188,7 +188,7 @@ def test_a_damaged_coco_file_is_named(tmp_path: Path, content: str, why: str) ->
 @pytest.mark.parametrize("pattern", ["/images/*.png", "../*/*.png"])
 @pytest.mark.parametrize("form", ["yolo", "coco"])
 def test_images_outside_of_the_folder_are_refused(tmp_path: Path, form: str, pattern: str) -> None:
-    (tmp_path / TABLE).write_text(
+    (tmp_path / BOX_TABLE).write_text(
         f"format = '{form}'\nimages = '{pattern}'\nboxes = '{{name}}'\n[classes]\na = 'sign'\n"
     )
     with pytest.raises(SemvizError, match="images must be within the folder") as refused:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from semviz_core.base.classes import POLE
-from semviz_core.base.detector_calibration import (
+from semviz_core.base.detector_model import (
     CalibratedRates,
     DetectorCalibration,
+    DetectorModel,
     ScoreCurve,
     SigmaScale,
 )
-from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.detection import ImageGroundTruth

@@ -17,7 +17,7 @@ from semviz_core.metrics.detection import (
     match_detections,
 )
 from semviz_core.metrics.detection_summary import ImageEvaluation, detection_figures, threshold_at
-from semviz_core.simulation.ground_truth import street_truth
+from semviz_core.simulation.detector import street_truth
 from semviz_core.simulation.street import Street
 
 FRAMES = 30

@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from support.planted_causes import CAUSES, plant_cause
 from support.planted_faults import PLANTED, WHOLE, Given, Planted, plant
 from support.planted_runs import PlantedRun, plant_in_run
 
@@ -46,6 +47,13 @@ def planted(fault: FaultKind) -> tuple[Planted, ...]:
 
 
 @lru_cache
+def planted_cause(fault: FaultKind) -> tuple[Planted, ...]:
+    """Two frames with a wrong prior, sigma or map."""
+    found = (plant_cause(fault, seed, default_road()) for seed in count(1000))
+    return tuple(case for case, _ in zip(filter(None, found), range(2), strict=False))
+
+
+@lru_cache
 def planted_run(fault: FaultKind) -> PlantedRun:
     found = (plant_in_run(fault, seed, default_road()) for seed in count())
     return next(filter(None, found))
@@ -74,6 +82,42 @@ def test_a_planted_fault_is_named_with_what_it_is_about(fault: FaultKind) -> Non
         assert found.kind == fault, found.sentence
         assert not labels.elements or set(labels.elements) & set(found.elements)
         assert not labels.rows or set(found.rows) == set(labels.rows)
+
+
+@pytest.mark.parametrize("fault", CAUSES)
+def test_a_wrong_prior_sigma_or_map_is_named_with_a_true_pose(fault: FaultKind) -> None:
+    for case in planted_cause(fault):
+        for truth in (case.truth, ids_unknown(case.truth)):
+            assert first(diagnosed(case, truth)).kind == fault
+
+
+@pytest.mark.parametrize("fault", [fault for fault in CAUSES if fault.endswith("prior")])
+def test_a_wrong_prior_is_named_without_ground_truth(fault: FaultKind) -> None:
+    for case in planted_cause(fault):
+        found = diagnosed(case, None)
+        assert found.kind == fault, found.sentence
+        assert found.evidence[1].value > 4.0
+
+
+def test_a_common_cause_leaves_no_element_to_blame() -> None:
+    """A map shifted as a whole, and sigmas too small, looked like many moved elements."""
+    for fault in ("misaligned map", "wrong detection sigma"):
+        for case in planted_cause(fault):
+            kinds = {other.kind for other in diagnosed(case, case.truth).secondary_faults}
+            assert kinds == {fault}
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["misaligned map", "wrong extrinsic", "time offset", "wrong heading prior",
+     "wrong detection sigma"],
+)  # fmt: skip
+def test_a_run_names_the_cause_of_all_its_frames(fault: FaultKind) -> None:
+    drive = planted_run(fault)
+    found = diagnose_run(drive.frames, drive.semantic_map, DETECTOR)
+    assert [cause.kind for cause in found.causes] == [fault]
+    assert found.calibration is None
+    assert len(found.causes[0].frames) >= len(drive.frames) // 2
 
 
 @pytest.mark.xfail(

@@ -1,17 +1,19 @@
 """Code is compiled by one process at a time, under names that no other process gives."""
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 from threading import Event, Thread
 
 import pytest
 
-from semviz_core.common import jit
+from semviz_core.common import jit, linalg
 
 HOLD = """
 import sys
-from semviz_core.common import jit
+from semviz_core.common import jit, linalg
 with jit._compile_lock:
     print("held", flush=True)
     sys.stdin.read()
@@ -40,8 +42,9 @@ def test_two_processes_take_turns() -> None:
 
 NAMES = """
 import os
+import shutil
 import numba
-from semviz_core.common import jit
+from semviz_core.common import jit, linalg
 
 def name_of_new_code():
     double = numba.njit(lambda x: 2 * x)
@@ -67,3 +70,46 @@ def code_names() -> set[str]:
 def test_no_two_processes_give_machine_code_the_same_name() -> None:
     """Numba counts from 1 in every process, and links code of one name as if it were the same."""
     assert len(code_names() | code_names()) == 4
+
+
+FOLDER = "from semviz_core.common import jit; print(jit.__file__, jit._cache_folder())"
+
+
+def compiled_in(installed: Path) -> Path:
+    """The folder of compiled code of the copy of the core in a folder."""
+    done = subprocess.run(
+        [sys.executable, "-c", FOLDER],
+        env={**os.environ, "PYTHONPATH": str(installed)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    file, folder = done.stdout.split()
+    assert Path(file).is_relative_to(installed)
+    return Path(folder)
+
+
+def test_compiled_code_belongs_to_the_sources_and_to_the_constants_they_read(
+    tmp_path: Path,
+) -> None:
+    """Two environments share it; a constant of a file that compiles nothing itself parts them."""
+    core = Path(jit.__file__).parents[1]
+    copies = tmp_path / "one", tmp_path / "two"
+    for copy in copies:
+        shutil.copytree(core, copy / core.name, ignore=shutil.ignore_patterns("__pycache__"))
+    assert compiled_in(copies[0]) == compiled_in(copies[1]) == Path(jit._cache_folder())
+    camera = copies[1] / core.name / "base" / "camera.py"
+    text = camera.read_text()
+    assert "MIN_DEPTH_M = " in text
+    assert "@compiled" not in text
+    camera.write_text(text.replace("MIN_DEPTH_M = ", "MIN_DEPTH_M = 2 * "))
+    assert compiled_in(copies[1]) != compiled_in(copies[0])
+
+
+def test_code_is_kept_by_module_wherever_it_is_installed() -> None:
+    (located,) = {
+        jit._SourcesLocator.from_function(linalg.cholesky.py_func, file).get_cache_path()
+        for file in ("/one/linalg.py", "/two/linalg.py")
+    }
+    assert Path(located) == Path(jit._cache_folder()) / linalg.__name__
+    assert jit._SourcesLocator.from_function(compiled_in, "here.py") is None, "not ours"

@@ -35,8 +35,8 @@ from semviz_core.research.evaluation.problems import (
     Difficulty,
     LocalizationProblem,
 )
+from semviz_core.research.training.batch import Progress
 from semviz_core.research.training.simulated_samples import HARD_DISTRIBUTION
-from semviz_core.research.training.task import Progress
 from semviz_core.research.training.verifier import collate, label_modes, right_modes
 
 HARD = replace(HARD_SETS["all together"], noise="paper")

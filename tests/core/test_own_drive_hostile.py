@@ -27,11 +27,11 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import camera_poses, world_axes
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.lens import OriginalRig
-from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
 from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 ROUNDS = 60

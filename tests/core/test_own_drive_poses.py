@@ -27,10 +27,9 @@ from drive_formats import (
 
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.image_files import LeftOutImage, list_images
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
-from semviz_core.datasets.own_drive.time_matching import poses_at_times, why_without_pose
+from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times, why_without_pose
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 

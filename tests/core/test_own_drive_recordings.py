@@ -24,8 +24,8 @@ from drive_layouts import (
 from pyarrow import feather
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 
 @dataclass(frozen=True)

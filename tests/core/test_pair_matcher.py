@@ -20,12 +20,10 @@ from semviz_core.research.evaluation.problems import (
     LocalizationProblem,
     make_problem,
 )
-from semviz_core.research.pair_matcher.network import ConsensusNetwork
-from semviz_core.research.pair_matcher.prepared import Prepared
+from semviz_core.research.pair_matcher.network import ConsensusNetwork, Prepared
 from semviz_core.research.pair_matcher.training import MatcherTask, log_probabilities, true_rank
-from semviz_core.research.training.batch import Batch
+from semviz_core.research.training.batch import Batch, Progress
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION, transform_sample
-from semviz_core.research.training.task import Progress
 
 
 @pytest.fixture(autouse=True)

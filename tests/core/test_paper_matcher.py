@@ -13,9 +13,8 @@ from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.paper.graph_torch import GraphMatcher, GraphNetwork
 from semviz_core.research.paper.matcher import MODELS, Matcher, graph_features, split_lines
 from semviz_core.research.paper.training import PaperTask
-from semviz_core.research.training.batch import Batch
+from semviz_core.research.training.batch import Batch, Progress
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
-from semviz_core.research.training.task import Progress
 
 START = Progress(0, 100)
 torch.set_num_threads(1)  # samples are small: more threads would wait for each other

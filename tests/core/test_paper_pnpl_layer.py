@@ -13,8 +13,14 @@ from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.p3p_ransac import Objective, paper_pnpl
 from semviz_core.research.evaluation.problems import LocalizationProblem, make_problem
-from semviz_core.research.paper.pnpl_layer import StartPoses, differentiable_pnpl, start_poses
-from semviz_core.research.paper.training import correspondence_loss, pose_loss, whole_loss
+from semviz_core.research.paper.training import (
+    StartPoses,
+    correspondence_loss,
+    differentiable_pnpl,
+    pose_loss,
+    start_poses,
+    whole_loss,
+)
 from semviz_core.research.paper.transport import sinkhorn
 from semviz_core.research.training.batch import Batch
 

@@ -9,7 +9,7 @@ from semviz_core.localization.least_squares import fit_pairs
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import Difficulty, LocalizationProblem, make_problem
-from semviz_core.research.pair_matcher.pose_layer import PosePairs, pose_of_weights
+from semviz_core.research.pair_matcher.training import PosePairs, pose_of_weights
 
 STEP = 1e-3
 """Of weights, in central differences of fourth order."""

@@ -11,13 +11,13 @@ import pytest
 from semviz_core.base.classes import POLE
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.detection import ImageGroundTruth, match_detections
-from semviz_core.research.training.detector_crops import middle_crop
-from semviz_core.research.training.segmentation_images import (
+from semviz_core.research.training.annotated_images import (
+    MASK_TABLE,
     SMALLEST_SIGN_PX,
-    TABLE,
     SegmentationImages,
 )
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.research.training.detector_crops import middle_crop
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.street import Street
 
 FRAMES = (0, 20)
@@ -105,7 +105,7 @@ def test_a_table_of_colours_says_the_same(cityscapes: Path, street: Street, tmp_
         for id_, color in colors.items():
             mask[ids == id_] = color
         cv2.imwrite(str(folder / "masks" / f"{index:03d}_L.png"), mask[..., ::-1])
-    (folder / TABLE).write_text(
+    (folder / MASK_TABLE).write_text(
         'images = "images/*.png"\nmasks = "masks/{name}_L.png"\n'
         '[classes]\n"#c0c080" = "pole"\n"#c08080" = "sign"\n"#010203" = "ignore"\n'
     )
@@ -113,8 +113,8 @@ def test_a_table_of_colours_says_the_same(cityscapes: Path, street: Street, tmp_
     other = prepared(cityscapes, tmp_path / "city").image(0)
     np.testing.assert_array_equal(own.elements.anchor_px, other.elements.anchor_px)
     np.testing.assert_array_equal(own.elements.class_id, other.elements.class_id)
-    text = (folder / TABLE).read_text()
-    (folder / TABLE).write_text(text.split("[classes]")[0] + '[classes]\n5 = "pole"\n')
+    text = (folder / MASK_TABLE).read_text()
+    (folder / MASK_TABLE).write_text(text.split("[classes]")[0] + '[classes]\n5 = "pole"\n')
     with pytest.raises(SemvizError, match=r"holds colours, but .* gives ids"):
         SegmentationImages.of(folder, tmp_path / "again").prepare(0)
 
@@ -137,7 +137,7 @@ def test_a_folder_that_is_no_data_set_is_refused(
     tmp_path: Path, table: str | None, why: str
 ) -> None:
     if table is not None:
-        (tmp_path / TABLE).write_text(table)
+        (tmp_path / MASK_TABLE).write_text(table)
     with pytest.raises(SemvizError, match=why) as refused:
         SegmentationImages.of(tmp_path, tmp_path / "prepared")
     assert "\n" not in str(refused.value)
@@ -148,7 +148,7 @@ TABLE_OF_IDS = 'images = "*.png"\nmasks = "{name}.png{name:>{9}}"\n[classes]\n5 
 
 def test_only_the_name_is_replaced_in_the_pattern_of_masks(tmp_path: Path) -> None:
     """A format such as {name:>999999999} would take a gigabyte for each image."""
-    (tmp_path / TABLE).write_text(TABLE_OF_IDS)
+    (tmp_path / MASK_TABLE).write_text(TABLE_OF_IDS)
     for name in ("a", "b"):
         (tmp_path / f"{name}.png").touch()
         (tmp_path / f"{name}.png{{name:>{{9}}}}").touch()
@@ -165,7 +165,7 @@ def test_no_image_or_mask_of_a_data_set_is_decoded_beyond_limits(
         (tmp_path / folder).mkdir()
         for name in ("a.png", "b.png"):
             cv2.imwrite(str(tmp_path / folder / name), np.zeros((40, 60), np.uint8))
-    (tmp_path / TABLE).write_text(
+    (tmp_path / MASK_TABLE).write_text(
         'images = "images/*.png"\nmasks = "masks/{name}.png"\n[classes]\n5 = "pole"\n'
     )
     SegmentationImages.of(tmp_path, tmp_path).prepare(0)

@@ -5,7 +5,7 @@ import pytest
 
 from semviz_core.base.semantic_map import Provenance, SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.simulation import map_errors
+from semviz_core.research.evaluation import roads
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
 
@@ -18,7 +18,7 @@ def truth() -> SemanticMap:
 def test_shares_of_missing_obsolete_and_duplicated(truth: SemanticMap) -> None:
     missing, obsolete, duplicated = [], [], []
     for seed in range(60):
-        elements = map_errors.with_errors(truth, seed).elements
+        elements = roads.with_errors(truth, seed).elements
         known = elements.id <= truth.elements.id.max()
         true = truth.elements[np.searchsorted(truth.elements.id, elements.id[known])]
         away = np.linalg.norm(elements.anchor_m[known] - true.anchor_m, axis=1)
@@ -35,7 +35,7 @@ def test_covariances_are_honest(truth: SemanticMap) -> None:
     """Squared errors over their covariance average the number of coordinates."""
     points, lines, heights = [], [], []
     for seed in range(40):
-        elements = map_errors.with_errors(truth, seed).elements
+        elements = roads.with_errors(truth, seed).elements
         known = elements[elements.id <= truth.elements.id.max()]
         true = truth.elements[np.searchsorted(truth.elements.id, known.id)]
         error = np.concatenate([known.anchor_m - true.anchor_m, known.end_m - true.end_m], axis=1)
@@ -53,20 +53,20 @@ def test_covariances_are_honest(truth: SemanticMap) -> None:
 
 
 def test_the_same_seed_errs_the_same(truth: SemanticMap) -> None:
-    assert map_errors.with_errors(truth, 1).digest == map_errors.with_errors(truth, 1).digest
-    assert map_errors.with_errors(truth, 1).digest != map_errors.with_errors(truth, 2).digest
+    assert roads.with_errors(truth, 1).digest == roads.with_errors(truth, 1).digest
+    assert roads.with_errors(truth, 1).digest != roads.with_errors(truth, 2).digest
 
 
 def test_one_fault_touches_one_element(truth: SemanticMap) -> None:
     element_id = int(truth.elements.id[5])
-    moved = map_errors.move_element(truth, element_id, [3.0, -1.0, 0.0]).elements
+    moved = roads.move_element(truth, element_id, [3.0, -1.0, 0.0]).elements
     change = moved.anchor_m - truth.elements.anchor_m
     assert np.allclose(change[5], [3.0, -1.0, 0.0])
     assert not np.delete(change, 5, axis=0).any()
-    gone = map_errors.remove_element(truth, element_id).elements
+    gone = roads.remove_element(truth, element_id).elements
     assert element_id not in gone.id
     assert len(gone) == len(truth) - 1
-    twice = map_errors.duplicate_element(truth, element_id, [0.5, 0.0, 0.0]).elements
+    twice = roads.duplicate_element(truth, element_id, [0.5, 0.0, 0.0]).elements
     assert len(twice) == len(truth) + 1
     assert twice.id[-1] == truth.elements.id.max() + 1
     assert np.allclose(twice.anchor_m[-1] - truth.elements.anchor_m[5], [0.5, 0.0, 0.0])
@@ -77,14 +77,11 @@ def test_provenance_stays_with_its_element(truth: SemanticMap) -> None:
 
     told = replace(truth, provenance=tuple(Provenance((f"label {i}",)) for i in truth.elements.id))
     element_id = int(truth.elements.id[5])
-    assert told.provenance[5] not in map_errors.remove_element(told, element_id).provenance
-    assert len(map_errors.remove_element(told, element_id).provenance) == len(truth) - 1
-    assert (
-        map_errors.duplicate_element(told, element_id, [0, 0, 0]).provenance[-1]
-        == told.provenance[5]
-    )
+    assert told.provenance[5] not in roads.remove_element(told, element_id).provenance
+    assert len(roads.remove_element(told, element_id).provenance) == len(truth) - 1
+    assert roads.duplicate_element(told, element_id, [0, 0, 0]).provenance[-1] == told.provenance[5]
 
 
 def test_what_is_not_there_cannot_be_moved(truth: SemanticMap) -> None:
     with pytest.raises(SemvizError, match="street-9 has no element 12345"):
-        map_errors.move_element(truth, 12345, [1.0, 0.0, 0.0])
+        roads.move_element(truth, 12345, [1.0, 0.0, 0.0])

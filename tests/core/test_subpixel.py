@@ -15,8 +15,8 @@ from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.detection.detector import MeasureRegion, by_edges, measure
 from semviz_core.detection.regions import Region
-from semviz_core.research.paper.measurement import measure_as_in_paper
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.research.paper.method import measure_as_in_paper
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.street import Street
 from semviz_core.subpixel.sampling import SampledImage
 

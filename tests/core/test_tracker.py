@@ -18,7 +18,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.tracking import tracker as tracker_module
-from semviz_core.tracking.belief import POSE, JointBelief
+from semviz_core.tracking.association import POSE, JointBelief
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
 CAMERA = Camera(800, 400, np.array([[500.0, 0.0, 400.0], [0.0, 500.0, 200.0], [0.0, 0.0, 1.0]]))

@@ -21,9 +21,9 @@ from safetensors import safe_open
 from toy_training_task import TOGETHER, ToyTask, fresh_network
 
 from semviz_core.common.errors import SemvizError
+from semviz_core.research.training.batch import Progress
 from semviz_core.research.training.checkpoint import WINDOW_STEPS, Checkpoint, read_history
 from semviz_core.research.training.learner import has_bf16
-from semviz_core.research.training.task import Progress
 from semviz_core.research.training.trainer import (
     CHECKPOINT,
     HISTORY,

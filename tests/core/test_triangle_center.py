@@ -21,7 +21,7 @@ from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.detection.detector import Detector, MeasureRegion, by_edges, measure
 from semviz_core.detection.regions import Region
 from semviz_core.localization.localizer import Localizer
-from semviz_core.research.paper.measurement import measure_as_in_paper
+from semviz_core.research.paper.method import measure_as_in_paper
 from semviz_core.simulation.detector import SimulatedDetector
 from semviz_core.simulation.street import Street
 from semviz_core.subpixel.sampling import SampledImage

@@ -8,7 +8,7 @@ from golden.command import run
 from golden.files import table_content
 from semviz import Workspace
 from semviz_core.detection.detector import load_detector
-from semviz_core.research.paper.measurement import measure_as_in_paper
+from semviz_core.research.paper.method import measure_as_in_paper
 
 SEED, IMAGES = 40_001, 20
 PAPER = 5

@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { beforeEach, test } from "node:test";
 import { Outbox } from "../../semviz/annotator/page/outbox.js";
+import { moveToRestored, replacedLabels } from "../../semviz/annotator/page/questions.js";
 
 /** localStorage: entries are own properties, methods are not. */
 class FakeStorage {
@@ -170,12 +171,46 @@ test("a refusal of another edit does not release the next one", () => {
   assert.equal(outbox.entries.length, 1);
 });
 
-test("edits made on labels that a backup replaced claim to have seen nothing of the restored ones", () => {
+const RESTORED = { operation: 3, hash: "a1" };
+const view = (id, top) => ({ id, frame: 5, side: "left", anchor: [9, top], end: [9, 50], anchor_known: true, end_known: true });
+const element = (id, top) => ({ id: `of ${id}`, class_id: 0, observations: { left: view(id, top) } });
+
+/** A page that shows labels which a backup put in place. */
+function restoredPage(outbox) {
+  const frame = { index: 5, elements: [element("same", 10), element("other", 33)] };
+  return { outbox, state: { lastShown: RESTORED, received: { frame } }, settle: (request) => outbox.settle(request) };
+}
+
+test("edits of replaced labels move one by one, those made while the question is open stay as they are", () => {
   const { outbox, sent } = made();
   for (const kind of ["draw", "undo", "move", "restore"]) outbox.add({ kind }, null, SINCE);
-  assert.deepEqual(sent[0].base, { ...SINCE, known: [] });
-  outbox.moveToRestored();
-  assert.deepEqual(kinds(outbox.entries.map(({ edit }) => edit)), ["draw", "move"]);
-  assert.deepEqual(sent.at(-1).base, { operation: 0, known: [] });
-  assert.equal(sent.at(-1).request, sent[0].request);
+  const page = restoredPage(outbox);
+  const { answers } = replacedLabels(outbox.entries[0], { text: "" }, page);
+  for (const kind of ["move", "undo"]) outbox.add({ kind }, null, RESTORED);
+  answers[0].run();
+  const stored = [];
+  while (outbox.entries.length) {
+    const { request, kind, base } = sent.at(-1);
+    if (base.hash === SINCE.hash) { // the server refuses it
+      const entry = outbox.find(request);
+      assert.ok(entry.place <= outbox.agreed);
+      moveToRestored(entry, page);
+    } else {
+      stored.push([kind, base.operation]);
+      outbox.settle(request);
+    }
+  }
+  assert.deepEqual(stored, [["draw", 0], ["move", 0], ["move", RESTORED.operation], ["undo", RESTORED.operation]]);
+});
+
+test("an edit of a replaced label asks again only if the restored label looks otherwise", () => {
+  const { outbox } = made();
+  const page = restoredPage(outbox);
+  for (const id of ["same", "other", "gone"]) {
+    const then = { element: `of ${id}`, frame: 5, side: "left", anchor: [9, 10], end: [9, 50], anchor_known: true, end_known: true };
+    outbox.add({ kind: "move", observation_id: id, seen: then }, null, SINCE);
+  }
+  for (const entry of outbox.entries) moveToRestored(entry, page);
+  const unseen = { operation: 0, known: [] };
+  assert.deepEqual(outbox.entries.map(({ base }) => base), [{ ...RESTORED, known: [] }, unseen, unseen]);
 });

@@ -177,7 +177,7 @@ test("nothing is shown of another frame's labels", () => {
   const state = stateWith({ elements: [pole({ left: saved("o", "left") })], proposals: [proposal({ left: proposalMark("l", "left") })] });
   state.set({ frame: 9 });
   assert.deepEqual([state.elements, state.proposals, state.nearby], [[], [], []]);
-  assert.deepEqual(state.panes, { left: { frame: 9, side: "left" }, right: { frame: 9, side: "right" } });
+  assert.deepEqual(state.panes, { left: { frame: 9, side: "left", camera: "" }, right: { frame: 9, side: "right", camera: "" } });
   assert.deepEqual(state.order, [4, 5, 9]);
 });
 

@@ -131,7 +131,7 @@ def plant(
     given = Given.of(problem, mapped_elements(road or default_road(), seed, level))
     if not problem.is_valid:
         return None
-    healthy = _localized("healthy", given)
+    healthy = localized_with("healthy", given)
     if not healthy.is_healthy:
         return None
     rng = np.random.default_rng([seed, 8])
@@ -141,7 +141,7 @@ def plant(
 Planting = Callable[[Given, Planted, np.random.Generator], Planted | None]
 
 
-def _localized(
+def localized_with(
     fault: FaultKind, given: Given, elements: tuple[int, ...] = (), rows: tuple[int, ...] = ()
 ) -> Planted:
     truth = GroundTruth(given.T_camera_map, given.ids)
@@ -157,7 +157,7 @@ def _too_few(given: Given, healthy: Planted, rng: np.random.Generator) -> Plante
     middle = given.T_camera_map.apply(given.elements.anchor_m)
     there = (middle[:, 2] > 0.0) & (middle[:, 2] < 60.0)
     rows = ~there | np.isin(given.elements.id, given.ids[kept])
-    return _localized(
+    return localized_with(
         "too few elements", replace(given.seen(np.sort(kept)), elements=given.elements[rows])
     )
 
@@ -165,7 +165,7 @@ def _too_few(given: Given, healthy: Planted, rng: np.random.Generator) -> Plante
 def _missed(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
     """All but three or fewer of the detections are gone."""
     kept = rng.choice(given.true_rows, int(rng.integers(1, NEEDED_ELEMENTS)), replace=False)
-    return _localized("missed detection", given.seen(np.sort(kept)))
+    return localized_with("missed detection", given.seen(np.sort(kept)))
 
 
 def _false(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
@@ -185,7 +185,7 @@ def _false(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted 
     ).inlier.any():
         return None
     changed = replace(given, observed=observed, ids=np.append(given.ids, -1))
-    return _localized("false detection", changed, rows=(row,))
+    return localized_with("false detection", changed, rows=(row,))
 
 
 def _wrong_class(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
@@ -197,16 +197,18 @@ def _wrong_class(given: Given, healthy: Planted, rng: np.random.Generator) -> Pl
     class_id = given.observed.class_id.copy()
     class_id[row] = rng.choice([sign for sign in _SIGNS if sign != class_id[row]])
     changed = replace(given, observed=replace(given.observed, class_id=class_id))
-    return _localized("wrong class", changed, (int(given.ids[row]),), (row,))
+    return localized_with("wrong class", changed, (int(given.ids[row]),), (row,))
 
 
 def _not_in_submap(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
-    """A fix 60 to 90 m off that does not know it."""
-    angle, off_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(60.0, 90.0)
-    off = off_m * np.array([np.cos(angle), np.sin(angle), 0.0])
-    center_m = given.T_camera_map.inverse().translation
-    prior = replace(given.prior, position_m=center_m + off, road_m=None)
-    return _localized("not in the submap", replace(given, prior=prior))
+    """A crop so narrow that fewer than four of the detected elements are in it."""
+    away_m = given.elements.anchor_m[:, :2] - given.prior.position_m[:2]
+    detected = np.isin(given.elements.id, given.ids[given.true_rows])
+    distance_m = np.sort(np.linalg.norm(away_m, axis=1)[detected])
+    kept = int(rng.integers(0, NEEDED_ELEMENTS))
+    return localized_with(
+        "not in the submap", replace(given, crop_m=float(distance_m[kept]) - 0.01)
+    )
 
 
 def _moved(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
@@ -221,14 +223,14 @@ def _moved(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted 
     if not abs(px[1] - px[0])[0, 0] > SHOWS_PX:
         return None
     seen = int(np.flatnonzero(given.ids == element)[0])
-    return _localized("moved in the map", replace(given, elements=changed), (element,), (seen,))
+    return localized_with("moved in the map", replace(given, elements=changed), (element,), (seen,))
 
 
 def _missing(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
     """A seen element that is not in the map."""
     row = int(rng.choice(given.true_rows))
     kept = given.elements[given.elements.id != given.ids[row]]
-    return _localized(
+    return localized_with(
         "missing in the map", replace(given, elements=kept), (int(given.ids[row]),), (row,)
     )
 
@@ -237,7 +239,7 @@ def _twice(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted 
     """A seen element that is in the map twice, 0.2 to 0.8 m apart."""
     element = int(rng.choice(given.ids[given.true_rows]))
     changed, copy = copied(given.elements, element, aside(rng, 0.2, 0.8))
-    return _localized("twice in the map", replace(given, elements=changed), (copy,))
+    return localized_with("twice in the map", replace(given, elements=changed), (copy,))
 
 
 def _row_of_poles(given: Given, healthy: Planted, rng: np.random.Generator) -> Planted | None:
@@ -263,7 +265,7 @@ def _row_of_poles(given: Given, healthy: Planted, rng: np.random.Generator) -> P
         anchor[seen] + noise[0], end[seen] + noise[1], row.class_id[seen]
     )
     changed = replace(given, observed=observed, ids=row.id[seen], elements=row)
-    found = _localized("ambiguous geometry", changed)
+    found = localized_with("ambiguous geometry", changed)
     return None if found.is_healthy else found
 
 
@@ -381,6 +383,11 @@ def copied(elements: Elements3D, element: int, by_m: FloatArray) -> tuple[Elemen
     copy = int(elements.id.max()) + 1
     added = replace(elements[elements.id == element], id=np.array([copy]))
     return joined(elements, shifted(added, copy, by_m)), copy
+
+
+def shifted_map(elements: Elements3D, by_m: FloatArray) -> Elements3D:
+    """With all elements elsewhere."""
+    return replace(elements, anchor_m=elements.anchor_m + by_m, end_m=elements.end_m + by_m)
 
 
 def aside(rng: np.random.Generator, least_m: float, most_m: float) -> FloatArray:

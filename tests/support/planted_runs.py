@@ -11,17 +11,19 @@ import numpy as np
 
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.localization import Localization
-from semviz_core.base.pose import Pose
+from semviz_core.base.pose import Pose, angle_between
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.fault import FaultKind, GroundTruth
 from semviz_core.research.evaluation.problems import make_problem, mapped_elements
 from semviz_core.research.evaluation.roads import BenchmarkRoad
-from support.planted_faults import WHOLE, Given, aside, copied, shifted
+from support.planted_causes import SIGMA_FACTOR, with_heading, with_noise
+from support.planted_faults import WHOLE, Given, aside, copied, shifted, shifted_map
 
 FRAMES = 10
 STEP = 3
 """Poses of the road from frame to frame: metres."""
 LEAST_SEEN = 4
+OF_POSES: tuple[FaultKind, ...] = ("misaligned map", "wrong extrinsic", "time offset")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ def plant_in_run(
 ) -> PlantedRun | None:
     """A run of ``count`` frames with the fault; None where no element is seen often enough."""
     rng = np.random.default_rng([seed, 9])
-    first = int(rng.integers(len(road) - count * STEP))
+    first = _start(road, count, rng, turning=fault in OF_POSES)
     elements = mapped_elements(road, seed, WHOLE)
     frames = [
         Given.of(make_problem(seed, WHOLE, road, first + k * STEP, driving=True), elements)
@@ -52,10 +54,23 @@ def plant_in_run(
     element = int(ids[np.argmax(times)])
     if fault == "healthy":
         return _localized(fault, frames)
-    if fault == "wrong calibration":
-        return _localized(fault, _other_camera(frames, rng))
+    if fault in _WHOLE:
+        return _localized(fault, _WHOLE[fault](frames, rng))
     changed, named = _FAULTS[fault](elements, element, rng)
     return _localized(fault, [replace(frame, elements=changed) for frame in frames], (named,))
+
+
+def _start(road: BenchmarkRoad, count: int, rng: np.random.Generator, turning: bool) -> int:
+    """A place on the road; of twenty, that with the largest turn, since straight ahead at one speed
+    a late pose, a shifted map and a camera mounted further back are the same."""
+    last = len(road) - count * STEP
+    if not turning:
+        return int(rng.integers(last))
+    poses, starts = road.T_map_camera, rng.integers(last, size=20)
+    turns = [
+        angle_between(poses[s].rotation, poses[s + (count - 1) * STEP].rotation) for s in starts
+    ]
+    return int(starts[int(np.argmax(turns))])
 
 
 def _localized(fault: FaultKind, frames: list[Given], elements: tuple[int, ...] = ()) -> PlantedRun:
@@ -109,3 +124,43 @@ def _rolled(given: Given, T_stated_camera: Pose) -> Given:
     up = given.prior.up_camera
     prior = replace(given.prior, up_camera=None if up is None else T_stated_camera.rotation @ up)
     return replace(given, T_camera_map=T_stated_camera @ given.T_camera_map, prior=prior)
+
+
+def _shifted(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """A map 0.5 to 2 m beside its poses, in any direction."""
+    by_m = aside(rng, 0.5, 2.0)
+    return [replace(frame, elements=shifted_map(frame.elements, by_m)) for frame in frames]
+
+
+def _mounted_elsewhere(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """A camera 0.4 to 1 m to the side of where its extrinsic says, which the truth follows."""
+    off_m = float(rng.uniform(0.4, 1.0) * rng.choice([-1.0, 1.0]))
+    mount = Pose(np.eye(3), np.array([off_m, 0.0, 0.0]))
+    return [replace(frame, T_camera_map=mount @ frame.T_camera_map) for frame in frames]
+
+
+def _late(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """Poses one frame late."""
+    poses = [frame.T_camera_map for frame in frames]
+    late = [poses[0], *poses[:-1]]
+    return [replace(frame, T_camera_map=pose) for frame, pose in zip(frames, late, strict=True)]
+
+
+def _turned_compass(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    """A compass 15 to 30 deg off that states 3."""
+    off = float(rng.uniform(np.deg2rad(15.0), np.deg2rad(30.0)) * rng.choice([-1.0, 1.0]))
+    return [with_heading(frame, off) for frame in frames]
+
+
+def _too_sure(frames: list[Given], rng: np.random.Generator) -> list[Given]:
+    return [with_noise(frame, SIGMA_FACTOR, rng) for frame in frames]
+
+
+_WHOLE: dict[FaultKind, Callable[[list[Given], np.random.Generator], list[Given]]] = {
+    "wrong calibration": _other_camera,
+    "misaligned map": _shifted,
+    "wrong extrinsic": _mounted_elsewhere,
+    "time offset": _late,
+    "wrong heading prior": _turned_compass,
+    "wrong detection sigma": _too_sure,
+}

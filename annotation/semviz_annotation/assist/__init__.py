@@ -12,8 +12,9 @@ from semviz_annotation.assist.detection_refinement import (
     RefinedDetection,
     refine_detection,
 )
+from semviz_annotation.assist.image_search import ReferenceView
 from semviz_annotation.assist.marked_image import SURE, Mark, MarkedImage, ProposedMark
-from semviz_annotation.assist.propagation import ReferenceView, propagate
+from semviz_annotation.assist.propagation import propagate
 from semviz_annotation.assist.snap import Snapped, snap
 from semviz_annotation.assist.stereo_matching import (
     ImageCorrespondences,

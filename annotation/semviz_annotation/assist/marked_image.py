@@ -19,9 +19,10 @@ from semviz_core.base.frame import Side
 from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.subpixel.joint_outlines import EdgeProfile
 from semviz_core.subpixel.sampling import SampledImage
 
-SURE = 0.8
+SURE = 0.9
 """Proposals with at least this score can be accepted together by one key."""
 
 
@@ -34,6 +35,10 @@ class MarkedImage(SampledImage):
     """What marks of triangular signs are."""
     sizes: dict[Mark, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """Cache of measured widths and sizes, as one mark is propagated to many frames."""
+    profiles: dict[tuple[Mark, str], EdgeProfile] = field(
+        default_factory=dict, init=False, repr=False
+    )
+    """Cache of the edges around marks of signs, by outline shape."""
 
     @classmethod
     def of(

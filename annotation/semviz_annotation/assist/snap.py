@@ -45,6 +45,8 @@ class Snap:
 
     snapped: Snapped
     evidence: FloatArray
+    size_px: float
+    """A pole's width, or half a sign's mean width and height."""
 
 
 def snap(
@@ -111,7 +113,7 @@ def _pole(image: MarkedImage, mark: Mark, reach_px: float) -> Snap | None:
     across = replace(mark, anchor_px=pixel(axis.ends_px[0]), end_px=pixel(axis.ends_px[1]))
     snapped, peak, foot = with_visible_ends(image, across, axis.width_px, reach_px)
     furthest = float(np.linalg.norm(snapped.ends_px - marked, axis=1).max())
-    return Snap(Snapped(snapped, furthest, peak, foot), evidence)
+    return Snap(Snapped(snapped, furthest, peak, foot), evidence, axis.width_px)
 
 
 def _sign(image: MarkedImage, mark: Mark, element_class: ElementClass) -> Snap | None:
@@ -132,4 +134,5 @@ def _sign(image: MarkedImage, mark: Mark, element_class: ElementClass) -> Snap |
         [*best.evidence[1:], best.score, min([5.0, *margins]), np.abs(shift / best.half_px).max()]
     )
     moved = replace(mark, anchor_px=pixel(middle))
-    return Snap(Snapped(moved, float(np.linalg.norm(shift)), True, False), evidence)
+    snapped = Snapped(moved, float(np.linalg.norm(shift)), True, False)
+    return Snap(snapped, evidence, float(best.half_px.mean()))

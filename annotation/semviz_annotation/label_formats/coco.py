@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from semviz_annotation.label_formats import reading
-from semviz_annotation.label_formats.numbers import from_corner, json_number, number, quoted
+from semviz_annotation.label_formats.reading import from_corner, json_number, number, quoted
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.base.classes import Kind

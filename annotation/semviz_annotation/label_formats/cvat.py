@@ -13,12 +13,13 @@ from typing import Any
 from xml.etree import ElementTree  # for writing only; read with defusedxml
 
 from semviz_annotation.label_formats import reading
-from semviz_annotation.label_formats.numbers import from_corner, number, quoted, to_corner
+from semviz_annotation.label_formats.reading import from_corner, number, quoted, to_corner
 from semviz_annotation.label_formats.writing import ATTRIBUTES, LabelExportContext, as_word
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+from semviz_core.common.limits import parsing_xml
 
 _FORMS: Mapping[str, reading.Form] = {"polyline": "line", "points": "points", "box": "box"}
 _MOST_ATTRIBUTES = 1000
@@ -29,19 +30,14 @@ _PLAIN = {"z_order": ("0",), "source": ("manual", "file"), "rotation": ("0", "0.
 
 def read_cvat(path: Path, context: reading.LabelImportContext) -> reading.ParsedLabels:
     """Return the poles and signs of a CVAT 1.1 file. Raise SemvizError, naming an invalid item."""
-    from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import DefusedXMLParser
 
     handler = _Handler(path, context)
     with reading.at(path):
         parser = DefusedXMLParser(target=handler, forbid_dtd=True)
-        try:
+        with parsing_xml():
             parser.feed(reading.read_bytes(path, reading.MOST_XML_BYTES))
             parser.close()
-        except DefusedXmlException:
-            raise SemvizError("declares a document type or entities; CVAT's files do not") from None
-        except (ElementTree.ParseError, LookupError, ValueError) as error:
-            raise SemvizError(f"not XML ({str(error).splitlines()[0][:200]})") from None
         if not handler.is_cvat:
             raise SemvizError("no annotations of CVAT")
     return handler.parsed

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from semviz_annotation.label_formats import reading
-from semviz_annotation.label_formats.numbers import from_corner, json_number, quoted, to_corner
+from semviz_annotation.label_formats.reading import from_corner, json_number, quoted, to_corner
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext, Sidecar
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.common.errors import SemvizError

@@ -1,4 +1,9 @@
-"""Helpers of the label writers, and the sidecar for keys of other tools.
+"""Helpers of the label writers, labels as a table (CSV), and the sidecar for keys of other tools.
+
+The table has one line for each label. Columns end with ``_px`` for the image that is labelled,
+which has no distortion, and with ``_original_px`` for the image as recorded; (0, 0) is the centre
+of the top-left pixel in both. Both ends of a pole are points; between them the recorded pole may
+bend.
 
 Each import writes one JSON file into the workspace's folder ``kept``, which never changes again. It
 holds the keys of labelme's files by image, and those of its shapes by observation. Keys of a
@@ -8,19 +13,24 @@ deleted observation stay, and apply again if the deletion is undone.
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
 
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import Observation
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import ClassSet
-from semviz_core.base.frame import Side
+from semviz_core.base.frame import Dataset, Side
+from semviz_core.common.arrays import FloatArray
+from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, parsed_json, read_limited
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 
 SIDES: tuple[Side, Side] = ("left", "right")
 ATTRIBUTES: Mapping[str, Mapping[str, Literal["text", "checkbox"]]] = {
@@ -152,3 +162,58 @@ def load_sidecar(folder: Path) -> Sidecar:
         except (SemvizError, ValueError, KeyError, TypeError):
             raise SemvizError(f"{path}: damaged; delete it, its keys are lost then") from None
     return Sidecar(images, observations)
+
+
+OriginalPixels: TypeAlias = Callable[[int, Side, FloatArray], tuple[str, FloatArray]]
+"""The recorded image of a frame and side, and its pixels (n, 2) at those of the labelled image."""
+COLUMNS = (
+    "frame",
+    "side",
+    "image",
+    "element",
+    "class",
+    *(f"anchor_{axis}{which}_px" for which in ("", "_original") for axis in "uv"),
+    "anchor_known",
+    *(f"end_{axis}{which}_px" for which in ("", "_original") for axis in "uv"),
+    "end_known",
+)
+
+
+def original_pixels(source: Dataset) -> OriginalPixels:
+    """Return the way from a dataset's pixels to recorded ones, which only own drives have apart."""
+
+    def to_original(index: int, side: Side, pixels_px: FloatArray) -> tuple[str, FloatArray]:
+        if isinstance(source, ImageFolder):
+            path, camera = source.original_path(index, side), source.camera_of.get(index)
+            name = path.name if camera is None else f"{camera}/{path.name}"
+            return name, source.to_original(pixels_px, index, side)
+        return f"{side}/{index:06d}.png", pixels_px
+
+    return to_original
+
+
+def write_table(context: LabelExportContext, path: Path, original: OriginalPixels) -> None:
+    """Write the table; cells of a sign's missing end are empty."""
+    with replacing(path) as temporary:
+        table = csv_text([COLUMNS, *_rows(context, original)])
+        temporary.write_text(table, encoding="utf-8", newline="")
+
+
+def _rows(context: LabelExportContext, original: OriginalPixels) -> Iterator[Sequence[object]]:
+    for labelled in context.images:
+        for row in labelled.observations:
+            ends = [row.anchor_px] if row.end_px is None else [row.anchor_px, row.end_px]
+            pixels = np.array(ends, dtype=np.float64)
+            name, recorded = original(labelled.frame_index, labelled.side, pixels)
+            cells = np.hstack([pixels, recorded]).tolist()
+            yield [
+                labelled.frame_index,
+                labelled.side,
+                name,
+                context.labels.element(row.element_id).number,
+                context.class_name(row),
+                *cells[0],
+                as_word(row.anchor_known),
+                *(cells[1] if row.end_px is not None else [""] * 4),
+                as_word(row.end_known),
+            ]

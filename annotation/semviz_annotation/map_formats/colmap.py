@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import quoted
+from semviz_annotation.label_formats.reading import quoted
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.map_formats.writing import ConversionTally, drop_history, unseen_ends
+from semviz_annotation.map_formats.conversion import ConversionTally, drop_history, unseen_ends
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import SemanticMap

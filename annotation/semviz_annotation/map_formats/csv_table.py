@@ -2,18 +2,18 @@
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import number, quoted
-from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, read_bytes
-from semviz_annotation.map_formats import reading
-from semviz_annotation.map_formats.writing import LOG_ODDS, ConversionTally, drop_history
+from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, number, quoted, read_bytes
+from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, drop_history
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.csv_text import cell_text, csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 
@@ -31,15 +31,13 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
     """Write one row per element; the end of a sign is empty."""
     elements = semantic_map.elements
     sigmas = np.sqrt(np.diagonal(elements.covariance_m2, axis1=1, axis2=2))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     log_odds = [entry.log_odds for entry in semantic_map.provenance]
     has_odds = any(odds is not None for odds in log_odds)
-    writer.writerow([*COLUMNS, LOG_ODDS] if has_odds else COLUMNS)
+    rows: list[Sequence[object]] = [[*COLUMNS, LOG_ODDS] if has_odds else COLUMNS]
     for row, is_line in enumerate(elements.is_line.tolist()):
         name = semantic_map.classes[int(elements.class_id[row])].name
         end, end_sigmas = elements.end_m[row].tolist(), sigmas[row, 3:].tolist()
-        writer.writerow(
+        rows.append(
             [int(elements.id[row]), name, semantic_map.frame.name, *elements.anchor_m[row].tolist(),
              *(end if is_line else [""] * 3), *sigmas[row, :3].tolist(),
              *(end_sigmas if is_line else [""] * 3),
@@ -48,7 +46,7 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
              *(["" if log_odds[row] is None else log_odds[row]] if has_odds else [])]
         )  # fmt: skip
     with replacing(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+        temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
     tally = ConversionTally()
     correlated = elements.covariance_m2 * ~np.eye(6, dtype=bool)
     tally.drop("correlations of coordinates", int(correlated.any(axis=(1, 2)).sum()))
@@ -58,7 +56,7 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
     return tally
 
 
-def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+def read_csv(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the elements of a table with at least the columns ``class`` and ``anchor_*_m``."""
     try:
         text = read_bytes(path, MOST_JSON_BYTES).decode("utf-8-sig")
@@ -67,7 +65,7 @@ def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap
         missing = [name for name in _NEEDED if name not in header]
         if missing:
             raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
-        parsed = reading.ParsedMap(georeference=context.anchor)
+        parsed = conversion.ParsedMap(georeference=context.anchor)
         centers = set()
         for row in rows:
             with at(f"{path}, line {rows.line_num}"):
@@ -85,11 +83,13 @@ def read_csv(path: Path, context: reading.MapImportContext) -> reading.ParsedMap
 
 
 def _read_row(
-    row: Mapping[str, str | None], parsed: reading.ParsedMap, context: reading.MapImportContext
+    row: Mapping[str, str | None],
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     if "more" in row or None in row.values():
         raise SemvizError("more or fewer values than the header has names")
-    values = {name: text.strip() for name, text in row.items() if text is not None}
+    values = {name: cell_text(text.strip()) for name, text in row.items() if text is not None}
     context.check_frame(values.get("frame") or None)
     class_id = context.class_id(values["class"])
     if class_id is None:
@@ -102,9 +102,9 @@ def _read_row(
         name = quoted(values["class"])
         raise SemvizError(f"{name} {'without' if is_line else 'with'} an end; {', '.join(END)}")
     anchor_known, end_known = (_flag(values.get(name, ""), name) for name in KNOWN)
-    id_, covariance = reading.parse_integer(values.get("id")), _covariance(values, is_line)
+    id_, covariance = conversion.parse_integer(values.get("id")), _covariance(values, is_line)
     parsed.add(
-        reading.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
+        conversion.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
     )
     return None
 

@@ -11,14 +11,19 @@ from semviz_annotation.label_formats.reading import at
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.map_formats import geojson, lanelet2_osm
 from semviz_annotation.map_formats.colmap import write_colmap
+from semviz_annotation.map_formats.conversion import (
+    ExchangeReport,
+    MapImportContext,
+    ParsedMap,
+    counts,
+    map_of,
+)
 from semviz_annotation.map_formats.csv_table import read_csv, write_csv
 from semviz_annotation.map_formats.geojson import read_geojson, write_geojson
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
 from semviz_annotation.map_formats.lanelet2_osm import read_lanelet2, write_lanelet2
 from semviz_annotation.map_formats.mesh import write_mesh
 from semviz_annotation.map_formats.opendrive import read_opendrive
-from semviz_annotation.map_formats.reading import MapImportContext, ParsedMap, map_of
-from semviz_annotation.map_formats.writing import ExchangeReport, counts
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError

@@ -10,20 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import json_number, quoted
 from semviz_annotation.label_formats.reading import (
     MOST_JSON_BYTES,
     as_flag,
     as_object,
     as_text,
     at,
+    json_number,
     listed,
+    quoted,
     read_bytes,
     read_json,
 )
-from semviz_annotation.map_formats import reading
+from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, as_json, drop_making
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
-from semviz_annotation.map_formats.writing import LOG_ODDS, ConversionTally, as_json, drop_making
 from semviz_core.base.semantic_map import Provenance, SemanticMap
 from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
@@ -112,7 +113,7 @@ def _rounded(places: FloatArray) -> list[list[float]]:
     return rounded
 
 
-def read_geojson(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+def read_geojson(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the content of a file of semviz or another tool. Raise SemvizError if invalid."""
     document = as_object(read_json(read_bytes(path, MOST_JSON_BYTES)))
     if document.get("type") != "FeatureCollection":
@@ -125,7 +126,7 @@ def read_geojson(path: Path, context: reading.MapImportContext) -> reading.Parse
         context.georeference(_anchor(about)), "the file is in longitude and latitude"
     )
     center = parse_triangle_center(about.get("triangle_center"))
-    parsed = reading.ParsedMap(georeference=place, triangle_center=center)
+    parsed = conversion.ParsedMap(georeference=place, triangle_center=center)
     for number, feature in enumerate(listed(document, "features"), 1):
         with at(f"{path}, feature {number}"):
             _read_feature(as_object(feature), bool(about), parsed, context)
@@ -153,8 +154,8 @@ def _anchor(about: Mapping[str, Any]) -> Georeference | None:
 def _read_feature(
     feature: dict[str, Any],
     ours: bool,
-    parsed: reading.ParsedMap,
-    context: reading.MapImportContext,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     properties = as_object(feature.get("properties") or {})
     geometry = as_object(feature.get("geometry") or {})
@@ -178,7 +179,7 @@ def _read_feature(
     odds = properties.get(LOG_ODDS)
     if ends is not None:
         parsed.add(
-            reading.ParsedElement(
+            conversion.ParsedElement(
                 class_id,
                 *ends,
                 _id(feature, properties),
@@ -200,7 +201,7 @@ def _ends(
     is_line: bool,
     ours: bool,
     properties: Mapping[str, Any],
-    parsed: reading.ParsedMap,
+    parsed: conversion.ParsedMap,
 ) -> tuple[FloatArray, FloatArray | None] | None:
     """Return anchor and end of a feature; None if its geometry does not suit its class."""
     if not is_line:
@@ -213,12 +214,12 @@ def _ends(
             parsed.tally.drop("poles that are points without a height: a pole has two ends")
             return None
         height = float(json_number(properties["height"]))
-        return reading.upper_first(points[0], points[0] + [0.0, 0.0, height])
+        return conversion.upper_first(points[0], points[0] + [0.0, 0.0, height])
     parsed.tally.drop("inner points of poles: a pole is its peak and its bottom", len(points) - 2)
-    return (points[0], points[-1]) if ours else reading.upper_first(points[0], points[-1])
+    return (points[0], points[-1]) if ours else conversion.upper_first(points[0], points[-1])
 
 
-def _places(coordinates: object, parsed: reading.ParsedMap, place: Georeference) -> FloatArray:
+def _places(coordinates: object, parsed: conversion.ParsedMap, place: Georeference) -> FloatArray:
     """Return longitude, latitude, height (k, 3)."""
     if not isinstance(coordinates, list) or not coordinates:
         raise SemvizError("no coordinates")
@@ -243,7 +244,7 @@ def _class_name(properties: Mapping[str, Any]) -> str:
 
 def _id(feature: Mapping[str, Any], properties: Mapping[str, Any]) -> int | None:
     id_ = feature.get("id", properties.get("id"))
-    return reading.parse_integer(str(id_)) if isinstance(id_, int | str) else None
+    return conversion.parse_integer(str(id_)) if isinstance(id_, int | str) else None
 
 
 def _covariance(
@@ -252,7 +253,7 @@ def _covariance(
     """Return the covariance (6, 6) in the axes of the map; None if the file has none."""
     if properties.get("covariance_enu_m2") is None:
         return None
-    matrix = reading.checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
+    matrix = conversion.checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
     if not is_line and matrix[3:].any():
         raise SemvizError("covariance_enu_m2 of a sign has 6 rows; it has 3 coordinates only")
     J = np.kron(np.eye(2), place.rotation.T)

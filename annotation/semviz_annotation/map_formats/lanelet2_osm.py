@@ -12,9 +12,8 @@ from xml.etree import ElementTree  # for writing only; read with defusedxml
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import number, quoted
-from semviz_annotation.label_formats.reading import IGNORE, at
-from semviz_annotation.map_formats import reading, writing
+from semviz_annotation.label_formats.reading import IGNORE, at, number, quoted
+from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
 from semviz_annotation.map_formats.sign_codes import SIGN_CODES
 from semviz_core.base.classes import POLE
@@ -34,12 +33,12 @@ _PLACE = ("anchor_latitude", "anchor_longitude", "anchor_height", "x_heading_deg
 
 def write_lanelet2(
     semantic_map: SemanticMap, path: Path, georeference: Georeference | None
-) -> writing.ConversionTally:
+) -> conversion.ConversionTally:
     """Write ways; a sign's way is its lower edge, from left to right in driving direction."""
     place = require_georeference(georeference, NEEDS_PLACE)
     elements = semantic_map.elements
-    half = 0.5 * writing.PLATE_M * writing.across_road(semantic_map)
-    below = elements.anchor_m - [0.0, 0.0, 0.5 * writing.PLATE_M]
+    half = 0.5 * conversion.PLATE_M * conversion.across_road(semantic_map)
+    below = elements.anchor_m - [0.0, 0.0, 0.5 * conversion.PLATE_M]
     lines = elements.is_line[:, None]
     first = place.to_wgs84(np.where(lines, elements.anchor_m, below - half))
     second = place.to_wgs84(np.where(lines, elements.end_m, below + half))
@@ -53,10 +52,10 @@ def write_lanelet2(
     ElementTree.indent(root)
     with replacing(path) as temporary:
         ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-    tally = writing.ConversionTally()
-    writing.drop_all_but_places(semantic_map, tally)
+    tally = conversion.ConversionTally()
+    conversion.drop_all_but_places(semantic_map, tally)
     signs = int((~elements.is_line).sum())
-    tally.assume(f"plates of signs: {writing.PLATE_M:g} m wide and high, facing the road", signs)
+    tally.assume(f"plates of signs: {conversion.PLATE_M:g} m wide and high, facing the road", signs)
     tally.assume("numbers of signs (subtype): none, a map knows the shape only", signs)
     return tally
 
@@ -96,10 +95,10 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
         ELEMENT: str(int(elements.id[row])),
     }
     if not is_line:
-        tags["height"] = f"{writing.PLATE_M:g}"
+        tags["height"] = f"{conversion.PLATE_M:g}"
     odds = semantic_map.provenance[row].log_odds if semantic_map.provenance else None
     if odds is not None:
-        tags[f"semviz:{writing.LOG_ODDS}"] = f"{odds:.3f}"
+        tags[f"semviz:{conversion.LOG_ODDS}"] = f"{odds:.3f}"
     if not elements.anchor_known[row]:
         tags[ANCHOR_KNOWN] = NO
     if is_line and not elements.end_known[row]:
@@ -107,16 +106,16 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
     return tags
 
 
-def read_lanelet2(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+def read_lanelet2(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the content of a file of semviz or another tool. Raise SemvizError if invalid."""
-    root = reading.read_xml(path, "osm")
+    root = conversion.read_xml(path, "osm")
     ours = root.get("semviz_frame")
     context.check_frame(ours)
     place = require_georeference(
         context.georeference(_anchor(root)), "the file is in latitude and longitude"
     )
     center = parse_triangle_center(root.get("semviz_triangle_center"))
-    parsed = reading.ParsedMap(georeference=place, triangle_center=center)
+    parsed = conversion.ParsedMap(georeference=place, triangle_center=center)
     nodes = {node.get("id", ""): node for node in root.iterfind("node")}
     for way in root.iterfind("way"):
         with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):
@@ -132,11 +131,11 @@ def read_lanelet2(path: Path, context: reading.MapImportContext) -> reading.Pars
 def _anchor(root: ElementTree.Element) -> Georeference | None:
     if root.get("semviz_frame") is None:
         return None
-    return Georeference(*(reading.attribute(root, f"semviz_{name}") for name in _PLACE))
+    return Georeference(*(conversion.attribute(root, f"semviz_{name}") for name in _PLACE))
 
 
 def _class_id(
-    tags: Mapping[str, str], tally: writing.ConversionTally, context: reading.MapImportContext
+    tags: Mapping[str, str], tally: conversion.ConversionTally, context: conversion.MapImportContext
 ) -> int | None:
     """Return the class of a way; None if it is no pole or sign, or of an unknown class."""
     if CLASS in tags:
@@ -151,7 +150,7 @@ def _class_id(
     if class_id == IGNORE:
         tally.drop("ways of a class that is ignored, as asked")
     elif kind == SIGN_TYPE:
-        tally.drop(f"signs {quoted(subtype)}: {reading.how_to_map(subtype)}")
+        tally.drop(f"signs {quoted(subtype)}: {conversion.how_to_map(subtype)}")
     else:
         tally.drop(f"ways of type {quoted(kind)}: neither sign nor pole")
     return None
@@ -166,7 +165,7 @@ def _codes(subtype: str) -> list[str]:
 def _places(
     way: ElementTree.Element,
     nodes: Mapping[str, ElementTree.Element],
-    tally: writing.ConversionTally,
+    tally: conversion.ConversionTally,
 ) -> FloatArray:
     """Return longitude, latitude and height (k, 3) of a way's nodes."""
     rows = []
@@ -178,7 +177,7 @@ def _places(
         if not heights:
             tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
         height = number(heights[0]) if heights else 0.0
-        rows.append([reading.attribute(node, "lon"), reading.attribute(node, "lat"), height])
+        rows.append([conversion.attribute(node, "lon"), conversion.attribute(node, "lat"), height])
     if len(rows) < 2:
         raise SemvizError("a line with less than 2 nodes")
     return np.array(rows)
@@ -186,16 +185,16 @@ def _places(
 
 def _add(
     points: FloatArray, class_id: int, tags: Mapping[str, str], way: ElementTree.Element,
-    parsed: reading.ParsedMap, context: reading.MapImportContext,
+    parsed: conversion.ParsedMap, context: conversion.MapImportContext,
 ) -> None:  # fmt: skip
-    id_ = reading.parse_integer(tags.get(ELEMENT, way.get("id")))
+    id_ = conversion.parse_integer(tags.get(ELEMENT, way.get("id")))
     anchor_known, end_known = (tags.get(name) != NO for name in (ANCHOR_KNOWN, END_KNOWN))
     if context.classes[class_id].kind == "line":
         peak, bottom = points[0], points[-1]
         if CLASS not in tags:  # other tools: in any order
-            peak, bottom = reading.upper_first(peak, bottom)
+            peak, bottom = conversion.upper_first(peak, bottom)
         parsed.add(
-            reading.ParsedElement(class_id, peak, bottom, id_, None, anchor_known, end_known)
+            conversion.ParsedElement(class_id, peak, bottom, id_, None, anchor_known, end_known)
         )
         return
     middle = 0.5 * (points[0] + points[-1])
@@ -203,4 +202,4 @@ def _add(
         middle = middle + np.array([0.0, 0.0, 0.5 * number(tags["height"])])
     else:
         parsed.tally.assume("middles of signs: their lower edge where they have no height")
-    parsed.add(reading.ParsedElement(class_id, middle, None, id_, None, anchor_known))
+    parsed.add(conversion.ParsedElement(class_id, middle, None, id_, None, anchor_known))

@@ -1,19 +1,82 @@
-"""PLY and GLB, out: poles as thin cylinders, signs as small plates, in class colours.
+"""PLY, GLB and PCD, out: map elements as solids in class colours, a backdrop as coloured points.
 
-For viewing in CloudCompare, Blender and similar tools; it is not read back. PLY keeps the map's
-axes. GLB has y up, as glTF requires: x of the map is x, z is y, y is -z (glTF 2.0, 3.4).
+For viewing in CloudCompare, Blender and similar tools; it is not read back. Poles are thin
+cylinders, signs small plates. PLY and PCD keep the map's axes, in metres. GLB has y up, as glTF
+requires: x of the map is x, z is y, y is -z (glTF 2.0, 3.4). Point files are binary and little
+endian. PLY is Stanford's 1.0; PCD is PCL's 0.7, where a colour is one unsigned number, 0x00RRGGBB.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from semviz_annotation.map_formats import writing
+from semviz_annotation.map_formats import conversion
+from semviz_annotation.mapping.backdrop import Backdrop
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+
+CloudFormat: TypeAlias = Literal["ply", "pcd"]
+_BY_ENDING: Mapping[str, CloudFormat] = {".ply": "ply", ".pcd": "pcd"}
+_PLY = """ply
+format binary_little_endian 1.0
+comment semviz backdrop in the map frame {frame}, metres
+element vertex {count}
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+end_header
+"""
+_PCD = """# .PCD v0.7 - semviz backdrop in the map frame {frame}, metres
+VERSION 0.7
+FIELDS x y z rgb
+SIZE 4 4 4 4
+TYPE F F F U
+COUNT 1 1 1 1
+WIDTH {count}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {count}
+DATA binary
+"""
+
+
+def cloud_format(path: Path, format_: CloudFormat | None) -> CloudFormat:
+    """Return ``format_`` or, if None, that of the file's ending. SemvizError if it is unknown."""
+    chosen = format_ or _BY_ENDING.get(path.suffix.lower())
+    if chosen is None:
+        raise SemvizError(f"{path}: no format has this ending; say which with --format")
+    return chosen
+
+
+def export_backdrop(backdrop: Backdrop, path: Path, format_: CloudFormat) -> None:
+    """Write a backdrop to ``path``. Raises SemvizError where that fails; then nothing is."""
+    head, rows = (_PLY, _ply_rows) if format_ == "ply" else (_PCD, _pcd_rows)
+    frame = backdrop.source.map_frame.encode("ascii", "replace").decode()
+    text = head.format(frame=frame, count=len(backdrop))
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode("ascii") + rows(backdrop).tobytes())
+
+
+def _ply_rows(backdrop: Backdrop) -> NDArray[np.void]:
+    rows = np.empty(len(backdrop), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = backdrop.points_m, backdrop.colors
+    return rows
+
+
+def _pcd_rows(backdrop: Backdrop) -> NDArray[np.void]:
+    rows = np.empty(len(backdrop), [("xyz", "<f4", 3), ("rgb", "<u4")])
+    red, green, blue = backdrop.colors.astype(np.uint32).T
+    rows["xyz"], rows["rgb"] = backdrop.points_m, red << 16 | green << 8 | blue
+    return rows
+
 
 POLE_RADIUS_M = 0.05
 PLATE_THICKNESS_M = 0.02
@@ -26,7 +89,7 @@ _TURNS: Mapping[str, float] = {"square": np.pi / 4}
 
 def write_mesh(
     semantic_map: SemanticMap, path: Path, form: Literal["ply", "glb"]
-) -> writing.ConversionTally:
+) -> conversion.ConversionTally:
     """Write one mesh of all elements, with a colour per vertex."""
     import trimesh
 
@@ -37,15 +100,15 @@ def write_mesh(
     content = _as_ply(mesh) if form == "ply" else _as_glb(mesh)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
-    tally = writing.ConversionTally()
-    writing.drop_all_but_places(semantic_map, tally)
-    tally.drop("ends that nobody saw: drawn like the others", writing.unseen_ends(semantic_map))
+    tally = conversion.ConversionTally()
+    conversion.drop_all_but_places(semantic_map, tally)
+    tally.drop("ends that nobody saw: drawn like the others", conversion.unseen_ends(semantic_map))
     tally.drop("numbers and classes: colours only", len(semantic_map))
     tally.drop("digits: coordinates are of single precision", len(semantic_map))
     lines = int(semantic_map.elements.is_line.sum())
     tally.assume(f"poles {200 * POLE_RADIUS_M:g} cm thick", lines)
     tally.assume(
-        f"plates of signs: {writing.PLATE_M:g} m, facing the road", len(semantic_map) - lines
+        f"plates of signs: {conversion.PLATE_M:g} m, facing the road", len(semantic_map) - lines
     )
     return tally
 
@@ -70,7 +133,7 @@ def _as_glb(mesh: Any) -> bytes:
 def map_mesh(semantic_map: SemanticMap) -> tuple[FloatArray, IntArray, IntArray]:
     """Return vertices (v, 3) in the map frame, triangles (f, 3), sRGB colours (v, 4) 0 to 255."""
     elements = semantic_map.elements
-    across = writing.across_road(semantic_map)
+    across = conversion.across_road(semantic_map)
     vertices, faces, colors, count = [], [], [], 0
     for class_ in semantic_map.classes:
         rows = np.flatnonzero(elements.class_id == class_.id)
@@ -132,7 +195,7 @@ def _facing(across: FloatArray) -> FloatArray:
     """Return (n, 3, 3) from unit prisms to plates; y is up, z faces the approaching driver."""
     up = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
     facing = np.cross(across, up)
-    half = 0.5 * writing.PLATE_M
+    half = 0.5 * conversion.PLATE_M
     return np.stack([across * half, up * half, facing * PLATE_THICKNESS_M], axis=2)
 
 

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import quoted
-from semviz_annotation.label_formats.reading import IGNORE, MOST_ITEMS, at
-from semviz_annotation.map_formats import reading
+from semviz_annotation.label_formats.reading import IGNORE, MOST_ITEMS, at, quoted
+from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.georeference import Georeference
 from semviz_annotation.map_formats.reference_line import RoadLine, RoadPose
 from semviz_annotation.map_formats.sign_codes import SIGN_CODES, codes_of
@@ -46,8 +45,8 @@ class _Standing:
         ``hdg`` (``hOffset`` of signals), ``pitch`` and ``roll`` rotate about z, y and x, in this
         order, each about the rotated axes.
         """
-        angles = [reading.attribute(element, name, "0") for name in ("roll", "pitch")]
-        turn = reading.attribute(element, "hdg", element.get("hOffset", "0"))
+        angles = [conversion.attribute(element, name, "0") for name in ("roll", "pitch")]
+        turn = conversion.attribute(element, "hdg", element.get("hOffset", "0"))
         heading = self.place.heading_rad + turn
         up = np.array([0.0, 0.0, 1.0])
         for axis, angle in zip(np.eye(3), (*angles, heading), strict=True):
@@ -56,13 +55,13 @@ class _Standing:
         return np.asarray(foot + share * self.height_m * up)
 
 
-def read_opendrive(path: Path, context: reading.MapImportContext) -> reading.ParsedMap:
+def read_opendrive(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the signs and poles of a file. Raise SemvizError, naming an invalid road.
 
     Coordinates are those of the file, unless both the file and the map have a georeference.
     """
-    root = reading.read_xml(path, "OpenDRIVE")
-    parsed = reading.ParsedMap()
+    root = conversion.read_xml(path, "OpenDRIVE")
+    parsed = conversion.ParsedMap()
     roads: list[tuple[str, Element, RoadLine]] = []
     for road in root.iterfind("road"):
         where = f"{path}, road {quoted(road.get('id', ''))[1:-1]}"
@@ -80,7 +79,10 @@ def read_opendrive(path: Path, context: reading.MapImportContext) -> reading.Par
 
 
 def _read_objects(
-    road: "Element", line: RoadLine, parsed: reading.ParsedMap, context: reading.MapImportContext
+    road: "Element",
+    line: RoadLine,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     for element in road.iterfind("objects/object"):
         kind, name = element.get("type", ""), element.get("name", "")
@@ -96,8 +98,8 @@ def _read_signals(
     road: "Element",
     line: RoadLine,
     lines: Mapping[str, RoadLine],
-    parsed: reading.ParsedMap,
-    context: reading.MapImportContext,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     for element in road.iterfind("signals/signal"):
         country, kind = element.get("country", ""), element.get("type", "")
@@ -106,7 +108,7 @@ def _read_signals(
             parsed.tally.drop("signals that change, such as traffic lights: no signs")
             continue
         shown = codes[-1] if kind not in ("", "-1") else element.get("name", "")
-        what = f"signals {quoted(shown)}: {reading.how_to_map(shown)}"
+        what = f"signals {quoted(shown)}: {conversion.how_to_map(shown)}"
         class_id = _class_id([*codes, element.get("name", "")], SIGN_CODES, what, parsed, context)
         if class_id is not None:
             _add(element, class_id, _standing_of_signal(element, line, lines), parsed, context)
@@ -116,8 +118,8 @@ def _class_id(
     codes: list[str],
     table: Mapping[str, int],
     what: str,
-    parsed: reading.ParsedMap,
-    context: reading.MapImportContext,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> int | None:
     """Return the class; None if it is unknown (counted as ``what``) or ignored."""
     class_id = context.class_of_code(codes, table)
@@ -128,22 +130,22 @@ def _class_id(
 
 
 def _copies(
-    element: "Element", parsed: reading.ParsedMap
+    element: "Element", parsed: conversion.ParsedMap
 ) -> Iterator[tuple[float, float, float, float]]:
     """Return s, t, zOffset and height of an object, or of each copy if it is repeated."""
     repeats = element.findall("repeat")
     if not repeats:
-        s, t = reading.attribute(element, "s"), reading.attribute(element, "t")
+        s, t = conversion.attribute(element, "s"), conversion.attribute(element, "t")
         yield (
             s,
             t,
-            reading.attribute(element, "zOffset", "0"),
-            reading.attribute(element, "height", "0"),
+            conversion.attribute(element, "zOffset", "0"),
+            conversion.attribute(element, "height", "0"),
         )
     for repeat in repeats:
         distance_m, length_m = (
-            reading.attribute(repeat, "distance"),
-            reading.attribute(repeat, "length"),
+            conversion.attribute(repeat, "distance"),
+            conversion.attribute(repeat, "length"),
         )
         if not distance_m > 0.0:
             parsed.tally.drop("objects that are repeated without a gap: no poles")
@@ -156,14 +158,14 @@ def _copies(
             t, z_offset_m, height_m = (
                 _between(element, repeat, name, share) for name in ("t", "zOffset", "height")
             )
-            yield reading.attribute(repeat, "s") + along_m, t, z_offset_m, height_m
+            yield conversion.attribute(repeat, "s") + along_m, t, z_offset_m, height_m
 
 
 def _between(element: "Element", repeat: "Element", name: str, share: float) -> float:
     """Interpolate a quantity of a copy, at a share of the way from the first to the last."""
     of_object = element.get(name, "0")
-    first = reading.attribute(repeat, f"{name}Start", of_object)
-    return first + share * (reading.attribute(repeat, f"{name}End", of_object) - first)
+    first = conversion.attribute(repeat, f"{name}Start", of_object)
+    return first + share * (conversion.attribute(repeat, f"{name}End", of_object) - first)
 
 
 def _standing(place: RoadPose | None, z_offset_m: float, height_m: float) -> _Standing | None:
@@ -175,26 +177,26 @@ def _standing_of_signal(
 ) -> _Standing | None:
     """Return the physical position of a signal, which may be at another road or in file axes."""
     inertial, beside = element.find("positionInertial"), element.find("positionRoad")
-    height_m = reading.attribute(element, "height", "0")
+    height_m = conversion.attribute(element, "height", "0")
     if inertial is not None:
-        point = np.array([reading.attribute(inertial, name) for name in "xyz"])
-        return _Standing(RoadPose(point, reading.attribute(inertial, "hdg", "0")), 0.0, height_m)
+        point = np.array([conversion.attribute(inertial, name) for name in "xyz"])
+        return _Standing(RoadPose(point, conversion.attribute(inertial, "hdg", "0")), 0.0, height_m)
     if beside is None:
         beside = element
     elif beside.get("roadId", "") not in lines:
         raise SemvizError(f"signal {quoted(element.get('id'))}: its road is missing")
     else:
         line = lines[beside.get("roadId", "")]
-    place = line.place(reading.attribute(beside, "s"), reading.attribute(beside, "t"))
-    return _standing(place, reading.attribute(beside, "zOffset", "0"), height_m)
+    place = line.place(conversion.attribute(beside, "s"), conversion.attribute(beside, "t"))
+    return _standing(place, conversion.attribute(beside, "zOffset", "0"), height_m)
 
 
 def _add(
     element: "Element",
     class_id: int,
     standing: _Standing | None,
-    parsed: reading.ParsedMap,
-    context: reading.MapImportContext,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> None:
     if standing is None:
         return parsed.tally.drop(f"{element.tag}s beyond the end of their road")
@@ -203,15 +205,15 @@ def _add(
         return parsed.tally.drop("poles without a height: a pole has two ends")
     if standing.height_m <= 0.0:
         parsed.tally.assume("middles of signs: their lower edge where they have no height")
-    id_ = reading.parse_integer(element.get("id"))
+    id_ = conversion.parse_integer(element.get("id"))
     if is_line:
         peak, foot = standing.above(element, 1.0), standing.above(element, 0.0)
-        return parsed.add(reading.ParsedElement(class_id, peak, foot, id=id_))
-    return parsed.add(reading.ParsedElement(class_id, standing.above(element, 0.5), id=id_))
+        return parsed.add(conversion.ParsedElement(class_id, peak, foot, id=id_))
+    return parsed.add(conversion.ParsedElement(class_id, standing.above(element, 0.5), id=id_))
 
 
 def _place_on_earth(
-    root: "Element", parsed: reading.ParsedMap, context: reading.MapImportContext
+    root: "Element", parsed: conversion.ParsedMap, context: conversion.MapImportContext
 ) -> None:
     """Transform the elements to map coordinates if file and map are both georeferenced."""
     header = root.find("header")
@@ -255,8 +257,8 @@ def _to_map(
     offset = header.find("offset")
     if offset is not None:
         turn = Pose.from_rotvec(
-            [0.0, 0.0, reading.attribute(offset, "hdg", "0")],
-            [reading.attribute(offset, name, "0") for name in "xyz"],
+            [0.0, 0.0, conversion.attribute(offset, "hdg", "0")],
+            [conversion.attribute(offset, name, "0") for name in "xyz"],
         )
         point_m = turn.apply(point_m)
     x, y, z = point_m

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from semviz_annotation.label_formats.numbers import quoted
-from semviz_annotation.map_formats.reading import attribute
+from semviz_annotation.label_formats.reading import quoted
+from semviz_annotation.map_formats.conversion import attribute
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 

@@ -128,6 +128,9 @@ class BuildReport:
     """What became of the detections; None for a map of labels alone."""
     log_odds: Mapping[str, float] = field(default_factory=dict)
     """Log-odds that the landmark of a track exists, by id of its label element."""
+    in_wrong_poses: frozenset[str] = frozenset()
+    """Observations in frames with wrong poses: what is decided about them alone is not their
+    labels' error."""
 
     @classmethod
     def of(
@@ -158,7 +161,10 @@ class BuildReport:
             "observations": self.observations,
             "used": self.used,
             "elements": self.elements,
-            "decisions": [asdict(decision) for decision in self.decisions],
+            "decisions": [
+                asdict(decision) | ({"pose_is_wrong": True} if self._is_of_pose(decision) else {})
+                for decision in self.decisions
+            ],
         }
         if self.detections is not None:
             values["detections"] = asdict(self.detections)
@@ -180,13 +186,25 @@ class BuildReport:
     def _lines(self) -> Iterator[str]:
         """Yield one line per decision, with a limit per kind."""
         counts: Counter[str] = Counter()
+        of_poses = [decision for decision in self.decisions if self._is_of_pose(decision)]
+        if of_poses:
+            yield (
+                f"{len(of_poses)} of these decisions are about labels in frames with wrong poses, "
+                "not about wrong labels"
+            )
         for decision in self.decisions:
+            if decision in of_poses:
+                continue
             counts[decision.kind] += 1
             if counts[decision.kind] <= _MOST_LINES:
                 yield f"{_WORDS[decision.kind]} {self._names(decision)}: {decision.reason}"
         for kind, count in counts.items():
             if count > _MOST_LINES:
                 yield f"{_WORDS[kind]} {count - _MOST_LINES} more"
+
+    def _is_of_pose(self, decision: Decision) -> bool:
+        ids = set(decision.observation_ids)
+        return bool(ids) and 2 * len(ids & self.in_wrong_poses) > len(ids)
 
     def _names(self, decision: Decision) -> str:
         names = [self.names[number] for number in decision.numbers]
@@ -225,6 +243,8 @@ DEFAULT_OPTIONS = BuildOptions()
 DEFAULT_TRACKING = TrackOptions()
 _TRACKING = "tracking"
 """Key of ``TrackOptions`` in the settings of a map of detections."""
+POSES = "poses"
+"""Key, in the settings of a map, of what people chose for wrong poses, if anything."""
 
 
 class BuildSettings(NamedTuple):
@@ -254,6 +274,7 @@ def options_of(settings: Mapping[str, Any]) -> BuildSettings:
     """
     given = dict(settings)
     method, frames = given.pop("method", None), given.pop("frames", None)
+    given.pop(POSES, None)  # those of the drive are used now
     try:
         tracking = given.pop(_TRACKING, None)
         tracking = None if tracking is None else TrackOptions.from_json(tracking)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from semviz_annotation.mapping.association.merging import main_first
 from semviz_annotation.mapping.association.nodes import LEFT_OUT, ReviewConstraints, TrackNodes
-from semviz_annotation.mapping.association.outliers import main_first
 from semviz_annotation.mapping.association.tracks import Tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks, measure_landmarks
 from semviz_annotation.mapping.placement.observations import LabelObservations, ObservationArray

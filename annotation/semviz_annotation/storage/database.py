@@ -296,6 +296,8 @@ def database_error(error: Exception, path: Path, what: str) -> SemvizError:
             return SemvizError(f"{what}: another program keeps {path} locked; close it, try again.")
         case sqlite3.SQLITE_READONLY | sqlite3.SQLITE_CANTOPEN | sqlite3.SQLITE_PERM:
             return SemvizError(f"{what}: {path} or its folder cannot be written; make it writable.")
+        case sqlite3.SQLITE_IOERR:
+            return SemvizError(f"{what}: {path}: {fault(error)}; is the disk full?")
         case sqlite3.SQLITE_NOTADB:
             return DamagedError(f"{path}: not a label file")
         case sqlite3.SQLITE_CORRUPT:

@@ -22,9 +22,8 @@ from semviz_annotation.labels.rows import (
     new_id,
 )
 from semviz_annotation.storage import tables
-from semviz_annotation.storage.background_check import BackgroundCheck, Health
 from semviz_annotation.storage.conflicts import ConflictChecker
-from semviz_annotation.storage.label_file import LabelFile, LabelFileError
+from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
 from semviz_annotation.storage.operations import (
     BrokenOperationError,
     ConflictError,

@@ -31,6 +31,8 @@ class Frame:
     time_s: float
     T_map_camera: Pose | None = None
     """Ground truth pose of the left camera, None if unknown."""
+    left_out: bool = False
+    """Whether a person took its pose away: its labels do not count until it has one again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,14 @@ class Prior:
                     f"prior: up_camera must have length 1, not {length:g}; normalize it"
                 )
             object.__setattr__(self, "up_camera", up)
+
+
+_UNKNOWN_SIGMA_M = 1e4
+
+
+def vague_prior(position_m: FloatArray) -> Prior:
+    """Return a prior that says nothing about a pose near there, for solvers that need one."""
+    return Prior(position_m, _UNKNOWN_SIGMA_M, _UNKNOWN_SIGMA_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +142,12 @@ class Odometry:
         A = adjoint(back)
         return Odometry(back, A @ self.covariance @ A.T)
 
+    def followed_by(self, after: "Odometry") -> "Odometry":
+        """Return this motion and the one ``after`` it as one step; their errors are independent."""
+        A = adjoint(after.T_now_before)
+        covariance = after.covariance + A @ self.covariance @ A.T
+        return Odometry(after.T_now_before @ self.T_now_before, covariance)
+
     def guessed(self, steps: int) -> "Odometry":
         """Return the same motion again, for the ``steps``-th step in a row without odometry."""
         length_m = float(np.linalg.norm(self.T_now_before.translation))
@@ -159,9 +175,17 @@ class OdometryNoise:
 
     def measure(self, T_now_before: Pose, rng: np.random.Generator) -> Odometry:
         """Return noisy odometry of a true step."""
+        error = rng.normal(0.0, self._sigma(T_now_before))
+        return self.measured(Pose.exp(error) @ T_now_before, T_now_before)
+
+    def measured(self, T_now_before: Pose, of_step: Pose | None = None) -> Odometry:
+        """Return measured odometry with the covariance of a step, by default its own."""
+        return Odometry(T_now_before, np.diag(self._sigma(of_step or T_now_before) ** 2))
+
+    def _sigma(self, T_now_before: Pose) -> FloatArray:
+        """(6,)"""
         length_m = float(np.linalg.norm(T_now_before.translation))
-        sigma = np.repeat([self.rest_m + self.translation * length_m, self.rotation_rad], 3)
-        return Odometry(Pose.exp(rng.normal(0.0, sigma)) @ T_now_before, np.diag(sigma**2))
+        return np.repeat([self.rest_m + self.translation * length_m, self.rotation_rad], 3)
 
 
 def adjoint(T: Pose) -> FloatArray:
@@ -205,6 +229,10 @@ class FileDataset(Dataset, Protocol):
 
     Both paths raise SemvizError for a frame or side that is not there.
     """
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "FileDataset":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        ...
 
     def image_path(self, index: int, side: Side) -> Path:
         """Return the file with the pixels of ``image``; it is made if it is missing."""

@@ -7,6 +7,8 @@ poses, the refinement's iterations and the alternatives. Stages not reached are 
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
@@ -89,7 +91,8 @@ class Localization:
 
     method: str
     camera: Camera
-    prior: Prior
+    prior: Prior | None
+    """None: the frame had no fix."""
     observed: Elements2D
     submap: Elements3D
     status: Status
@@ -109,3 +112,20 @@ class Localization:
     def __post_init__(self) -> None:
         if (self.T_camera_map is None) != (self.status == "cannot"):
             raise ValueError("a localization has a pose exactly when its status is not 'cannot'")
+
+    @property
+    def given_prior(self) -> Prior:
+        """The prior, for what needs one. Raise ValueError without one."""
+        if self.prior is None:
+            raise ValueError("the frame has no prior")
+        return self.prior
+
+    @property
+    def around_m(self) -> FloatArray:
+        """(3,) where the frame is, as far as known: the estimate's camera centre, else the prior,
+        else the middle of the submap, else the map's origin."""
+        if self.T_camera_map is not None:
+            return self.T_camera_map.inverse().translation
+        if self.prior is not None:
+            return self.prior.position_m
+        return np.asarray(self.submap.anchor_m.mean(axis=0)) if len(self.submap) else np.zeros(3)

@@ -8,6 +8,7 @@ measures the wall time of a method's stages.
 import hashlib
 import itertools
 import os
+import re
 import secrets
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -15,6 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from threading import RLock
 from time import perf_counter
@@ -23,6 +25,7 @@ from typing import IO, Any, TypeVar
 import numba
 from numba.core import event
 from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import CacheImpl, _CacheLocator
 from platformdirs import user_cache_path
 
 try:
@@ -50,14 +53,41 @@ if hasattr(os, "register_at_fork"):  # a fork inherits the count
 
 def compiled(function: Function) -> Function:
     """Return ``function``, compiled on its first call with new types, without Python's lock."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_folder()
-    try:
-        dispatcher: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    dispatcher: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     dispatcher.compile = _one_process_at_a_time(dispatcher.compile)  # type: ignore[attr-defined]
     return dispatcher
+
+
+class _SourcesLocator(_CacheLocator):  # type: ignore[misc]  # numba's types are not read
+    """Where numba keeps compiled code: in a folder of these sources, wherever they are installed.
+
+    Numba itself takes the folder from the path of the file, so each environment would compile anew.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._line = function.__code__.co_firstlineno
+        self._path = Path(_cache_folder(), function.__module__)
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], _file: str) -> "_SourcesLocator | None":
+        """Return None for another project's function, and without a home: numba then chooses."""
+        if not function.__module__.startswith("semviz") or not _cache_folder():
+            return None
+        locator = cls(function)
+        locator.ensure_cache_path()
+        return locator
+
+    def get_cache_path(self) -> str:
+        return str(self._path)
+
+    def get_source_stamp(self) -> str:
+        return ""  # the folder is of these sources alone
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+CacheImpl._locator_classes = [_SourcesLocator, *CacheImpl._locator_classes]
 
 
 def _one_process_at_a_time(compile_: Callable[..., Any]) -> Callable[..., Any]:
@@ -148,12 +178,25 @@ class _CountingListener(event.Listener):  # type: ignore[misc]  # numba's types 
 def _cache_folder() -> str:
     """Return one folder for each state of the sources, or an empty string without a home.
 
-    Numba itself checks only the file of the called function, not those of the functions it calls.
+    Numba itself checks only the file of the called function, not those of the functions it calls,
+    nor those of the constants that both read. So the folder's name is a digest of all files that
+    compile, and of those that they import.
     """
-    sources = (path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py")))
-    digest = hashlib.sha256(
-        b"".join(source for source in sources if b"@compiled" in source)
-    ).hexdigest()
+    parts = [find_spec(name) for name in ("semviz_core", "semviz_annotation")]
+    roots = [Path(part.origin).parent for part in parts if part is not None and part.origin]
+    sources = {
+        ".".join([root.name, *path.relative_to(root).with_suffix("").parts]): path.read_bytes()
+        for root in roots
+        for path in sorted(root.rglob("*.py"))
+    }
+    compiling = {name: source for name, source in sources.items() if b"@compiled" in source}
+    read = compiling.keys() | {
+        module.decode()
+        for source in compiling.values()
+        for module in re.findall(rb"^from (semviz[\w.]*) import", source, re.MULTILINE)
+    }
+    contents = (source for name, source in sources.items() if name in read)
+    digest = hashlib.sha256(b"".join(contents)).hexdigest()
     folder = user_cache_path("semviz") / "compiled" / digest[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ here.
 
 import re
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 
@@ -68,6 +69,12 @@ class KittiSequence:
         self.rig = self._read_rig(projections)
         self._T_cam0_left = _extrinsics(projections[0]).inverse()
         self.frames = self._read_frames(None if trajectory is None else load_trajectory(trajectory))
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "KittiSequence":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        other = copy(self)
+        other.frames = frames
+        return other
 
     @cached_property
     def _index_set(self) -> frozenset[int]:

@@ -7,16 +7,21 @@ If the true pose is unknown, each frame's pose is estimated too, with its prior,
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
+from semviz_core.diagnosis.reference import (
+    FrameReference,
+    ProgressCallback,
+    no_progress,
+    whitened_rows,
+)
 from semviz_core.localization.association import associate
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
-from semviz_core.localization.residuals import EXACT_POSE, fill_rows, new_rows, whiten
 from semviz_core.localization.search import REFINED_COVARIANCE
 from semviz_core.localization.upright import assumed_upright
 
@@ -37,9 +42,22 @@ _SCALES = (30.0, 15.0, 8.0, 4.0, 4.0)
 _STEP = np.array([1e-4, 0.1, 0.1])
 
 
-def calibration_fault(
+class WrongCalibration(NamedTuple):
+    """An error of the calibration, and what is left with it."""
+
+    fault: Fault
+    cost: float
+    """As ``residual_cost``."""
+
+
+def residual_cost(cases: Sequence[FrameReference]) -> float:
+    """Return the sum of squared residuals in sigmas, each at most ``OFF_SIGMAS`` squared."""
+    return _cost([block for case in cases for block in _blocks(case)], np.zeros(len(PATTERNS)))
+
+
+def find_calibration(
     cases: Sequence[FrameReference], watch: ProgressCallback = no_progress
-) -> Fault | None:
+) -> WrongCalibration | None:
     """Return the fault of the strongest pattern; None without one."""
     watched = watch(cases, "checking the calibration", len(cases))
     blocks = [block for case in watched for block in _blocks(case)]
@@ -48,14 +66,15 @@ def calibration_fault(
     value, sigma = _estimate(blocks)
     measured, strength = value * IN_UNITS, np.abs(value) / sigma
     significant = (strength > LEAST_SIGMAS) & (np.abs(measured) > LEAST)
-    explained = 1.0 - _cost(blocks, value) / _cost(blocks, np.zeros(4))
+    cost = _cost(blocks, value)
+    explained = 1.0 - cost / _cost(blocks, np.zeros(len(PATTERNS)))
     least = EXPLAINED_BLIND if any(case.truth is None for case in cases) else EXPLAINED
     if not significant.any() or explained < least:
         return None
     k = int(np.argmax(np.where(significant, strength, 0.0)))
     also = " or mounting" if k else ""
     name = "roll of the mounting" if k == 3 else PATTERNS[k].split(",")[0] + also
-    return Fault(
+    fault = Fault(
         "wrong calibration",
         f"The residuals of all frames fit an error of {measured[k]:+.1f} {UNITS[k]} in {name}.",
         (
@@ -63,6 +82,7 @@ def calibration_fault(
             EvidenceItem("strength", strength[k], "sigma"),
         ),
     )
+    return WrongCalibration(fault, cost)
 
 
 Block = tuple[FloatArray, FloatArray, FloatArray]
@@ -74,10 +94,12 @@ def _blocks(case: FrameReference) -> Iterator[Block]:
     pairs = _pairs(case)
     if not len(pairs) or case.reference is None:
         return
-    residual, by_pose = _rows(case, case.problem, pairs)
+    residual, by_pose, _ = whitened_rows(case.problem, case.reference, pairs)
     by_camera = np.empty((len(residual), 4))
     for k in range(3):
-        by_camera[:, k] = (_rows(case, _changed(case, k), pairs)[0] - residual) / _STEP[k]
+        by_camera[:, k] = (
+            whitened_rows(_changed(case, k), case.reference, pairs).residual - residual
+        ) / _STEP[k]
     by_camera[:, 3] = by_pose[:, 5]
     if case.truth is not None:
         yield residual, by_camera, np.empty((len(residual), 0))
@@ -101,24 +123,6 @@ def _pairs(case: FrameReference) -> IntArray:
     return np.column_stack([rows, match[rows]])
 
 
-def _rows(
-    case: FrameReference, problem: PoseProblem, pairs: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return whitened residuals (r,) without pole bottoms, and their pose Jacobian (r, 6)."""
-    assert case.reference is not None
-    R, t = case.reference.rotation, case.reference.translation
-    rows, residuals, jacobians = new_rows(), [], []
-    for i, j in pairs:
-        if (count := fill_rows(problem, R, t, i, j, rows)) < 2:
-            continue
-        peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
-        count = min(count, 3 if peak else 2)  # bottoms may be hidden
-        whiten(problem, i, j, count, EXACT_POSE, rows)
-        residuals.append(rows.residual[:count].copy())
-        jacobians.append(rows.jacobian[:count].copy())
-    return np.concatenate(residuals), np.concatenate(jacobians)
-
-
 def _changed(case: FrameReference, k: int) -> PoseProblem:
     """Return the problem with one camera parameter of ``PATTERNS`` a step larger."""
     result = case.localization
@@ -133,8 +137,8 @@ def _changed(case: FrameReference, k: int) -> PoseProblem:
 def _prior_rows(case: FrameReference) -> tuple[FloatArray, FloatArray]:
     assert case.reference is not None
     residual, slope = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    known = PriorRecord.of(assumed_upright(case.localization.prior))
     pose = case.reference
+    known = PriorRecord.of(assumed_upright(case.prior))
     count = prior_rows(known, pose.rotation, pose.translation, residual, slope)
     return residual[:count], slope[:count]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.frame import vague_prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
@@ -140,7 +141,8 @@ def _costs(case: reference.FrameReference) -> Iterator[tuple[int, float]]:
     if len(refinement.pairs) <= NEEDED_PAIRS:
         return
     problem = PoseProblem.of(result.camera, result.observed, result.submap, case.detector)
-    prior_record = PriorRecord.of(assumed_upright(result.prior))
+    prior = result.prior or vague_prior(result.around_m)
+    prior_record = PriorRecord.of(assumed_upright(prior))
     error_m, _ = reference.pose_distance(pose, case.truth)
     for row in np.flatnonzero(refinement.inlier):
         refit = fit_record(problem, prior_record, pose, np.delete(refinement.pairs, row, axis=0))

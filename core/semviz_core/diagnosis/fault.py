@@ -22,6 +22,14 @@ FaultKind = Literal[
     "missing in the map",
     "twice in the map",
     "wrong calibration",
+    "wrong heading prior",
+    "wrong gravity prior",
+    "wrong height prior",
+    "wrong position prior",
+    "wrong detection sigma",
+    "misaligned map",
+    "time offset",
+    "wrong extrinsic",
     "wrong matches",
     "search miss",
     "refinement diverged",
@@ -57,6 +65,14 @@ class Fault:
     """Ids of the map elements concerned."""
     rows: tuple[int, ...] = ()
     """Observed rows concerned."""
+
+
+@dataclass(frozen=True)
+class RunFault(Fault):
+    """A fault that recurs; ``rows`` has one observed row for each of ``frames``, if it has any."""
+
+    frames: tuple[int, ...] = ()
+    """Positions in the run of the frames with the fault."""
 
 
 @dataclass(frozen=True)

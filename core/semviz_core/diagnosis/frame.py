@@ -10,6 +10,7 @@ equally often. Where a fault is rarer in practice, wrong diagnoses of it are mor
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -18,7 +19,10 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.diagnosis.alignment import misalignment, misalignment_fault
+from semviz_core.diagnosis.assumptions import assumption_faults, check_assumptions
 from semviz_core.diagnosis.checks import find_faults, sound_pairs
+from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
 from semviz_core.diagnosis.fault import (
     EvidenceItem,
     Fault,
@@ -28,6 +32,7 @@ from semviz_core.diagnosis.fault import (
     GroundTruthLevel,
 )
 from semviz_core.diagnosis.reference import FrameReference, is_healthy, pose_distance
+from semviz_core.diagnosis.solve_again import solve_in_wide_submap, solve_with_more_effort
 from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
@@ -37,8 +42,6 @@ from semviz_core.localization.upright import assumed_upright
 
 MATRIX_FROM_POSES = ("search", "track")
 """Methods whose match probabilities follow from the poses found, and cannot mislead the search."""
-FAR_OFF_SIGMAS = 4.0
-"""Beyond this many of its own sigmas, a prior is wrong."""
 LEAST_FIRST = 0.5
 """Below this share of true pairs among the pairs ranked first, the matches are wrong."""
 MISSED_NATS = 3.0
@@ -65,31 +68,35 @@ def check_detection_count(case: FrameReference) -> Fault | None:
 def check_submap(case: FrameReference) -> Fault | None:
     """Check that the submap holds the detected elements: a poor prior or a narrow crop may not."""
     result = case.localization
-    if case.reference is None:
-        return None if _lost_pairs(case) else _no_pose_fits(case)
+    if result.prior is None and not len(result.submap):
+        sentence = "The frame has no prior, so it is unknown which part of the map to search."
+        return Fault("not in the submap", sentence)
+    if case.truth is None:
+        return None if result.prior is None else _found_in_wide_submap(case)
     sound = sound_pairs(case)
     outside = int((~case.in_submap[sound[:, 1]]).sum()) if len(sound) else 0
-    off_m = _prior_off_m(case)
-    far_off = off_m > FAR_OFF_SIGMAS * result.prior.horizontal_sigma_m
     enough = len(sound) - outside >= NEEDED_ELEMENTS
-    if not far_off and (enough or not outside):
+    if enough or not outside:
         return None
+    sentence = f"{outside} of {len(sound)} detected elements are outside the submap"
+    if result.prior is None:
+        return Fault("not in the submap", f"{sentence}.", (EvidenceItem("outside", outside),))
+    off_m = _prior_off_m(case)
     evidence = (EvidenceItem("prior off", off_m, "m"), EvidenceItem("outside", outside))
-    prior = f"the prior is {off_m:.0f} m off, {off_m / result.prior.horizontal_sigma_m:.1f} sigma"
-    sentence = f"{outside} of {len(sound)} detected elements are outside the submap; {prior}."
-    return Fault("not in the submap", sentence, evidence)
+    return Fault("not in the submap", f"{sentence}; the prior is {off_m:.0f} m off.", evidence)
 
 
-def _no_pose_fits(case: FrameReference) -> Fault:
-    """Return the fault of a frame without a pose, though enough elements are detected."""
-    result = case.localization
-    poses = 0 if result.search is None else len(result.search.score)
-    sentence = f"{len(result.observed)} elements are detected, but none of the submap fits."
-    return Fault(
-        "not in the submap",
-        sentence,
-        (EvidenceItem("mapped", len(result.submap)), EvidenceItem("poses", poses)),
-    )
+def _found_in_wide_submap(case: FrameReference) -> Fault | None:
+    """Return the fault of a crop without which the frame has a pose."""
+    result, again = case.localization, solve_in_wide_submap(case)
+    if again.status != "ok" or again.refinement is None:
+        return None
+    used = again.submap.id[again.refinement.pairs[again.refinement.inlier, 1]]
+    outside = int((~np.isin(used, result.submap.id)).sum())
+    if not outside:
+        return None
+    sentence = f"{outside} of {len(used)} detected elements are outside the submap."
+    return Fault("not in the submap", sentence, (EvidenceItem("outside", outside),))
 
 
 def check_candidate_pairs(case: FrameReference, faults: Sequence[Fault]) -> Fault | None:
@@ -139,7 +146,10 @@ def check_association(case: FrameReference) -> Fault | None:
 def check_search(case: FrameReference) -> Fault | None:
     """Check that the search found the true pose, and ranked it first."""
     search = case.localization.search
-    if case.truth is None or search is None:
+    if case.truth is None:
+        unknown = case.localization.prior is None
+        return None if unknown else _found_with_more_effort(case)
+    if search is None:
         return None
     if search_found_truth(case):
         return None
@@ -154,6 +164,18 @@ def check_search(case: FrameReference) -> Fault | None:
         f"Another pose explains the image better than the true one, by {best - truth:.1f} nats."
     )
     return Fault("ambiguous geometry", sentence, evidence)
+
+
+def _found_with_more_effort(case: FrameReference) -> Fault | None:
+    """Return the fault of a search that stopped before the pose that a wider one finds."""
+    result, again = case.localization, solve_with_more_effort(case)
+    if again.status != "ok" or again.refinement is None:
+        return None
+    fit = int(again.refinement.inlier.sum())
+    sentence = f"A wider search finds a pose that {fit} of {len(result.observed)} elements fit."
+    own = result.match is not None and result.method not in MATRIX_FROM_POSES
+    kind: FaultKind = "wrong matches" if own else "search miss"
+    return Fault(kind, sentence, (EvidenceItem("fit", fit),))
 
 
 def search_found_truth(case: FrameReference) -> bool:
@@ -216,7 +238,7 @@ def score_near(case: FrameReference, T_camera_map: Pose) -> float:
     """Return the log-likelihood (nats) of the best pose near one, as the search scores it."""
     result = case.localization
     problem = PoseProblem.of(result.camera, result.observed, result.submap, case.detector)
-    return float(mode_near(problem, assumed_upright(result.prior), T_camera_map).score[0])
+    return float(mode_near(problem, assumed_upright(case.prior), T_camera_map).score[0])
 
 
 def _too_few(case: FrameReference, seen: int) -> Fault:
@@ -246,16 +268,16 @@ def _missed_names(case: FrameReference) -> str:
 
 
 def _within_reach(case: FrameReference) -> int:
-    """Return the number of mapped elements within the detector's range of the prior."""
+    """Return the number of mapped elements within the detector's range of the place."""
     result = case.localization
-    offset_m = result.submap.anchor_m[:, :2] - result.prior.position_m[:2]
+    offset_m = result.submap.anchor_m[:, :2] - result.around_m[:2]
     return int((np.linalg.norm(offset_m, axis=1) < case.detector.far_m).sum())
 
 
 def _prior_off_m(case: FrameReference) -> float:
     assert case.reference is not None
     center_m = case.reference.inverse().translation
-    return float(np.linalg.norm((case.localization.prior.position_m - center_m)[:2]))
+    return float(np.linalg.norm((case.prior.position_m - center_m)[:2]))
 
 
 UNMEASURED = 0.5
@@ -314,9 +336,28 @@ def diagnose_frame(
     """
     case = FrameReference.of(localization, semantic_map, truth, detector)
     knowledge: GroundTruthLevel = "nothing" if truth is None else truth.knowledge
-    faults = find_faults(case)
+    faults = _all_faults(case)
     fault = _healthy(case) if is_healthy(localization, case.truth) else _first_failure(case, faults)
     return FrameDiagnosis(fault, CONFIDENCE[knowledge][fault.kind], faults)
+
+
+def _all_faults(case: FrameReference) -> tuple[Fault, ...]:
+    """Return the common causes of a frame, then the faults of rows that they leave unexplained."""
+    assumed = assumption_faults(case)
+    for fault in assumed:
+        if fault.kind == "wrong detection sigma":
+            case = with_sigma_scaled(case, fault.evidence[0].value)
+    image = misalignment(case)
+    if image is None:
+        return (*assumed, *find_faults(case))
+    aligned = replace(case, truth=image.T_camera_map)
+    return (*assumed, misalignment_fault(case, image), *find_faults(aligned))
+
+
+def check_alignment(case: FrameReference) -> Fault | None:
+    """Check that the image does not support a pose near the true one, with most elements."""
+    image = misalignment(case)
+    return None if image is None else misalignment_fault(case, image)
 
 
 def _healthy(case: FrameReference) -> Fault:
@@ -329,19 +370,34 @@ def _healthy(case: FrameReference) -> Fault:
 def _first_failure(case: FrameReference, faults: tuple[Fault, ...]) -> Fault:
     """Return the first failed stage of a frame without a pose or with a wrong one.
 
-    If the search found the true pose, all stages before refinement passed.
+    If the search found the true pose, or may have, refinement is checked first.
     """
+    found = case.truth is None or search_found_truth(case)
     return (
-        (check_refinement(case) if search_found_truth(case) else None)
+        (check_refinement(case) if found else None)
         or check_detection_count(case)
+        or check_assumptions(case)
+        or check_alignment(case)
         or check_submap(case)
         or check_candidate_pairs(case, faults)
         or check_association(case)
         or check_search(case)
         or check_refinement(case)
+        or _no_pose_fits(case)
         or check_observability(case)
         or _unexplained(case)
     )
+
+
+def _no_pose_fits(case: FrameReference) -> Fault | None:
+    """Return the fault of a frame without a pose that no change gives one."""
+    if case.reference is not None:
+        return None
+    sentence = (
+        f"{len(case.localization.observed)} elements are detected, but no pose fits them, "
+        "whichever single assumption is dropped."
+    )
+    return Fault("unexplained", sentence, (EvidenceItem("mapped", len(case.localization.submap)),))
 
 
 def _unexplained(case: FrameReference) -> Fault:

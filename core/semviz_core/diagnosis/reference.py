@@ -3,11 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements3D, joined
+from semviz_core.base.frame import Prior, vague_prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.base.semantic_map import SemanticMap
@@ -15,7 +17,14 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis.fault import GroundTruth
 from semviz_core.localization.association import NEAREST_M, associate
 from semviz_core.localization.problem import PoseProblem
-from semviz_core.localization.residuals import EXACT_POSE, PairResiduals, problem_residuals
+from semviz_core.localization.residuals import (
+    EXACT_POSE,
+    PairResiduals,
+    fill_rows,
+    new_rows,
+    problem_residuals,
+    whiten,
+)
 from semviz_core.localization.search import APART_M, APART_RAD
 
 NEARBY_M = 60.0
@@ -46,6 +55,12 @@ class FrameReference:
         if truth is None:
             return cls(localization, semantic_map, model, None, None)
         return cls(localization, semantic_map, model, truth.T_camera_map, truth.element_id)
+
+    @property
+    def prior(self) -> Prior:
+        """The frame's prior; a vague one without."""
+        given = self.localization.prior
+        return vague_prior(self.localization.around_m) if given is None else given
 
     @cached_property
     def reference(self) -> Pose | None:
@@ -136,6 +151,35 @@ class FrameReference:
     def is_true(self, T_camera_map: Pose) -> bool:
         """Whether a pose is the true one, up to the distance of separate modes."""
         return self.truth is not None and is_near(T_camera_map, self.truth)
+
+
+class WhitenedRows(NamedTuple):
+    """Residuals in sigmas, without pole bottoms, which may be hidden."""
+
+    residual: FloatArray
+    """(r,)"""
+    jacobian: FloatArray
+    """(r, 6) by the left perturbation of the pose."""
+    log_sigma: FloatArray
+    """(r,) log of the sigma (px) that each row was divided by."""
+
+
+def whitened_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> WhitenedRows:
+    """Return the residuals of pairs (k, 2); none of those behind the camera."""
+    R, t = T_camera_map.rotation, T_camera_map.translation
+    rows = new_rows()
+    parts = [WhitenedRows(np.empty(0), np.empty((0, 6)), np.empty(0))]
+    for i, j in pairs:
+        if (count := fill_rows(problem, R, t, i, j, rows)) < 2:
+            continue
+        peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
+        count = min(count, 3 if peak else 2)
+        whiten(problem, i, j, count, EXACT_POSE, rows)
+        log_sigma = np.log(np.diag(rows.factor)[:count])
+        parts.append(
+            WhitenedRows(rows.residual[:count].copy(), rows.jacobian[:count].copy(), log_sigma)
+        )
+    return WhitenedRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 ProgressCallback = Callable[[Iterable[FrameReference], str, int], Iterable[FrameReference]]

@@ -14,10 +14,12 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.diagnosis.calibration import calibration_fault
+from semviz_core.diagnosis.calibration import find_calibration, residual_cost
 from semviz_core.diagnosis.checks import find_faults
-from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth
+from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
+from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth, RunFault
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
+from semviz_core.diagnosis.run_causes import Alignment, assumption_run_faults, find_alignment
 
 NEEDED_FRAMES = 3
 """Rays of this many frames must meet, since two always do."""
@@ -116,27 +118,25 @@ UNMATCHED_KINDS: tuple[FaultKind, ...] = ("moved in the map", "false or not mapp
 """Faults of unmatched detections in single frames without known ids."""
 MOVED_M = 10.0
 """A landmark further than this from an undetected element is another one."""
+CLEARLY = 0.8
+"""Share of the remaining squared residuals below which one explanation is clearly better."""
+OF_CALIBRATION: tuple[FaultKind, ...] = ("wrong detection sigma", "wrong gravity prior")
+"""What a wrong calibration looks like in single frames."""
 LEAST_SHARE = 0.5
 """Share of the frames that detect an element in which a fault must recur."""
 
 
 @dataclass(frozen=True)
-class RunFault(Fault):
-    """A fault that recurs; ``rows`` has one observed row for each of ``frames``."""
-
-    frames: tuple[int, ...] = ()
-    """Positions in the run of the frames with the fault."""
-
-
-@dataclass(frozen=True)
 class RunDiagnosis:
-    """Faults of the camera, and of map elements, by falling number of frames."""
+    """Faults of all elements together, of the camera, and of single elements."""
 
     calibration: Fault | None
     elements: tuple[RunFault, ...]
-    """Empty if the calibration is wrong: then no element fits."""
+    """By falling number of frames. Empty if the calibration is wrong: then no element fits."""
     frames: int
     """Number of frames with a pose to compare with."""
+    causes: tuple[RunFault, ...] = ()
+    """Wrong priors and sigmas, and a map that is shifted as a whole."""
 
 
 def diagnose_run(
@@ -149,22 +149,58 @@ def diagnose_run(
 
     Frames without ground truth count if their status is ok.
     """
-    positions = [
-        position
-        for position, (localization, truth) in enumerate(frames)
-        if truth is not None or localization.status == "ok"
-    ]
-    compared = [frames[position] for position in positions]
     cases = [
         FrameReference.of(localization, semantic_map, truth, detector)
-        for localization, truth in compared
+        for localization, truth in frames
     ]
-    calibration = calibration_fault(cases, watch)
-    recurring = () if calibration else _element_faults(cases, watch)
-    elements = (
-        replace(fault, frames=tuple(positions[row] for row in fault.frames)) for fault in recurring
-    )
-    return RunDiagnosis(calibration, tuple(elements), len(cases))
+    positions = [
+        position
+        for position, case in enumerate(cases)
+        if case.truth is not None or case.localization.status == "ok"
+    ]
+    compared = [cases[position] for position in positions]
+    alignment, calibration = _geometric_cause(compared, watch)
+    if alignment is not None:
+        compared = alignment.corrected(compared)
+        cases = _replaced(cases, positions, compared)
+    causes = assumption_run_faults(cases, watch)
+    if alignment is not None:
+        causes.insert(0, _at(alignment.fault, positions))
+    if calibration is not None:  # it explains large residuals, and a camera that is rolled
+        causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
+    for cause in causes:
+        if cause.kind == "wrong detection sigma":
+            compared = [with_sigma_scaled(case, cause.evidence[1].value) for case in compared]
+    recurring = () if calibration else _element_faults(compared, watch)
+    elements = tuple(_at(fault, positions) for fault in recurring)
+    return RunDiagnosis(calibration, elements, len(compared), tuple(causes))
+
+
+def _at(fault: RunFault, positions: Sequence[int]) -> RunFault:
+    """Return a fault whose frames are rows of ``positions``, with positions in the run."""
+    return replace(fault, frames=tuple(positions[row] for row in fault.frames))
+
+
+def _replaced(
+    cases: Sequence[FrameReference], positions: Sequence[int], others: Sequence[FrameReference]
+) -> list[FrameReference]:
+    by_position = dict(zip(positions, others, strict=True))
+    return [by_position.get(position, case) for position, case in enumerate(cases)]
+
+
+def _geometric_cause(
+    cases: Sequence[FrameReference], watch: ProgressCallback
+) -> tuple[Alignment | None, Fault | None]:
+    """Return the alignment or the calibration that is wrong.
+
+    Of both, the calibration, which is one number, unless the alignment explains clearly more.
+    """
+    alignment, calibration = find_alignment(cases), find_calibration(cases, watch)
+    if alignment is None or calibration is None:
+        return alignment, None if calibration is None else calibration.fault
+    if residual_cost(alignment.corrected(cases)) < CLEARLY * calibration.cost:
+        return alignment, None
+    return None, calibration.fault
 
 
 def _element_faults(

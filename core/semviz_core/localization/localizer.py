@@ -238,7 +238,7 @@ class Localizer:
             return replace(work, reason=pairs.reason)
 
         # 1 search: the modes, poses that explain the image, best first
-        prior = assumed_upright(work.prior)  # the result keeps the prior as given
+        prior = assumed_upright(work.given_prior)  # the result keeps the prior as given
         propose: Propose = most_voted
         if self.method == "correspondences":  # P comes first, and proposes the poses
             learned = self._correspondences(work, problem, pairing, watch)
@@ -294,7 +294,7 @@ class Localizer:
         self, work: Localization, problem: PoseProblem, pairing: PairConstraints, watch: Stopwatch
     ) -> LearnedCorrespondences:
         """Return the learned correspondences, among the pairs that ``pairing`` leaves."""
-        frame = work.observed, work.submap, work.camera, work.prior
+        frame = work.observed, work.submap, work.camera, work.given_prior
         constraints = problem.compatible, pairing.forced
         return watch.time("match", lambda: self._matcher().match(*frame, *constraints))
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from semviz_core.base.detector_calibration import (
+from semviz_core.base.detector_model import (
     CalibratedRates,
+    DetectorModel,
     Kind,
     ScoreCurve,
     SigmaScale,
     calibrated,
 )
-from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError

@@ -136,7 +136,9 @@ class PoseCheck:
 
 
 _LOCAL: Final = ("frozen", "turned", "shifted")
-_REFINE: Final = "refine them: semviz poses refine; or leave these frames out"
+RIG_KINDS: Final = ("baseline", "right image")
+"""Faults of the calibration, which other poses do not repair."""
+_REFINE: Final = "refine them, or leave these frames out: semviz poses choose"
 
 
 def check_drive(frames: Sequence[Frame], motions: ImageMotions, rig: Rig) -> PoseCheck:

@@ -2,6 +2,6 @@
 
 `layout` builds `objects` beside a road, and `street` drives a camera along it. `street` is the
 Dataset. It paints an image with `drawing`, in this order: `ground`, `scenery`, then `furniture`
-from far to near, and knows which elements an image shows. `detector` simulates detections,
-`map_errors` plants faults in a true map, and `ground_truth` gives the true regions.
+from far to near, and knows which elements an image shows. `detector` gives the true elements and
+regions of an image, and simulated detections.
 """

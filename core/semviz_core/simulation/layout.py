@@ -8,6 +8,7 @@ tilted by 0.7 deg; signs on 75 % of the posts and 15 % of the lamps.
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from semviz_core.base.classes import RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation import objects
+from semviz_core.simulation.worn_signs import worn
 
 LANE_M = 3.4
 PARKING_M = 2.1
@@ -147,6 +149,8 @@ class StreetOptions:
     frames: int = 60
     spacing_m: float = 1.0
     sections: tuple[Section, ...] = (Section("normal", 100.0),)
+    signs: Literal["new", "worn"] = "new"
+    """Worn signs are as on real streets; everything else stays the same."""
 
     def __post_init__(self) -> None:
         if self.frames < 1 or not self.spacing_m > 0:
@@ -197,7 +201,11 @@ def lay_out_street(seed: int, options: StreetOptions) -> Layout:
         for side in (-1, 1):
             builder.park_cars(kind, side, begin, end)
             builder.border(kind, side, begin, end)
-    return builder.layout()
+    layout = builder.layout()
+    if options.signs == "new":
+        return layout
+    wear = np.random.default_rng([seed, 5])
+    return replace(layout, signs=tuple(worn(sign, wear) for sign in layout.signs))
 
 
 def _stretches(options: StreetOptions) -> list[tuple[objects.SectionKind, float, float]]:

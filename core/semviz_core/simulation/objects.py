@@ -17,6 +17,7 @@ FloatPicture = NDArray[np.float32]
 """(height, width) or (height, width, channels)."""
 PoleKind = Literal["post", "lamp", "mast"]
 SectionKind = Literal["normal", "sparse", "row"]
+SignLook = Literal["new", "plank", "street name", "board", "number", "back", "faded"]
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -50,8 +51,9 @@ class Sign:
     up_m: FloatArray
     """(3,) from the centre to its upper edge."""
     face: int
-    """Number that selects one of the class's faces."""
+    """Number that selects one of the class's faces, or of the look's."""
     pole_id: int
+    look: SignLook = "new"
 
 
 @dataclass(frozen=True, eq=False)

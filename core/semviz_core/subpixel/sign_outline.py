@@ -32,11 +32,11 @@ _TRIANGLES = ("triangle", "triangle down")
 _ASPECTS = {"square": (0.55, 0.75, 1.0, 1.4, 2.0)}
 """Ratios of width to height."""
 _FORESHORTENED = (0.8, 1.0)
-_HALF_PX = 4.0 * 1.25 ** np.arange(13)
+HALF_PX = 4.0 * 1.25 ** np.arange(13)
 """Half sizes that are scored."""
-_WORK_PX = 8.0
+WORK_PX = 8.0
 """Half size to which the image is scaled for scoring."""
-_OFF = 5
+OFF_STEPS = 5
 """Largest distance of the click from the centre, in scaled pixels."""
 _NEAR = (0.8, 1.0)
 """Initial sizes relative to an approximately known size."""
@@ -128,23 +128,23 @@ def find_outlines(
         for turned in turns_of(shape)
         for aspect in _ASPECTS.get(shape, _FORESHORTENED)
     ]
-    maps = _edge_directions(image, click_px)
-    scores = np.stack([_fit_scores(maps, *kind) for kind in kinds], axis=1)
+    maps = edge_directions(image, click_px)
+    scores = np.stack([fit_scores(maps, *kind) for kind in kinds], axis=1)
     flat = scores.reshape(-1)
     chosen: list[tuple[int, FloatArray]] = []
-    starts: list[_Start] = []
+    starts: list[OutlineStart] = []
     for at in np.argsort(-flat, kind="stable")[:400]:
         level, kind, row, column = np.unravel_index(at, scores.shape)
-        off = np.array([column - _OFF, row - _OFF])
+        off = np.array([column - OFF_STEPS, row - OFF_STEPS])
         if any(abs(level - other) < 2 and np.abs(off - place).max() < 3 for other, place in chosen):
             continue
         chosen.append((int(level), off))
-        scale = _HALF_PX[level] / _WORK_PX
+        scale = HALF_PX[level] / WORK_PX
         turned, aspect = kinds[kind]
         root = np.sqrt(aspect)
-        half = _HALF_PX[level] * np.array([root, 1.0 / root])
+        half = HALF_PX[level] * np.array([root, 1.0 / root])
         search = max(1.5, 0.14 * float(half.mean()))
-        starts.append(_Start(turned, click_px + off * scale, half, search))
+        starts.append(OutlineStart(turned, click_px + off * scale, half, search))
         if len(chosen) == count:
             break
     return sorted(_with_outer(image, starts), key=lambda outline: -outline.score)
@@ -159,23 +159,28 @@ def fit_outlines(
     """
     search = float(np.clip(0.35 * half_px.mean(), 2.0, 8.0))
     starts = [
-        _Start(shape, middle_px, np.maximum(scale * half_px, 2.0), search)
+        OutlineStart(shape, middle_px, np.maximum(scale * half_px, 2.0), search)
         for shape in shapes
         for scale in _NEAR
     ]
     return sorted(_with_outer(image, starts), key=lambda outline: -outline.score)
 
 
-def _edge_directions(image: SampledImage, click_px: FloatArray) -> NDArray[np.float32]:
-    """Return (levels, n, n, 2) the gradient around the click at each size, of length below 1."""
+def edge_directions(
+    image: SampledImage, click_px: FloatArray, longest: float = 1.45
+) -> NDArray[np.float32]:
+    """Return (levels, n, n, 2) the gradient around the click at each size, of length below 1.
+
+    ``longest`` is the largest half width or height of an outline of half size 1.
+    """
     import cv2
 
-    half = int(_OFF + _WORK_PX * 1.45 + 3)
+    half = int(OFF_STEPS + WORK_PX * longest + 3)
     places = np.arange(-half, half + 1)
     grid = np.stack(np.meshgrid(places, places), axis=-1)
-    maps = np.zeros((len(_HALF_PX), len(places), len(places), 2), np.float32)
-    for level, size in enumerate(_HALF_PX):
-        scale = size / _WORK_PX
+    maps = np.zeros((len(HALF_PX), len(places), len(places), 2), np.float32)
+    for level, size in enumerate(HALF_PX):
+        scale = size / WORK_PX
         window = (
             image.sample(click_px + grid * scale)
             if scale < 1.5
@@ -192,12 +197,12 @@ def _edge_directions(image: SampledImage, click_px: FloatArray) -> NDArray[np.fl
     return maps
 
 
-def _fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArray:
+def fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArray:
     """Return (levels, rows, columns) scores of an outline at each size and position."""
-    half = _WORK_PX * np.array([np.sqrt(aspect), 1.0 / np.sqrt(aspect)])
+    half = WORK_PX * np.array([np.sqrt(aspect), 1.0 / np.sqrt(aspect)])
     points, normals = _outline_points(shape, 8, half)
     middle = maps.shape[1] // 2
-    place = np.arange(-_OFF, _OFF + 1)
+    place = np.arange(-OFF_STEPS, OFF_STEPS + 1)
     x = np.round(points[..., 0] + middle).astype(int) + place[None, :, None, None]
     y = np.round(points[..., 1] + middle).astype(int) + place[:, None, None, None]
     at = maps[:, y, x]  # (levels, rows, columns, sides, points, 2)
@@ -205,13 +210,13 @@ def _fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatAr
     return np.asarray(along.mean(axis=-1) + along.min(axis=-1), dtype=np.float64)
 
 
-def _with_outer(image: SampledImage, starts: list["_Start"]) -> list[Outline]:
+def _with_outer(image: SampledImage, starts: list["OutlineStart"]) -> list[Outline]:
     """Return the outlines fitted from each start, and those outside of borders."""
-    fitted = _fit(image, starts)
-    return [*fitted, *_fit(image, _outside_borders(image, fitted))]
+    fitted = fit_from(image, starts)
+    return [*fitted, *fit_from(image, _outside_borders(image, fitted))]
 
 
-class _Start(NamedTuple):
+class OutlineStart(NamedTuple):
     """Where the fit of an outline begins."""
 
     shape: str
@@ -220,7 +225,7 @@ class _Start(NamedTuple):
     search_px: float
 
 
-def _fit(image: SampledImage, starts: Sequence[_Start]) -> list[Outline]:
+def fit_from(image: SampledImage, starts: Sequence[OutlineStart]) -> list[Outline]:
     """Return outlines fitted to the edges near them, at first within each start's search."""
     outlines = []
     for start in starts:
@@ -315,7 +320,7 @@ def _log_spread(
     return float(np.log(spread + 4.0))
 
 
-def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[_Start]:
+def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[OutlineStart]:
     """Return where outlines begin that are outside a border, whose inner edge was found."""
     starts = []
     for outline in inner:
@@ -325,7 +330,7 @@ def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[_Sta
             J = _jacobian(*_sized(*unit, outline.half_px), outline.half_px)
             grown = np.linalg.lstsq(J, np.full(len(J), away), rcond=None)[0]
             half = np.maximum(outline.half_px + grown[2:], 2.0)
-            starts.append(_Start(outline.shape, outline.center_px + grown[:2], half, 1.25))
+            starts.append(OutlineStart(outline.shape, outline.center_px + grown[:2], half, 1.25))
     return starts
 
 

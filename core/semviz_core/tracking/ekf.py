@@ -14,7 +14,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.least_squares import fit_pairs
 from semviz_core.tracking import association
-from semviz_core.tracking.belief import JointBelief
+from semviz_core.tracking.association import JointBelief
 
 
 def kalman_update(
@@ -91,8 +91,10 @@ def predict_and_update(
 def update_by_prior(
     belief: JointBelief, frame: association.TrackingFrame, frames: int
 ) -> JointBelief:
-    """Return the belief after the frame's prior, whose error ``frames`` frames share."""
+    """Return the belief after the frame's prior, if any, whose error ``frames`` frames share."""
     prior, factor = frame.prior, np.sqrt(frames)
+    if prior is None:
+        return belief
     prior = replace(
         prior,
         horizontal_sigma_m=prior.horizontal_sigma_m * factor,

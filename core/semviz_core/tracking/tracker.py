@@ -18,8 +18,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.localization.localizer import Localizer
-from semviz_core.tracking.association import FrameAssociation, TrackingFrame, associate_frame
-from semviz_core.tracking.belief import JointBelief
+from semviz_core.tracking.association import (
+    FrameAssociation,
+    JointBelief,
+    TrackingFrame,
+    associate_frame,
+)
 from semviz_core.tracking.ekf import predict_and_update, update_by_pairs, update_by_prior
 
 WINDOW = 30
@@ -80,14 +84,14 @@ class HypothesisSet:
     _window: list[tuple[Odometry, TrackingFrame]] = field(default_factory=list)
     """Frames, oldest first, each with the odometry from the frame before."""
 
-    def step(self, odometry: Odometry, frame: TrackingFrame) -> Localization:
+    def step(self, odometry: Odometry, frame: TrackingFrame, prior: Prior) -> Localization:
         """Process the next frame; return its own localization, which seeds new hypotheses."""
         self._window = [*self._window, (odometry, frame)][-WINDOW:]
         self.alive = [_propagated(old, odometry, frame) for old in self.alive]
-        single = self.localizer.localize(frame.observed, frame.submap, frame.camera, frame.prior)
+        single = self.localizer.localize(frame.observed, frame.submap, frame.camera, prior)
         self.alive += [new for T in self._new_modes(single) if (new := self._hypothesis_at(T))]
         self.alive = [
-            _confirmed(replace(each, fix_nats=_fix_nats(each.belief, frame.prior)), single)
+            _confirmed(replace(each, fix_nats=_fix_nats(each.belief, prior)), single)
             for each in self.alive
         ]
         self._prune()
@@ -268,18 +272,31 @@ class Tracker:
         self._hypotheses = HypothesisSet(self._localizer)
         self._status: TrackStatus = "starting" if start is None else "ok"
         self._state = None if start is None else _TrackState(JointBelief.start(start))
+        self._passed: Odometry | None = None  # motion over frames left out since the last search
 
-    def step(self, observed: Elements2D, odometry: Odometry | None, prior: Prior) -> TrackedPose:
+    def step(
+        self, observed: Elements2D, odometry: Odometry | None, prior: Prior | None
+    ) -> TrackedPose:
         """Return the pose at the next frame.
 
         ``odometry`` is the motion since the frame before, None if unknown (as for the first).
+        ``prior`` is None for a frame without a fix.
         """
-        if self._state is None:
-            return self._search(observed, odometry, prior)
-        return self._follow(self._state, observed, odometry, prior)
+        if self._state is not None:
+            return self._follow(self._state, observed, odometry, prior)
+        if self._passed is not None:
+            odometry = None if odometry is None else self._passed.followed_by(odometry)
+            self._passed = None
+        if prior is None:
+            return self._pass(observed, odometry)
+        return self._search(observed, odometry, prior)
 
     def _follow(
-        self, state: _TrackState, observed: Elements2D, odometry: Odometry | None, prior: Prior
+        self,
+        state: _TrackState,
+        observed: Elements2D,
+        odometry: Odometry | None,
+        prior: Prior | None,
     ) -> TrackedPose:
         """Process a frame while the pose is known."""
         guesses = 0 if odometry else state.guesses + 1
@@ -302,14 +319,24 @@ class Tracker:
         if odometry is None:  # earlier frames cannot be related to this one
             self._hypotheses = HypothesisSet(self._localizer)
         frame = self._frame(observed, prior.position_m, prior)
-        single = self._hypotheses.step(odometry or STANDSTILL, frame)
+        single = self._hypotheses.step(odometry or STANDSTILL, frame, prior)
         if reason := self._hypotheses.undecided():
             return TrackedPose(self._status, reason, None, None, np.full(len(observed), -1), single)
         best = self._hypotheses.alive[0]
         self._status, self._state = "ok", _TrackState(best.belief, odometry or STANDSTILL)
         return _tracked_pose(best.belief, best.associations[-1], frame, single)
 
-    def _frame(self, observed: Elements2D, center_m: FloatArray, prior: Prior) -> TrackingFrame:
+    def _pass(self, observed: Elements2D, odometry: Odometry | None) -> TrackedPose:
+        """Leave out a frame that cannot be searched; keep its motion for the next."""
+        if odometry is None:
+            self._hypotheses = HypothesisSet(self._localizer)
+        self._passed = odometry
+        reason = "The frame has no prior, so it is unknown which part of the map to search."
+        return TrackedPose(self._status, reason, None, None, np.full(len(observed), -1))
+
+    def _frame(
+        self, observed: Elements2D, center_m: FloatArray, prior: Prior | None
+    ) -> TrackingFrame:
         submap = self._map.crop(center_m, self._crop_m)
         return TrackingFrame(self._camera, self._detector, observed, submap, prior)
 

@@ -11,6 +11,7 @@ import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
 import { proposalCommands, proposing } from "./proposals.js";
 import { reviewCommands } from "./review.js";
+import { secondCommands } from "./second.js";
 import { travelCommands } from "./travel.js";
 import { SIDES, other, uuid7 } from "./values.js";
 
@@ -40,7 +41,7 @@ export function commands(state, images, tools, actions) {
   };
   const keyed = state.workspace.classes.slice(0, 9).map((kind, index) => ({ ...kind, key: String(index + 1) }));
   return [
-    { key: "Click", group: "Draw", title: `Pole: peak, then bottom. Sign: middle${state.workspace.triangle_center === "centroid" ? "; of a triangle the centroid, a third of its height from its base" : ""}` },
+    { key: "Click", group: "Draw", title: `Pole: the whole one if it is dashed, else peak, then bottom. Sign: middle${state.workspace.triangle_center === "centroid" ? "; of a triangle the centroid, a third of its height from its base" : ""}` },
     { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: one stroke" },
     { key: "Click", shift: true, group: "Draw", title: "Draw, even on top of an element" },
     ...keyed.map(({ id, key, name }) => ({
@@ -83,6 +84,7 @@ export function commands(state, images, tools, actions) {
     { key: "PageDown", group: "View", title: "Zoom out", run: () => images.zoomBy(1 / 1.5, state.cursor?.pixel) },
     { key: "0", group: "View", title: "Whole image", run: () => images.fit() },
     { key: "m", group: "View", title: "Snap to edges", run: toggle("snap") },
+    { key: "w", group: "View", title: "Whole pole by one click", words: "ghost", run: toggle("whole") },
     { key: "l", group: "View", title: "Loupe", run: toggle("loupe") },
     { key: "i", group: "View", title: "Epipolar line", run: toggle("guides") },
     { key: "g", group: "View", title: "Proposals", run: toggle("proposals") },
@@ -93,6 +95,7 @@ export function commands(state, images, tools, actions) {
     { key: ",", group: "Frames", title: "Previous frame", row: "Previous, next frame", run: () => step(-1) },
     { key: ".", group: "Frames", title: "Next frame", row: "Previous, next frame", run: () => step(1) },
     ...travelCommands(state, images, actions),
+    ...secondCommands(state, actions),
     ...jumpCommands(state, actions),
     ...reviewCommands(review, actions),
     { key: "Enter", group: "Frames", title: "Mark as reviewed", run: () => edit.review("reviewed") },

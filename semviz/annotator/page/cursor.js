@@ -83,5 +83,6 @@ export class Cursor {
     this.images.pointer = { side, point: this.images.view.toScreen(pixel) }; // for the loupe
     this.state.set({ cursor: { side, pixel } });
     this.tools.stretchTo(side, pixel);
+    this.tools.seek(side, pixel);
   }
 }

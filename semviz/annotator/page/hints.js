@@ -3,7 +3,7 @@
 
 /** @import {annotator} from "/static/protocol" */
 /** @import {State} from "./state.js" */
-/** @import {Drawing, Proposal, Selected, ShownElement} from "./values.js" */
+/** @import {Drawing, Ghost, Proposal, Selected, ShownElement} from "./values.js" */
 
 import { SIDES } from "./values.js";
 
@@ -17,6 +17,7 @@ import { SIDES } from "./values.js";
 export function hints(state) {
   const { drawing, selectedElement: element, selectedCandidate: candidate, selected } = state;
   if (drawing) return forDrawing(state, drawing);
+  if (state.ghost) return forGhost(state.ghost);
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint(`${state.middleOf(state.classId)}, or drag a box`, "Click");
   if (state.review && !selected) return forReview(state.review.entry);
@@ -30,6 +31,11 @@ export function hints(state) {
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
 }
+
+/** @param {Ghost} ghost */
+const forGhost = ({ joins }) => [
+  hint(joins ? `${joins} as dashed` : "the whole pole as dashed", "Click"), hint("peak, then bottom", "Shift Click"), hint("one stroke", "Drag"), hint("no whole poles", "W"),
+];
 
 /** @param {annotator.EntryView} entry */
 function forReview({ answers }) {

@@ -289,6 +289,7 @@ export class Images {
       const hovered = this.hovered?.observation === observation.id;
       painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
     }
+    if (state.ghost?.side === side && state.ghost.frame === state.frame) painter.ghost(state.ghost);
     if (state.drawing?.side === side) {
       painter.drawing(state.drawing);
       if (state.preview?.snapped) painter.snapped(state.drawing, state.preview.snapped);

@@ -22,8 +22,10 @@ import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { find, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
-import { overwriting, replacedLabels, samePlace } from "./questions.js";
+import { Poses } from "./poses.js";
+import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
+import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
 import { Sketch, Tools } from "./tools.js";
 import { Tour } from "./tour.js";
@@ -59,7 +61,10 @@ export class Page {
     this.light = new Light(this.state);
     this.backdrop = new Backdrop(this.state, this.keys, this);
     this.tour = new Tour(this.state, this.keys);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour]);
+    this.state.wish = wishInAddress(location.search);
+    this.second = new SecondChoice(this.state, this.keys, this);
+    this.poses = new Poses(this.state, this.keys, this);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -78,7 +83,7 @@ export class Page {
     this.sceneGate?.hold(false);
     const start = startOf(state.elements, edit);
     const isStored = start
-      ? outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, class: start.element.class_id }, since)
+      ? outbox.add({ ...edit, seen: seen(start) }, { frame: state.frame, side: start.side, second: state.second, class: start.element.class_id }, since)
       : outbox.add(edit, null, since);
     if (!isStored) {
       this.notify("Not kept: the browser has no room for more unsaved edits. Connect to the server first.", "wrong");
@@ -149,6 +154,7 @@ export class Page {
       selected_id: isSaved ? selected.element : null,
       is_chosen: this.state.isChosen,
       side: selected?.side ?? "left",
+      second: this.state.second,
       drawing: drawing && {
         side: drawing.side,
         class_id: drawing.class,
@@ -172,8 +178,9 @@ export class Page {
     if (!state.isReady || index === null || !state.order.includes(index)) return;
     this.tools.cancel();
     state.set({ frame: index, preview: null });
-    window.history.replaceState(null, "", `?frame=${index}`);
-    this.socket.send("go_to_frame", { frame: index });
+    const { wish, view } = state;
+    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}`);
+    this.socket.send("go_to_frame", { frame: index, second: wish });
     this.sceneGate?.hold(true);
     this.#showPictures(index);
     this.preview();
@@ -282,13 +289,15 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use(commands(state, this.images, this.tools, this));
+    this.keys.use(this.poses.commands(commands(state, this.images, this.tools, this)));
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
     this.light.start();
     this.images.fit();
+    const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
+    if (isFirst && view === "poses") this.poses.open("poses");
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();
@@ -308,7 +317,7 @@ export class Page {
   #showFrame(frame) {
     const { state } = this;
     state.set({ received: { ...state.labels, frame } });
-    if (!state.hasRight && frame.index === state.frame) this.#showPictures(frame.index); // the second image is known now
+    if (!state.knowsPanes && frame.index === state.frame) this.#showPictures(frame.index); // the second image is known now
     this.preview();
     this.#selectSought();
   }
@@ -340,8 +349,19 @@ export class Page {
     if (!entry) this.notify(event.text, "wrong");
     else if ("overwritten" in event) this.state.set({ question: overwriting(entry, event, this) });
     else if ("observation_id" in event) this.state.set({ question: samePlace(entry, event, this) });
-    else if (event.code === "replaced") this.state.set({ question: replacedLabels(entry, event, this) });
+    else if (event.code === "replaced") this.#replaced(entry, event);
     else this.#refusedEdit(entry, event);
+  }
+
+  /** A backup replaced the labels that an edit is about: asks once for all edits that wait.
+   *
+   * @param {Entry} entry
+   * @param {import("/static/protocol").ErrorEvent} event
+   */
+  #replaced(entry, event) {
+    if (entry.place <= (this.outbox?.agreed ?? 0)) moveToRestored(entry, this);
+    else this.state.set({ question: replacedLabels(entry, event, this) });
+    this.#showPending();
   }
 
   /**
@@ -419,7 +439,7 @@ export class Page {
     for (const near of [state.order[rank + 1], state.order[rank - 1]]) {
       if (near === undefined) continue;
       pictures.get(near, "left");
-      if (state.hasRight) pictures.get(near, "right");
+      if (state.knowsPanes) pictures.get(near, "right");
     }
   }
 

@@ -21,6 +21,7 @@ export class Outbox {
     this.sent = null; // the unanswered request
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
+    this.agreed = 0; // place of the last edit that may move to restored labels
   }
 
   /** All edits, oldest first. They are numbered, because clocks jump.
@@ -127,14 +128,22 @@ export class Outbox {
     this.flush();
   }
 
-  /** Sends all edits to the labels that a backup put in place, of which none of them has seen anything.
-   * Steps through the replaced history are dropped.
+  /** Notes that all edits that wait now may move to the labels that a backup put in place. */
+  agreeToRestored() {
+    this.agreed = this.entries.at(-1)?.place ?? 0;
+  }
+
+  /** Sends an edit of replaced labels to the restored ones. A step through the replaced history is dropped.
+   *
+   * @param {Entry} refused
+   * @param {{operation: number, hash?: string}} since the last restored operation that it may overwrite
    */
-  moveToRestored() {
-    for (const entry of this.entries) {
-      if (["undo", "redo", "restore"].includes(entry.edit.kind)) localStorage.removeItem(this.prefix + entry.request);
-      else localStorage.setItem(this.prefix + entry.request, JSON.stringify({ ...entry, base: { operation: 0, known: [] } }));
+  moveToRestored(refused, since) {
+    if (["undo", "redo", "restore"].includes(refused.edit.kind)) {
+      this.settle(refused.request);
+      return;
     }
+    localStorage.setItem(this.prefix + refused.request, JSON.stringify({ ...refused, base: { ...since, known: [] } }));
     this.sent = null;
     this.flush();
   }

@@ -2,7 +2,7 @@
 // Paints elements, proposals, guides and the loupe on an image. Sizes are CSS pixels at any zoom.
 /** @import {annotator} from "/static/protocol" */
 /** @import {View} from "/static/canvas.js" */
-/** @import {Drawing, ElementClass, Observation, Proposal, Point, ShownElement} from "./values.js" */
+/** @import {Drawing, ElementClass, Ghost, Observation, Proposal, Point, ShownElement} from "./values.js" */
 import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
 import { counted, shownScore } from "./values.js";
 
@@ -121,6 +121,17 @@ export class Painter {
     this.#proposed(id, { anchor, end, anchor_known: true, end_known: end_known || !drawn }, { dash: [3, 2] });
     const hidden = end && drawn && !end_known ? `, bottom hidden (${this.shownKey("O")}: visible)` : "";
     this.#label(`snapped, ${by_px.toFixed(1)} px${hidden}`, this.view.toScreen(end ?? anchor), 3, null);
+  }
+
+  /** The whole pole that a click takes.
+   *
+   * @param {Ghost} ghost
+   */
+  ghost({ class: id, anchor, end, anchor_known, end_known, joins }) {
+    this.#proposed(id, { anchor, end, anchor_known, end_known }, { dash: [3, 2] });
+    drawHandle(this.context, "peak", ...this.view.toScreen(anchor), this.classOf(id).color, anchor_known);
+    drawHandle(this.context, "bottom", ...this.view.toScreen(end), this.classOf(id).color, end_known);
+    this.#label(`click: ${joins ?? `new ${this.classOf(id).name}`}`, this.view.toScreen(anchor), 3, null);
   }
 
   /** The drawing.

@@ -217,13 +217,14 @@ export class Panels {
     });
   }
 
-  /** The title of an image; with one camera, the number of its frame.
+  /** The title of an image: of a pair its side, else the number of its frame, of a rig with its camera.
    *
    * @param {Side} side
    */
   #paneTitle(side) {
     const pane = this.state.panes[side];
-    return this.state.hasRight || !pane ? capital(side) : `Frame ${pane.frame}`;
+    if (!pane || (this.state.hasRight && pane.frame === this.state.frame)) return capital(side);
+    return pane.camera ? `${pane.camera} ${pane.frame}` : `Frame ${pane.frame}`;
   }
 
   #status() {

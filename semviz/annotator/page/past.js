@@ -35,7 +35,7 @@ export class Past {
    * @param {number} operation
    */
   view(operation) {
-    const request = { operation, frame: this.state.frame ?? 0 };
+    const request = { operation, frame: this.state.frame ?? 0, second: this.state.second };
     this.requested = request;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.page.socket.send("show_past_frame", request), DRAG_MS);

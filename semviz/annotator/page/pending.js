@@ -32,7 +32,7 @@ export function seen({ element, observation }) {
  * @param {ShownAt} shown
  * @returns {Edit | null}
  */
-export function drawnAgain(edit, { frame, side, class: id }) {
+export function drawnAgain(edit, { frame, side, second = null, class: id }) {
   if (!edit.seen || frame === null) return null;
   const { element, anchor, end, anchor_known, end_known } = edit.seen;
   /** @type {Observations} */
@@ -45,6 +45,7 @@ export function drawnAgain(edit, { frame, side, class: id }) {
     element_id: uuid7(),
     frame_index: frame,
     side,
+    second,
     class_id: id,
     anchor_px: mark.anchor,
     end_px: mark.end,
@@ -65,27 +66,39 @@ export function isIdle(elements, edit) {
   return JSON.stringify(withPending(elements, [{ edit }], null)) === JSON.stringify(elements);
 }
 
-/** Returns `elements` with the `pending` edits of `frame` applied. `proposals` name accepted elements.
+/** Returns `elements` with the `pending` edits of `frame` applied. `proposals` name accepted elements;
+ * `second` is the frame of the second image, or null for the frame's own right one.
  *
  * @param {ShownElement[]} elements
  * @param {{edit: Edit}[]} pending
  * @param {number | null} frame
  * @param {Proposal[]} proposals
+ * @param {number | null} second
  */
-export function withPending(elements, pending, frame, proposals = []) {
+export function withPending(elements, pending, frame, proposals = [], second = null) {
   const result = structuredClone(elements);
   for (const { edit } of pending) {
     const marks = edit.kind === "draw" ? [edit]
       : edit.kind === "accept" ? edit.marks
-        : edit.kind === "accept tracks" ? markedByTracks(edit, frame, proposals) : null;
+        : edit.kind === "accept tracks" ? markedByTracks(edit, frame, proposals, second) : null;
     if (marks) {
-      for (const mark of marks) if (mark.frame_index === frame) add(result, mark, proposals);
+      for (const mark of marks) if (isShown(mark, frame, second)) add(result, mark, proposals);
       continue;
     }
     const target = "observation_id" in edit ? find(result, edit.observation_id) : null;
     if (target) change(target.element.observations, target.side, edit);
   }
   return result.filter(({ observations }) => SIDES.some((side) => observations[side]));
+}
+
+/** Whether a mark was drawn in one of the images on the page.
+ *
+ * @param {annotator.DrawnMark} mark
+ * @param {number | null} frame
+ * @param {number | null} second
+ */
+function isShown(mark, frame, second) {
+  return mark.frame_index === frame && (mark.side === "left" || (mark.second ?? null) === second);
 }
 
 /** Applies an `edit` of one observation to the observation on one side.
@@ -127,9 +140,10 @@ function add(elements, mark, proposals) {
  * @param {annotator.AcceptTracksEdit} edit
  * @param {number | null} frame
  * @param {Proposal[]} proposals of this frame
+ * @param {number | null} second
  * @returns {annotator.DrawnMark[]}
  */
-function markedByTracks({ track_ids: ids, corrections }, frame, proposals) {
+function markedByTracks({ track_ids: ids, corrections }, frame, proposals, second) {
   return proposals.filter(({ id, track }) => track && ids.includes(id)).flatMap((proposal) =>
     SIDES.flatMap((side) => {
       const mark = proposal.marks[side];
@@ -140,6 +154,7 @@ function markedByTracks({ track_ids: ids, corrections }, frame, proposals) {
         element_id: proposal.id,
         frame_index: frame ?? 0,
         side,
+        second,
         anchor_px: placed?.anchor_px ?? mark.anchor,
         end_px: placed?.end_px ?? mark.end,
         anchor_known: mark.anchor_known,

@@ -45,7 +45,7 @@ export function proposing(state, actions) {
   const accepted = (/** @type {Proposal[]} */ proposals) => {
     const tracks = proposals.filter(({ track }) => track).map(({ id }) => id);
     if (tracks.length) actions.submit(acceptedTracks(state, tracks));
-    const marks = proposals.filter(({ track }) => !track).flatMap((proposal) => marksOf(proposal).map(([side, mark]) => drawnMark(state.frame ?? 0, proposal, side, mark)));
+    const marks = proposals.filter(({ track }) => !track).flatMap((proposal) => marksOf(proposal).map(([side, mark]) => ({ ...drawnMark(state.frame ?? 0, proposal, side, mark), second: state.second })));
     if (marks.length) actions.submit({ kind: "accept", marks });
   };
   return {

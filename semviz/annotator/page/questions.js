@@ -4,7 +4,7 @@
 /** @import {Page} from "./main.js" */
 /** @import {Entry, Question} from "./values.js" */
 import { byId, el } from "/static/dom.js";
-import { drawnAgain } from "./pending.js";
+import { drawnAgain, seen, startOf } from "./pending.js";
 import { counted } from "./values.js";
 import { badge } from "./widgets.js";
 
@@ -78,11 +78,27 @@ export function samePlace(entry, { text, name, element_id: element, observation_
  */
 export function replacedLabels(entry, { text }, page) {
   const count = counted(page.outbox?.entries.length ?? 1, "edit");
+  const move = () => {
+    page.outbox?.agreeToRestored();
+    moveToRestored(entry, page);
+  };
   const answers = [
-    { title: "Make them on the restored labels", run: () => page.outbox?.moveToRestored() },
+    { title: "Make them on the restored labels", run: move },
     { title: "Discard this one", run: () => page.settle(entry.request) },
   ];
   return { entry, text: `Not saved: ${text}. ${count} kept in this page.`, answers };
+}
+
+/** Makes an edit of replaced labels on the restored ones. It overwrites what looks there as it did when the
+ * edit was made; of anything else it has seen nothing, so the server asks.
+ *
+ * @param {Entry} entry
+ * @param {Pick<Page, "state" | "outbox">} page
+ */
+export function moveToRestored(entry, { state, outbox }) {
+  const now = startOf(state.received?.frame?.elements ?? [], entry.edit);
+  const looksTheSame = now && entry.edit.seen && JSON.stringify(seen(now)) === JSON.stringify(entry.edit.seen);
+  outbox?.moveToRestored(entry, looksTheSame ? state.lastShown : { operation: 0 });
 }
 
 /** The bar below the images that asks. */

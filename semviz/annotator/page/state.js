@@ -1,7 +1,7 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
@@ -17,13 +17,17 @@ export class State {
     this.received = null; // the last summary and frame from the server
     /** @type {number | null} */
     this.frame = null; // number of the frame on screen
+    /** @type {annotator.SecondImage | null} */
+    this.wish = null; // for another second image than the usual one; see second.js
+    /** @type {"images" | "poses"} */
+    this.view = "images"; // the tab
     this.classId = 0; // for the next element
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation
     /** @type {"anchor" | "end"} */
     this.vertex = "anchor"; // which end of the selected pole the arrows move
     /** @type {Aids} */
-    this.aids = { snap: true, loupe: true, guides: true, proposals: true, bright: false, map: true, backdrop: false };
+    this.aids = { snap: true, whole: true, loupe: true, guides: true, proposals: true, bright: false, map: true, backdrop: false };
     /** @type {Brightness} */
     this.light = { ...PLAIN_LIGHT }; // of the images while the aid `bright` is on
     /** @type {annotator.PastFrame | null} */
@@ -38,6 +42,8 @@ export class State {
     this.preview = null; // guides, snapped drawing and card of the draft, from the server
     /** @type {{frame: number | null, subject: string}} */
     this.previewed = { frame: null, subject: "" }; // what `preview` is about
+    /** @type {Ghost | null} */
+    this.ghost = null; // the whole pole under the pointer or the cursor
     /** @type {string | null} */
     this.pointed = null; // the element of the proposal under the pointer
     /** @type {Set<string>} */
@@ -144,7 +150,7 @@ export class State {
     if (!this.shownFrame) return [];
     const { elements: saved, proposals } = this.shownFrame;
     if (this.past) return saved;
-    const elements = withPending(saved, this.pending, this.frame, proposals);
+    const elements = withPending(saved, this.pending, this.frame, proposals, this.second);
     if (this.dragged) {
       const { observation, anchor, end } = this.dragged;
       const target = find(elements, observation);
@@ -254,8 +260,8 @@ export class State {
     if (this.frame === null) return {};
     const here = this.received?.frame;
     if (here && here.index === this.frame) return here.panes;
-    const { frame } = this;
-    return this.hasRight ? { left: { frame, side: "left" }, right: { frame, side: "right" } } : { left: { frame, side: "left" } };
+    const pane = (/** @type {Side} */ side) => ({ frame: this.frame ?? 0, side, camera: "" });
+    return this.knowsPanes ? { left: pane("left"), right: pane("right") } : { left: pane("left") };
   }
 
   /** @param {number} id */
@@ -285,5 +291,16 @@ export class State {
 
   get hasRight() {
     return this.known?.has_right ?? false;
+  }
+
+  /** Whether the images of a frame are known before the server names them. */
+  get knowsPanes() {
+    return this.hasRight && !this.wish;
+  }
+
+  /** The frame of the second image; null for the frame's own right one, or none. */
+  get second() {
+    const { right } = this.panes;
+    return right && right.frame !== this.frame ? right.frame : null;
   }
 }

@@ -3,8 +3,9 @@
 /** @import {Hit, Images} from "./images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
-/** @import {Drawing, Proposal, Point, Side} from "./values.js" */
+/** @import {Drawing, Ghost, Proposal, Point, Side} from "./values.js" */
 import { pointerAt } from "/static/canvas.js";
+import { GhostFinder } from "./ghost.js";
 import { SIDES, uuid7 } from "./values.js";
 
 const BESIDE = 8; // CSS pixels; a press this close outside the image counts as on its border
@@ -13,17 +14,18 @@ const DRAG_FROM = 4; // CSS pixels; a shorter move is a click
 /** A press that has not ended; `held`: the observation that a drag moves, as
  * it was after operation `since`.
  * @typedef {{
- *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw",
- *   held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: {operation: number, hash: string}},
+ *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw" | "whole",
+ *   ghost?: Ghost, held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: {operation: number, hash: string}},
  * }} Press */
 
 export class Tools {
   /**
    * @param {State} state
    * @param {Images} images
-   * @param {Pick<Page, "submit" | "preview" | "mayEdit" | "notify" | "keys">} page
+   * @param {Pick<Page, "submit" | "preview" | "mayEdit" | "notify" | "keys" | "socket">} page
    */
   constructor(state, images, page) {
+    this.ghosts = new GhostFinder(state, images, page);
     this.state = state;
     this.images = images;
     this.page = page;
@@ -68,12 +70,23 @@ export class Tools {
       press.mode = "finish";
     } else {
       const hit = event.shiftKey ? null : this.images.hit(side, point);
+      const ghost = event.shiftKey ? null : this.ghosts.at(side, this.images.view.toImage(point));
       if (hit) this.#take(press, hit, event);
+      else if (ghost) Object.assign(press, { mode: "whole", ghost });
       else if (this.#begin(side, this.images.view.toImage(point), event.shiftKey)) press.mode = "draw";
     }
   }
 
   // -- with the keyboard cursor
+
+  /** Shows the whole pole under a pixel, if there is one.
+   *
+   * @param {Side} side
+   * @param {Point} pixel
+   */
+  seek(side, pixel) {
+    this.ghosts.seek(side, pixel);
+  }
 
   /** Sets a point at `pixel`, like a click: begins a drawing, or finishes it.
    *
@@ -82,10 +95,13 @@ export class Tools {
    */
   setPoint(side, pixel) {
     const { drawing } = this.state;
+    const ghost = this.ghosts.at(side, pixel);
     if (drawing && drawing.side !== side) {
       this.cancel();
     } else if (drawing) {
       this.#finish(drawing, pixel);
+    } else if (ghost) {
+      this.#saveWhole(ghost);
     } else {
       const started = this.#begin(side, pixel);
       if (started && !started.end) this.#save(started, pixel, null);
@@ -143,6 +159,7 @@ export class Tools {
     const drawing = {
       side, class: id, anchor, end: isLine ? anchor : null, anchor_known: true, end_known: isLine, asks_bottom: isLine, on_top: onTop,
     };
+    this.ghosts.drop();
     this.state.set({ drawing });
     this.page.preview();
     return drawing;
@@ -162,6 +179,8 @@ export class Tools {
     if (press?.mode === "pan") {
       this.images.panBy(point[0] - press.last[0], point[1] - press.last[1]);
       press.last = point;
+    } else if (press?.mode === "whole") {
+      if (press.moved && this.#begin(side, this.images.view.toImage(press.start))) press.mode = "draw"; // a stroke
     } else if (press?.mode === "drag" && press.moved && this.page.mayEdit()) {
       this.#drag(side, press, point);
     } else if (this.state.drawing?.side === side) {
@@ -216,7 +235,10 @@ export class Tools {
     const hit = this.images.hit(side, point);
     this.images.hovered = hit;
     this.images.canvas(side).style.cursor = hit ? "grab" : "crosshair";
-    this.#point(this.images.hitProposal(side, point));
+    const proposal = this.images.hitProposal(side, point);
+    this.#point(proposal);
+    if (hit || proposal || this.press) this.ghosts.drop();
+    else this.ghosts.seek(side, this.images.view.toImage(point));
   }
 
   /** Makes the proposal under the pointer the current one.
@@ -238,6 +260,7 @@ export class Tools {
     this.press = null;
     if (!press) return;
     if (press.mode === "drag" && dragged) this.#drop(dragged, press.held?.since);
+    else if (press.mode === "whole" && press.ghost) this.#saveWhole(press.ghost);
     else if (press.mode === "draw" && drawing) this.#released(press, drawing);
     else if (press.mode === "finish" && drawing?.side === side) {
       this.#finish(drawing, this.images.view.toImage(pointerAt(event)));
@@ -305,6 +328,7 @@ export class Tools {
       element_id: element,
       frame_index: this.state.frame ?? 0,
       side,
+      second: this.state.second,
       class_id: id,
       anchor_px: anchor,
       end_px: end,
@@ -318,6 +342,32 @@ export class Tools {
     });
   }
 
+  /** Saves the whole pole as it is shown.
+   *
+   * @param {Ghost} ghost
+   */
+  #saveWhole({ side, class: id, anchor, end, anchor_known, end_known }) {
+    this.ghosts.drop();
+    if (!this.page.mayEdit()) return;
+    this.page.submit({
+      kind: "draw",
+      observation_id: uuid7(),
+      element_id: uuid7(),
+      frame_index: this.state.frame ?? 0,
+      side,
+      class_id: id,
+      anchor_px: anchor,
+      end_px: end,
+      anchor_known,
+      end_known,
+      selected_id: this.state.selected?.element ?? null,
+      is_chosen: this.state.isChosen,
+      asks_same: true,
+      snap: false,
+      asks_bottom: false,
+    });
+  }
+
   #cancelPress() {
     this.press = null;
     this.state.set({ dragged: null });
@@ -328,6 +378,7 @@ export class Tools {
     this.images.pointer = null;
     this.images.hovered = null;
     this.#point(null);
+    this.ghosts.drop();
     this.images.repaint();
   }
 

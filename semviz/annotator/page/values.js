@@ -20,7 +20,7 @@
  *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, unsaved?: boolean}} ShownElement */
 
 /** Where on the page an edit was made.
- * @typedef {{frame: number | null, side: Side, class: number}} ShownAt */
+ * @typedef {{frame: number | null, side: Side, second?: number | null, class: number}} ShownAt */
 /** An observation with its element.
  * @typedef {{element: ShownElement, side: Side, observation: Observation}} LocatedObservation */
 
@@ -30,13 +30,16 @@
 /** An unfinished drawing; `box`: two corners of a sign's box; `on_top`: it may lie on an element.
  * @typedef {{side: Side, class: number, anchor: Point, end: Point | null, box?: [Point, Point],
  *   anchor_known: boolean, end_known: boolean, asks_bottom: boolean, on_top?: boolean}} Drawing */
+/** The whole pole that a click would take; `joins`: the element that it would be of.
+ * @typedef {{side: Side, frame: number, class: number, anchor: Point, end: Point,
+ *   anchor_known: boolean, end_known: boolean, joins: string | null}} Ghost */
 /** The observation being dragged; an end that the drag does not move is null.
  * @typedef {{observation: string, anchor: Point | null, end: Point | null}} Dragged */
 /** The ends by which a mark of a track was replaced before it is accepted; `track`: the track's id.
  * @typedef {{track: string, anchor: Point, end: Point | null}} Correction */
 /** The selection; `also`: a second element, to be linked.
  * @typedef {{element: string, side: Side, also?: string | null}} Selected */
-/** @typedef {{snap: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
+/** @typedef {{snap: boolean, whole: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
 /** @typedef {{brightness: number, contrast: number}} Brightness */
 /** A refused edit, and what the user may answer; the edit waits until then.
  * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[]}} Question */
@@ -73,7 +76,7 @@ export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g
  */
 export const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
 
-/** A score with two decimals, rounded down: 0.798 is below the confident 0.80.
+/** A score with two decimals, rounded down: 0.898 is below the confident 0.90.
  *
  * @param {number} score
  */

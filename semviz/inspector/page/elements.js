@@ -1,5 +1,5 @@
 // @ts-check
-/* The tab "Elements": faults of the map and the camera, and each map element over the run. */
+/* The tab "Elements": faults of priors, map and camera, and each map element over the run. */
 
 import { byId, el, fixed } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
@@ -125,7 +125,7 @@ export class ElementList {
   /** @param {RunFindings} findings */
   faults({ faults, compared }) {
     const about = `in ${compared} ${compared === 1 ? "frame" : "frames"} with a pose`;
-    if (!faults.length) return [el("p", {}, "No faults of the map or the camera ", el("span", { class: "dim", text: about }), ".")];
+    if (!faults.length) return [el("p", {}, "No faults of priors, map or camera ", el("span", { class: "dim", text: about }), ".")];
     return [el("h4", { text: "Faults over the run", title: about }), ...faults.map((fault) => this.fault(fault))];
   }
 

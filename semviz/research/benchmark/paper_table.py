@@ -7,7 +7,7 @@ Using Learned 2D-3D Point-Line Correspondences. IEEE Robotics and Automation Let
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from semviz.presentation.tables import Table, figure, percent
+from semviz.presentation.terminal import Table, figure, percent
 from semviz_core.metrics.pose_errors import Spread
 from semviz_core.research.evaluation.outcomes import ALL, Row
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from semviz.presentation import plots
-from semviz.presentation.tables import Table, figure, percent
+from semviz.presentation.terminal import Table, figure, percent
 from semviz.research.benchmark import paper_table
 from semviz_core.common.files import replacing
 from semviz_core.metrics.pose_errors import Outcome

@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import IO, Any
 
 import semviz_core
-from semviz.presentation.progress import announce_compiling, track
+from semviz.presentation.terminal import announce_compiling, track
 from semviz.research.benchmark.suites import (
     SEQUENCE_FRAMES,
     Kind,

@@ -102,6 +102,16 @@ export interface Card {
   epipolar_px: number | null;
 }
 
+/** Choose what to do with the poses of a stretch; its ``id`` is stored, so a request that is sent twice is applied once. */
+export interface ChoosePosesRequest {
+  type: "choose_poses";
+  id: string;
+  choice: "refine" | "leave out" | "keep" | "ask";
+  first: number;
+  last: number;
+  subject: "frames" | "axes" | "time" | "heights" | "baseline" | "right image";
+}
+
 /** Close the open entry. */
 export interface CloseReviewRequest {
   type: "close_review";
@@ -195,6 +205,7 @@ export interface DraftState {
   selected_id?: string | null;
   is_chosen?: boolean;
   side?: "left" | "right";
+  second?: number | null;
   drawing?: ElementDraft | null;
   moved?: Record<string, [[number, number], [number, number] | null]>;
 }
@@ -205,6 +216,7 @@ export interface DrawEdit {
   element_id: string;
   frame_index: number;
   side: "left" | "right";
+  second?: number | null;
   anchor_px: [number, number];
   end_px?: [number, number] | null;
   anchor_known?: boolean;
@@ -224,6 +236,7 @@ export interface DrawnMark {
   element_id: string;
   frame_index: number;
   side: "left" | "right";
+  second?: number | null;
   anchor_px: [number, number];
   end_px?: [number, number] | null;
   anchor_known?: boolean;
@@ -278,6 +291,7 @@ export interface ElementDraft {
   end_known?: boolean;
   snap?: boolean;
   asks_bottom?: boolean;
+  whole?: boolean;
 }
 
 /** An element labelled in the images on the page, with its observations there. */
@@ -343,6 +357,7 @@ export interface GoToFrameRequest {
   type: "go_to_frame";
   id: string;
   frame: number;
+  second?: SecondImage | null;
 }
 
 /** An epipolar line as a polyline: in the whole image, and at plausible depths only. */
@@ -378,6 +393,7 @@ export interface LabelledFrameView {
   operation: number;
   hash: string;
   panes: Partial<Record<"left" | "right", PaneView>>;
+  at_that_time: Record<string, number>;
   elements: Array<ElementView>;
   proposals: Array<ProposalView>;
   nearby: Array<NearbyView>;
@@ -436,6 +452,16 @@ export interface MoveObservation {
   kind: "move";
 }
 
+/** An element that refining moves. */
+export interface MovedElement {
+  id: string;
+  name: string;
+  class_id: number;
+  moved_m: number;
+  before_px: number | null;
+  after_px: number | null;
+}
+
 /** Name the present state. */
 export interface NameEdit {
   kind: "name";
@@ -489,6 +515,7 @@ export interface OperationsEvent {
 export interface PaneView {
   frame: number;
   side: "left" | "right";
+  camera: string;
 }
 
 /** A frame as it was after operation number ``operation``; ``done`` describes it, None for 0. */
@@ -503,6 +530,81 @@ export interface PastFrameEvent {
   type: "past_frame";
   reply_to: string | null;
   past: PastFrame;
+}
+
+/** What a person may choose, and what it costs. */
+export interface PoseAnswer {
+  choice: "refine" | "leave out" | "keep" | "ask";
+  title: string;
+  price: string;
+  preview: string;
+  refusal: string;
+}
+
+/** A figure before and after refining. */
+export interface PoseEffect {
+  name: string;
+  before: string;
+  after: string;
+}
+
+/** A line of facts about a stretch. */
+export interface PoseFact {
+  name: string;
+  value: string;
+}
+
+/** The elements of a frame under the given and the refined pose. */
+export interface PoseFrameEvent {
+  type: "pose_frame";
+  reply_to: string | null;
+  frame: number;
+  stretch: number;
+  marks: Array<PoseMark>;
+}
+
+/** An element in the left image: the label, and the map under the given and the refined pose. */
+export interface PoseMark {
+  id: string;
+  name: string;
+  class_id: number;
+  label: [[number, number], [number, number] | null];
+  before: [[number, number], [number, number] | null] | null;
+  after: [[number, number], [number, number] | null] | null;
+  before_px: number | null;
+  after_px: number | null;
+}
+
+/** A choice for poses is on disk; the workspace is sent again with the chosen poses. */
+export interface PosesChosenEvent {
+  type: "poses_chosen";
+  reply_to: string | null;
+  text: string;
+}
+
+/** How the poses compare with the images, as far as that is known. */
+export interface PosesEvent {
+  type: "poses";
+  reply_to: string | null;
+  state: "unknown" | "working" | "ready" | "failed";
+  done: number;
+  total: number;
+  seconds: number;
+  failure: string;
+  poses: PosesView | null;
+}
+
+/** All frames of a drive, and its faults. */
+export interface PosesView {
+  frames: Array<number>;
+  shift_px: Array<number | null>;
+  turn_deg: Array<number | null>;
+  refined_deg: Array<number | null>;
+  turn_words: [string, string];
+  alone_px: Array<number | null>;
+  stretches: Array<StretchView>;
+  open: number;
+  sentence: string;
 }
 
 /** Request guides and numbers of a draft. */
@@ -634,6 +736,12 @@ export interface SceneEvent {
   reply_to: string | null;
 }
 
+/** The wish for another second image than the usual one. */
+export interface SecondImage {
+  camera?: string | null;
+  step?: number | null;
+}
+
 /** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
 export interface SetBackdropRequest {
   type: "set_backdrop";
@@ -669,6 +777,21 @@ export interface ShowPastFrameRequest {
   id: string;
   operation: number;
   frame: number;
+  second?: number | null;
+}
+
+/** Request the elements of a frame under the given and the refined pose. */
+export interface ShowPoseFrameRequest {
+  type: "show_pose_frame";
+  id: string;
+  frame: number;
+  stretch: number;
+}
+
+/** Compare the poses with the images, unless that is done; ``poses`` events follow. */
+export interface ShowPosesRequest {
+  type: "show_poses";
+  id: string;
 }
 
 /** Open the entry of a list ``by`` places after the one with ``key``. */
@@ -694,6 +817,23 @@ export interface SnappedMark {
 export interface StopMapBuildRequest {
   type: "stop_map_build";
   id: string;
+}
+
+/** A fault of poses: what is wrong, what can be done, and what that changes. */
+export interface StretchView {
+  first: number;
+  last: number;
+  subject: "frames" | "axes" | "time" | "heights" | "baseline" | "right image";
+  where: string;
+  title: string;
+  sentence: string;
+  sigmas: number | null;
+  facts: Array<PoseFact>;
+  answers: Array<PoseAnswer>;
+  effects: Array<PoseEffect>;
+  moved: Array<MovedElement>;
+  chosen: "refine" | "leave out" | "keep" | "ask" | null;
+  chosen_by: string;
 }
 
 /** Swap the peak and the bottom of a pole. */
@@ -749,6 +889,7 @@ export interface WorkspaceView {
   triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
   has_right: boolean;
+  cameras: Array<string>;
 }
 
 /** The label furthest from the projection of its element. */
@@ -760,6 +901,7 @@ export interface WorstLabel {
 export interface Requests {
   apply_edit: ApplyEditRequest;
   build_map: BuildMapRequest;
+  choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
   go_to_frame: GoToFrameRequest;
   list_named_states: ListNamedStatesRequest;
@@ -768,6 +910,8 @@ export interface Requests {
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
   show_past_frame: ShowPastFrameRequest;
+  show_pose_frame: ShowPoseFrameRequest;
+  show_poses: ShowPosesRequest;
   show_review: ShowReviewRequest;
   stop_map_build: StopMapBuildRequest;
 }
@@ -785,6 +929,9 @@ export interface Events {
   named_states: NamedStatesEvent;
   operations: OperationsEvent;
   past_frame: PastFrameEvent;
+  pose_frame: PoseFrameEvent;
+  poses: PosesEvent;
+  poses_chosen: PosesChosenEvent;
   review: ReviewEvent;
   saved_operation: SavedOperationEvent;
   scene: SceneEvent;

@@ -5,7 +5,7 @@ labels, in memory, as a label element whose observations have the ids of its det
 building, decisions and lint treat labels and detections alike.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,16 +24,24 @@ from semviz_annotation.mapping.association.detected_drive import (
     TRACK_NUMBER,
     DetectedDrive,
     as_observation,
+    sigma_ratio_of,
+    without_rejected,
 )
-from semviz_annotation.mapping.association.ground_rays import AgreedEnds, agreed_ends
+from semviz_annotation.mapping.association.ground_rays import (
+    AgreedEnds,
+    GroundRays,
+    agreed_ends,
+)
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.not_landmarks import moving_tracks
-from semviz_annotation.mapping.association.rejected_tracks import without_rejected
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
-from semviz_annotation.mapping.placement.observations import ObservationArray
-from semviz_annotation.mapping.placement.triangulation import triangulate_landmarks
-from semviz_core.base.detector_calibration import DetectorCalibration
+from semviz_annotation.mapping.placement.observations import (
+    ObservationArray,
+    gather_observations,
+)
+from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
+from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -43,11 +51,13 @@ __all__ = [
     "TRACK_NUMBER",
     "DetectionCounts",
     "JoinedDetections",
+    "LabelsOfMap",
     "TrackOptions",
     "detection_labels",
     "labels_of_map",
 ]
 
+_NOWHERE: FloatArray = np.full(2, np.nan)
 _WITHIN_A_PASS = 0.4
 """Error of poses from frame to frame, relative to that between two passes."""
 
@@ -129,6 +139,14 @@ class JoinedDetections(NamedTuple):
     log_odds: dict[str, float]
     """Log-odds that the landmark of a track exists, by id of its label element."""
     counts: DetectionCounts
+
+
+class LabelsOfMap(NamedTuple):
+    """Labels, and the tracks of a map of detections, as the map was built from them."""
+
+    labels: Labels
+    sigma_ratio: dict[str, tuple[float, float]]
+    """For ``collect_observations``, by id of the detection."""
 
 
 def detection_labels(
@@ -316,28 +334,64 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
     return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
 
 
-def labels_of_map(labels: Labels, semantic_map: SemanticMap, detections: Proposals) -> Labels:
+def labels_of_map(
+    labels: Labels, semantic_map: SemanticMap, detections: Proposals, source: Dataset
+) -> LabelsOfMap:
     """Return ``labels`` with the tracks of a map of detections, as the map was built from them.
 
-    Tracks of detections that are gone, or labels by now, are left out.
+    Tracks of detections that are gone, or labels by now, are left out. As in building, an end that
+    the other detections of its pole contradict is unknown.
     """
     row_of = {id_: row for row, id_ in enumerate(detections.id)}
     rows: list[Row] = list(labels.rows())
+    seen: list[Proposal] = []
+    at_m: dict[int, FloatArray] = {}
     elements = semantic_map.elements
-    for number, class_id, source in zip(
-        elements.id.tolist(), elements.class_id.tolist(), semantic_map.provenance, strict=True
+    for row, (number, class_id) in enumerate(
+        zip(elements.id.tolist(), elements.class_id.tolist(), strict=True)
     ):
+        origin = semantic_map.provenance[row]
         new = [
             detections[row_of[id_]].following(labels.triangle_center)
-            for id_ in source.observation_ids
+            for id_ in origin.observation_ids
             if id_ in row_of and id_ not in labels.observations
         ]
-        labelled = [id_ for id_ in source.label_ids if id_ in labels.elements]
-        element_id = (labelled or source.label_ids)[0]
+        labelled = [id_ for id_ in origin.label_ids if id_ in labels.elements]
+        element_id = (labelled or origin.label_ids)[0]
         if new and not labelled:
             rows.append(LabelElement(element_id, number, class_id))
-        rows += (replace(as_observation(row), element_id=element_id) for row in new)
-    return labels.with_rows(rows)
+            at_m[number] = elements.anchor_m[row, :2]
+        rows += (replace(as_observation(found), element_id=element_id) for found in new)
+        seen += new
+    return _with_agreed_ends(labels.with_rows(rows), at_m, seen, source)
+
+
+def _with_agreed_ends(
+    labels: Labels, at_m: Mapping[int, FloatArray], seen: Sequence[Proposal], source: Dataset
+) -> LabelsOfMap:
+    """Return ``labels`` with unknown ends where others of their track contradict them.
+
+    ``at_m`` tells where each track stands, by its number; ``seen`` are their detections.
+    """
+    if not at_m:
+        return LabelsOfMap(labels, {})
+    sigma_px = PlaceOptions().sigma_px
+    ratios = {row.id: sigma_ratio_of(row, sigma_px) for row in seen}
+    gathered = gather_observations(labels, source, sigma_ratio=ratios)
+    places = np.array([at_m.get(element.number, _NOWHERE) for element in gathered.elements])
+    track = gathered.observations.landmark
+    track = np.where(np.isfinite(places[track, 0]), track, -1)
+    ends = agreed_ends(
+        GroundRays.of(gathered.views, gathered.observations, sigma_px), track, places
+    )
+    changed = {}
+    for row in np.flatnonzero(track >= 0).tolist():
+        label = gathered.label_rows[row]
+        changed[label.id] = _observation(label, label.element_id, ends.known[row])
+        across, along = ratios[label.id]
+        ratios[label.id] = across, along * float(ends.spread[row])
+    others = (row for row in labels.rows() if getattr(row, "id", None) not in changed)
+    return LabelsOfMap(labels.with_rows([*others, *changed.values()]), ratios)
 
 
 def _track_id(detection_id: str, labels: Labels) -> str:

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.association import shared_observations
 from semviz_annotation.mapping.association.candidates import insufficient_observations
-from semviz_annotation.mapping.association.merging import LinkOptions, TrackMerging, placed_near
+from semviz_annotation.mapping.association.merging import (
+    LinkOptions,
+    TrackMerging,
+    find_outliers,
+    main_first,
+    parts,
+    placed_near,
+)
 from semviz_annotation.mapping.association.nodes import (
     LEFT_OUT,
     CannotLink,
@@ -23,7 +30,6 @@ from semviz_annotation.mapping.association.nodes import (
     TrackNodes,
     cannot_link_constraints,
 )
-from semviz_annotation.mapping.association.outliers import find_outliers, main_first, parts
 from semviz_annotation.mapping.placement import triangulation
 from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions, bundle_adjust
 from semviz_annotation.mapping.placement.landmarks import Landmarks, replaced, uprighted

@@ -239,16 +239,33 @@ def undistorted(camera: Camera, pixels_px: FloatArray) -> FloatArray:
 
 def _posed(labels: Labels, source: Dataset, frames: Collection[int] | None) -> dict[int, Pose]:
     """Return ``T_map_camera`` of the chosen frames with a pose, by index."""
+    labelled_poses(labels, source, frames)
     poses = {frame.index: frame.T_map_camera for frame in source.frames}
     chosen = set(poses) if frames is None else set(frames)
-    for index in labels.frames:
-        if frames is not None and index not in chosen:
-            continue
-        if index not in poses:
-            raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")
-        if poses[index] is None:
-            raise SemvizError(f"frame {index} is labelled but has no pose; a map needs true poses")
     return {index: pose for index, pose in poses.items() if index in chosen and pose is not None}
+
+
+def labelled_poses(
+    labels: Labels, source: Dataset, frames: Collection[int] | None
+) -> dict[int, Pose]:
+    """Return ``T_map_camera`` of the labelled frames in ``frames`` (None: all), by index.
+
+    Without those that a person left out. Raise SemvizError if another one is not in the source, or
+    has no pose.
+    """
+    known = {frame.index: frame for frame in source.frames}
+    poses: dict[int, Pose] = {}
+    for index in labels.frames:
+        if frames is not None and index not in frames:
+            continue
+        frame = known.get(index)
+        if frame is None:
+            raise SemvizError(f"frame {index} is labelled but not in this sequence; wrong source?")
+        if frame.T_map_camera is not None:
+            poses[index] = frame.T_map_camera
+        elif not frame.left_out:
+            raise SemvizError(f"frame {index} is labelled but has no pose; a map needs true poses")
+    return poses
 
 
 def _check_twice(rows: Sequence[Observation]) -> None:

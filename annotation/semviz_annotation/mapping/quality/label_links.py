@@ -5,9 +5,10 @@ different coordinate frames are refused.
 """
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -82,8 +83,11 @@ def associate_labels(
     labels: Labels,
     source: Dataset,
     frames: Collection[int] | None = None,
+    sigma_ratio: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> LabelAssociation | None:
     """Return the labels of the map's elements in ``frames`` (None: all).
+
+    ``sigma_ratio`` is that of ``collect_observations``.
 
     Return None if no element of the map is labelled twice there. Raise SemvizError like
     ``collect_observations``, and if the map is of another frame.
@@ -99,7 +103,7 @@ def associate_labels(
     )
     if max(views.values(), default=0) < 2:
         return None
-    gathered = collect_observations(labels, source, frames)
+    gathered = collect_observations(labels, source, frames, sigma_ratio)
     observations = gathered.observations
     landmark = np.array(
         [rows.row(observation) for observation in gathered.label_rows], dtype=np.int64

@@ -12,10 +12,13 @@ Kalibr's camchain, ROS's camera_info, EuRoC's sensor.yaml, OpenCV's YAML and an 
     T_right_left = [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0]]   # above [left]; stereo
     T_body_left = ...                        # if poses are those of a body, such as an IMU
 
+A rig of several cameras has a table for each, ``[cameras.front]``, with the same and
+``T_body_camera`` for any body, such as the first camera.
+
 All count pixels as semviz does. What a reader cannot know is refused, never guessed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,6 +66,8 @@ class CalibrationFile:
     """From the left camera to the body (IMU) that the file knows; None if it knows none."""
     rectified: tuple[Pose | None, float] = (None, 0.0)
     """Of ROS: rotation to the rectified axes, and the offset along x (m) in its projection."""
+    T_first_left: Pose | None = None
+    """Of a rig: from this camera to its first one; None: their poses in the body say it, if any."""
 
 
 def read_calibration(path: Path, right: Path | None = None) -> CalibrationFile:
@@ -74,6 +79,28 @@ def read_calibration(path: Path, right: Path | None = None) -> CalibrationFile:
     if right is None:
         return left_file
     return stereo_calibration(left_file, _read_file(right))
+
+
+def read_rig_calibration(path: Path, names: Sequence[str], name: str) -> CalibrationFile:
+    """Return the calibration of one camera of a rig, from a file of all, or a folder of files.
+
+    Of Kalibr, ``cam0`` is the first of ``names``; files in a folder are called like their cameras.
+    Raise SemvizError as ``read_calibration`` does, or if the camera is not there.
+    """
+    if path.is_dir():
+        found = sorted(file for file in path.iterdir() if file.stem == name)
+        if len(found) != 1:
+            raise SemvizError(f"{path}: {len(found)} files {shown(name, 60)}.*; give one a camera")
+        return _read_file(found[0])
+    if path.suffix == ".toml":
+        return _own_of_rig(path, read_toml(path), name)
+    content = read_yaml(path) if path.is_file() else {}
+    if "cam0" not in content:
+        raise SemvizError(
+            f"{path}: not a calibration of a rig: give a Kalibr camchain, semviz's TOML with "
+            f"[cameras.{shown(name, 60)}], or a folder with a file for each camera"
+        )
+    return _kalibr_of_rig(path, content, names.index(name))
 
 
 def stereo_calibration(left: CalibrationFile, right: CalibrationFile) -> CalibrationFile:
@@ -178,22 +205,11 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     known = {"left", "right", "T_right_left", "T_body_left"}
     if unknown := sorted(content.keys() - known):
         raise SemvizError(f"{path}: unknown {shown(unknown[0])}; it may hold {sorted(known)}")
-    cameras = []
-    for side in ("left", "right"):
-        if side in content or side == "left":
-            where, table = f"{path}, [{side}]", content.get(side, {})
-            if not isinstance(table, dict):
-                raise SemvizError(f"{where}: not a table; see docs/own-drive.md")
-            numbers = np.concatenate(
-                [
-                    numbers_of(_needed(table, where, name), (2,), f"{where}, {name}")
-                    for name in ("focal_px", "center_px")
-                ]
-            )
-            size = numbers_of(_needed(table, where, "size_px"), (2,), f"{where}, size_px")
-            distortion = numbers_of(table.get("distortion", []), (None,), f"{where}, distortion")
-            model = _model(path, _needed(table, where, "model"))
-            cameras.append(_camera(where, model, size, numbers, distortion))
+    cameras = [
+        _own_camera(path, f"{path}, [{side}]", content.get(side, {}))
+        for side in ("left", "right")
+        if side in content or side == "left"
+    ]
     T_right_left, T_body_left = (
         _pose(content[name], f"{path}, {name}") if name in content else None
         for name in ("T_right_left", "T_body_left")
@@ -203,28 +219,75 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     return CalibrationFile(path, "semviz", tuple(cameras), T_right_left, T_body_left)
 
 
+def _own_camera(path: Path, where: str, table: Any) -> OriginalCamera:
+    if not isinstance(table, dict):
+        raise SemvizError(f"{where}: not a table; see docs/own-drive.md")
+    numbers = np.concatenate(
+        [
+            numbers_of(_needed(table, where, name), (2,), f"{where}, {name}")
+            for name in ("focal_px", "center_px")
+        ]
+    )
+    size = numbers_of(_needed(table, where, "size_px"), (2,), f"{where}, size_px")
+    distortion = numbers_of(table.get("distortion", []), (None,), f"{where}, distortion")
+    model = _model(path, _needed(table, where, "model"))
+    return _camera(where, model, size, numbers, distortion)
+
+
+def _own_of_rig(path: Path, content: Mapping[str, Any], name: str) -> CalibrationFile:
+    cameras = content.get("cameras")
+    if not isinstance(cameras, dict) or name not in cameras:
+        raise SemvizError(f"{path}: no table [cameras.{shown(name, 60)}]; see docs/own-drive.md")
+    where = f"{path}, [cameras.{shown(name, 60)}]"
+    camera = _own_camera(path, where, cameras[name])
+    T = cameras[name].get("T_body_camera")
+    T_body_camera = None if T is None else _pose(T, f"{where}, T_body_camera")
+    return CalibrationFile(path, "semviz", (camera,), None, T_body_camera)
+
+
 def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     """Read a camchain: the name of a key says the direction of the pose."""
-    cameras, T_body_camera = [], []
-    tables = [content[f"cam{number}"] for number in range(2) if f"cam{number}" in content]
-    for number, table in enumerate(tables):
-        where = f"{path}, cam{number}"
-        if not isinstance(table, dict):
-            raise SemvizError(f"{where}: not a mapping; repair it")
-        if table.get("camera_model", "pinhole") != "pinhole":
-            raise _unknown_model(path, str(table["camera_model"]))
-        cameras.append(_listed_camera(path, where, table, "distortion_coeffs"))
-        T_body_camera.append(_imu_from_camera(table, where))
+    left = _kalibr_of_rig(path, content, 0)
+    if "cam1" not in content:
+        return left
+    right = _kalibr_of_rig(path, content, 1)
     T_right_left = None
-    if len(tables) == 2:
-        before = tables[1].get("T_cn_cnm1")
-        if before is not None:
-            T_right_left = _pose(before, f"{path}, cam1, T_cn_cnm1")
-        elif T_body_camera[0] is not None and T_body_camera[1] is not None:
-            T_right_left = T_body_camera[1].inverse() @ T_body_camera[0]
+    if right.T_first_left is not None:
+        T_right_left = right.T_first_left.inverse()
+    elif left.T_body_left is not None and right.T_body_left is not None:
+        T_right_left = right.T_body_left.inverse() @ left.T_body_left
+    else:
+        return left
+    return replace(left, cameras=left.cameras + right.cameras, T_right_left=T_right_left)
+
+
+def _kalibr_table(path: Path, content: Mapping[str, Any], number: int) -> Mapping[str, Any]:
+    table = content.get(f"cam{number}")
+    if not isinstance(table, dict):
+        raise SemvizError(f"{path}, cam{number}: missing, or not a mapping; repair it")
+    return table
+
+
+def _kalibr_of_rig(path: Path, content: Mapping[str, Any], number: int) -> CalibrationFile:
+    """Return the calibration of one camera of a chain."""
+    where = f"{path}, cam{number}"
+    tables = [_kalibr_table(path, content, other) for other in range(number + 1)]
+    table = tables[number]
+    if table.get("camera_model", "pinhole") != "pinhole":
+        raise _unknown_model(path, str(table["camera_model"]))
+    camera = _listed_camera(path, where, table, "distortion_coeffs")
+    T_first_camera: Pose | None = Pose.identity()
+    for other, chained in enumerate(tables[1:], 1):
+        before = chained.get("T_cn_cnm1")
+        if before is None or T_first_camera is None:
+            T_first_camera = None
         else:
-            cameras = cameras[:1]
-    return CalibrationFile(path, "Kalibr", tuple(cameras), T_right_left, T_body_camera[0])
+            T_camera_before = _pose(before, f"{path}, cam{other}, T_cn_cnm1")
+            T_first_camera = T_first_camera @ T_camera_before.inverse()
+    T_body_camera = _imu_from_camera(table, where)
+    return CalibrationFile(
+        path, "Kalibr", (camera,), None, T_body_camera, T_first_left=T_first_camera
+    )
 
 
 def _imu_from_camera(table: Mapping[str, Any], where: str) -> Pose | None:

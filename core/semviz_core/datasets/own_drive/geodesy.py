@@ -44,6 +44,20 @@ def east_north_up(position_m: FloatArray) -> Pose:
     return Pose(R, -R @ position_m)
 
 
+def map_on_earth(origin: tuple[float, float, float], x_heading_deg: float) -> Pose:
+    """Return T_map_ecef of a map, by latitude, longitude (deg) and height (m) of its origin.
+
+    ``x_heading_deg`` is the compass direction of the map's x axis; its z axis is up.
+    """
+    latitude, longitude, height_m = (np.array([value]) for value in origin)
+    place = earth_centred(np.deg2rad(latitude), np.deg2rad(longitude), height_m)[0]
+    turn = np.deg2rad(x_heading_deg - 90.0)  # clockwise from east
+    R_map_enu = np.array(
+        [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    return Pose(R_map_enu, np.zeros(3)) @ east_north_up(place)
+
+
 def axes_at(latitude_rad: float, longitude_rad: float) -> FloatArray:
     """Return (3, 3) from ECEF axes to east, north and up at a place."""
     sin_lat, cos_lat = np.sin(latitude_rad), np.cos(latitude_rad)

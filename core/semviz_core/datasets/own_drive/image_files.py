@@ -37,6 +37,8 @@ class LeftOutImage:
     """None: not known."""
     reason: str
     """For people."""
+    camera: str = ""
+    """Of a rig."""
 
 
 @dataclass(frozen=True)

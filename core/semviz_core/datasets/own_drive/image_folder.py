@@ -1,20 +1,24 @@
-"""A ``Dataset`` of a folder of images, or of two for stereo, rectified as they are asked for."""
+"""A ``Dataset`` of a folder of images, of two for stereo, or of the folders of a rig's cameras.
+
+Images are rectified as they are asked for.
+"""
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame, Side
+from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import read_image
-from semviz_core.datasets.own_drive.rectification import RectifiedRig
+from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
 
 _PNG_LEVEL = 1
 """Larger levels take several times as long, for a tenth less space."""
@@ -40,10 +44,20 @@ class ImageFolder:
     rectified: RectifiedRig
     cache: Path
     """Folder of rectified images, made when needed."""
+    camera_of: Mapping[int, str] = field(default_factory=dict)
+    """Of a rig: the name of each frame's camera. Empty for one camera or a stereo pair."""
+    mounts: Mapping[str, Pose] = field(default_factory=dict)
+    """Of a rig: ``T_first_camera`` by name, of those that are known."""
+    rectified_cameras: Mapping[str, RectifiedRig] = field(default_factory=dict)
+    """Of a rig, by name; all have the same camera."""
 
     @property
     def rig(self) -> Rig:
         return self.rectified.rig
+
+    def with_frames(self, frames: tuple[Frame, ...]) -> "ImageFolder":
+        """Return the same images with other poses; ``frames`` have the same numbers."""
+        return replace(self, frames=frames)
 
     def image(self, index: int, side: Side) -> ByteImage:
         """Return (height, width, 3) sRGB of the rectified image of frame ``index``.
@@ -51,13 +65,13 @@ class ImageFolder:
         Raise SemvizError if the recorded image is missing, unreadable or of another size.
         """
         path = self.image_path(index, side)
-        camera = self.rectified.of(side).camera
+        camera = self.rectification(index, side).camera
         return _read_image(path, camera.width, camera.height)
 
     def image_path(self, index: int, side: Side) -> Path:
         """Return the path of a rectified image, which is made if it is missing."""
         original = self.original_path(index, side)
-        rectification = self.rectified.of(side)
+        rectification = self.rectification(index, side)
         if rectification.is_identity:
             return original
         path = self.cache / side / f"{index:06d}.png"
@@ -93,9 +107,15 @@ class ImageFolder:
             raise SemvizError(f"{path}: no such image; copy it there again")
         return path
 
-    def to_original(self, pixels_px: FloatArray, side: Side) -> FloatArray:
+    def rectification(self, index: int, side: Side) -> Rectification:
+        """Return how an image is rectified. Raise SemvizError for a side not there."""
+        camera = self.camera_of.get(index)
+        rectified = self.rectified if camera is None else self.rectified_cameras[camera]
+        return rectified.of(side)
+
+    def to_original(self, pixels_px: FloatArray, index: int, side: Side) -> FloatArray:
         """Return pixels (n, 2) of the recorded image at pixels (n, 2) of the rectified one."""
-        return self.rectified.of(side).to_original(pixels_px)
+        return self.rectification(index, side).to_original(pixels_px)
 
 
 def _read_image(path: Path, width: int, height: int) -> ByteImage:

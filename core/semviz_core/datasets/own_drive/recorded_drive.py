@@ -1,10 +1,11 @@
 """Read a whole drive: images, calibration, times and poses, and state what was taken for granted.
 
-`recorded_cameras` reads the cameras; here images get their times and poses.
+`recorded_images` reads one camera or a stereo pair; here the cameras of a rig come together: with
+one pinhole camera for all rectified images, and one map.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,28 +13,40 @@ import numpy as np
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.adapters.comma2k19 import is_comma, read_comma_poses
-from semviz_core.datasets.own_drive.adapters.registry import read_recording
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
-from semviz_core.datasets.own_drive.image_files import (
-    ImageNames,
-    ImageTimes,
-    LeftOutImage,
-    read_times,
-    times_from_names,
-)
+from semviz_core.datasets.own_drive.image_files import ImageTimes, LeftOutImage
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.nerfstudio import read_nerfstudio
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import read_cameras, rows_of_images
-from semviz_core.datasets.own_drive.recorded_poses import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.recording import Recording
-from semviz_core.datasets.own_drive.rectification import RectifiedRig, rectify_rig
-from semviz_core.datasets.own_drive.time_matching import poses_at_times, why_without_pose
+from semviz_core.datasets.own_drive.recorded_images import (
+    Reading,
+    RecordedImages,
+    Statements,
+    body_from_camera,
+    not_imported,
+    read_image_times,
+    read_images,
+    read_world_poses,
+    without_pose,
+)
+from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.own_drive.rectification import (
+    RectifiedRig,
+    rectify_cameras,
+    rectify_rig,
+)
+
+_LOST_VIEW = 0.75
+"""A camera of a rig that keeps less of its field of view is worth a warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCamera:
+    """A camera of a rig of several."""
+
+    folder: Path
+    original: OriginalCamera
+    T_first_camera: Pose | None
+    """From this camera to the rig's first one; None if nothing says it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +54,21 @@ class RecordedDrive:
     """A drive as it was read."""
 
     left_folder: Path
+    """Of a rig: of its first camera."""
     right_folder: Path | None
     original: OriginalRig
+    """Of a rig: its first camera."""
     rectified: RectifiedRig
     frames: tuple[Frame, ...]
-    """In order of time; poses are those of the rectified left camera, in the map."""
+    """In order of time, of a rig camera by camera; poses are those of the rectified (left) camera,
+    in the map."""
     left: Mapping[int, str]
     """Names of images by the index of their frame."""
     right: Mapping[int, str]
+    cameras: Mapping[str, RecordedCamera]
+    """The cameras of a rig by name; empty for one camera or a stereo pair."""
+    camera_of: Mapping[int, str]
+    """Of a rig: name of the camera by the index of its frame."""
     statements: tuple[tuple[str, str], ...]
     """What was read and taken for granted: topic and text, for people."""
     warnings: tuple[str, ...]
@@ -59,323 +79,226 @@ class RecordedDrive:
     left_out: tuple[LeftOutImage, ...]
     """Of the workspace, or of its maps and runs; frames without a pose by their left image."""
 
+    @property
+    def first_frames(self) -> tuple[Frame, ...]:
+        """The frames, of a rig those of its first camera."""
+        first = next(iter(self.cameras), None)
+        return tuple(one for one in self.frames if self.camera_of.get(one.index) == first)
 
-@dataclass
-class _Reading:
-    """What is collected while a drive is read."""
 
-    files: DriveFiles
-    statements: list[tuple[str, str]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """The frames of one camera or a stereo pair: numbers, rows of their images, times and poses."""
 
-    def state(self, topic: str, text: str) -> None:
-        self.statements.append((topic, shown(text, 400)))  # names of files, which may be no text
+    numbers: Sequence[int]
+    rows: Sequence[int]
+    times: ImageTimes
+    poses: Sequence[Pose | None]
+    """``T_world_camera`` of each image."""
 
 
 def read_drive(files: DriveFiles) -> RecordedDrive:
     """Read a drive. Raise SemvizError if a file is wrong, or says what semviz does not read.
 
-    Images are listed, and three of them opened for their size; none is decoded.
+    Images are listed, and three of a camera opened for their size; none is decoded.
     """
-    reading = _Reading(files)
-    recording = read_recording(files)
-    names = recording.names
-    _state_images(reading, recording)
-    posed = _read_posed(files, recording)
-    original, calibration = read_cameras(files, recording, posed)
-    _state_calibration(reading, original, calibration)
-    rectified = rectify_rig(original, files.most_view_deg)
-    _state_rectification(reading, rectified)
-    times = _read_times(reading, recording, posed)
-    order = np.argsort(times.time_s, kind="stable") if files.times else np.arange(len(names.left))
-    poses: list[Pose | None] = [None] * len(names.left)
-    axes = None
-    if posed is None:
-        reading.state("poses", "none: images can be labelled, but no map built")
+    statements = Statements()
+    readings = _readings(files, statements)
+    images = [read_images(reading) for reading in readings]
+    first = images[0]
+    if files.rig:
+        rectified = rectify_cameras([one.original.left for one in images], files.most_view_deg)
+        _warn_of_lost_view(readings, images, rectified)
     else:
-        poses, axes = _read_map_poses(
-            reading, posed.poses, recording, times, calibration, rectified
+        rectified = [rectify_rig(first.original, files.most_view_deg)]
+    _state_rectification(statements, rectified)
+    mounts = [_mount(first.calibration, one.calibration) for one in images]
+    frames = _read_frames(readings, images, mounts)
+    axes = _world_axes(files, statements, frames) if first.posed is not None else None
+    for reading, one, its in zip(readings, images, frames, strict=True):
+        _state_matched(reading, one, its)
+    turn = rectified[0].T_left_rectified
+    used = [
+        (
+            number,
+            one.recording.names,
+            row,
+            Frame(number, float(its.times.time_s[row]), _in_map(axes, its.poses[row], turn)),
+            reading.camera,
         )
-    chosen = range(len(order)) if files.frames is None else files.frames
-    rows = [(index, int(order[index])) for index in chosen if index < len(order)]
-    if not rows:
-        raise SemvizError(f"--frames: the drive has frames 0 to {len(order) - 1}, none of these")
-    left_out = _not_imported(files, recording, times)
-    if posed is not None:
-        lacking = [row for _, row in rows if poses[row] is None]
-        left_out += _without_pose(files, posed.poses, names, times, lacking)
+        for reading, one, its in zip(readings, images, frames, strict=True)
+        for number, row in zip(its.numbers, its.rows, strict=True)
+    ]
+    left_out = [
+        image
+        for reading, one, its in zip(readings, images, frames, strict=True)
+        for image in _left_out(reading, one, its)
+    ]
     return RecordedDrive(
-        recording.images,
-        recording.right,
-        original,
-        rectified,
-        tuple(Frame(index, float(times.time_s[row]), poses[row]) for index, row in rows),
-        {index: names.left[row] for index, row in rows},
-        {index: names.right[row] for index, row in rows} if names.right else {},
-        tuple(reading.statements),
-        tuple(reading.warnings),
+        first.recording.images,
+        first.recording.right,
+        first.original,
+        rectified[0],
+        tuple(frame for *_, frame, _ in used),
+        {number: names.left[row] for number, names, row, *_ in used},
+        {number: names.right[row] for number, names, row, *_ in used if names.right},
+        {
+            reading.camera: RecordedCamera(one.recording.images, one.original.left, mount)
+            for reading, one, mount in zip(readings, images, mounts, strict=True)
+            if files.rig
+        },
+        {number: camera for number, *_, camera in used if files.rig},
+        tuple(statements),
+        tuple(statements.warnings),
         axes,
         files.most_view_deg,
         tuple(left_out),
     )
 
 
-def _not_imported(files: DriveFiles, recording: Recording, times: ImageTimes) -> list[LeftOutImage]:
-    """Return the images that are not in the workspace, with the times that their names are."""
-    images = [*recording.names.unpaired, *recording.names.missing]
-    if files.times is not None or recording.times is not None or times.unit is None:
-        return images  # times are not those of names
-    found = [times_from_names([image.file], times.unit) for image in images]
+def _readings(files: DriveFiles, statements: Statements) -> list[Reading]:
+    """Return what is to be read: the drive, or each camera of a rig on its own."""
+    if not files.rig:
+        return [Reading(files, statements)]
+    extracted = files.extracted
     return [
-        image if own is None else replace(image, time_s=float(own.time_s[0]))
-        for image, own in zip(images, found, strict=True)
+        Reading(
+            replace(
+                files,
+                cameras=(name,),
+                extracted=None if extracted is None else extracted / f"camera-{number}",
+            ),
+            statements,
+            name,
+        )
+        for number, name in enumerate(files.rig)
     ]
 
 
-def _without_pose(
-    files: DriveFiles,
-    recorded: RecordedPoses,
-    names: ImageNames,
-    times: ImageTimes,
-    rows: Sequence[int],
-) -> list[LeftOutImage]:
-    """Return the images of ``rows``, which have no pose, each with what is known of why."""
-    images = []
-    for row in rows:
-        moment_s = float(times.time_s[row])
-        reason = "no pose"
-        if recorded.time_s is not None and recorded.names is None:
-            reason += f", {why_without_pose(recorded.time_s, moment_s, files.most_gap_s)}"
-        reason += ": kept for labels, left out of maps and runs"
-        images.append(LeftOutImage(names.left[row], "left", moment_s, reason))
-    return images
+def _mount(first: CalibrationFile, camera: CalibrationFile) -> Pose | None:
+    """Return ``T_first_camera`` of a camera of a rig; None if the calibrations do not say it."""
+    if camera.T_first_left is not None:
+        return camera.T_first_left
+    if first.T_body_left is None or camera.T_body_left is None:
+        return Pose.identity() if camera is first else None
+    return first.T_body_left.inverse() @ camera.T_body_left
 
 
-def _state_images(reading: _Reading, recording: Recording) -> None:
-    names = recording.names
-    text = f"{len(names.left)} in {shown(recording.images, 60)}"
-    if names.right:
-        text = f"{len(names.left)} pairs, {names.paired}"
-    if names.unpaired:
-        count = len(names.unpaired)
-        reading.warnings.append(f"{count} images have none on the other side: left out")
-    if names.missing:
-        count = len(names.missing)
-        reading.warnings.append(f"{count} images of the recording are missing: left out")
-    reading.state("images", text)
-
-
-def _read_posed(files: DriveFiles, recording: Recording) -> PosedCameras | None:
-    """Return the poses, with cameras if their file has some; None without poses."""
-    path, own = files.poses, recording.poses
-    if path is None or (own is not None and own.path == path):  # a topic of the recording
-        return None if own is None else PosedCameras(own, {})
-    if is_colmap(path):
-        return read_colmap(path)
-    if path.suffix == ".json":
-        return read_nerfstudio(path)
-    if is_comma(path):
-        return PosedCameras(read_comma_poses(path), {})
-    if path.is_dir():
-        raise SemvizError(
-            f"{path}: a folder without a model of COLMAP (images.txt or images.bin, also in 0) or "
-            "comma2k19's frame_positions; name a file"
-        )
-    return PosedCameras(read_poses(path, files.quaternion, files.time_unit), {})
-
-
-def _state_calibration(
-    reading: _Reading, original: OriginalRig, calibration: CalibrationFile
-) -> None:
-    left = original.left
-    text = f"{calibration.path.name} {calibration.format}, {_lens_text(left)}"
-    if original.T_right_left is not None:
-        baseline_m = float(np.linalg.norm(original.T_right_left.translation))
-        text += f", 2 cameras {baseline_m:.3f} m apart"
-    reading.state("calibration", f"{text}, {left.width}x{left.height}")
-
-
-def _lens_text(camera: OriginalCamera) -> str:
-    if camera.is_pinhole:
-        return "pinhole without distortion"
-    terms = ", ".join(f"{value:.3g}" for value in camera.distortion)
-    return f"{camera.model} ({terms})"
-
-
-def _state_rectification(reading: _Reading, rectified: RectifiedRig) -> None:
-    left, right = rectified.left, rectified.right
-    if left.is_identity:
-        reading.state("rectified", "not needed: images are used as they are")
-        return
-    across, down = left.view_deg
-    camera = left.camera
-    both = "" if right is None else ", rows of both images agree"
-    reading.state(
-        "rectified",
-        f"{camera.width}x{camera.height}, field of view {across:.0f} x {down:.0f} deg{both}",
-    )
-
-
-def _read_times(reading: _Reading, recording: Recording, posed: PosedCameras | None) -> ImageTimes:
-    files, names = reading.files, recording.names
-    if files.times is not None:
-        times = read_times(files.times, names.left, files.time_unit)
-    elif recording.times is not None:
-        times = recording.times
-    else:
-        found = times_from_names(names.left, files.time_unit)
-        needed = posed is not None and posed.poses.time_s is not None
-        if found is None and needed:
-            assert posed is not None
-            raise SemvizError(
-                f"{posed.poses.path}: {posed.poses.format} poses have times, the images none; give "
-                "--times FILE with a time for each image (or the pose file, if its lines are those "
-                "of the images)"
-            )
-        if found is None:
-            seconds = np.arange(len(names.left)) / files.rate_hz
-            found = ImageTimes(seconds, f"unknown, counted as {files.rate_hz:g} images a second")
-        times = found
-    unit = "" if times.unit is None else f", in {times.unit}"
-    span = float(times.time_s[-1] - times.time_s[0])
-    reading.state("times", f"{times.source}{unit}, {span:.1f} s")
-    return times
-
-
-def _read_map_poses(
-    reading: _Reading,
-    recorded: RecordedPoses,
-    recording: Recording,
-    times: ImageTimes,
-    calibration: CalibrationFile,
-    rectified: RectifiedRig,
-) -> tuple[list[Pose | None], conventions.WorldAxes]:
-    """Return the map pose of each image's rectified camera, None where there is none."""
-    files = reading.files
-    T_body_camera, of_what = _extrinsic(files, recorded, calibration)
-    if not files.metric and not recorded.note:  # of degrees made metres
-        conventions.refuse_degrees(recorded.path, recorded.matrices[:, :, 3])
-    T = conventions.camera_poses(recorded, files.direction, files.axes)
-    meters = _meters(files, recorded)
-    T = [Pose(pose.rotation, pose.translation * meters) @ T_body_camera for pose in T]
-    found = _of_images(files, recorded, T, recording, times)
-    posed = [pose for pose in found if pose is not None]
-    axes = conventions.world_axes(posed, files.up)
-    _state_poses(reading, recorded, of_what, len(posed), len(found), axes)
-    T_left_rectified = rectified.T_left_rectified
-    return [
-        None if pose is None else axes.T_map_world @ pose @ T_left_rectified for pose in found
-    ], axes
-
-
-def _extrinsic(
-    files: DriveFiles, recorded: RecordedPoses, calibration: CalibrationFile
-) -> tuple[Pose, str]:
-    """Return T_body_camera and whose poses these are, for people."""
-    name = files.extrinsic
-    if name is None and recorded.of_body:
-        if calibration.T_body_left is None:
-            raise SemvizError(
-                f"{recorded.path}: {recorded.format} holds poses of a body, not of the camera; "
-                "give --extrinsic FILE with T_body_camera"
-            )
-        name = conventions.CALIBRATION_EXTRINSIC
-    if name is None:
-        return Pose.identity(), "the left camera"
-    pose, source = conventions.read_extrinsic(name, calibration)
-    return pose, f"a body, moved to the left camera by {source}"
-
-
-def _meters(files: DriveFiles, recorded: RecordedPoses) -> float:
-    """Return the metres in a unit of length of the poses."""
-    if files.scale is not None:
-        return files.scale
-    if not recorded.metric and not files.metric:
-        raise SemvizError(
-            f"{recorded.path}: a model of {recorded.format} has no unit of length; give --scale "
-            "METRES for one unit, or --metric if its unit is the metre"
-        )
-    return 1.0
-
-
-def _of_images(
-    files: DriveFiles,
-    recorded: RecordedPoses,
-    T_world_camera: Sequence[Pose],
-    recording: Recording,
-    times: ImageTimes,
-) -> list[Pose | None]:
-    """Return the recorded pose of each image. Raise SemvizError if no image has one."""
-    names = recording.names
-    count = len(names.left)
-    if recorded.names is not None:
-        rows = rows_of_images(recording.images, names.left, recorded)
-        return [None if row is None else T_world_camera[row] for row in rows]
-    if recorded.time_s is not None:
-        found = poses_at_times(T_world_camera, recorded.time_s, times.time_s, files.most_gap_s)
-        if all(pose is None for pose in found):
-            raise SemvizError(
-                f"{recorded.path}: no pose is at the time of an image: its times are "
-                f"{recorded.time_s.min():.3f} to {recorded.time_s.max():.3f} s, the images' "
-                f"{times.time_s.min():.3f} to {times.time_s.max():.3f} s. Another clock, another "
-                "unit (--time-unit), or poses farther apart than --most-gap"
-            )
-        return found
-    if recorded.indices is not None:
-        return _by_number(recorded, T_world_camera, names)
-    if len(T_world_camera) != count:
-        raise SemvizError(
-            f"{recorded.path}: {len(T_world_camera)} poses for {count} images, and nothing says "
-            "which belong together: poses of another drive? Give poses with times (TUM)"
-        )
-    return list(T_world_camera)
-
-
-def _by_number(
-    recorded: RecordedPoses, T_world_camera: Sequence[Pose], names: ImageNames
-) -> list[Pose | None]:
-    """Return poses of images whose names are the numbers in the file."""
-    assert recorded.indices is not None
-    by_number = dict(zip(recorded.indices.tolist(), T_world_camera, strict=True))
-    stems = [Path(name).stem for name in names.left]
-    if not all(stem.isdecimal() for stem in stems):
-        raise SemvizError(
-            f"{recorded.path}: holds poses by the number of a frame, but images are called like "
-            f"{shown(names.left[0], 60)}; name them by number"
-        )
-    found = [by_number.get(int(stem)) for stem in stems]
-    if all(pose is None for pose in found):
-        raise SemvizError(f"{recorded.path}: has no pose of any image's number; another drive?")
+def _read_frames(
+    readings: Sequence[Reading], images: Sequence[RecordedImages], mounts: Sequence[Pose | None]
+) -> list[_Frames]:
+    """Read times and poses, and number the frames: those of a rig's camera k begin at k * 10^d."""
+    found = []
+    most = max(len(one.recording.names.left) for one in images)
+    step = 10 ** len(str(most - 1))
+    for number, (reading, one, mount) in enumerate(zip(readings, images, mounts, strict=True)):
+        files, names = reading.files, one.recording.names
+        times = read_image_times(reading, one)
+        by_time = files.times is not None
+        order = np.argsort(times.time_s, kind="stable") if by_time else np.arange(len(names.left))
+        chosen = range(len(order)) if files.frames is None else files.frames
+        rows = [(index, int(order[index])) for index in chosen if index < len(order)]
+        if not rows:
+            last = len(order) - 1
+            raise SemvizError(f"--frames: the drive has frames 0 to {last}, none of these")
+        poses: list[Pose | None] = [None] * len(names.left)
+        if one.posed is None:
+            reading.state("poses", "none: images can be labelled, but no map built")
+        else:
+            poses = read_world_poses(reading, one, times, _placed(reading, images, number, mount))
+        numbers = [number * step + index for index, _ in rows]
+        found.append(_Frames(numbers, [row for _, row in rows], times, poses))
     return found
 
 
-def _state_poses(
-    reading: _Reading,
-    recorded: RecordedPoses,
-    of_what: str,
-    posed: int,
-    count: int,
-    axes: conventions.WorldAxes,
-) -> None:
-    files = reading.files
-    direction = files.direction or recorded.direction
-    order = files.quaternion or recorded.quaternion
-    unit = "" if recorded.time_unit is None else f", times in {recorded.time_unit}"
-    reading.state("poses", f"{recorded.path.name} {recorded.format}, of {of_what}")
-    reading.state(
-        "taken as",
-        f"{direction}, {files.axes or recorded.axes} camera axes"
-        + ("" if order is None else f", quaternions {order}")
-        + unit
-        + (f", {recorded.note}" if recorded.note else ""),
-    )
+def _placed(
+    reading: Reading, images: Sequence[RecordedImages], number: int, mount: Pose | None
+) -> Pose | None:
+    """Return ``T_body_camera`` of a further camera of a rig; None for the first, or if poses are
+    those of each image."""
+    first, recorded = images[0], images[number].posed
+    assert recorded is not None
+    if number == 0 or recorded.poses.names is not None:
+        return None
+    if mount is None:
+        raise SemvizError(
+            f"{images[number].calibration.path}: does not say where camera {reading.camera} is; "
+            "give its pose in the body (T_cam_imu, T_BS, T_body_camera), or in the first camera "
+            "(T_cn_cnm1)"
+        )
+    T_body_first, _ = body_from_camera(reading.files, recorded.poses, first.calibration)
+    return T_body_first @ mount
+
+
+def _world_axes(
+    files: DriveFiles, statements: Statements, frames: Sequence[_Frames]
+) -> conventions.WorldAxes:
+    """Return the map's axes, which are those of all cameras."""
+    posed = [pose for its in frames for pose in its.poses if pose is not None]
+    axes = conventions.world_axes(posed, files.up)
     up = "the cameras' mean" if axes.up == "cameras" else axes.up
     origin = "".join(f" {value:.0f}" for value in axes.origin_m)
     moved = f", origin moved to{origin} m" if any(axes.origin_m) else ""
-    reading.state("world", f"up is {up} (cameras tilted {axes.tilt_deg:.0f} deg){moved}")
-    reading.state("matched", f"{posed} of {count} images have a pose ({recorded.order})")
+    statements.state("world", f"up is {up} (cameras tilted {axes.tilt_deg:.0f} deg){moved}")
+    return axes
+
+
+def _state_matched(reading: Reading, images: RecordedImages, its: _Frames) -> None:
+    if images.posed is None:
+        return
+    count, posed = len(its.poses), sum(pose is not None for pose in its.poses)
+    reading.state("matched", f"{posed} of {count} images have a pose ({images.posed.poses.order})")
     if posed < count:
-        reading.warnings.append(
+        reading.warn(
             f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
             "out of maps"
         )
+
+
+def _in_map(
+    axes: conventions.WorldAxes | None, pose: Pose | None, T_camera_rectified: Pose
+) -> Pose | None:
+    if axes is None or pose is None:
+        return None
+    return axes.T_map_world @ pose @ T_camera_rectified
+
+
+def _left_out(reading: Reading, images: RecordedImages, its: _Frames) -> list[LeftOutImage]:
+    files, recording = reading.files, images.recording
+    found = not_imported(files, recording, its.times)
+    if images.posed is not None:
+        lacking = [row for row in its.rows if its.poses[row] is None]
+        found += without_pose(files, images.posed.poses, recording.names, its.times, lacking)
+    return [replace(image, camera=reading.camera) for image in found]
+
+
+def _state_rectification(statements: Statements, rectified: Sequence[RectifiedRig]) -> None:
+    left, right = rectified[0].left, rectified[0].right
+    if left.is_identity:
+        statements.state("rectified", "not needed: images are used as they are")
+        return
+    across, down = left.view_deg
+    camera = left.camera
+    text = f"{camera.width}x{camera.height}, field of view {across:.0f} x {down:.0f} deg"
+    if right is not None:
+        text += ", rows of both images agree"
+    if len(rectified) > 1:
+        text += f", one pinhole camera for all {len(rectified)}"
+    statements.state("rectified", text)
+
+
+def _warn_of_lost_view(
+    readings: Sequence[Reading],
+    images: Sequence[RecordedImages],
+    rectified: Sequence[RectifiedRig],
+) -> None:
+    """Warn if a camera alone would see much more than the one that all are rectified to."""
+    for reading, one, common in zip(readings, images, rectified, strict=True):
+        alone = rectify_rig(one.original, reading.files.most_view_deg).left.view_deg
+        kept = common.left.view_deg
+        if min(kept[0] / alone[0], kept[1] / alone[1]) < _LOST_VIEW:
+            reading.warn(
+                f"sees {alone[0]:.0f} x {alone[1]:.0f} deg, of which {kept[0]:.0f} x "
+                f"{kept[1]:.0f} are left in the camera that all are rectified to; without the "
+                "narrowest camera of the rig there would be more"
+            )

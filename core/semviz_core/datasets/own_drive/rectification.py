@@ -3,9 +3,11 @@
 A rectified camera keeps the focal length of the middle of the recorded image. Its image is the
 largest upright rectangle without black borders, at most ``MOST_VIEW_DEG`` wide and high, so it may
 have more pixels than the recorded one, or fewer. Both images of a stereo pair get the same camera;
-their x axes lie along the baseline. Cameras that need none of this are left as they are.
+their x axes lie along the baseline. All cameras of a rig get one camera, too, and keep their axes.
+Cameras that need none of this are left as they are.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -121,11 +123,7 @@ def rectify_rig(original: OriginalRig, most_view_deg: float = MOST_VIEW_DEG) -> 
     Raise SemvizError if the angle is no such, the cameras of a pair are swapped, look in different
     directions, or see nothing in common.
     """
-    if not NARROWEST_VIEW_DEG <= most_view_deg <= WIDEST_VIEW_DEG:
-        raise SemvizError(
-            f"field of view {most_view_deg:g} deg: give {NARROWEST_VIEW_DEG:g} to "
-            f"{WIDEST_VIEW_DEG:g}"
-        )
+    _check_view(most_view_deg)
     if original.right is None or original.T_right_left is None:
         left = _mono(original.left, most_view_deg)
         return RectifiedRig(left, None, Rig(left.camera))
@@ -137,6 +135,36 @@ def rectify_rig(original: OriginalRig, most_view_deg: float = MOST_VIEW_DEG) -> 
         baseline_m = float(np.linalg.norm(original.T_right_left.translation))
         T_right_left = Pose(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
     return RectifiedRig(pair[0], pair[1], Rig(pair[0].camera, pair[1].camera, T_right_left))
+
+
+def rectify_cameras(
+    originals: Sequence[OriginalCamera], most_view_deg: float = MOST_VIEW_DEG
+) -> list[RectifiedRig]:
+    """Return how to rectify the images of each camera of a rig: all to one pinhole camera.
+
+    Its view is what all of them see, at most this angle. Raise SemvizError if the angle is no such.
+    """
+    _check_view(most_view_deg)
+    first, *others = originals
+    if all(camera.is_pinhole and _is_same_pinhole(camera, first) for camera in originals):
+        found = [_unchanged(camera) for camera in originals]
+    else:
+        camera = _common_camera([first, *others], [np.eye(3)] * len(originals), most_view_deg)
+        found = [Rectification(original, camera, np.eye(3)) for original in originals]
+    return [RectifiedRig(one, None, Rig(one.camera)) for one in found]
+
+
+def _check_view(most_view_deg: float) -> None:
+    if not NARROWEST_VIEW_DEG <= most_view_deg <= WIDEST_VIEW_DEG:
+        raise SemvizError(
+            f"field of view {most_view_deg:g} deg: give {NARROWEST_VIEW_DEG:g} to "
+            f"{WIDEST_VIEW_DEG:g}"
+        )
+
+
+def _is_same_pinhole(first: OriginalCamera, second: OriginalCamera) -> bool:
+    sizes = {(camera.width, camera.height) for camera in (first, second)}
+    return len(sizes) == 1 and np.array_equal(first.K, second.K)
 
 
 def _unchanged(original: OriginalCamera) -> Rectification:

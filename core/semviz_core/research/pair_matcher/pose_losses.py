@@ -42,7 +42,7 @@ from semviz_core.localization.upright import (
     upright_view,
 )
 from semviz_core.research.evaluation.problems import DETECTOR, LocalizationProblem
-from semviz_core.research.pair_matcher.pose_layer import PosePairs, pose_of_weights
+from semviz_core.research.pair_matcher.training import PosePairs, pose_of_weights
 from semviz_core.research.paper.training import pose_loss
 from semviz_core.research.training.batch import Batch
 

@@ -24,9 +24,9 @@ from semviz_core.detection.detector import Detector
 from semviz_core.detection.heatmaps import Channels
 from semviz_core.detection.network import TASK, DetectorNet, HeatmapModel, masks_of
 from semviz_core.metrics.detection import FALSE_POSITIVE, ImageGroundTruth, match_detections
-from semviz_core.research.training.detector_crops import Crop, Targets, middle_crop, random_crop
-from semviz_core.research.training.detector_images import LabelledImage, LabelledImages
-from semviz_core.research.training.task import Progress, cosine
+from semviz_core.research.training.batch import Progress, cosine
+from semviz_core.research.training.detector_crops import Targets, middle_crop, random_crop
+from semviz_core.research.training.detector_images import Crop, LabelledImage, LabelledImages
 
 FALSE_AN_IMAGE = 0.15
 """False positives of all classes per image on tuning streets, some of which are nearly empty. The

@@ -5,7 +5,6 @@ ignored.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +14,9 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.detection.heatmaps import BORDER, MASKS, STRIDE, cell_px, offset_code, size_code
-from semviz_core.research.training.detector_images import IGNORED, LabelledImage, paint
+from semviz_core.research.training.crop_light import as_bytes, as_taken, with_shade
+from semviz_core.research.training.crop_surroundings import in_other_surroundings
+from semviz_core.research.training.detector_images import IGNORED, Crop, LabelledImage, paint
 
 HEIGHT, WIDTH = 384, 352
 """Size of a crop: as tall as images, so that it holds whole poles."""
@@ -24,31 +25,26 @@ SHORTEST_PX, SMALLEST_PX = 8.0, 5.0
 """Shorter visible parts of poles, and smaller signs, are ignored."""
 MARGIN_PX = 16.0
 """Margin that is ignored around a sign of unknown size that is cut off."""
-_PATCHES = 4
+OTHER_SURROUNDINGS, SHADED = 0.65, 0.35
+"""Shares of crops with other surroundings, and with shade."""
 
 
-@dataclass(frozen=True, eq=False)
-class Crop:
-    """A part of an image with its elements."""
+def random_crop(
+    labelled: LabelledImage, rng: np.random.Generator, surroundings: float = OTHER_SURROUNDINGS
+) -> Crop:
+    """Return a random part of an image, with random scale, mirroring, light and camera.
 
-    image: ByteImage
-    """(HEIGHT, WIDTH, 3) sRGB."""
-    elements: Elements2D
-    """(m,) poles are cut off at the edges."""
-    rows: ByteImage
-    """(HEIGHT, WIDTH) 1 + the row of the pixel's element, ``IGNORED``, or 0 for none."""
-    has_masks: bool
-
-
-def random_crop(labelled: LabelledImage, rng: np.random.Generator) -> Crop:
-    """Return a random part of an image, with random scale, mirroring and augmentation."""
+    With the probability ``surroundings`` its elements stand in other ones; that needs masks.
+    """
     height, width = labelled.image.shape[:2]
     low, high = np.log(SCALES)
     scale = float(np.exp(rng.uniform(low, high)))
     corner = [_offset(rng, width * scale, WIDTH), _offset(rng, height * scale, HEIGHT)]
     crop = _cut(labelled, scale, corner, mirrored=bool(rng.random() < 0.5))
-    image = _with_random_patches(crop, rng) if rng.random() < 0.4 else crop.image
-    return replace(crop, image=_augmented(image, rng))
+    if crop.has_masks and rng.random() < surroundings:
+        crop = in_other_surroundings(crop, rng)
+    image = with_shade(crop.image, rng) if rng.random() < SHADED else crop.image
+    return replace(crop, image=as_taken(image, rng))
 
 
 def middle_crop(labelled: LabelledImage, share: float) -> Crop:
@@ -65,7 +61,7 @@ def _offset(rng: np.random.Generator, available: float, size: int) -> float:
 def _cut(labelled: LabelledImage, scale: float, corner: list[float], mirrored: bool) -> Crop:
     to_crop = _similarity(scale, corner, mirrored)
     size = WIDTH, HEIGHT
-    image = _bytes(
+    image = as_bytes(
         cv2.warpAffine(
             labelled.image, to_crop, size, flags=cv2.INTER_LINEAR, borderValue=(BORDER,) * 3
         )
@@ -74,7 +70,7 @@ def _cut(labelled: LabelledImage, scale: float, corner: list[float], mirrored: b
     if labelled.ignored is not None:
         rows[labelled.ignored] = IGNORED
     paint(rows, labelled.regions or ())
-    rows = _bytes(cv2.warpAffine(rows, to_crop, size, flags=cv2.INTER_NEAREST))
+    rows = as_bytes(cv2.warpAffine(rows, to_crop, size, flags=cv2.INTER_NEAREST))
     has_masks = labelled.regions is not None
     elements, learned = _inside(labelled.elements, to_crop, rows if has_masks else None)
     return Crop(
@@ -149,70 +145,6 @@ def _renumbered(
             right, bottom = int(x + MARGIN_PX), int(y + MARGIN_PX)
             renumbered[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = IGNORED
     return renumbered
-
-
-def _with_random_patches(crop: Crop, rng: np.random.Generator) -> ByteImage:
-    """Return the image with random patches behind the elements, against learning from context."""
-    image = crop.image.copy()
-    for _ in range(rng.integers(1, _PATCHES + 1)):
-        top, left = int(rng.integers(HEIGHT)), int(rng.integers(WIDTH))
-        height, width = rng.integers(8, 160, 2)
-        window = image[top : top + height, left : left + width]
-        grain = rng.normal(0.0, rng.uniform(0.0, 20.0), (*window.shape[:2], 1))
-        window[:] = np.clip(rng.uniform(0, 255, 3) + grain, 0, 255).astype(np.uint8)
-    shown = crop.rows > 0
-    image[shown] = crop.image[shown]
-    return image if crop.has_masks else crop.image
-
-
-def _augmented(image: ByteImage, rng: np.random.Generator) -> ByteImage:
-    """Return the image with random tones, colours, blur, noise and compression."""
-    augmented = _bytes(cv2.LUT(image, _tones(rng)))
-    if rng.random() < 0.4:
-        augmented = _tinted(augmented, rng)
-    if rng.random() < 0.35:
-        augmented = _bytes(cv2.GaussianBlur(augmented, (0, 0), rng.uniform(0.3, 1.4)))
-    elif rng.random() < 0.3:
-        soft = cv2.GaussianBlur(augmented, (0, 0), 1.5)
-        strength = rng.uniform(0.2, 1.2)
-        augmented = _bytes(cv2.addWeighted(augmented, 1.0 + strength, soft, -strength, 0.0))
-    if rng.random() < 0.4:
-        augmented = _noisy(augmented, rng)
-    if rng.random() < 0.3:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))]
-        written = cv2.imencode(".jpg", augmented, quality)[1]
-        augmented = _bytes(cv2.imdecode(written, cv2.IMREAD_COLOR))
-    return augmented
-
-
-def _noisy(image: ByteImage, rng: np.random.Generator) -> ByteImage:
-    noise: NDArray[np.int16] = np.empty(image.shape, np.int16)
-    cv2.setRNGSeed(int(rng.integers(2**31)))
-    cv2.randn(noise, np.zeros(3), np.full(3, rng.uniform(1.0, 12.0)))
-    return _bytes(cv2.add(image, noise, dtype=cv2.CV_8U))
-
-
-def _tones(rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw each channel's curve (1, 256, 3): gamma, contrast, brightness, white balance."""
-    level = np.linspace(0.0, 1.0, 256)[:, None] ** np.exp(rng.uniform(-0.5, 0.5))
-    gain = np.exp(rng.uniform(-0.35, 0.35)) * np.exp(rng.uniform(-0.12, 0.12, 3))
-    curve = (level - 0.5) * gain + 0.5 + rng.uniform(-0.15, 0.15)
-    return np.asarray(np.clip(curve * 255.0, 0.0, 255.0).astype(np.uint8)[None])
-
-
-def _tinted(image: ByteImage, rng: np.random.Generator) -> ByteImage:
-    """Return the image with random saturation and a small random hue shift."""
-    hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
-    turned = np.arange(256, dtype=np.int64)
-    turned[:180] = (turned[:180] + rng.integers(-8, 9)) % 180
-    fuller = np.clip(np.arange(256) * rng.uniform(0.2, 1.5), 0, 255)
-    curves = np.stack([turned, fuller, np.arange(256)], axis=1).astype(np.uint8)
-    return _bytes(cv2.cvtColor(cv2.LUT(hsv, curves[None]), cv2.COLOR_HSV2RGB))
-
-
-def _bytes(image: Any) -> ByteImage:
-    """Narrow the type of OpenCV's results."""
-    return np.asarray(image, dtype=np.uint8)
 
 
 LEAST_SIGMA, MOST_SIGMA = 0.8, 6.0

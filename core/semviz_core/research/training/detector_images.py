@@ -24,7 +24,7 @@ from semviz_core.common.arrays import BoolArray, ByteImage, bool_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.detection.regions import Region
-from semviz_core.simulation.ground_truth import rendered_truth
+from semviz_core.simulation.detector import rendered_truth
 from semviz_core.simulation.layout import Section, StreetOptions
 from semviz_core.simulation.objects import SectionKind
 from semviz_core.simulation.street import Street
@@ -52,6 +52,19 @@ class LabelledImage:
         if self.ignored is not None:
             shape = self.image.shape[:2]
             object.__setattr__(self, "ignored", bool_array(self.ignored, shape, "ignored"))
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A part of an image with its elements."""
+
+    image: ByteImage
+    """(height, width, 3) sRGB."""
+    elements: Elements2D
+    """(m,) poles are cut off at the edges."""
+    rows: ByteImage
+    """(height, width) 1 + the row of the pixel's element, ``IGNORED``, or 0 for none."""
+    has_masks: bool
 
 
 class LabelledImages(Protocol):

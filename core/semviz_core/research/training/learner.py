@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, distributed, nn
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.research.training.task import Progress, TrainingTask
+from semviz_core.research.training.batch import Progress, TrainingTask
 
 
 @dataclass(frozen=True)

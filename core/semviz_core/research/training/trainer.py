@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from semviz_core.common.errors import SemvizError
 from semviz_core.research.training import checkpoint, learner
-from semviz_core.research.training.task import Progress, TrainingTask
+from semviz_core.research.training.batch import Progress, TrainingTask
 
 MOST_SAMPLES = 10_000_000
 """Largest number of samples of a training; its items are numbered from seed x this on."""

@@ -20,8 +20,8 @@ from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.search import Modes, pose_distances, search
 from semviz_core.localization.upright import assumed_upright
 from semviz_core.research.evaluation.problems import DETECTOR, LocalizationProblem
+from semviz_core.research.training.batch import Progress, cosine
 from semviz_core.research.training.simulated_samples import HARD_DISTRIBUTION, HELD_OUT
-from semviz_core.research.training.task import Progress, cosine
 
 
 class Verifier(nn.Module):

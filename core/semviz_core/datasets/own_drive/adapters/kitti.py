@@ -16,9 +16,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.conventions import RecordedPoses
 from semviz_core.datasets.own_drive.geodesy import local_poses
-from semviz_core.datasets.own_drive.gnss import body_axes
 from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
@@ -26,9 +25,8 @@ from semviz_core.datasets.own_drive.image_files import (
     size_of_images,
 )
 from semviz_core.datasets.own_drive.lens import OriginalCamera
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses
-from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
+from semviz_core.datasets.own_drive.pose_files import body_axes, read_poses
+from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 from semviz_core.datasets.trajectory import parsed_numbers, read_text
 
 _OXTS_NUMBERS = 30

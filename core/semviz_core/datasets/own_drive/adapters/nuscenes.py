@@ -16,7 +16,7 @@ from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line, parsed_json, read_limited, shown
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.conventions import RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
@@ -24,8 +24,7 @@ from semviz_core.datasets.own_drive.image_files import (
     pairs_by_time,
 )
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
-from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses, rotations_of
-from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
+from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 
 _MOST_BYTES = 2**30
 """Of a table: ``sample_data.json`` of all of nuScenes has 0.8 GB."""

@@ -19,6 +19,11 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_IMAGE_BYTES, first_line, shown
+from semviz_core.datasets.own_drive.adapters.bag_limits import (
+    UnpackingError,
+    check_bag_files,
+    limit_unpacking,
+)
 from semviz_core.datasets.own_drive.adapters.ros_messages import (
     FrameTree,
     NavSat,
@@ -32,10 +37,9 @@ from semviz_core.datasets.own_drive.calibration_files import (
     camera_info,
     stereo_calibration,
 )
-from semviz_core.datasets.own_drive.drive_files import DriveFiles
+from semviz_core.datasets.own_drive.conventions import RecordedPoses
 from semviz_core.datasets.own_drive.image_files import ImageNames, ImageTimes, pairs_by_time
-from semviz_core.datasets.own_drive.recorded_poses import RecordedPoses
-from semviz_core.datasets.own_drive.recording import Recording, chosen_cameras
+from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 from semviz_core.datasets.trajectory import MOST_LINES
 
 if TYPE_CHECKING:
@@ -90,13 +94,21 @@ def _opened(path: Path) -> Iterator["AnyReader"]:
         ) from None
     if not path.exists():
         raise SemvizError(f"{path}: no such bag")
+    check_bag_files(path)
+    limit_unpacking()
     store = get_typestore(Stores.ROS2_HUMBLE)
     source = path.parent if path.suffix == ".db3" else path
     try:
         with AnyReader([source], default_typestore=store) as reader:
             yield reader
-    except (SemvizError, OSError):
+    except UnpackingError as error:
+        raise SemvizError(f"{path}: {error}; record or copy it again") from None
+    except SemvizError:
         raise
+    except OSError as error:
+        if error.strerror:  # of the system, which names the file
+            raise
+        raise SemvizError(f"{path}: not a whole bag ({first_line(error)})") from None
     except Exception as error:  # rosbags raises what its parsers raise: KeyError, struct.error, ...
         raise SemvizError(
             f"{path}: a damaged bag ({first_line(repr(error))}); record or copy it again"

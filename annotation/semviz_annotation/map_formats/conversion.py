@@ -1,0 +1,376 @@
+"""Helpers of the map formats: the map made from a file, sign plates, and the tally of a conversion.
+
+The tally counts dropped and assumed content, and is reported to users and scripts.
+"""
+
+import json
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from semviz_annotation.label_formats.reading import (
+    IGNORE,
+    MOST_ITEMS,
+    MOST_XML_BYTES,
+    class_named,
+    number,
+    quoted,
+    read_bytes,
+)
+from semviz_annotation.map_formats.georeference import Georeference
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.elements import Elements3D
+from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
+from semviz_core.base.triangle_center import OLDER, TriangleCenter
+from semviz_core.common.arrays import FloatArray, float_array
+from semviz_core.common.errors import SemvizError
+from semviz_core.common.limits import parsing_xml
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    from numpy.typing import ArrayLike
+
+
+LOG_ODDS = "existence_log_odds"
+"""Name of ``Provenance.log_odds`` in files."""
+MOST_KINDS = 100
+"""Largest number of different entries."""
+
+
+@dataclass
+class ConversionTally:
+    """Counts of dropped and assumed content, by what it is and why."""
+
+    dropped: "Counter[str]" = field(default_factory=Counter)
+    assumed: "Counter[str]" = field(default_factory=Counter)
+
+    def drop(self, what: str, count: int = 1) -> None:
+        _count(self.dropped, what, count)
+
+    def assume(self, what: str, count: int = 1) -> None:
+        _count(self.assumed, what, count)
+
+
+@dataclass(frozen=True)
+class ExchangeReport:
+    """The result of an export or import."""
+
+    path: str
+    format: str
+    counts: Mapping[str, int]
+    """Counts of exchanged elements, for example ``poles``."""
+    dropped: Mapping[str, int]
+    """Counts of content that could not be kept."""
+    assumed: Mapping[str, int]
+    """Counts of values that were unknown and had to be assumed."""
+
+    @classmethod
+    def of(
+        cls, path: object, format_: str, counts: Mapping[str, int], tally: ConversionTally
+    ) -> "ExchangeReport":
+        return cls(str(path), format_, dict(counts), dict(tally.dropped), dict(tally.assumed))
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def as_text(self) -> str:
+        counts = ", ".join(
+            f"{count} {what.removesuffix('s') if count == 1 else what}"
+            for what, count in self.counts.items()
+        )
+        lines = [f"{self.path}: {counts} ({self.format})"]
+        lines += [f"  dropped: {count} x {what}" for what, count in sorted(self.dropped.items())]
+        lines += [f"  assumed: {count} x {what}" for what, count in sorted(self.assumed.items())]
+        return "\n".join(lines)
+
+
+def _count(counter: "Counter[str]", what: str, count: int) -> None:
+    if count:
+        known = what in counter or len(counter) < MOST_KINDS
+        counter[what if known else "more kinds of things"] += count
+
+
+PLATE_M = 0.6
+"""Width and height of a sign's plate; a map has only the centre of a sign."""
+
+
+def across_road(semantic_map: SemanticMap) -> FloatArray:
+    """Return level unit vectors (n, 3) to the right of the driving direction at each element.
+
+    The direction is that of the step of ``trajectory_m`` that starts nearest to the anchor; without
+    a trajectory the result is -y.
+    """
+    anchors, road = semantic_map.elements.anchor_m, semantic_map.trajectory_m
+    steps = np.diff(road[:, :2], axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    starts, steps = road[:-1][lengths > 0.0], steps[lengths > 0.0]
+    if not len(steps):
+        return np.tile([0.0, -1.0, 0.0], (len(anchors), 1))
+    from scipy.spatial import cKDTree
+
+    _, nearest = cKDTree(starts[:, :2]).query(anchors[:, :2])
+    ahead = steps[nearest] / lengths[lengths > 0.0][nearest, None]
+    return np.column_stack([ahead[:, 1], -ahead[:, 0], np.zeros(len(anchors))])
+
+
+def counts(semantic_map: SemanticMap) -> dict[str, int]:
+    """Return the numbers of poles and signs of a map."""
+    lines = int(semantic_map.elements.is_line.sum())
+    return {"poles": lines, "signs": len(semantic_map) - lines}
+
+
+def drop_all_but_places(semantic_map: SemanticMap, tally: ConversionTally) -> None:
+    """Count what a format drops that holds only positions and classes of elements."""
+    tally.drop("standard deviations and correlations", len(semantic_map))
+    drop_history(semantic_map, tally)
+    tally.drop("labels and observations that elements come from", len(semantic_map.provenance))
+
+
+def drop_history(semantic_map: SemanticMap, tally: ConversionTally) -> None:
+    """Count the dropped build history and road."""
+    drop_making(semantic_map, tally)
+    tally.drop("points of the road that was driven", len(semantic_map.trajectory_m))
+
+
+def drop_making(semantic_map: SemanticMap, tally: ConversionTally) -> None:
+    """Count the dropped content that no other format holds."""
+    tally.drop("decisions that the map was built by", len(semantic_map.decisions))
+    tally.drop("method, settings and label operation of the map", bool(semantic_map.made_by))
+
+
+def as_json(value: object) -> str:
+    """Return plain values as JSON, numbers with all digits."""
+    return json.dumps(value, allow_nan=False)
+
+
+def unseen_ends(semantic_map: SemanticMap) -> int:
+    """Return the number of unknown ends of poles, and of unknown signs."""
+    elements = semantic_map.elements
+    return int((~elements.anchor_known).sum() + (elements.is_line & ~elements.end_known).sum())
+
+
+ASSUMED_SIGMA_M = 0.1
+"""Standard deviation of coordinates from a file that states none."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParsedElement:
+    """One pole or sign in the map frame, as in a file."""
+
+    class_id: int
+    anchor_m: FloatArray
+    """(3,) peak of a pole, centre of a sign."""
+    end_m: FloatArray | None = None
+    """(3,) bottom of a pole."""
+    id: int | None = None
+    """None if the file has no number."""
+    covariance_m2: FloatArray | None = None
+    """(6, 6) as in ``Elements3D``; None if the file has none."""
+    anchor_known: bool = True
+    end_known: bool = True
+    provenance: Provenance = field(default_factory=Provenance)
+
+
+@dataclass
+class ParsedMap:
+    """The content of a file."""
+
+    elements: list[ParsedElement] = field(default_factory=list)
+    trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    georeference: Georeference | None = None
+    """Position of the map on Earth, if reading the file needed it."""
+    triangle_center: TriangleCenter = OLDER
+    """What the points of triangular signs are."""
+    tally: ConversionTally = field(default_factory=ConversionTally)
+
+    def add(self, element: ParsedElement) -> None:
+        if len(self.elements) >= MOST_ITEMS:
+            raise SemvizError(f"more than {MOST_ITEMS} poles and signs; split the file")
+        self.elements.append(element)
+
+
+@dataclass(frozen=True)
+class MapImportContext:
+    """The workspace and options that a file is read with."""
+
+    frame: MapFrame
+    """The map frame of the workspace and of the imported map."""
+    classes: ClassSet = DEFAULT_CLASSES
+    class_map: Mapping[str, str] = field(default_factory=dict)
+    """Class name in the file -> semviz class name, or ``ignore``."""
+    anchor: Georeference | None = None
+    """Position of the map frame's origin on Earth, as the user states it."""
+
+    def georeference(self, of_file: Georeference | None = None) -> Georeference | None:
+        """Return the position on Earth stated by the user, else the file, else the workspace."""
+        return self.anchor or of_file or Georeference.of(self.frame)
+
+    def class_id(self, name: object) -> int | None:
+        """Return the class that the file calls ``name``; None if it is ignored."""
+        if not isinstance(name, str):
+            raise SemvizError(f"a class name is expected, not {quoted(name)}")
+        mapped = self._mapped([name])
+        if mapped == IGNORE:
+            return None
+        class_id = class_named(name, self.classes) if mapped is None else mapped
+        if not isinstance(class_id, int):
+            raise SemvizError(
+                f"class {quoted(name)} is not known; {how_to_map(name)}, CLASS being one of "
+                f"{self._class_names()}"
+            )
+        return class_id
+
+    def class_of_code(self, codes: Sequence[str], table: Mapping[str, int]) -> int | str | None:
+        """Return the class of the first of ``codes`` that the user mapped or ``table`` has.
+
+        Return ``ignore`` if the user mapped it so, None if no code is known.
+        """
+        mapped = self._mapped(codes)
+        if mapped is not None:
+            return mapped
+        known = (table[code] for code in codes if table.get(code) in self.classes)
+        return next(known, None)
+
+    def check_frame(self, name: object) -> None:
+        """Raise SemvizError if a file names another map frame."""
+        if name is not None and name != self.frame.name:
+            raise SemvizError(
+                f"a map of the frame {quoted(name)}, but this workspace's is "
+                f"{quoted(self.frame.name)}; their coordinates have nothing in common"
+            )
+
+    def _mapped(self, names: Sequence[str]) -> int | str | None:
+        name = next((candidate for candidate in names if candidate in self.class_map), None)
+        if name is None:
+            return None
+        class_name = self.class_map[name]
+        class_id = IGNORE if class_name == IGNORE else class_named(class_name, self.classes)
+        if class_id is None:
+            raise SemvizError(
+                f"class {quoted(name)} is mapped to {quoted(class_name)}, which is not known; "
+                f"say one of {self._class_names()}"
+            )
+        return class_id
+
+    def _class_names(self) -> str:
+        return ", ".join([*(class_.name for class_ in self.classes), IGNORE])
+
+
+def how_to_map(name: str) -> str:
+    """Return the option that maps the class ``name`` of a file."""
+    shown = name if name.isprintable() and 0 < len(name) <= 50 else "NAME"
+    return f"say --class-map {shlex.quote(f'{shown}=CLASS')}"
+
+
+def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> SemanticMap:
+    """Return the map of the parsed elements. Raise SemvizError if there are none."""
+    rows, tally = parsed.elements, parsed.tally
+    if not rows:
+        dropped = ", ".join(f"{count} x {what}" for what, count in tally.dropped.items())
+        raise SemvizError(
+            "holds no pole and no sign that can be read" + (dropped and f": {dropped}")
+        )
+    tally.assume(
+        f"standard deviations: {ASSUMED_SIGMA_M:g} m where the file has none",
+        sum(row.covariance_m2 is None for row in rows),
+    )
+    is_line = np.array([row.end_m is not None for row in rows])
+    ends = [np.full(3, np.nan) if row.end_m is None else row.end_m for row in rows]
+    elements = Elements3D(
+        id=np.array(_ids(rows, tally)),
+        anchor_m=np.array([row.anchor_m for row in rows]),
+        end_m=np.array(ends),
+        class_id=np.array([row.class_id for row in rows]),
+        covariance_m2=np.array([_covariance(row) for row in rows]),
+        anchor_known=np.array([row.anchor_known for row in rows]),
+        end_known=is_line & np.array([row.end_known for row in rows]),
+    )
+    provenance = tuple(row.provenance for row in rows)
+    return SemanticMap(
+        elements=elements,
+        frame=_frame(context.frame, parsed.georeference),
+        classes=context.classes,
+        trajectory_m=parsed.trajectory_m,
+        provenance=provenance if any(origin.label_ids for origin in provenance) else (),
+        made_by=made_by,
+        triangle_center=parsed.triangle_center,
+    )
+
+
+def _frame(frame: MapFrame, georeference: Georeference | None) -> MapFrame:
+    if georeference is None:
+        return frame
+    return MapFrame(frame.name, georeference.origin, georeference.x_heading_deg)
+
+
+def _ids(rows: Iterable[ParsedElement], tally: ConversionTally) -> list[int]:
+    """Return the ids of the file; elements without an id, or with a repeated one, get a new one."""
+    rows = list(rows)
+    following = max((row.id for row in rows if row.id is not None), default=0)
+    ids: list[int] = []
+    taken: set[int] = set()
+    for row in rows:
+        if row.id is None or row.id in taken:
+            following += 1
+            tally.assume("numbers: new ones where the file has none, or the same twice")
+        ids.append(following if row.id is None or row.id in taken else row.id)
+        taken.add(ids[-1])
+    return ids
+
+
+def _covariance(row: ParsedElement) -> FloatArray:
+    if row.covariance_m2 is not None:
+        return row.covariance_m2
+    variances = np.full(6, ASSUMED_SIGMA_M**2)
+    variances[3:] *= row.end_m is not None
+    return np.diag(variances)
+
+
+def read_xml(path: Path, root: str) -> "Element":
+    """Return the root element without namespaces. Raise SemvizError if it is not ``root``."""
+    from defusedxml.ElementTree import fromstring
+
+    with parsing_xml():
+        document: Element = fromstring(read_bytes(path, MOST_XML_BYTES), forbid_dtd=True)
+    for element in document.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    if document.tag != root:
+        raise SemvizError(f"the outermost element is {quoted(document.tag)}, not {root!r}")
+    return document
+
+
+def attribute(element: "Element", name: str, default: str | None = None) -> float:
+    """Return a numeric attribute of an XML element. Raise SemvizError if it is missing."""
+    text = element.get(name, default)
+    if text is None:
+        raise SemvizError(f"a {element.tag} without {name!r}")
+    return number(text)
+
+
+def parse_integer(text: str | None) -> int | None:
+    """Return the integer from 0 to 2^53 in ``text``; None if it is not one."""
+    if text is None or not (text.isascii() and text.isdigit() and len(text) <= 16):
+        return None
+    value = int(text)
+    return value if value <= 2**53 else None
+
+
+def upper_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two ends of a pole, the upper one first."""
+    return (first, second) if first[2] >= second[2] else (second, first)
+
+
+def checked_covariance(value: object, name: str) -> FloatArray:
+    """Return a covariance (6, 6) from a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
+    array = float_array(cast("ArrayLike", value), (None, None), name)
+    if array.shape not in ((3, 3), (6, 6)):
+        raise SemvizError(f"{name} is not a matrix of 3 by 3 or 6 by 6 numbers")
+    full = np.zeros((6, 6))
+    full[: len(array), : len(array)] = array
+    return full

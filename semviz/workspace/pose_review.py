@@ -1,0 +1,354 @@
+"""Wrong poses of a workspace, what labels say about them, and the choice that a person makes.
+
+A check compares the given poses with the images; the choices made so far answer its faults.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from semviz.workspace.pose_choices import (
+    Choice,
+    PoseChoices,
+    PoseOperation,
+    RefinedPose,
+    Subject,
+    changing,
+    digest_of,
+    now,
+    subject_of,
+    write_choices,
+)
+from semviz.workspace.pose_labels import (
+    DriveWithPoses,
+    ElementMove,
+    FaultLabels,
+    FrameAgreement,
+    element_moves,
+    frame_agreements,
+)
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.build import POSES
+from semviz_core.base.frame import FileDataset, Frame
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.common.errors import SemvizError
+from semviz_core.pose_checks.comparison import rows_of_runs
+from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStretch:
+    """A fault of poses, with the labels of its frames."""
+
+    fault: PoseFault
+    check: PoseCheck
+    labels: Labels
+    workspace: Workspace
+
+    @property
+    def subject(self) -> Subject:
+        return subject_of(self.fault)
+
+    @property
+    def can_refine(self) -> bool:
+        """Whether other poses repair it: not a fault of the calibration."""
+        return self.fault.kind not in RIG_KINDS
+
+    @property
+    def labels_agree(self) -> bool:
+        """Whether most of the elements fit refined poses better, or none says anything."""
+        evidence = None if self.seen is None else self.seen.evidence
+        return evidence is None or 2 * evidence.agreeing >= evidence.elements
+
+    @property
+    def label_count(self) -> int:
+        inside = range(self.fault.first, self.fault.last + 1)
+        return sum(
+            len(self.labels.in_frame(frame)) for frame in self.labels.frames if frame in inside
+        )
+
+    @cached_property
+    def seen(self) -> FaultLabels | None:
+        """The labels against elements placed by other frames; None if they say nothing."""
+        if not self.can_refine:
+            return None
+        source, (first, last) = self.workspace.given_source, (self.fault.first, self.fault.last)
+        return FaultLabels.of(self.labels, source, self.check, first, last)
+
+    @cached_property
+    def moves(self) -> tuple[ElementMove, ...]:
+        """How far refining these poses moves the elements of the map."""
+        if not self.can_refine:
+            return ()
+        source, (first, last) = self.workspace.given_source, (self.fault.first, self.fault.last)
+        return element_moves(self.labels, source, self.check, first, last)
+
+    @cached_property
+    def lost(self) -> tuple[str, ...]:
+        """Names of elements that no map has if the frames are left out: fewer than two labels."""
+        inside = range(self.fault.first, self.fault.last + 1)
+        rows = [
+            row
+            for frame in self.labels.frames
+            if frame in inside
+            for row in self.labels.in_frame(frame)
+        ]
+        elements = [self.labels.element(id_) for id_ in {row.element_id for row in rows}]
+        return tuple(
+            self.workspace.classes.element_name(element.class_id, element.number)
+            for element in sorted(elements, key=lambda element: element.number)
+            if sum(row.frame_index not in inside for row in self.labels.of_element(element.id)) < 2
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFindings:
+    """What images and labels say about the given poses, whatever is chosen for them."""
+
+    workspace: Workspace
+    check: PoseCheck
+    """Of the given poses."""
+    labels: Labels
+
+    @cached_property
+    def stretches(self) -> tuple[PoseStretch, ...]:
+        """The faults, by how far poses are off."""
+        found = (
+            PoseStretch(fault, self.check, self.labels, self.workspace)
+            for fault in self.check.faults
+        )
+        return tuple(sorted(found, key=lambda one: -_size(one.fault)))
+
+    @cached_property
+    def agreements(self) -> dict[int, FrameAgreement]:
+        """How the labels of each frame fit the given poses."""
+        given = DriveWithPoses(self.workspace.given_source, self.check.frames)
+        found = frame_agreements(self.labels, given, refined_frames(self.check))
+        return {agreement.frame: agreement for agreement in found}
+
+
+@dataclass(frozen=True, eq=False)
+class PoseReview:
+    """The faults of the given poses, with the choices made for them."""
+
+    findings: PoseFindings
+    choices: PoseChoices
+
+    @classmethod
+    def of(cls, workspace: Workspace, check: PoseCheck, labels: Labels) -> "PoseReview":
+        """Return the faults of ``check``, of the given poses, with the choices made so far."""
+        return cls(PoseFindings(workspace, check, labels), workspace.pose_choices())
+
+    @property
+    def workspace(self) -> Workspace:
+        return self.findings.workspace
+
+    @property
+    def check(self) -> PoseCheck:
+        return self.findings.check
+
+    @property
+    def labels(self) -> Labels:
+        return self.findings.labels
+
+    @cached_property
+    def stretches(self) -> tuple[PoseStretch, ...]:
+        """Those without a choice first, then by how far poses are off."""
+        return tuple(
+            sorted(self.findings.stretches, key=lambda one: self.choice_for(one) is not None)
+        )
+
+    def choice_for(self, stretch: PoseStretch) -> PoseOperation | None:
+        """Return the choice that answers a fault; None if it is open."""
+        return self.choices.choice_for(stretch.fault)
+
+    @property
+    def open(self) -> tuple[PoseStretch, ...]:
+        return tuple(stretch for stretch in self.stretches if self.choice_for(stretch) is None)
+
+    @property
+    def wrong_frames(self) -> frozenset[int]:
+        """Frames whose poses are wrong and used all the same: their labels are not to blame."""
+        return frozenset(
+            frame.index
+            for stretch in self.stretches
+            if self._is_used(stretch) and stretch.subject == "frames" and stretch.labels_agree
+            for frame in self.check.frames
+            if stretch.fault.first <= frame.index <= stretch.fault.last
+        )
+
+    def _is_used(self, stretch: PoseStretch) -> bool:
+        operation = self.choice_for(stretch)
+        return operation is None or operation.choice == "keep"
+
+    @property
+    def wrong_observations(self) -> frozenset[str]:
+        """Ids of the labels in those frames."""
+        frames = sorted(self.wrong_frames & set(self.labels.frames))
+        return frozenset(row.id for frame in frames for row in self.labels.in_frame(frame))
+
+    @cached_property
+    def used(self) -> tuple[Frame, ...]:
+        """The frames with the chosen poses."""
+        return self.choices.applied(self.check.frames)
+
+
+def _size(fault: PoseFault) -> float:
+    """Return how bad a fault is: all poses, then by turn and shift, then the calibration."""
+    if fault.kind in RIG_KINDS:
+        return 0.0
+    if subject_of(fault) != "frames":
+        return 1000.0
+    return fault.turn_deg + fault.shift_m
+
+
+def choose_poses(
+    review: PoseReview,
+    choice: Choice,
+    stretch: tuple[int, int, Subject],
+    author: str,
+    request_id: str = "",
+) -> PoseOperation:
+    """Store a choice for a stretch (first and last frame, and what it is about); it is on disk when
+    this returns. A request id that was used before returns its operation.
+
+    Raise SemvizError, and change nothing, if the drive is simulated, the frames are not in it, or
+    the labels that were kept back fit refined poses worse.
+    """
+    operation = _operation(review, choice, stretch, author, request_id)
+    workspace = review.workspace
+    path = workspace.pose_choices_path
+    with changing(path):
+        choices = workspace.pose_choices()
+        for earlier in choices.operations:
+            if request_id and earlier.request_id == request_id:
+                return earlier
+        write_choices(path, choices.with_operation(operation))
+    return operation
+
+
+def step_choices(workspace: Workspace, by: Literal[-1, 1]) -> PoseOperation:
+    """Undo the last choice (-1) or redo the last undone one (1); return its operation.
+
+    Raise SemvizError if there is none.
+    """
+    path = workspace.pose_choices_path
+    with changing(path):
+        choices = workspace.pose_choices()
+        moved = choices.moved(by)
+        write_choices(path, moved)
+    return choices.operations[min(choices.standing, moved.standing)]
+
+
+def _operation(
+    review: PoseReview,
+    choice: Choice,
+    stretch: tuple[int, int, Subject],
+    author: str,
+    request_id: str,
+) -> PoseOperation:
+    first, last, subject = stretch
+    frames = [frame for frame in review.check.frames if first <= frame.index <= last]
+    if not isinstance(review.workspace.given_source, FileDataset):
+        raise SemvizError("the poses of a simulated street are true: there is nothing to choose")
+    if not frames:
+        raise SemvizError(f"the drive has no frames from {first} to {last}")
+    operation = PoseOperation(
+        choice="ask",
+        first=frames[0].index,
+        last=frames[-1].index,
+        subject=subject,
+        author=author,
+        time=now(),
+        request_id=request_id,
+    )
+    if choice != "refine":
+        return operation.model_copy(update={"choice": choice})
+    refined = _refined(review, operation)
+    return PoseOperation.model_validate(
+        operation.model_dump()
+        | {"choice": "refine", "given": digest_of(review.check.frames), "poses": refined}
+    )
+
+
+def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ...]:
+    """Return the refined poses of the frames. Raise SemvizError if they may not be used."""
+    if wanted.subject in RIG_KINDS:
+        raise SemvizError("other poses do not repair the calibration; correct that, or keep it")
+    for other in review.stretches if wanted.subject == "frames" else ():
+        is_whole = other.subject != "frames" and other.can_refine
+        operation = review.choice_for(other)
+        if is_whole and (operation is None or operation.choice != "refine"):
+            raise SemvizError(f"first refine the whole drive: {other.fault.text}")
+    source = review.workspace.given_source
+    seen = FaultLabels.of(review.labels, source, review.check, wanted.first, wanted.last)
+    evidence = None if seen is None else seen.evidence
+    if evidence is not None and evidence.grows_worse:
+        raise SemvizError(
+            f"Refining makes the labels kept back worse ({evidence.before_px:.1f} px, then "
+            f"{evidence.after_px:.1f} px). Nothing was changed."
+        )
+    chosen = [
+        RefinedPose.of(frame)
+        for frame in refined_frames(review.check)
+        if wanted.first <= frame.index <= wanted.last and frame.T_map_camera is not None
+    ]
+    if not chosen:
+        raise SemvizError(f"{wanted.where}: no pose to refine")
+    return tuple(chosen)
+
+
+def used_poses(workspace: Workspace) -> dict[str, Any]:
+    """Return, as JSON values, which poses are used now: the frames refined and left out, and a
+    digest of all poses. Empty if nobody has chosen anything."""
+    given, used = workspace.given_source.frames, workspace.source.frames
+    pairs = list(zip(given, used, strict=True))
+    refined = [one.index for one, now in pairs if now is not one and not now.left_out]
+    left_out = [now.index for now in used if now.left_out]
+    if not refined and not left_out:
+        return {}
+    order = [frame.index for frame in given]
+    return {
+        "refined": _runs(refined, order),
+        "left_out": _runs(left_out, order),
+        "digest": digest_of(used),
+    }
+
+
+def with_used_poses(semantic_map: SemanticMap, workspace: Workspace) -> SemanticMap:
+    """Return a map that was built now, with a record of the poses it was built with."""
+    used = used_poses(workspace)
+    if not used:
+        return semantic_map
+    return replace(semantic_map, settings={**semantic_map.settings, POSES: used})
+
+
+def pose_change(semantic_map: SemanticMap, workspace: Workspace) -> str:
+    """Return in which way a map was built with other poses than those used now; empty if not."""
+    before, after = semantic_map.settings.get(POSES, {}), used_poses(workspace)
+    if before.get("digest") == after.get("digest"):
+        return ""
+    parts = []
+    for name, word in (("refined", "refined"), ("left_out", "left out")):
+        for verb, these, those in (("now", after, before), ("no longer", before, after)):
+            changed = [run for run in these.get(name, []) if run not in those.get(name, [])]
+            if changed:
+                parts.append(f"{frames_text(changed)} {verb} {word}")
+    return "; ".join(parts) or "other refined poses"
+
+
+def frames_text(runs: Sequence[Sequence[int]]) -> str:
+    """Return ``frames 0-11, 40``."""
+    names = [f"{first}" if first == last else f"{first}-{last}" for first, last in runs]
+    is_one = len(runs) == 1 and runs[0][0] == runs[0][1]
+    return f"{'frame' if is_one else 'frames'} {', '.join(names)}"
+
+
+def _runs(numbers: list[int], order: list[int]) -> list[list[int]]:
+    """Return first and last of each run of consecutive frames."""
+    runs = rows_of_runs(np.isin(order, numbers))
+    return [[order[first], order[last]] for first, last in runs]

@@ -1,0 +1,65 @@
+"""One outline in several images: planted plates with distractors that one image cannot tell apart."""
+
+import cv2
+import numpy as np
+import pytest
+
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.subpixel.joint_outlines import OutlineView, edge_profile, joint_outlines
+from semviz_core.subpixel.sampling import SampledImage
+
+SCALES = (1.0, 1.2, 1.5, 1.9)
+
+
+def plate(rng: np.random.Generator, half: FloatArray, center: FloatArray) -> ByteImage:
+    """A dark plate before clutter that is different in each image."""
+    size, fine = 160, 4
+    picture = np.full((size * fine, size * fine, 3), 150, np.uint8)
+    for _ in range(40):
+        low = rng.uniform(-20, size, 2)
+        box(picture, low, low + rng.uniform(4, 50, 2), tuple(rng.integers(110, 220, 3).tolist()))
+    box(picture, center - half, center + half, (50, 60, 70))
+    inner = half * [0.7, 0.5]
+    box(picture, center + half * 0.05 - inner, center + half * 0.05 + inner, (80, 95, 100))
+    return cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
+
+
+def box(picture: ByteImage, low: FloatArray, high: FloatArray, color: tuple[int, ...]) -> None:
+    """Fill a box with corners in pixels of the image before enlargement by 4."""
+    first, last = (np.round((point + 0.5) * 4 * 16 - 8).astype(int) for point in (low, high))
+    cv2.rectangle(picture, tuple(first.tolist()), tuple(last.tolist()), color, -1, cv2.LINE_AA, 4)
+
+
+def views(seed: int, off: FloatArray, half: FloatArray) -> tuple[list[OutlineView], FloatArray]:
+    rng = np.random.default_rng(seed)
+    result = []
+    for scale in SCALES:
+        center = rng.uniform(70, 90, 2)
+        image = SampledImage(plate(rng, half * scale, center))
+        mark = center + off * scale
+        profile = edge_profile(image, mark, "square")
+        result.append(OutlineView(image, profile, mark, scale, 1.5 * scale))
+    return result, -off
+
+
+@pytest.mark.parametrize("half", [(9.0, 12.0), (22.0, 6.0)])
+@pytest.mark.parametrize("off", [(0.0, 0.0), (1.3, -0.8)])
+def test_all_views_tell_the_middle_from_which_all_marks_are_off(half, off) -> None:
+    for seed in range(3):
+        seen, true_move = views(seed, np.array(off), np.array(half))
+        best = joint_outlines(seen, "square", "centroid")[0]
+        assert np.linalg.norm(best.move - true_move) < 0.35
+        assert best.half_px == pytest.approx(np.array(half), abs=0.8)
+        assert best.spread_px < 0.5
+        assert best.edges > 1.0
+
+
+def test_without_a_plate_no_outline_is_clear() -> None:
+    rng = np.random.default_rng(3)
+    seen = []
+    for scale in SCALES:
+        noise = rng.integers(90, 170, (160, 160, 3)).astype(np.uint8)
+        image = SampledImage(cv2.GaussianBlur(noise, (0, 0), 2.0))
+        mark = np.array([80.0, 80.0])
+        seen.append(OutlineView(image, edge_profile(image, mark, "square"), mark, scale, 2.0))
+    assert joint_outlines(seen, "square", "centroid")[0].edges < 0.8

@@ -1,0 +1,242 @@
+"""A rig of four cameras with lenses and clocks of their own: from files to a map and poses."""
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from annotator_page import Served, annotating
+from command_line import call
+from journeys.driver import POLE, LabelDriver
+from labelled_rig import SIGMA_PX, label, true_pose
+from streets import street
+
+from semviz.annotator import messages
+from semviz.annotator.panes import SecondImage
+from semviz.annotator.session import LabelSession
+from semviz.cli import main
+from semviz.web.protocol import RefusedError
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.labels import new_id
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.rig_cameras import frames_by_camera
+from semviz_core.simulation.street import Street
+from semviz_core.simulation.street_rig import (
+    CALIBRATION,
+    POSES,
+    four_cameras,
+    record_rig,
+    visible_at,
+)
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+FRAMES = 7
+CAMERAS = four_cameras()
+NAMES = ",".join(CAMERAS)
+
+
+@pytest.fixture(scope="module")
+def source() -> Street:
+    return street(3, FRAMES + 2)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory, source: Street) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    record_rig(folder, source, CAMERAS, range(FRAMES))
+    return folder
+
+
+def words(recording: Path, town: Path, **changed: object) -> list[object]:
+    options = {
+        "images": recording,
+        "cameras": NAMES,
+        "calibration": recording / CALIBRATION,
+        "poses": recording / POSES,
+    } | changed
+    pairs = [(f"--{name}", value) for name, value in options.items() if value is not None]
+    return ["new", town, *(word for pair in pairs for word in pair)]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
+    path = tmp_path_factory.mktemp("workspaces") / "town"
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, words(recording, path)), "--strict"])
+    assert not ended.value.code
+    return path
+
+
+@pytest.fixture
+def town(tmp_path: Path, made: Path, recording: Path) -> Workspace:
+    """A copy, whose folders of images are named as seen from there."""
+    path = tmp_path / "town"
+    shutil.copytree(made, path)
+    settings = (path / "semviz.toml").read_text()
+    for name in CAMERAS:
+        settings = settings.replace(f'../../rig0/{name}"', f'{recording / name}"')
+    (path / "semviz.toml").write_text(settings)
+    return Workspace.open(path)
+
+
+def test_every_camera_has_its_frames_poses_at_their_own_times_and_one_pinhole(
+    town: Workspace, source: Street
+) -> None:
+    dataset = town.source
+    assert isinstance(dataset, ImageFolder)
+    frames = frames_by_camera(dataset)
+    assert {name: [frame.index for frame in its] for name, its in frames.items()} == {
+        name: list(range(10 * number, 10 * number + FRAMES)) for number, name in enumerate(CAMERAS)
+    }
+    late = [its[0].time_s - frames["front"][0].time_s for its in frames.values()]
+    np.testing.assert_allclose(late, [0.0, 0.013, 0.027, 0.041], atol=1e-5)
+    point = np.array([[0.3, -0.2, 8.0]])
+    for name, its in frames.items():
+        lens = CAMERAS[name].lens
+        assert dataset.image(its[0].index, "left").shape[1::-1] == (
+            dataset.rig.left.width,
+            dataset.rig.left.height,
+        )
+        for frame in its:
+            truth = true_pose(source, frame, CAMERAS[name])
+            assert frame.T_map_camera is not None
+            np.testing.assert_allclose(frame.T_map_camera.as_matrix(), truth.as_matrix(), atol=1e-4)
+            pixels = dataset.to_original(dataset.rig.left.project(point), frame.index, "left")
+            np.testing.assert_allclose(pixels, lens.project(point), atol=1e-6)
+
+
+def test_a_rig_is_mapped_and_every_camera_localized_in_one_map(
+    town: Workspace, source: Street, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    label(town, source, CAMERAS, SIGMA_PX)
+    assert call(capsys, "map", "build", town.path)[0] == 0
+    truth, built = source.truth_map.elements, town.read_map("main").elements
+    sigma = np.sqrt(np.trace(built.covariance_m2[:, :3, :3], axis1=1, axis2=2))
+    apart = np.linalg.norm(built.anchor_m[:, None] - truth.anchor_m[None], axis=2).min(axis=1)
+    assert (apart < 4.0 * sigma + 0.05)[built.anchor_known].all()
+    for camera in ("front", "back"):
+        run = town.path / "runs" / f"{camera}.rrd"
+        code, _, err = call(
+            capsys, "localize", town.path, "--camera", camera, "--out", run, "--images", "reference"
+        )
+        assert code == 0, err
+        numbers = json.loads(call(capsys, "evaluate", run, "--json")[1])
+        assert numbers["status"]["ok"] == FRAMES
+        assert numbers["rte_m"]["q3"] < 0.1
+    code, _, err = call(capsys, "localize", town.path, "--camera", "roof")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "no camera roof; the drive has front, left, right, back" in err
+    assert call(capsys, "labels", "export", town.path, tmp_path / "l.csv")[0] == 0
+    row = next(row for row in csv.DictReader((tmp_path / "l.csv").open()) if row["frame"] == "31")
+    assert row["image"].startswith("back/17")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"cameras": "front,roof,back"}, "no folder roof of a camera"),
+        ({"cameras": "front,back,back"}, "each named once"),
+        ({"cameras": "front,left"}, "--cameras has no meaning"),
+        ({"calibration": None}, "no calibration"),
+    ],
+)
+def test_what_is_no_rig_is_refused(
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    changed: dict[str, object],
+    message: str,
+) -> None:
+    code, _, err = call(capsys, *words(recording, tmp_path / "town", **changed))
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
+    assert not (tmp_path / "town").exists()
+
+
+def test_a_camera_whose_place_nobody_says_is_refused(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (recording / CALIBRATION).read_text().splitlines()
+    places = [row for row, line in enumerate(lines) if line.startswith("T_body")]
+    own = tmp_path / "rig.toml"
+    own.write_text("\n".join(line for row, line in enumerate(lines) if row != places[1]))
+    code, _, err = call(capsys, *words(recording, tmp_path / "town", calibration=own))
+    assert code == 2
+    assert "does not say where camera left is" in err
+
+
+def test_the_second_image_is_the_one_wished_for_and_marks_name_it(town: Workspace) -> None:
+    """Also if another page wishes for another one in between."""
+    session = LabelSession(town, "ann")
+    try:
+        usual = session.frame(5).panes["right"]
+        assert (usual.camera, usual.frame) == ("front", 1)  # 4 m back
+        beside = session.frame(15).panes["right"]
+        assert (beside.camera, beside.frame) == ("left", 14)  # 1 m, as it looks aside
+        wished = session.frame(5, SecondImage(camera="right"))
+        assert (wished.panes["right"].camera, wished.panes["right"].frame) == ("right", 25)
+        assert wished.at_that_time == {"left": 15, "right": 25, "back": 35}
+        assert session.frame(5, SecondImage(step=-2)).panes["right"].frame == 3
+        assert session.frame(5, SecondImage(step=40)).panes["right"].frame == 1  # the usual one
+        mark = messages.DrawEdit(
+            kind="draw", observation_id=new_id(), element_id=new_id(), frame_index=5,
+            side="right", second=25, anchor_px=(200.0, 80.0), class_id=3,
+        )  # fmt: skip
+        session.frame(5)  # another page's
+        session.apply(new_id(), mark)
+        (row,) = session.labels.observations.values()
+        assert (row.frame_index, row.side) == (25, "left")
+        with pytest.raises(RefusedError, match="cannot be shown"):
+            session.apply(new_id(), mark.model_copy(update={"second": 5}))
+    finally:
+        session.close()
+
+
+@pytest.fixture
+def served(town: Workspace) -> Iterator[Served]:
+    with annotating(town) as served:
+        yield served
+
+
+@pytest.mark.browser
+def test_a_pole_is_labelled_in_two_cameras_in_the_browser(
+    served: Served, town: Workspace, source: Street, page: "Page"
+) -> None:
+    """The front image beside the one of the right camera that was taken 27 ms later."""
+    frames = {frame.index: frame for frame in town.source.frames}
+    model = town.source.rig.left
+    both = {}
+    for index in range(FRAMES):
+        ahead, aside = (
+            visible_at(source, model, true_pose(source, frames[number], CAMERAS[name]))
+            for number, name in ((index, "front"), (20 + index, "right"))
+        )
+        for row, element in enumerate(ahead[1].tolist()):
+            if element in aside[1].tolist() and ahead[0].is_line[row]:
+                other = aside[1].tolist().index(element)
+                both[index] = [
+                    (seen.anchor_px[at], seen.end_px[at])
+                    for seen, at in ((ahead[0], row), (aside[0], other))
+                ]
+    index, (here, there) = next(iter(both.items()))
+    driver = LabelDriver(page)
+    mark = "&" if "?" in served.url else "?"
+    driver.open(f"{served.url}{mark}frame={index}&second=right")
+    page.wait_for_selector(f'#right-image h2:has-text("right {20 + index}")')
+    page.wait_for_function("() => semviz.images.bitmap('right')")
+    assert page.inner_text("#left-image h2") == f"front {index}"
+    assert driver.draw_pair(POLE, here, there) == "P-01"
+    rows = {(row.frame_index, row.side) for row in served.observations}
+    assert rows == {(index, "left"), (20 + index, "left")}
+    position = served.annotator.session.position(served.observations[0].element_id)
+    assert position is not None
+    truth = source.truth_map.elements.anchor_m
+    assert np.linalg.norm(truth - position.anchor_m, axis=1).min() < 0.3
+    page.keyboard.press("Shift+C")
+    page.wait_for_selector('#left-image h2:has-text("left")')
