@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.localization.prior_residuals import MOST_ROADS, road_heights
+from semviz_core.localization.prior_residuals import road_heights
 from semviz_core.localization.problem import PoseProblem, PriorRecord, Record, RecordArray
 from semviz_core.localization.upright import UprightView, upright_elements
 
@@ -24,8 +24,6 @@ class Effort(NamedTuple):
 
     step_m: float = 3.6
     """Grid step of positions; fits converge from several times as far."""
-    headings: int = 6
-    """Most headings kept per position: those with the most voters, and with one less."""
     hypotheses: int = 500
     """Most candidates rated, per view."""
     polished: int = 150
@@ -60,10 +58,8 @@ VOTE_SPREAD_RAD = float(np.deg2rad(1.0))
 """A vote spreads at least so far to either side."""
 AGREEING_SIGMAS = 3.3
 """Matches whose slopes differ by more do not vote."""
-WIDEST_RUN = 5
-"""Neighbouring bins with equal voters become one heading for each so many of them."""
-OFF_ROAD_M, WIDE_GATE_M = 30.0, 120.0
-"""If the gate is wider than the second, only positions this near to the road are searched."""
+RUNS = 3
+"""Most headings kept per position: those with the most voters, and with one less."""
 LEAST_VOTERS = 2
 MOST_VOTERS = 60
 """Most observed elements that vote: one bit each of a 64-bit integer."""
@@ -99,8 +95,8 @@ def vote_headings(
     elements, candidate = upright_elements(problem)
     gate = GATE_SIGMAS * prior.value.position_sigma_m[0] + GATE_WIDER_M
     block_m = BLOCK * effort.step_m
-    blocks = _blocks(prior, gate, block_m)
-    room = blocks.sum() * BLOCK * BLOCK * effort.headings * MOST_ROADS
+    blocks = int(gate / block_m) + 1
+    room = ((2 * blocks + 1) * BLOCK) ** 2 * RUNS
     table = _VoteTable(
         np.empty((len(candidate), 2)),
         np.zeros(BINS, dtype=np.int64),
@@ -109,66 +105,19 @@ def vote_headings(
         np.empty(room, dtype=np.int64),
         np.zeros(MOST_VOTERS + 2, dtype=np.int64),
     )
-    by_east = np.argsort(elements["position_m"][:, 0])
-    east = elements["position_m"][by_east, 0]
-    count, middle = 0, len(blocks) // 2
-    for column in range(len(blocks)):
-        for row in range(len(blocks)):
-            if not blocks[column, row]:
-                continue
-            x = prior.value.position_m[0] + (column - middle) * block_m
-            y = prior.value.position_m[1] + (row - middle) * block_m
-            near = _near(elements, by_east, east, x, y, FARTHEST_M + block_m)
-            if len(near) < LEAST_VOTERS:
-                continue
+    count = 0
+    for column in range(-blocks, blocks + 1):
+        for row in range(-blocks, blocks + 1):
+            if np.hypot(column, row) * block_m > gate + block_m:
+                continue  # a corner outside the gate
+            x = prior.value.position_m[0] + column * block_m
+            y = prior.value.position_m[1] + row * block_m
             for z in road_heights(prior, x, y):
-                _fill_ranges(
-                    problem.setting, view, prior, elements, near, candidate, z, table.ranges
-                )
+                _fill_ranges(problem.setting, view, prior, elements, candidate, z, table.ranges)
                 count = _vote_in_block(
-                    view, prior, elements, near, candidate, gate, x, y, z, table, effort, count
+                    view, prior, elements, candidate, gate, x, y, z, table, effort, count
                 )
     return PoseCandidates(table.pose[_most_voted(table.voters[:count], effort.hypotheses)], count)
-
-
-@compiled
-def _blocks(prior: PriorRecord, gate: float, block_m: float) -> BoolArray:
-    """Return which blocks (2k + 1, 2k + 1), by column and row, to search: those within the gate,
-    and of a wide gate only those near the road, if it is known."""
-    k = int(gate / block_m) + 1
-    blocks = np.zeros((2 * k + 1, 2 * k + 1), dtype=np.bool_)
-    if gate < WIDE_GATE_M or not len(prior.road_m):
-        for column in range(-k, k + 1):
-            for row in range(-k, k + 1):  # unless all corners are outside the gate
-                inside = np.hypot(column, row) * block_m <= gate + block_m
-                blocks[column + k, row + k] = inside
-        return blocks
-    reach = int(np.ceil(OFF_ROAD_M / block_m))
-    for point in prior.road_m:
-        first = int(np.round((point[0] - prior.value.position_m[0]) / block_m)) + k
-        second = int(np.round((point[1] - prior.value.position_m[1]) / block_m)) + k
-        blocks[
-            max(first - reach, 0) : max(first + reach + 1, 0),
-            max(second - reach, 0) : max(second + reach + 1, 0),
-        ] = True
-    return blocks
-
-
-@compiled
-def _near(
-    elements: RecordArray, by_east: IntArray, east: FloatArray, x: float, y: float, reach_m: float
-) -> IntArray:
-    """Return the rows of the elements within ``reach_m`` of (x, y). ``by_east`` are all rows by
-    their first coordinate ``east``."""
-    first = np.searchsorted(east, x - reach_m)
-    last = np.searchsorted(east, x + reach_m)
-    near, count = np.empty(last - first, dtype=np.int64), 0
-    for row in by_east[first:last]:
-        dx, dy = elements[row].position_m[0] - x, elements[row].position_m[1] - y
-        if dx * dx + dy * dy < reach_m * reach_m:
-            near[count] = row
-            count += 1
-    return near[:count]
 
 
 @compiled
@@ -177,14 +126,12 @@ def _fill_ranges(
     view: UprightView,
     prior: PriorRecord,
     elements: RecordArray,
-    near: IntArray,
     candidate: IntArray,
     z: float,
     ranges: FloatArray,
 ) -> None:
-    """Fill the range of 1 / distance at which each match's slopes agree, for a camera at ``z``, for
-    the elements in rows ``near``."""
-    for j in near:
+    """Fill the range of 1 / distance at which each match's slopes agree, for a camera at ``z``."""
+    for j in range(len(elements)):
         for entry in range(elements[j].first, elements[j].last):
             seen = view.seen[candidate[entry]]
             low, high = 1.0 / FARTHEST_M, 1.0 / NEAREST_M
@@ -211,7 +158,6 @@ def _vote_in_block(
     view: UprightView,
     prior: PriorRecord,
     elements: RecordArray,
-    near: IntArray,
     candidate: IntArray,
     gate: float,
     x: float,
@@ -227,14 +173,12 @@ def _vote_in_block(
         cell_x = x + (cell % BLOCK - BLOCK // 2) * effort.step_m
         cell_y = y + (cell // BLOCK - BLOCK // 2) * effort.step_m
         dx, dy = cell_x - prior.value.position_m[0], cell_y - prior.value.position_m[1]
-        if dx * dx + dy * dy > gate * gate or count + effort.headings > len(table.voters):
+        if dx * dx + dy * dy > gate * gate or count + RUNS > len(table.voters):
             continue
-        most_voters = _vote(view, elements, near, candidate, table, cell_x, cell_y, off_m)
+        most_voters = _vote(view, elements, candidate, table, cell_x, cell_y, off_m)
         while table.level[least_voters + 1 :].sum() > effort.hypotheses:
             least_voters += 1
-        added = _keep_best(
-            prior, cell_x, cell_y, z, most_voters, least_voters, effort.headings, table, count
-        )
+        added = _keep_best(prior, cell_x, cell_y, z, most_voters, least_voters, table, count)
         for k in range(count, count + added):
             table.level[table.voters[k]] += 1
         count += added
@@ -245,7 +189,6 @@ def _vote_in_block(
 def _vote(
     view: UprightView,
     elements: RecordArray,
-    near_rows: IntArray,
     candidate: IntArray,
     table: _VoteTable,
     x: float,
@@ -259,7 +202,7 @@ def _vote(
     table.votes[:] = 0
     table.number[:] = 0
     ranges, most_voters = table.ranges, 0
-    for j in near_rows:
+    for j in range(len(elements)):
         mapped = elements[j]
         east, north = mapped.position_m[0] - x, mapped.position_m[1] - y
         square = east * east + north * north
@@ -327,7 +270,6 @@ def _keep_best(
     z: float,
     most_voters: int,
     least_voters: int,
-    headings: int,
     table: _VoteTable,
     count: int,
 ) -> int:
@@ -336,9 +278,9 @@ def _keep_best(
     added = 0
     for voters in range(most_voters, max(most_voters - 2, least_voters - 1), -1):
         start = 0
-        while start < BINS and added < headings:
+        while start < BINS and added < RUNS:
             end = start
-            while end < BINS and end - start < WIDEST_RUN and table.number[end] == voters:
+            while end < BINS and table.number[end] == voters:
                 end += 1
             heading = 0.5 * (start + end) * (_FULL_TURN / BINS)
             if end > start and _heading_allowed(prior, heading):

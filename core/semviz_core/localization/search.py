@@ -56,8 +56,6 @@ class Modes:
     score: FloatArray  # (b,) nats
     match: IntArray  # (b, m)
     gain: FloatArray  # (b, m, n)
-    sigma_scale: float = 1.0
-    """Likely sigma of the detections over the stated one; scores, pairs and gains are with it."""
 
     def pairs(self, row: int) -> IntArray:
         """Return the pairs (k, 2) of a mode, as rows of observed and mapped elements."""
@@ -108,7 +106,7 @@ class Propose(Protocol):
 def most_voted(
     problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
 ) -> ProposedCandidates:
-    """Propose the likeliest poses of the grid round the fix, best rated first."""
+    """Propose the poses of the grid round the fix with the most voters, best rated first."""
     voted = vote_headings(problem, view, prior, effort)
     rating = rate_poses(problem, view, prior, voted.pose, VOTED_SIGMAS)
     likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
@@ -133,21 +131,7 @@ def search(
         evaluated, passed = evaluated + proposal.evaluated, passed + proposal.rated
         parts.append(_fitted_candidates(problem, view, record, proposal.pose, view_effort))
     candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-    modes = Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
-    return _at_likely_sigma(problem, record, modes, effort)
-
-
-def _at_likely_sigma(
-    problem: PoseProblem, prior: PriorRecord, modes: Modes, effort: Effort
-) -> Modes:
-    """Return the modes fitted again with the likely sigma of the detections, if the stated one is
-    too small."""
-    found = Candidates(modes.rotation, modes.translation, modes.score)
-    scale = likely_sigma_scale(problem, prior, found)
-    if scale == 1.0:
-        return modes
-    fitted = _final_modes(with_sigma_scale(problem, scale), prior, found, effort)
-    return Modes(modes.evaluated, modes.passed, *fitted, scale)
+    return Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
 
 
 def _effort_per_view(effort: Effort, views: int) -> Effort:
@@ -258,57 +242,6 @@ def _final_modes(
         matches[best],
         gains[best],
     )
-
-
-SIGMA_SCALES = (1.5, 2.2, 3.3, 5.0)
-"""Sigmas that are tried, over the stated one."""
-SCALE_NATS = 3.0
-"""Nats that a scale has to gain for each factor of e: detectors know their sigma roughly."""
-SCALED_MODES = 3
-HOPELESS_NATS = 4.0
-"""A scale is tried only if the best mode, not fitted again, loses less at LIKELY_SCALE."""
-LIKELY_SCALE = 2.2
-
-
-def likely_sigma_scale(problem: PoseProblem, prior: PriorRecord, found: Candidates) -> float:
-    """Return the likely sigma of the detections over the stated one: 1, or one of SIGMA_SCALES.
-
-    Scores are likelihoods, so they compare sigmas: a larger one fits more pairs, each worth less.
-    """
-    if not len(found.score):
-        return 1.0
-    best, scale = float(found.score[0]), 1.0
-    as_it_is = _best_score(with_sigma_scale(problem, LIKELY_SCALE), prior, found, False)
-    if as_it_is < best - HOPELESS_NATS:
-        return 1.0
-    for trial in SIGMA_SCALES:
-        score = _best_score(with_sigma_scale(problem, trial), prior, found, True)
-        if score - SCALE_NATS * np.log(trial) > best:
-            best, scale = score - SCALE_NATS * np.log(trial), trial
-    return scale
-
-
-@compiled
-def _best_score(problem: PoseProblem, prior: PriorRecord, found: Candidates, fitted: bool) -> float:
-    """Return the score of the best of the first SCALED_MODES, or that of the first as it is."""
-    best = -np.inf
-    for row in range(min(len(found.score), SCALED_MODES)):
-        R, t = found.rotation[row].copy(), found.translation[row].copy()
-        if not fitted:
-            match, gain = associate(problem, R, t, EXACT_POSE)
-            return log_likelihood(problem, prior, R, t, match, gain)
-        match, _ = associate(problem, R, t, FITTED_COVARIANCE)
-        best = max(best, _fit_until_stable(problem, prior, R, t, match)[4])
-    return best
-
-
-def with_sigma_scale(problem: PoseProblem, scale: float) -> PoseProblem:
-    """Return ``problem`` with all sigmas of the detections multiplied."""
-    if scale == 1.0:
-        return problem
-    seen = problem.seen.copy()
-    seen["variance_px2"] *= scale**2
-    return problem._replace(seen=seen)
 
 
 @compiled

@@ -21,15 +21,10 @@ ASSUMED_UP = np.array([0.0, -1.0, 0.0])
 ASSUMED_UP_SIGMA_RAD = float(np.deg2rad(4.0))
 POLE_LEAN_RAD = float(np.deg2rad(1.0))
 """Standard deviation of the lean of poles; limits the accuracy of gravity derived from them."""
-FALSE_POLES, FALSE_PER_RAD = 0.3, 5.0
-"""Share of false poles, and the density of their lean."""
-MOST_POLES = 8
-"""Gravity is sought with the pairs among so many poles."""
-RIVAL_UP_NATS = 4.0
-"""Another direction of up is searched too if it is less likely than the best by less than this."""
+CAUCHY_SIGMAS = 2.0
+"""Poles that lean by more count less (Cauchy weights)."""
 DOUBTFUL_UP_RAD = float(np.deg2rad(1.5))
 """If up is less certain than this about an axis, three angles about that axis are searched."""
-TILT_ROUNDS = 5
 TILT_SIGMAS = 1.2
 """Distance of the outer two of the three angles from the middle one."""
 LEAST_SINE = 0.05
@@ -71,23 +66,17 @@ def assumed_upright(prior: Prior) -> Prior:
 def likely_ups(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, float]:
     """Return directions of up (k, 3) in camera coordinates to search, the estimate first, and the
     sigma of each (rad). They are several if gravity stays doubtful."""
-    tilts, covariances = likely_tilts(*_leans(problem, prior), prior.value.up_sigma_rad)
-    covariance = covariances[0]
+    up, covariance = gravity(problem, prior)
     mean = 0.5 * (covariance[0, 0] + covariance[1, 1])
     differ = 0.5 * (covariance[0, 0] - covariance[1, 1])
     radius = np.hypot(differ, covariance[0, 1])
     sigma = np.sqrt(np.array([max(mean - radius, 0.0), mean + radius]))  # of the principal axes
-    if sigma[1] <= DOUBTFUL_UP_RAD:
-        ups = np.empty((len(tilts), 3))
-        for row in range(len(tilts)):
-            ups[row] = _tilted(prior, tilts[row])
-        return ups, sigma[1]
     turn = 0.5 * np.arctan2(covariance[0, 1], differ)
     across = prior.value.across_up
     major = np.cos(turn) * across[0] + np.sin(turn) * across[1]
     minor = np.cos(turn) * across[1] - np.sin(turn) * across[0]
     ups = np.empty((9, 3))
-    ups[0] = _tilted(prior, tilts[0])
+    ups[0] = up
     count = 1
     for k in range(2):
         if sigma[k] > DOUBTFUL_UP_RAD:
@@ -103,141 +92,37 @@ def likely_ups(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, fl
 
 @compiled
 def gravity(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, FloatArray]:
-    """Return the likeliest up (3,) in camera coordinates, and its covariance (2, 2) in rad^2 along
-    ``across_up``."""
-    tilt, covariance = likely_tilts(*_leans(problem, prior), prior.value.up_sigma_rad)
-    return _tilted(prior, tilt[0]), covariance[0]
+    """Return up (3,) in camera coordinates, and its covariance (2, 2) in rad^2 along ``across_up``.
 
-
-@compiled
-def _tilted(prior: PriorRecord, tilt: FloatArray) -> FloatArray:
-    """Return the prior's up, tilted (rad) along ``across_up``."""
-    across = prior.value.across_up
-    up = prior.value.up_camera + tilt[0] * across[0] + tilt[1] * across[1]
-    return up / np.sqrt((up**2).sum())
-
-
-@compiled
-def _leans(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return of the k observed poles by how much the prior's up is outside the plane of each (rad),
-    (k, 2) its derivative by the tilt of up, and the variance."""
-    up, across = prior.value.up_camera, prior.value.across_up
-    off, by = np.empty(len(problem.seen)), np.empty((len(problem.seen), 2))
-    variance, count = np.empty(len(problem.seen)), 0
-    for i in range(len(problem.seen)):
-        seen = problem.seen[i]
-        if not seen.is_line:
-            continue
-        length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
-        off[count] = (seen.plane * up).sum()
-        by[count, 0], by[count, 1] = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
-        focal = problem.setting.K[0, 0]
-        variance[count] = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
-        count += 1
-    return off[:count], by[:count], variance[:count]
-
-
-@compiled
-def likely_tilts(
-    off: FloatArray, by: FloatArray, variance: FloatArray, up_sigma_rad: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the likely tilts (b, 2) of the prior's up, best first, and their covariances.
-
-    The vertical vanishing point lies in the plane of every pole, but some poles are false and lean
-    by any angle. So each pair of poles with the prior proposes a tilt, and all poles rate it.
+    This fits the vertical vanishing point, which lies in the plane of every observed pole, and the
+    prior's up by reweighted least squares, since false poles may lean by any angle.
     """
-    k = min(len(off), MOST_POLES)
-    tilt = np.zeros((1 + k * (k - 1) // 2, 2))
-    nats, count = np.empty(len(tilt)), 1
-    weight = np.zeros(len(off))
-    for first in range(k):
-        for second in range(first):
-            weight[first] = weight[second] = 1.0
-            tilt[count], _ = _tilt_of(off, by, variance, weight, up_sigma_rad)
-            weight[first] = weight[second] = 0.0
-            count += 1
-    for row in range(count):
-        nats[row] = _nats_of_tilt(off, by, variance, up_sigma_rad, tilt[row], weight)
-    order = np.argsort(-nats, kind="mergesort")
-    best, covariance = np.empty((2, 2)), np.empty((2, 2, 2))
-    kept, highest = 0, 0.0
-    for row in order:
-        if nats[row] < nats[order[0]] - RIVAL_UP_NATS or kept == 2:
-            break
-        settled, own_covariance, own_nats = _settled_tilt(
-            off, by, variance, up_sigma_rad, tilt[row], weight
-        )
-        away = settled - best[0]
-        if kept == 0 or (
-            np.sqrt((away**2).sum()) > DOUBTFUL_UP_RAD and own_nats > highest - RIVAL_UP_NATS
-        ):
-            best[kept], covariance[kept] = settled, own_covariance
-            highest = own_nats if kept == 0 else highest
-            kept += 1
-    return best[:kept], covariance[:kept]
-
-
-@compiled
-def _nats_of_tilt(
-    off: FloatArray,
-    by: FloatArray,
-    variance: FloatArray,
-    up_sigma_rad: float,
-    tilt: FloatArray,
-    true: FloatArray,
-) -> float:
-    """Return the log-likelihood of a tilt; fill the probability (k,) that each pole is true."""
-    nats = -0.5 * (tilt[0] ** 2 + tilt[1] ** 2) / up_sigma_rad**2
-    for i in range(len(off)):
-        left = off[i] + by[i, 0] * tilt[0] + by[i, 1] * tilt[1]
-        density = np.exp(-0.5 * left * left / variance[i]) / np.sqrt(2.0 * np.pi * variance[i])
-        of_true, of_false = (1.0 - FALSE_POLES) * density, FALSE_POLES * FALSE_PER_RAD
-        nats += np.log(of_true + of_false)
-        true[i] = of_true / (of_true + of_false)
-    return nats
-
-
-@compiled
-def _settled_tilt(
-    off: FloatArray,
-    by: FloatArray,
-    variance: FloatArray,
-    up_sigma_rad: float,
-    tilt: FloatArray,
-    true: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the optimum near a tilt by expectation maximization, its covariance and nats."""
-    for _ in range(TILT_ROUNDS):
-        _nats_of_tilt(off, by, variance, up_sigma_rad, tilt, true)
-        tilt, _ = _tilt_of(off, by, variance, true, up_sigma_rad)
-    nats = _nats_of_tilt(off, by, variance, up_sigma_rad, tilt, true)
-    information = np.empty(len(off))  # of the mixture: less where a pole may be false
-    for i in range(len(off)):
-        left = off[i] + by[i, 0] * tilt[0] + by[i, 1] * tilt[1]
-        doubt = (1.0 - true[i]) * left * left / variance[i]
-        information[i] = true[i] * max(1.0 - doubt, 0.0)
-    _, covariance = _tilt_of(off, by, variance, information, up_sigma_rad)
-    return tilt, covariance, nats
-
-
-@compiled
-def _tilt_of(
-    off: FloatArray, by: FloatArray, variance: FloatArray, weight: FloatArray, up_sigma_rad: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the tilt (2,) by weighted least squares with the prior, and its covariance (2, 2)."""
-    a = d = 1.0 / up_sigma_rad**2
-    b = gradient0 = gradient1 = 0.0
-    for i in range(len(off)):
-        if weight[i] > 0.0:
-            w = weight[i] / variance[i]
-            a, b, d = a + w * by[i, 0] ** 2, b + w * by[i, 0] * by[i, 1], d + w * by[i, 1] ** 2
-            gradient0 += w * by[i, 0] * off[i]
-            gradient1 += w * by[i, 1] * off[i]
-    covariance = np.empty((2, 2))
-    determinant = a * d - b * b
-    covariance[0, 0], covariance[1, 1] = d / determinant, a / determinant
-    covariance[0, 1] = covariance[1, 0] = -b / determinant
-    return -(covariance @ np.array([gradient0, gradient1])), covariance
+    start, across = prior.value.up_camera, prior.value.across_up
+    focal, information = problem.setting.K[0, 0], 1.0 / prior.value.up_sigma_rad**2
+    tilt, covariance = np.zeros(2), np.zeros((2, 2))
+    for _ in range(3):
+        a = d = information
+        b = gradient0 = gradient1 = 0.0
+        for i in range(len(problem.seen)):
+            seen = problem.seen[i]
+            if not seen.is_line:
+                continue
+            length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
+            offset = (seen.plane * start).sum()
+            j0, j1 = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
+            left = offset + j0 * tilt[0] + j1 * tilt[1]
+            variance = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
+            weight = 1.0 / (variance + left * left / CAUCHY_SIGMAS**2)
+            a, b, d = a + weight * j0 * j0, b + weight * j0 * j1, d + weight * j1 * j1
+            gradient0 += weight * j0 * offset
+            gradient1 += weight * j1 * offset
+        determinant = a * d - b * b
+        covariance[0, 0], covariance[1, 1] = d / determinant, a / determinant
+        covariance[0, 1] = covariance[1, 0] = -b / determinant
+        tilt[0] = -(covariance[0, 0] * gradient0 + covariance[0, 1] * gradient1)
+        tilt[1] = -(covariance[1, 0] * gradient0 + covariance[1, 1] * gradient1)
+    up = start + tilt[0] * across[0] + tilt[1] * across[1]
+    return up / np.sqrt((up**2).sum()), covariance
 
 
 @compiled

@@ -48,18 +48,32 @@ def level_view(sample: Sample) -> Level:
 
 
 def _up(sample: Sample) -> tuple[FloatArray, float]:
-    """Return up (3,) in camera axes and its sigma, from the prior and the poles."""
+    """Return up (3,) in camera axes and its sigma.
+
+    This fits the prior and the vertical vanishing point of the poles by least squares, reweighted
+    (Cauchy) since false poles may lean by any angle.
+    """
     start, information = _prior_up(sample)
-    across = perpendicular(start)
+    x, y = perpendicular(start)
     normal = np.cross(sample.ray, sample.bottom_ray)
-    length = np.linalg.norm(normal, axis=1)
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+    normal = normal / length[:, None]
     line = length > _LEAST_LENGTH
-    normal, length = normal[line] / length[line, None], length[line]
-    variance = np.square(sample.sigma_rad[line, 0] / length) + upright.POLE_LEAN_RAD**2
-    by = np.ascontiguousarray(normal @ across.T)
-    tilt, covariance = upright.likely_tilts(normal @ start, by, variance, information**-0.5)
-    up = start + tilt[0] @ across
-    return up / np.linalg.norm(up), math.sqrt(0.5 * float(np.trace(covariance[0])))
+    variance = 2.0 * np.square(sample.sigma_rad[:, 0] / length) + upright.POLE_LEAN_RAD**2
+    off, by_x, by_y = normal @ start, normal @ x, normal @ y
+    tilt_x = tilt_y = 0.0
+    for _ in range(3):
+        left = off + by_x * tilt_x + by_y * tilt_y
+        weight = np.where(line, 1.0 / (variance + np.square(left / upright.CAUCHY_SIGMAS)), 0.0)
+        a = float(weight @ np.square(by_x)) + information
+        b = float(weight @ (by_x * by_y))
+        d = float(weight @ np.square(by_y)) + information
+        right_x, right_y = float(weight @ (by_x * off)), float(weight @ (by_y * off))
+        determinant = a * d - b * b
+        tilt_x = (b * right_y - d * right_x) / determinant
+        tilt_y = (b * right_x - a * right_y) / determinant
+    up = start + tilt_x * x + tilt_y * y
+    return up / np.linalg.norm(up), math.sqrt(0.5 * (a + d) / determinant)
 
 
 def _prior_up(sample: Sample) -> tuple[FloatArray, float]:
