@@ -1,27 +1,18 @@
 """Cases for bench/assist.py: poles and signs of simulated streets, with the truth."""
 
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from semviz_annotation.assist.expected_position import expected_px
 from semviz_annotation.assist.marked_image import Mark, MarkedImage
-from semviz_annotation.assist.propagation import PropagatedMark, ReferenceView, search_views
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.snap import best_snap
 from semviz_annotation.assist.stereo_matching import candidates
-from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.mapping.placement.triangulation import (
-    Triangulated,
-    TriangulationFailure,
-    triangulate,
-)
-from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ElementClass
+from semviz_annotation.labels.views import rig_view
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE
 from semviz_core.base.frame import Side
-from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.simulation.street import Street
 
@@ -43,11 +34,15 @@ class Answer:
     depth_m: float
     evidence: FloatArray
     error_px: float
-    step: int = 0
     peer_px: float = np.inf
     best: bool = True
     way: str = ""
     along_px: tuple[float, ...] = ()
+    growth: float = 1.0
+    score: float = 0.0
+    """Of what is proposed in the image."""
+    ends_right: bool = True
+    element: int = 0
 
     @property
     def probability(self) -> float:
@@ -231,132 +226,3 @@ def _template_px(here: MarkedImage, there: MarkedImage, mark: Mark, truth: Mark)
         at_px = float(at)
     found = moved(mark, ends + np.array([at_px - x0, 0.0]))
     return float(np.linalg.norm(found.ends_px - truth.ends_px, axis=1).max())
-
-
-# -- following
-
-Seen = dict[Side, tuple[MarkedImage, Mark]]
-
-
-def follows(
-    street: Street, first: int, steps: list[int], rng: np.random.Generator
-) -> Iterator[Answer]:
-    """From one labelled pair into later frames: the map is never updated on the way."""
-    both = {side: picture(street, first, side) for side in SIDES}
-    mapped = {}
-    for element_id in sorted(both["left"].marks.keys() & both["right"].marks.keys()):
-        marks = {side: shaken(both[side].marks[element_id], rng, LABEL_PX) for side in SIDES}
-        place = _place([(both[side].shot.view, marks[side]) for side in SIDES])
-        if place is not None:
-            mapped[element_id] = place, {side: (both[side].shot, marks[side]) for side in SIDES}
-    for step in steps:
-        there = _pictured(street, first + step, rng)
-        yield from _followed(there, mapped, street, rng, step, ", from one pair alone")
-
-
-def works(street: Street, first: int, count: int, rng: np.random.Generator) -> Iterator[Answer]:
-    """From frame to frame, as people work: what each shows is labelled before the next."""
-    labels: dict[int, list[tuple[PosedView, Mark]]] = defaultdict(list)
-    newest: dict[int, Seen] = {}
-    for step in range(count):
-        there = _pictured(street, first + step, rng)
-        places = {label: _place(rows) for label, rows in labels.items()}
-        mapped = {
-            name: (place, newest[name]) for name, place in places.items() if place is not None
-        }
-        yield from _followed(there, mapped, street, rng, 1, ", from frame to frame")
-        seen: dict[int, Seen] = defaultdict(dict)
-        for side, picture_ in there.items():
-            for element_id, mark in picture_.marks.items():
-                mark = shaken(mark, rng, LABEL_PX)
-                labels[element_id].append((picture_.shot.view, mark))
-                seen[element_id][side] = picture_.shot, mark
-        newest |= seen
-
-
-def _pictured(street: Street, index: int, rng: np.random.Generator) -> dict[Side, Picture]:
-    """Both images of a frame, with a pose that is a little off."""
-    off = Pose.exp(np.r_[rng.normal(0, POSE_M, 3), rng.normal(0, POSE_RAD, 3)])
-    both = {side: picture(street, index, side) for side in SIDES}
-    return {side: _turned(view, off) for side, view in both.items()}
-
-
-def _turned(shown: Picture, off: Pose) -> Picture:
-    """As if its camera were elsewhere."""
-    view = shown.shot.view
-    return replace(
-        shown, shot=MarkedImage(shown.shot.image, PosedView(view.camera, off @ view.T_camera_map))
-    )
-
-
-def _followed(
-    there: dict[Side, Picture],
-    mapped: dict[int, tuple[Triangulated, Seen]],
-    street: Street,
-    rng: np.random.Generator,
-    step: int,
-    way: str,
-) -> Iterator[Answer]:
-    """Each element in both images, and where it is not: the camera turned by 30 to 70 px."""
-    turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.1)
-    aside = Pose.from_rotvec([0.0, turn, 0.0], [0.0, 0.0, 0.0])
-    elsewhere = {side: _turned(view, aside) for side, view in there.items()}
-    row = {int(element_id): k for k, element_id in enumerate(street.truth_map.elements.id)}
-    for element_id, (place, seen) in mapped.items():
-        depth = float(there["left"].shot.view.depth_m(place.anchor_m[None])[0])
-        if not 3.0 < depth < FAR_M:
-            continue
-        kind = DEFAULT_CLASSES[int(street.truth_map.elements.class_id[row[element_id]])]
-        what = "propagated pole" if place.is_line else "propagated sign"
-        for answer in _found(elsewhere, place, seen, kind).values():
-            yield Answer(what, "elsewhere", depth, answer.evidence, np.inf, step, way=way)
-        for side, proposal in _found(there, place, seen, kind).items():
-            truth = there[side].marks.get(element_id)
-            error, peer = np.inf, np.inf
-            if truth is not None:
-                error = error_px(proposal.mark, truth)
-                peer = _klt_px(_nearest(seen, side), there[side].shot, place, truth)
-            yield Answer(
-                what, kind.name, depth, proposal.evidence, error, step, peer_px=peer, way=way
-            )
-
-
-def _found(
-    there: dict[Side, Picture], place: Triangulated, seen: Seen, kind: ElementClass
-) -> dict[Side, PropagatedMark]:
-    sights = [ReferenceView(view.shot, *_nearest(seen, side)) for side, view in there.items()]
-    found = search_views(sights, place, kind)
-    return {side: answer for side, answer in zip(there, found, strict=True) if answer is not None}
-
-
-def _nearest(seen: Seen, side: Side) -> tuple[MarkedImage, Mark]:
-    """The same camera's if it shows the element."""
-    return seen[side] if side in seen else next(iter(seen.values()))
-
-
-def _place(rows: list[tuple[PosedView, Mark]]) -> Triangulated | None:
-    """Of careful labels."""
-    if len(rows) < 2:
-        return None
-    found = triangulate([view for view, _ in rows], [mark.at(0) for _, mark in rows], 0.5)
-    return None if isinstance(found, TriangulationFailure) else found
-
-
-def _klt_px(
-    seen: tuple[MarkedImage, Mark], there: MarkedImage, element: Triangulated, truth: Mark
-) -> float:
-    """Error of the pyramidal Lucas-Kanade tracker, started where the element is expected."""
-    expected = expected_px(element, there.view)
-    here, mark = seen
-    if expected is None:
-        return np.inf
-    images = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in (here, there)]
-    found, _, _ = cv2.calcOpticalFlowPyrLK(
-        *images,
-        mark.ends_px.astype(np.float32)[:, None],
-        expected.astype(np.float32)[:, None].copy(),
-        winSize=(21, 21),
-        maxLevel=2,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    return error_px(moved(mark, found[:, 0].astype(np.float64)), truth)

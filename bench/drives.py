@@ -38,6 +38,11 @@ class Drive(Protocol):
     @property
     def source(self) -> Dataset: ...
 
+    @property
+    def tells_hidden(self) -> bool:
+        """Whether an end that is not known is hidden; otherwise nobody said where it is."""
+        ...
+
     def seen(self, frame: int, side: Side) -> dict[int, Seen]:
         """What is visible in an image, by element."""
         ...
@@ -52,6 +57,7 @@ class StreetDrive:
     """A simulated street."""
 
     street: Street
+    tells_hidden = True
 
     @property
     def source(self) -> Dataset:
@@ -78,6 +84,7 @@ class KittiDrive:
 
     source: Dataset
     labels: Labels
+    tells_hidden = False
 
     @classmethod
     def of(cls, kitti: Path) -> "KittiDrive":

@@ -32,6 +32,7 @@ NAMES = (
     "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
     "mask", "pole-map", "camera-toml", "camera-yaml", "drive-poses", "drive-times", "colmap",
     "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
+    "measured", "pose-choices",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -52,7 +53,8 @@ INSTRUMENTED = [
     "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
     "semviz_core.datasets", "semviz.runs.codec",
     "semviz_core.detection.model_config", "semviz.runs.reader",
-    "semviz.workspace.settings", "semviz.workspace.drive_file", "semviz_core.research.evaluation",
+    "semviz.workspace.settings", "semviz.workspace.pose_choices", "semviz.workspace.drive_file",
+    "semviz_core.research.evaluation",
     "semviz_core.research.training.annotated_images",
     "semviz_core.pose_checks.image_motions", "yaml", "rosbags",
 ]  # fmt: skip

@@ -24,6 +24,7 @@ from map_files import small_map
 from semviz.runs import reader, run
 from semviz.runs.writer import RunWriter
 from semviz.workspace.drive_file import CameraEntry, DriveFile, FrameEntry
+from semviz.workspace.pose_choices import PoseChoices, PoseOperation, RefinedPose
 from semviz_annotation.label_formats.exchange import export_labels
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.proposals import read_proposals, save_proposals
@@ -116,6 +117,15 @@ COCO_BOXES = {
     ],
 }
 YOLO_BOXES = "0 0.58 0.5 0.17 0.5\n1 0.19 0.5 0.05 0.75\n2 0.9 0.5 0.1 0.1\n"
+FIXES = """time_s,latency_s,latitude_deg,longitude_deg,height_m,heading_deg,horizontal_sigma_m
+0.0,0.05,49.0,8.4,115,90,0.5
+0.1,,49.00001,8.4,115,,
+"""
+POSED = """frame,x_m,y_m,z_m,qx,qy,qz,qw
+0,0,0,0,0,0,0,1
+1,1,0,0,0,0,0,1
+2,2,0,0,0,0,0,1
+"""
 ACROSS = (1.0, 0.0, 0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 STEREO = """T_right_left = [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0]]
 T_body_left = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]]
@@ -271,6 +281,15 @@ def _write_drives() -> None:
     _write("drive-times", "times.txt", "".join(f"{t}\n" for t in stamps()))
     names = [f"{time},{time}.png" for time in stamps()]
     _write("drive-times", "names.csv", "#time,name\n" + "\n".join(names))
+    _write("measured", "fixes.csv", FIXES)
+    _write("measured", "poses.csv", POSED)
+    _write("measured", "speeds.csv", "time_s,speed_mps,yaw_rate_degps\n0,10,1\n0.2,10,1\n")
+    refined = RefinedPose(frame=1, T_map_camera=ACROSS)
+    operation = PoseOperation(
+        choice="refine", first=0, last=1, author="me", time="", given="0", poses=(refined,)
+    )
+    choices = PoseChoices(standing=1, operations=(operation,))
+    _write("pose-choices", "small.json", choices.model_dump_json()[1:])
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         for write in (tum, kitti, euroc):

@@ -17,10 +17,15 @@ from drive_formats import CALIBRATION, COUNT, stamps
 from drive_layouts import argoverse2, boreas, comma, euroc_layout, kitti_360, kitti_raw, nuscenes
 
 from semviz.workspace.drive_file import DriveFile, open_drive
+from semviz_core.base.frame import Frame, OdometryNoise
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.measured.odometry import read_odometry
+from semviz_core.datasets.measured.poses_of import Surroundings
+from semviz_core.datasets.measured.priors import PriorSigmas, read_priors
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.conventions import read_extrinsic
+from semviz_core.datasets.own_drive.geodesy import map_on_earth
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
@@ -96,6 +101,22 @@ def drive_file(path: Path) -> None:
     dataset = open_drive(path, images, images, path.parent / "rectified")
     frame = dataset.frames[0]
     all_of(lambda: dataset.image(frame.index, "left"), lambda: dataset.image(frame.index, "right"))
+
+
+def measured(path: Path) -> None:
+    """Priors, and odometry, of three frames."""
+    around = Surroundings(T_map_ecef=map_on_earth((49.0, 8.4, 115.0), 30.0))
+    frames = [Frame(index, 0.1 * index, None) for index in range(3)]
+
+    def priors() -> None:
+        read = read_priors(path, around, PriorSigmas(), np.zeros((0, 3)))
+        _ = [read.prior_of(frame) for frame in frames]
+
+    def odometry() -> None:
+        read = read_odometry(path, around, OdometryNoise(), 0.25)
+        _ = [read.of_step(frames[0], frame) for frame in frames[1:]]
+
+    all_of(priors, odometry)
 
 
 LAYOUTS = (kitti_raw, kitti_360, nuscenes, euroc_layout, argoverse2, boreas, comma)

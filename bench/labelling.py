@@ -97,9 +97,9 @@ def run_street(seed: int, folder: Path, browser: Any, detector: str, model: str 
     return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed)
 
 
-def run_kitti(kitti: Path, folder: Path, browser: Any) -> Outcome:
+def run_kitti(kitti: Path, frames: int, folder: Path, browser: Any) -> Outcome:
     workspace = Workspace.create_kitti(folder / "kitti-02", kitti, "02", (2, 3), KITTI_FRAMES)
-    return run(workspace, KittiDrive.of(kitti), len(KITTI_FRAMES), browser, 0)
+    return run(workspace, KittiDrive.of(kitti), frames, browser, 0)
 
 
 def run(workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int) -> Outcome:
@@ -167,6 +167,7 @@ def main() -> None:
     parser.add_argument("--detector", choices=["none", "simulated", "own"], default="none")
     parser.add_argument("--model", help="of --detector own, as 'semviz detect' takes it")
     parser.add_argument("--each", action="store_true", help="what each input was for")
+    parser.add_argument("--frames", type=int, default=len(KITTI_FRAMES), help="of KITTI 02")
     parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry: label 02 as well")
     arguments = parser.parse_args()
     outcomes: list[Outcome] = []
@@ -177,7 +178,7 @@ def main() -> None:
             outcomes.append(run_street(seed, folder, browser, arguments.detector, arguments.model))
             print_outcome(outcomes[-1])
         if arguments.kitti is not None:
-            outcomes.append(run_kitti(arguments.kitti, folder, browser))
+            outcomes.append(run_kitti(arguments.kitti, arguments.frames, folder, browser))
             print_outcome(outcomes[-1])
     if arguments.each:
         for step in [step for outcome in outcomes for step in outcome.labeller.work.spent]:

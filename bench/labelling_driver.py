@@ -157,11 +157,15 @@ class Labeller:
         self.click(side, marks[0])
         if is_line:
             peak_known, bottom_known = truth.known[element][side]
+            keys = self.drive.tells_hidden
             with self.work.on("keys for hidden ends", frame, element=element):
-                if not peak_known and not self.is_at_border(marks[0]):  # there the page knows
+                if (
+                    keys and not peak_known and not self.is_at_border(marks[0])
+                ):  # there the page knows
                     self.key("c")
                 self.hover(side, marks[1])
-                if self.is_bottom_shown() != bottom_known and not self.is_at_border(marks[1]):
+                is_told = self.is_bottom_shown() == bottom_known or self.is_at_border(marks[1])
+                if keys and not is_told:
                     self.key("o")
             self.click(side, marks[1], snapped=self.is_preview_right(truth, element, side))
         self.saved()
@@ -181,7 +185,8 @@ class Labeller:
         told = np.array([ghost["anchor_known"], ghost["end_known"]])
         true = np.array(truth.known[element][side])
         gaps = np.linalg.norm(np.array(shown) - truth.marks[element][side], axis=1)
-        wrong = told & (~true | (gaps > truth.within_px(element, ALONG_PX, ALONG_M)))
+        hidden = ~true & self.drive.tells_hidden
+        wrong = told & (hidden | (true & (gaps > truth.within_px(element, ALONG_PX, ALONG_M))))
         return not wrong.any()
 
     def why_again(self, frame: int, truth: Truth, element: int) -> str:

@@ -91,7 +91,7 @@ def main() -> None:
         workspace = Workspace.create_kitti(
             Path(folder) / "drive", options.kitti, options.sequence, (2, 3), frames
         )
-        detections = _detections(workspace, options.model, options.proposals)
+        detections = _detections(workspace, options.model, options.proposals, options.least_score)
         save_proposals(detections, workspace.proposals_path)
         if options.labels.is_file():
             print_detector(workspace, detections, options.labels)
@@ -111,6 +111,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--model", help="as in 'semviz detect'; default: the shipped network")
     parser.add_argument("--calibration", type=Path, help="file of 'semviz detect choose'")
     parser.add_argument("--proposals", type=Path, help="detections instead of a model")
+    parser.add_argument("--least-score", type=float, help="as in 'semviz detect'")
     parser.add_argument("--sequence", default="02")
     parser.add_argument("--first", type=int, default=0, help="first frame")
     parser.add_argument("--frames", type=int, default=20)
@@ -119,7 +120,12 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _detections(workspace: Workspace, model: str | None, proposals: Path | None) -> Proposals:
+def _detections(
+    workspace: Workspace,
+    model: str | None,
+    proposals: Path | None,
+    least_score: float | None = None,
+) -> Proposals:
     if proposals is not None:
         known = [frame.index for frame in workspace.source.frames]
         is_ours = proposals.suffix == ".parquet"  # with the images in which nothing was found
@@ -131,7 +137,9 @@ def _detections(workspace: Workspace, model: str | None, proposals: Path | None)
         rows = [row for row in found.rows() if row.frame_index in known]
         return Proposals.of(rows, found.processed)
     images = images_of(workspace, None, SIDES)
-    return detect_images(workspace, load_detector(model), DetectOptions(model=model), images)
+    options = DetectOptions(model=model, least_score=least_score)
+    detector = load_detector(model, least_score=least_score)
+    return detect_images(workspace, detector, options, images)
 
 
 def print_detector(workspace: Workspace, detections: Proposals, labels: Path) -> None:

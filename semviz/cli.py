@@ -6,6 +6,7 @@ Bad input exits with status 2.
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Annotated
 
 import tyro
@@ -14,7 +15,8 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 from semviz.commands import labels, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
-from semviz.commands.new import NewCommand
+from semviz.commands.detector_rates import DetectRatesCommand
+from semviz.commands.new import NewCommand, RelinkCommand
 from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
 from semviz.commands.record import RecordCommand
 from semviz.commands.research import (
@@ -61,7 +63,8 @@ DetectCommands = Annotated[
     Annotated[DetectCommand, subcommand("run")]
     | Annotated[DetectTrainCommand, subcommand("train")]
     | Annotated[DetectEvaluateCommand, subcommand("evaluate")]
-    | Annotated[DetectChooseCommand, subcommand("choose")],
+    | Annotated[DetectChooseCommand, subcommand("choose")]
+    | Annotated[DetectRatesCommand, subcommand("rates")],
     subcommand(
         "detect",
         description="Detect poles and signs in the images of a workspace: detect WORKSPACE. "
@@ -71,6 +74,7 @@ DetectCommands = Annotated[
 Command = (
     Annotated[ServeCommand, subcommand("serve")]
     | Annotated[NewCommand, subcommand("new")]
+    | Annotated[RelinkCommand, subcommand("relink")]
     | Annotated[AnnotateCommand, subcommand("annotate")]
     | DetectCommands
     | PoseCommands
@@ -90,7 +94,7 @@ Command = (
 )
 
 
-_SUBCOMMANDS = ("run", "train", "evaluate", "choose")
+_SUBCOMMANDS = ("run", "train", "evaluate", "choose", "rates")
 _AFTER_DETECT: tuple[list[str], ...] = (*([name] for name in _SUBCOMMANDS), ["-h"], ["--help"], [])
 """What can follow ``semviz detect`` besides a workspace."""
 
@@ -100,9 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     0: done; 1: a check failed; 2: bad input; 130: interrupted; 141: the output pipe was closed.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        print(f"semviz {version('semviz')}")
+        sys.exit(0)
     command = tyro.cli(
         Command,
-        args=_with_detect_run(list(sys.argv[1:] if arguments is None else arguments)),
+        args=_with_detect_run(given),
         prog="semviz",
         description="Debug localization in sparse semantic maps of poles and traffic signs.",
         config=(OmitArgPrefixes, OmitSubcommandPrefixes),

@@ -11,6 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 Array = NDArray[Any]
 COLORS = {"pole": (250, 220, 30), "sign": (200, 20, 40)}
+BLOCK = 48
 LABELS = ["road", "pole", "traffic sign"]
 
 
@@ -53,6 +54,34 @@ def painted(path: Path, size: tuple[int, int], stride: int, label_map: bool = Fa
     logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 3, height, width])
     labels = helper.make_tensor_value_info("labels", TensorProto.INT64, [1, height, width])
     return _save(path, nodes, [_image(*size)], [labels if label_map else logits], constants)
+
+
+def knowing(path: Path, images: Array, label_maps: Array) -> Path:
+    """A segmenter that knows the answers for these images (n, height, width, 3) by heart.
+
+    An image is known by its means over blocks of ``BLOCK`` pixels. Label maps (n, h, w) are bytes.
+    """
+    n, height, width = images.shape[:3]
+    blocks = images.reshape(n, height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean((2, 4))
+    known = np.moveaxis(blocks, -1, 1).reshape(n, -1).astype(np.float32) / 255.0
+    constants = [
+        numpy_helper.from_array(value, name)
+        for name, value in {
+            "known": 2.0 * known.T, "length": (known**2).sum(axis=1), "answers": label_maps,
+        }.items()
+    ]  # fmt: skip
+    sides = [BLOCK, BLOCK]
+    nodes = [
+        helper.make_node("AveragePool", ["image"], ["m"], kernel_shape=sides, strides=sides),
+        helper.make_node("Flatten", ["m"], ["means"]),
+        helper.make_node("MatMul", ["means", "known"], ["product"]),
+        helper.make_node("Sub", ["product", "length"], ["likeness"]),
+        helper.make_node("ArgMax", ["likeness"], ["which"], axis=1, keepdims=0),
+        helper.make_node("Gather", ["answers", "which"], ["answer"], axis=0),
+        helper.make_node("Cast", ["answer"], ["labels"], to=TensorProto.INT64),
+    ]
+    told = helper.make_tensor_value_info("labels", TensorProto.INT64, [1, *label_maps.shape[1:]])
+    return _save(path, nodes, [_image(width, height)], [told], constants)
 
 
 def choosy(path: Path, size: tuple[int, int]) -> Path:

@@ -31,7 +31,7 @@ class Knowing:
     name: str = "knowing"
     _known: dict[str, tuple[Region, ...]] = field(default_factory=dict)
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: object = None) -> Sequence[Region]:
         if not self._known:
             for frame in self.street.frames:
                 for side in SIDES:
@@ -55,7 +55,7 @@ class Slow:
     wait_s: float = 0.0
     name: str = "slow"
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: object = None) -> Sequence[Region]:
         sleep(self.wait_s)
         with self.diary.open("a") as file:
             file.write(f"{_digest(image)}\n")

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from labelled_kitti import write_model
 from serving import fetch, serving
 
 from semviz.cli import main
@@ -17,6 +18,8 @@ PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 SETUP = ("python -m venv", ". ", "pip install", "pytest")
 """Lines that make the environment; .ci/run and test_packaging do the same."""
 SERVERS = ("serve", "annotate")
+MODEL = "models/espnet.toml"
+"""A network that its readers export; here one that knows our labels."""
 
 
 def commands_of(page: Path) -> list[str]:
@@ -66,6 +69,8 @@ def test_commands_of_page(
     kitti_root: Path,
 ) -> None:
     (tmp_path / "docs").symlink_to(REPOSITORY / "docs")
+    if any(MODEL in command for command in commands_of(page)):
+        write_model(tmp_path / MODEL, kitti_root)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", environment["XDG_CACHE_HOME"])
     for line in commands_of(page):

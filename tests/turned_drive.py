@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from streets import street
 from support.planted_pose_faults import moved
+from support.street_labels import careful, label_street
 
+from semviz.workspace.workspace import Workspace
+from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.labels.labels import Labels
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.datasets.trajectory import T_MAP_WORLD, save_trajectory
@@ -60,3 +64,23 @@ def wrong_poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("poses") / "wrong.tum"
     save_trajectory(frames, path, "tum")
     return path
+
+
+@pytest.fixture(scope="session")
+def labels() -> Labels:
+    source = street(SEED, COUNT)
+    drawn = label_street(careful(source, 0.3, seed=1), range(COUNT), memory=COUNT).labels
+    camera = source.rig.left
+    inside = [
+        row
+        for row in drawn.observations.values()
+        if camera.contains(np.array([row.anchor_px, row.end_px or row.anchor_px])).all()
+    ]
+    seen = {row.element_id for row in inside}
+    return Labels.from_rows([*(drawn.element(row) for row in seen), *inside])
+
+
+def store_labels(workspace: Workspace, labels: Labels) -> None:
+    with workspace.open_labels() as store:
+        rows = tuple(labels.elements.values()), tuple(labels.observations.values())
+        store.apply(ImportLabels(*rows), "ann")

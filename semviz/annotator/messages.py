@@ -12,6 +12,7 @@ from semviz.annotator.draft import (
     LabelledFrameView,
     PagePixel,
 )
+from semviz.annotator.drive_view import DriveMatch, DriveView
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
@@ -226,6 +227,19 @@ class CloseReviewRequest(protocol.Request):
     type: Literal["close_review"] = "close_review"
 
 
+class ShowDriveRequest(protocol.Request):
+    """Request the checks of the drive's import, and what to do."""
+
+    type: Literal["show_drive"] = "show_drive"
+
+
+class ShowDriveFrameRequest(protocol.Request):
+    """Request matches between the images of a frame; a ``drive_frame`` event follows."""
+
+    type: Literal["show_drive_frame"] = "show_drive_frame"
+    frame: int
+
+
 class BuildMapRequest(protocol.Request):
     """Build the map."""
 
@@ -249,6 +263,8 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | ShowDriveRequest
+    | ShowDriveFrameRequest
     | ShowPosesRequest
     | ShowPoseFrameRequest
     | ChoosePosesRequest
@@ -387,6 +403,25 @@ class ElementClickedEvent(protocol.Event):
     is_track: bool
 
 
+class DriveEvent(protocol.Event):
+    """The checks of the drive's import, and what to do."""
+
+    type: Literal["drive"] = "drive"
+    drive: DriveView
+
+
+class DriveFrameEvent(protocol.Event):
+    """Matches between the left image of a frame and its right one, or the next one."""
+
+    type: Literal["drive_frame"] = "drive_frame"
+    frame: int
+    second: int
+    """Frame of the second image."""
+    matches: list[DriveMatch]
+    note: str
+    """Why there are none."""
+
+
 AnnotatorEvent: TypeAlias = (
     protocol.HelloEvent
     | WorkspaceEvent
@@ -401,6 +436,8 @@ AnnotatorEvent: TypeAlias = (
     | OperationsEvent
     | NamedStatesEvent
     | ReviewEvent
+    | DriveEvent
+    | DriveFrameEvent
     | PosesEvent
     | PoseFrameEvent
     | PosesChosenEvent

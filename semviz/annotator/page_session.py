@@ -10,6 +10,7 @@ import numpy as np
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
 from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.drive_requests import DriveRequests
 from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_requests import PoseRequests, PoseSteps
 from semviz.annotator.pose_work import PoseWork
@@ -78,6 +79,7 @@ class AnnotatorPage:
         self._send = send
         self._shared = shared
         self._poses = PoseRequests(send, shared)
+        self._drive = DriveRequests(send, shared)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
@@ -91,7 +93,7 @@ class AnnotatorPage:
         self._shows_backdrop = False
         self._redraw_queued = threading.Event()
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self, self._poses)
+        self._handle = HANDLERS.bound_to(self, self._poses, self._drive)
 
     @property
     def _session(self) -> LabelSession:
@@ -410,4 +412,4 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
     )
 
 
-HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests)
+HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests, DriveRequests)

@@ -13,7 +13,7 @@ import numpy as np
 from semviz.annotator.element_positions import REACH_M, ProjectedElement
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.marked_image import SURE, Mark, ProposedMark, clip_to_image
-from semviz_annotation.assist.track import growth, view_to_follow, views_beside
+from semviz_annotation.assist.track import growth, look_again, view_to_follow, views_beside
 from semviz_annotation.labels.labels import Labels, proposal_id
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Camera
@@ -60,7 +60,7 @@ class SearchImage:
 
 
 @dataclass(frozen=True)
-class LabelledImage:
+class LabelledPane:
     """An image in which an element is labelled."""
 
     pane: Pane
@@ -74,7 +74,7 @@ class PropagationQuery:
     class_id: int
     element: Triangulated
     images: tuple[SearchImage, ...]
-    beside: tuple[LabelledImage, ...] = ()
+    beside: tuple[LabelledPane, ...] = ()
     """Other images in which it is labelled."""
     growth: float = 1.0
     """By how much larger it is than when somebody looked at it last."""
@@ -279,10 +279,12 @@ def _propagation(
         for pane, row in zip(panes, followed, strict=True)
     )
     beside = tuple(
-        LabelledImage(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
+        LabelledPane(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
     )
     now = float(cameras.sizes_px(element.position, panes).max())
-    return PropagationQuery(class_id, element.position, images, beside, growth(sizes, now))
+    return PropagationQuery(
+        class_id, element.position, images, beside, growth(sizes, now, look_again(element.position))
+    )
 
 
 def inside(mark: Mark, camera: Camera) -> Mark | None:

@@ -18,7 +18,8 @@ from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
-from semviz.workspace.workspace import Workspace, login_name
+from semviz.workspace.settings import login_name
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.snap import warm_up
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_core.base.frame import Side
@@ -79,6 +80,7 @@ class Annotator:
         self._analyzer.join()
         self.pose_work.close()
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
+        self.scenes.close_all()  # one may have been opened after its page had gone
         self.search_thread.shutdown(wait=True)  # its last task may be to close a session
         self.session.close()
 

@@ -4,7 +4,6 @@ An edit is on disk when its method returns. One thread at a time; the images, th
 and the map review may be used by any thread.
 """
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -33,7 +32,7 @@ from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
 from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
-from semviz.web.protocol import ImageSize, RefusedError
+from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels import edits
@@ -43,10 +42,9 @@ from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.label_file import Health
 from semviz_annotation.storage.store import EditBase, Operation
-from semviz_core.base.camera import Camera
-from semviz_core.base.frame import Frame, Side
+from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.rig_cameras import camera_names, cameras_by_frame
+from semviz_core.datasets.rig_cameras import cameras_by_frame
 
 
 @dataclass(frozen=True)
@@ -132,23 +130,7 @@ class LabelSession:
 
     def describe(self) -> WorkspaceView:
         """Return what does not change while the page is open."""
-        second = self.rig.left if self.rig.right is None else self.rig.right  # or of another frame
-        cameras: dict[Side, Camera] = {"left": self.rig.left, "right": second}
-        path = str(self.workspace.path.resolve())
-        return WorkspaceView(
-            name=self.workspace.name,
-            key=hashlib.sha256(path.encode()).hexdigest()[:16],
-            source=self.source.map_frame.name,
-            author=self.author,
-            classes=list(self.classes),
-            triangle_center=self._triangle_center,
-            images={
-                side: ImageSize(width=camera.width, height=camera.height)
-                for side, camera in cameras.items()
-            },
-            has_right=self.rig.right is not None,
-            cameras=list(camera_names(self.source)),
-        )
+        return views.workspace_view(self.workspace, self.author, self._triangle_center)
 
     def summary(self) -> LabelsView:
         """Return the state of the labels and all frames, without the marks of a frame."""
@@ -395,30 +377,24 @@ class LabelSession:
     ) -> draft.ElementDraft:
         """Snap a drawing to clear edges, and mark its bottom as hidden if the ground is clearly
         below; each only if the drawing asks for it."""
-        moved = drawing
-        if drawing.whole:
-            moved = self._whole(drawing, frame_index)
-        elif drawing.snap:
-            moved = self._on_edges(drawing, frame_index)
+        finds = drawing.snap or drawing.whole
+        moved = self._on_edges(drawing, frame_index) if finds else drawing
         if not (moved.asks_bottom and moved.end_known and moved.end_px and moved.has_shape):
             return moved
         selected_id = None if selected is None else selected.id
         hidden = self._hidden_ends.is_hidden(moved, frame_index, selected_id, self.labels)
         return replace(moved, end_known=False) if hidden else moved
 
-    def _whole(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
-        """Return the whole pole under a drawing that is a point; the drawing if none is clear."""
-        pane = self._panes.pane(frame_index, drawing.side)
-        mark = self.image_worker.whole_pole(pane, drawing.anchor_px, drawing.class_id)
-        return drawing if mark is None else drawing.moved_to(mark)
-
     def _on_edges(self, drawing: draft.ElementDraft, frame_index: int) -> draft.ElementDraft:
         pane = self._panes.pane(frame_index, drawing.side)
         camera, _ = camera_of(self.rig, pane.side)
         if not camera.contains(drawing.mark.ends_px).any():
             return drawing  # there are no edges outside
-        snapped = self._snap(pane, drawing.mark, drawing.class_id)
-        mark = None if snapped is None else inside(snapped.mark, camera)
+        if drawing.whole:
+            mark = self.image_worker.whole_pole(pane, drawing.anchor_px, drawing.class_id)
+        else:
+            snapped = self._snap(pane, drawing.mark, drawing.class_id)
+            mark = None if snapped is None else inside(snapped.mark, camera)
         return drawing if mark is None else drawing.moved_to(mark)
 
     def _associate(

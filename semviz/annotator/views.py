@@ -1,5 +1,6 @@
 """Describe labels, elements, frames and operations for the page."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -9,6 +10,7 @@ from semviz.annotator.frame_quality import FrameFacts
 from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (
     Dismissal,
     LabelElement,
@@ -25,6 +27,7 @@ from semviz_annotation.storage.store import Operation
 from semviz_core.base.classes import ClassSet, ElementClass
 from semviz_core.base.frame import Side
 from semviz_core.base.triangle_center import TriangleCenter
+from semviz_core.datasets.rig_cameras import camera_names
 
 VERBS = {
     "add": "Draw",
@@ -259,10 +262,8 @@ def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> Frame
 
 def class_counts(labels: Labels) -> dict[int, int]:
     """Return the number of elements by class, without those that are left out of maps."""
-    elements = labels.elements.values()
-    return dict(
-        Counter(element.class_id for element in elements if not labels.is_left_out(element.id))
-    )
+    rows = labels.elements.values()
+    return dict(Counter(row.class_id for row in rows if not labels.is_left_out(row.id)))
 
 
 def operation_view(operation: Operation, labels: Labels, classes: ClassSet) -> OperationView:
@@ -427,3 +428,23 @@ def observation_view(row: Observation) -> ObservationView:
 
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def workspace_view(workspace: Workspace, author: str, center: TriangleCenter) -> WorkspaceView:
+    """Return what does not change while the page of a workspace is open."""
+    rig = workspace.source.rig
+    right = rig.right or rig.left
+    return WorkspaceView(
+        name=workspace.name,
+        key=hashlib.sha256(str(workspace.path.resolve()).encode()).hexdigest()[:16],
+        source=workspace.source.map_frame.name,
+        author=author,
+        classes=list(workspace.classes),
+        triangle_center=center,
+        images={
+            "left": ImageSize(width=rig.left.width, height=rig.left.height),
+            "right": ImageSize(width=right.width, height=right.height),
+        },
+        has_right=rig.right is not None,
+        cameras=list(camera_names(workspace.source)),
+    )

@@ -54,7 +54,8 @@ class DetectCommand:
     sides: Literal["both", "left"] = "both"
     """Images to process; the left ones are enough to localize."""
     least_score: parsing.OptionalFloat = None
-    """Minimum score; default: the model's own threshold."""
+    """Minimum score; default: the model's own threshold. With weights of 'semviz detect train' it
+    may be lower than that, which was chosen on rendered streets."""
 
     def run(self) -> int:
         from semviz.presentation.terminal import announce_compiling
@@ -66,7 +67,8 @@ class DetectCommand:
         check_outputs(workspace.proposals_path, PARQUET, can_force=False, purpose="proposals")
         options = DetectOptions(self.model, self.measuring, self.least_score)
         images = images_of(workspace, parsing.parse_frames(self.frames), self._sides(workspace))
-        detector = load_detector(self.model, measurement(self.measuring))
+        measure = measurement(self.measuring)
+        detector = load_detector(self.model, measure, least_score=self.least_score)
         announce_compiling("measuring")
         start_s = perf_counter()
         proposals = detect_images(workspace, detector, options, images)
@@ -258,7 +260,7 @@ class DetectTrainCommand:
     workers: int = 1
     """Processes that render and make crops."""
     precision: Literal["float32", "bf16"] = "float32"
-    """bf16: half precision, twice as fast on a GPU or a processor with AMX."""
+    """bf16: half precision, faster on a GPU or a processor with AMX or AVX-512 BF16."""
     stop_after_s: parsing.OptionalFloat = None
     """Save and stop after this many seconds of training."""
     allow_loss: bool = False

@@ -112,7 +112,8 @@ class LabelsImportCommand:
     """Print one JSON object instead of lines: counts and dropped items."""
 
     def run(self) -> int:
-        from semviz.workspace.workspace import Workspace, login_name
+        from semviz.workspace.settings import login_name
+        from semviz.workspace.workspace import Workspace
         from semviz_annotation.label_formats.exchange import import_labels
         from semviz_annotation.label_formats.reading import parse_class_map
 

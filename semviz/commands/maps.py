@@ -1,6 +1,7 @@
 """The commands map build, check, diff, export, import and localizability."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -12,8 +13,6 @@ from semviz.commands.poses import known_pose_review
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.mapping.association.detection_tracks import TrackOptions
     from semviz_annotation.mapping.build import BuildOptions
@@ -100,8 +99,7 @@ class MapBuildCommand:
         built = with_used_poses(built, workspace)
         save_map(built, path)
         poses = known_pose_review(workspace)
-        if poses is not None:
-            report = replace(report, in_wrong_poses=poses.wrong_observations)
+        report = replace(report, in_wrong_poses=poses.wrong_observations if poses else frozenset())
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
             print(json.dumps({"map": str(path), **report.as_dict(), **said}))
@@ -261,7 +259,9 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class MapExportCommand:
-    """Export a map for other tools, and list the losses of the format."""
+    """Export a map for other tools, and list the losses of the format.
+
+    Example: 'semviz map export town town.geojson --anchor 49.01,8.42,115'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -309,7 +309,10 @@ ImportFormat: TypeAlias = Annotated[
 
 @dataclass(frozen=True)
 class MapImportCommand:
-    """Import a map from a file of another tool."""
+    """Import a map from a file of another tool.
+
+    Examples: 'semviz map import town town.xodr --anchor 49.01,8.42'; 'semviz map import town
+    lamps.geojson --all-of-class pole --pole-height 6'."""
 
     workspace: Positional[Path]
     """Workspace; the map will be in the map frame of its poses."""
@@ -321,8 +324,18 @@ class MapImportCommand:
     """Default by ending: .geojson, .osm (lanelet2), .xodr (opendrive), .csv."""
     class_map: UseAppendAction[tuple[str, ...]] = ()
     """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    class_property: parsing.OptionalText = None
+    """Property of GeoJSON that says what a feature is; default: 'class', or the tags of
+    OpenStreetMap."""
+    all_of_class: parsing.OptionalText = None
+    """The class of everything in a file of GeoJSON, for example of a city's street lamps."""
+    pole_height: parsing.OptionalFloat = None
+    """Height (m) of poles that are points without one; default: they are left out."""
+    sign_height: parsing.OptionalFloat = None
+    """Height (m) of signs' middles above points of GeoJSON or OpenStreetMap; default: 0."""
     anchor: parsing.OptionalText = None
-    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), if the file does not contain it."""
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), if neither the file nor the
+    workspace has it."""
     anchor_heading: parsing.OptionalFloat = None
     """Compass direction of the map's x axis at the anchor, in degrees; default: 90 (east)."""
     replace: bool = False
@@ -345,7 +358,20 @@ class MapImportCommand:
             raise SemvizError(f"{path}: exists already; choose another --name or use --replace")
         check_outputs(path, PARQUET, can_force=False, reads=[self.file], purpose="map")
         frame = workspace.source.map_frame
-        context = MapImportContext(frame, workspace.classes, class_map, anchor)
+        heights = {"--pole-height": self.pole_height, "--sign-height": self.sign_height}
+        for option, height in heights.items():
+            if height is not None and not 0.0 < height < 1000.0:
+                raise SemvizError(f"{option} {height:g}: give metres above 0")
+        context = MapImportContext(
+            frame,
+            workspace.classes,
+            class_map,
+            anchor,
+            self.class_property,
+            self.all_of_class,
+            self.pole_height,
+            self.sign_height,
+        )
         semantic_map, report = import_map(self.file, context, self.format)
         save_map(semantic_map, path)
         if self.json:

@@ -1,12 +1,13 @@
 """The command new: make a workspace of an own drive, a KITTI sequence or a simulated street."""
 
+import json
 import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
@@ -16,6 +17,48 @@ if TYPE_CHECKING:
 
     from semviz.workspace.workspace import Workspace
     from semviz_core.datasets.own_drive.recording import DriveFiles
+
+
+@dataclass(frozen=True)
+class RelinkCommand:
+    """Say where the images of a workspace are now, after they or it were moved.
+
+    Nothing changes unless all images are there, with the calibration of the labels. Example:
+    'semviz relink town --images /disk/left --right /disk/right'."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace."""
+    root: parsing.OptionalPath = None
+    """KITTI's folder, which holds sequences."""
+    images: parsing.OptionalPath = None
+    """Folder of the left, or the only, camera's images."""
+    right: parsing.OptionalPath = None
+    """Folder of the right camera's images."""
+    poses: parsing.OptionalPath = None
+    """File of poses that replace KITTI's."""
+    camera: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=FOLDER: folder of a further camera's images; may be repeated."""
+    json: bool = False
+    """Print one JSON object instead of a line."""
+
+    def run(self) -> int:
+        from semviz.workspace.places import places_of, relink
+
+        given = {"root": self.root, "images": self.images, "right": self.right, "poses": self.poses}
+        places = {name: place for name, place in given.items() if place is not None}
+        for text in self.camera:
+            name, equals, folder = text.partition("=")
+            if not equals or not folder:
+                raise SemvizError(f"--camera {text}: write NAME=FOLDER")
+            places[name] = Path(folder)
+        workspace = relink(parsing.open_workspace(self.workspace), places)
+        now, frames = places_of(workspace.settings.source), len(workspace.source.frames)
+        if self.json:
+            print(json.dumps({"workspace": str(self.workspace), "frames": frames, "places": now}))
+        else:
+            where = ", ".join(f"{name} {path}" for name, path in now.items())
+            print(f"{self.workspace}: {frames} frames, {where}")
+        return 0
 
 
 @dataclass(frozen=True)
@@ -150,7 +193,7 @@ class NewCommand:
         if self.rectify:
             rectify_all(workspace)
         self._warn_of_poses(workspace)
-        print(f"next: semviz annotate {self.folder}")
+        print(f"next: semviz annotate {self.folder}   (F9 there shows these checks as pictures)")
         return 0
 
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
@@ -180,11 +223,17 @@ class NewCommand:
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
             )
+        checks = [
+            check.model_copy(update={"remedy": self._again_with(check.option)})
+            if check.option
+            else check
+            for check in checks
+        ]
         failed = [check for check in checks if check.passed is False]
         for text in others:
             print_warning(text)
         for check in failed:
-            print_warning(check.warning, self._again_with(check.option) if check.option else "")
+            print_warning(check.warning, check.remedy)
         count = len(others) + len(failed)
         if count and self.strict:
             raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")

@@ -1,6 +1,6 @@
-"""Check an own drive against its images as it is imported, and write what shows it.
+"""What ``semviz new --images`` checks, prints and writes of a drive.
 
-What is found is printed below what was read: a topic and a text a line.
+Calibration and poses are compared with the images. Each line of output is a topic and a finding.
 """
 
 import os
@@ -73,7 +73,7 @@ def _print_checks(checks: Sequence[DriveCheck]) -> None:
 
 
 def print_warning(text: str, remedy: str = "") -> None:
-    """Print a warning, and the command that mends it: one line, or two on a terminal."""
+    """Print a warning, and the command that repairs it: one line, or two on a terminal."""
     if not sys.stderr.isatty():
         more = f"; remedy: {remedy}" if remedy else ""
         print(f"warning: {text}{more}", file=sys.stderr)

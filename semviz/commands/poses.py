@@ -151,7 +151,7 @@ class PosesChooseCommand:
         from semviz.presentation.terminal import Steps
         from semviz.workspace.pose_check import check_poses
         from semviz.workspace.pose_review import PoseReview, choose_poses
-        from semviz.workspace.workspace import login_name
+        from semviz.workspace.settings import login_name
         from semviz_core.datasets.rig_cameras import frames_of_camera
 
         choice: Choice = "leave out" if self.choice == "leave-out" else self.choice  # type: ignore[assignment]

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from semviz.commands import parsing
 from semviz.commands.measurements import MeasurementOptions
+from semviz.commands.runs import print_run
 from semviz_core.common.errors import SemvizError
 
 
@@ -16,7 +17,8 @@ from semviz_core.common.errors import SemvizError
 class RecordCommand:
     """Record what another localizer returned as a run, from files of poses and matches.
 
-    The run has diagnosis, inspector, comparison and report like any other."""
+    The run has diagnosis, inspector, comparison and report like any other. Example: 'semviz record
+    town --poses hloc.tum --matches matches.csv --out town/runs/hloc.rrd'."""
 
     workspace: Positional[Path]
     """Folder of the workspace with the images."""
@@ -38,6 +40,8 @@ class RecordCommand:
     """embedded: the left images in the run; none."""
     measurements: MeasurementOptions = field(default_factory=MeasurementOptions)
     force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of lines: the run's file, and frames by status."""
 
     def run(self) -> int:
         from semviz.runs.recorder import RunRecorder
@@ -78,7 +82,5 @@ class RecordCommand:
             foreign_results.record_results(
                 recorder, workspace.source, frames, poses, matches, measured
             )
-        counts = ", ".join(f"{number} {status}" for status, number in recorder.statuses.items())
-        print(f"{self.out}: {counts}")
-        print(f"next: semviz evaluate {self.out}; semviz serve {self.out}")
+        print_run(self.out, recorder.statuses, self.json)
         return 0

@@ -233,7 +233,7 @@ class TrainCommand:
     pole_maps: parsing.OptionalPath = None
     """Folder with pole maps (kitti_00.npz); required with --kitti-poses."""
     precision: Literal["float32", "bf16"] = "float32"
-    """bf16: half precision, on a GPU or a processor with AMX."""
+    """bf16: half precision, on a GPU or a processor with AMX or AVX-512 BF16."""
     held_out: int = 240
     """Size of the validation set, evaluated at most 40 times per training."""
     stop_after_s: parsing.OptionalFloat = None

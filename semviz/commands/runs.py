@@ -3,7 +3,7 @@
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LocalizeCommand:
-    """Localize the frames of a workspace in its map, and record the run."""
+    """Localize the frames of a workspace in its map, and record the run.
+
+    Examples: 'semviz localize town'; 'semviz localize town --observations detected --track';
+    'semviz localize town --priors fixes.csv --odometry wheels.csv --track'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -69,6 +72,8 @@ class LocalizeCommand:
     images: Literal["embedded", "both", "reference", "none"] = "embedded"
     """embedded: the left images in the run (about 130 kB per frame); both: the right ones too;
     reference: their file names; none."""
+    json: bool = False
+    """Print one JSON object instead of lines: the run's file, and frames by status."""
 
     def run(self) -> int:
         from semviz.runs.run import TRACK
@@ -130,14 +135,26 @@ class LocalizeCommand:
             map_name=self.map,
             images=self.images,
         )
-        print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
-        print(f"next: semviz evaluate {path}; semviz serve {path}")
+        print_run(path, counts, self.json)
         return 0
+
+
+def print_run(path: Path, counts: Mapping[str, int], as_json: bool) -> None:
+    """Print the frames by status of a run that was written."""
+    if as_json:
+        print(
+            json.dumps({"run": str(path), "frames": sum(counts.values()), "status": dict(counts)})
+        )
+        return
+    print(f"{path}: " + ", ".join(f"{number} {status}" for status, number in counts.items()))
+    print(f"next: semviz evaluate {path}; semviz serve {path}")
 
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """Evaluate runs against ground truth: translation and rotation errors, status, runtime."""
+    """Evaluate runs against ground truth: translation and rotation errors, status, runtime.
+
+    Example: 'semviz evaluate town/runs/search.rrd --json --csv frames.csv'."""
 
     runs: Positional[tuple[Path, ...]]
     """Runs (.rrd)."""
@@ -177,7 +194,8 @@ class EvaluateCommand:
 class CompareCommand:
     """Compare two runs of one sequence: fixed and broken frames, metrics, and different settings.
 
-    As a gate for scripts, exit with status 1 if a condition of --fail-if holds."""
+    As a gate for scripts, exit with status 1 if a condition of --fail-if holds. Example: 'semviz
+    compare old.rrd new.rrd --fail-if "median_rte_m > 1.05*base"'."""
 
     base: Annotated[Positional[Path], arg(metavar="BASE")]
     """Reference run (.rrd)."""
@@ -280,6 +298,8 @@ class RepairCommand:
     out: parsing.OptionalPath = None
     """File to write; default: replace the run."""
     force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of a line."""
 
     def run(self) -> int:
         from semviz.runs.writer import repair
@@ -290,7 +310,9 @@ class RepairCommand:
         run = repair(self.run_file, out)
         unchecked = "; they had no checksums, so damage would not have been found"
         state = run.note or f"{len(run.frames)} frames, complete"
-        print(f"{out}: {state}{'' if run.checked else unchecked}")
+        text = f"{state}{'' if run.checked else unchecked}"
+        content = {"file": str(out), "frames": len(run.frames), "lost": run.lost, "state": text}
+        print(json.dumps(content) if self.json else f"{out}: {text}")
         return 0
 
 

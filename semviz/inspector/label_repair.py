@@ -17,7 +17,8 @@ from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError, handles
 from semviz.what_if.solve import describe_sweep, free_path
 from semviz.workspace.rebuild import rebuild_run
-from semviz.workspace.workspace import Workspace, login_name
+from semviz.workspace.settings import login_name
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.rows import review_decision

@@ -4,13 +4,19 @@ Writer and reader share the file layout here, and the values that follow from Ru
 observations and detector model.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from semviz_core.base.camera import Rig
-from semviz_core.base.detector_model import SHIPPED_DETECTOR, SIMULATED_DETECTOR, DetectorModel
+from semviz_core.base.detector_model import (
+    LABELS,
+    SHIPPED_DETECTOR,
+    SIMULATED_DETECTOR,
+    DetectorModel,
+)
 from semviz_core.base.frame import Frame, Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
@@ -113,6 +119,21 @@ class Run:
             "or keep the other frames with 'semviz repair'."
         )
 
+    def _repr_html_(self) -> str:
+        """Show the frames by status, and where they are, in a notebook."""
+        from semviz_core.base.notebook import drive_html
+
+        counts = Counter(result.status for result in self.localizations)
+        by_status = ", ".join(f"{number} {status}" for status, number in counts.items())
+        title = f"Run {self.info.name}: {len(self.frames)} frames, {by_status}, {self.info.method}"
+        estimates = [
+            (result.T_camera_map.inverse().translation, str(result.status))
+            for result in self.localizations
+            if result.T_camera_map is not None
+        ]
+        truth_m = [pose.inverse().translation for pose in self.truths if pose is not None]
+        return drive_html(title, self.semantic_map, truth_m, estimates)
+
     @property
     def localizations(self) -> tuple[Localization, ...]:
         """The localization of every frame, in order."""
@@ -147,7 +168,7 @@ def assumed_detector(info: RunInfo) -> DetectorModel:
 def detector_model(observations: Observations) -> DetectorModel:
     """Return the assumed rates of a kind of observations."""
     if observations == "labels":
-        return DetectorModel()
+        return LABELS
     return SHIPPED_DETECTOR if observations == "detected" else SIMULATED_DETECTOR
 
 

@@ -44,6 +44,8 @@ class DriveCheck(_Model):
     """If it did not pass: what that does to the user."""
     option: str = ""
     """Of `semviz new`, which is the remedy; empty if there is none."""
+    remedy: str = ""
+    """The command with that option."""
     frame: int | None = None
     """Where to look."""
 
@@ -65,7 +67,7 @@ def check_drive_files(dataset: Dataset, drive: RecordedDrive) -> Iterator[DriveC
     if dataset.rig.right is not None:
         yield DriveCheck(
             kind="sides",
-            name="left and right not swapped",
+            name="left, right not swapped",
             measured="baseline",
             value=f"{dataset.rig.baseline_m:.3f} m",
             limit="over 0 m",

@@ -25,6 +25,7 @@ from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
+from semviz_core.datasets.own_drive.geodesy import geodetic, is_earth_centred
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.rectification import rectify_cameras, rectify_rig
@@ -198,7 +199,7 @@ class DriveFile(_Model):
             _pose(self.T_right_left),
         )
         return ImageFolder(
-            MapFrame(self.map_frame),
+            self.frame,
             tuple(Frame(row.index, row.time_s, _pose(row.T_map_camera)) for row in self.frames),
             {row.index: folders.left / row.left for row in self.frames},
             {}
@@ -209,6 +210,13 @@ class DriveFile(_Model):
             rectify_rig(original, self.most_view_deg),
             cache,
         )
+
+    @property
+    def frame(self) -> MapFrame:
+        """The map frame; it knows its place on Earth if the poses were earth-centred."""
+        if self.origin_m is None or not is_earth_centred(np.array([self.origin_m])):
+            return MapFrame(self.map_frame)
+        return MapFrame(self.map_frame, geodetic(np.array(self.origin_m)))
 
     @property
     def world(self) -> Pose | None:
@@ -223,7 +231,7 @@ class DriveFile(_Model):
         camera_of = {row.index: row.camera for row in self.frames if row.camera is not None}
         mounts = {name: _pose(camera.T_first_camera) for name, camera in cameras.items()}
         return ImageFolder(
-            MapFrame(self.map_frame),
+            self.frame,
             tuple(Frame(row.index, row.time_s, _pose(row.T_map_camera)) for row in self.frames),
             {row.index: folders.of(camera_of[row.index]) / row.left for row in self.frames},
             {},

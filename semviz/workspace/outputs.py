@@ -16,6 +16,7 @@ from semviz_core.common.files import HEAD_BYTES, IsOurs, check_output
 
 _OWN: Final = {
     "settings": (re.compile(r"semviz\.toml"), "semviz.toml"),
+    "places": (re.compile(r"places\.toml"), "places.toml"),
     "drive": (re.compile(r"drive\.json"), "drive.json"),
     "left-out": (re.compile(r"left-out\.csv"), "left-out.csv"),
     "rectified": (re.compile(r"rectified(/.*)?"), "rectified/**/*"),
@@ -26,6 +27,7 @@ _OWN: Final = {
     "proposals": (re.compile(r"proposals\.parquet"), "proposals.parquet"),
     "backdrop": (re.compile(r"backdrop\.safetensors"), "backdrop.safetensors"),
     "motions": (re.compile(r"image_motions\.safetensors"), "image_motions.safetensors"),
+    "choices": (re.compile(r"pose_choices\.json"), "pose_choices.json"),
     "calibration": (re.compile(r"detector\.calibration\.toml"), "detector.calibration.toml"),
     "kept": (re.compile(r"kept(/.*)?"), "kept/**/*"),
     "map": (re.compile(r"maps(/.*\.parquet)?"), "maps/**/*.parquet"),

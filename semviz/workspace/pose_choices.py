@@ -87,6 +87,12 @@ class PoseOperation(_Model):
         if (self.choice == "refine") != bool(self.poses and self.given):
             raise ValueError("refined poses belong to the choice 'refine', and to no other")
 
+    def fits(self, frames: Sequence[Frame]) -> bool:
+        """Whether its refined poses, if any, were refined from those of ``frames``."""
+        refined = {pose.frame for pose in self.poses}
+        given = [frame for frame in frames if frame.index in refined]
+        return self.given is None or self.given == digest_of(given)
+
     @property
     def where(self) -> str:
         """``frame 5`` or ``frames 0-11``."""
@@ -135,9 +141,8 @@ class PoseChoices(_Model):
         """
         whole: dict[int, Pose | None] = {}
         single: dict[int, Pose | None] = {}
-        digest = digest_of(frames)
         for operation in self.present:
-            if operation.given not in (None, digest):
+            if not operation.fits(frames):
                 raise SemvizError(
                     f"the poses of {operation.where} were refined from other poses than the drive "
                     "has now; restore those, or delete the file to choose again"

@@ -36,6 +36,7 @@ from semviz_annotation.mapping.build import POSES
 from semviz_core.base.frame import FileDataset, Frame
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import cameras_by_frame
 from semviz_core.pose_checks.comparison import rows_of_runs
 from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
 
@@ -269,9 +270,10 @@ def _operation(
     if choice != "refine":
         return operation.model_copy(update={"choice": choice})
     refined = _refined(review, operation)
+    numbers = {pose.frame for pose in refined}
+    given = digest_of([frame for frame in review.check.frames if frame.index in numbers])
     return PoseOperation.model_validate(
-        operation.model_dump()
-        | {"choice": "refine", "given": digest_of(review.check.frames), "poses": refined}
+        operation.model_dump() | {"choice": "refine", "given": given, "poses": refined}
     )
 
 
@@ -279,12 +281,16 @@ def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ..
     """Return the refined poses of the frames. Raise SemvizError if they may not be used."""
     if wanted.subject in RIG_KINDS:
         raise SemvizError("other poses do not repair the calibration; correct that, or keep it")
+    source = review.workspace.given_source
+    if cameras_by_frame(source):
+        raise SemvizError(
+            "a rig of several cameras: its poses are refined by 'semviz poses refine'"
+        )
     for other in review.stretches if wanted.subject == "frames" else ():
         is_whole = other.subject != "frames" and other.can_refine
         operation = review.choice_for(other)
         if is_whole and (operation is None or operation.choice != "refine"):
             raise SemvizError(f"first refine the whole drive: {other.fault.text}")
-    source = review.workspace.given_source
     seen = FaultLabels.of(review.labels, source, review.check, wanted.first, wanted.last)
     evidence = None if seen is None else seen.evidence
     if evidence is not None and evidence.grows_worse:

@@ -4,6 +4,7 @@ People edit it, so only what decides which images the labels belong to has a che
 that an editor deletes: a seed, a frame number or a folder's name with one wrong bit opens others.
 """
 
+import getpass
 import json
 import re
 import zlib
@@ -166,3 +167,11 @@ def _first_fault(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"]) or "file"
     return first_line(f"{where}: {first['msg']}")
+
+
+def login_name() -> str:
+    """Return the user's login name, the default author of edits."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"

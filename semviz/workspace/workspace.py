@@ -1,11 +1,12 @@
 """The workspace: one folder that can be copied, with labels, proposals, maps and runs.
 
     semviz.toml          settings: where the images come from
+    places.toml          their absolute paths; see ``places``
     drive.json           cameras, images and poses of an own drive; see ``drive_file``
     left-out.csv         images that its import left out, if any; see ``drive_file``
     recorded/            images of a bag as recorded
     rectified/           images of an own drive without distortion, made when needed
-    checks/rows.png      rows and matches of a stereo pair, from the import
+    checks/              of an import: checks.json, and rows.png of a stereo pair
     labels.db            labels and their history
     proposals.parquet    detector proposals, if any
     kept/                keys that other labelling tools wrote, if any
@@ -19,7 +20,6 @@
 The author of stored operations defaults to the login name.
 """
 
-import getpass
 import os
 import shutil
 import tempfile
@@ -41,6 +41,7 @@ from semviz.workspace.drive_file import (
     open_drive,
     write_left_out,
 )
+from semviz.workspace.places import find_place, keep_places
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
@@ -221,6 +222,7 @@ class Workspace:
         fill()
         with replacing(path / SETTINGS) as temporary:
             temporary.write_bytes(content)
+        keep_places(path, settings)
         return cls(path, settings)
 
     @property
@@ -374,30 +376,17 @@ class Workspace:
     def _open_kitti(self, settings: KittiSettings) -> Dataset:
         from semviz_core.datasets.kitti import KittiSequence
 
-        root = (self.path.resolve() / settings.root).resolve()
-        if not root.is_dir():
-            raise SemvizError(
-                f"{root}: images of workspace '{self.name}' not found; "
-                f"edit 'root' in {self.path / SETTINGS}"
-            )
+        root = find_place(self.path, "root", settings.root)
         frames = None if settings.frames is None else settings.frames.as_range()
-        poses = None if settings.poses is None else (self.path.resolve() / settings.poses).resolve()
-        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses)
+        poses = settings.poses and find_place(self.path, "poses", settings.poses)
+        return KittiSequence(root, settings.sequence, settings.cameras, frames, poses or None)
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
-        def found(name: str, kept: str) -> Path:
-            folder = (self.path.resolve() / kept).resolve()
-            if not folder.is_dir():
-                raise SemvizError(
-                    f"{folder}: images of workspace '{self.name}' not found; "
-                    f"edit '{name}' in {self.path / SETTINGS}"
-                )
-            return folder
-
+        cameras = settings.cameras or {}
         folders = ImageFolders(
-            found("images", settings.images),
-            None if settings.right is None else found("right", settings.right),
-            {name: found(name, kept) for name, kept in (settings.cameras or {}).items()},
+            find_place(self.path, "images", settings.images),
+            None if settings.right is None else find_place(self.path, "right", settings.right),
+            {name: find_place(self.path, name, kept) for name, kept in cameras.items()},
         )
         return open_drive(self.path / DRIVE_FILE, folders, self.path / RECTIFIED)
 
@@ -445,11 +434,3 @@ def _names(folder: Path, suffix: str) -> tuple[str, ...]:
     files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
     ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
     return tuple(file.stem for file in ordered)
-
-
-def login_name() -> str:
-    """Return the user's login name, the default author of edits."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "somebody"

@@ -142,5 +142,5 @@ def test_what_does_not_fit_is_refused(example, world):
         mapping_accuracy(replace(semantic_map, frame=MapFrame("moon")), labels, world)
     with pytest.raises(SemvizError, match="not made from labels"):
         mapping_accuracy(replace(semantic_map, provenance=()), labels, world)
-    with pytest.raises(SemvizError, match="frame 1 is labelled but has no pose"):
+    with pytest.raises(SemvizError, match="frame 1 is labelled but not in this sequence"):
         mapping_accuracy(semantic_map, labels, replace(world, count=1))

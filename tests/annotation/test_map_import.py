@@ -64,7 +64,7 @@ def test_points_and_lines_of_others(tmp_path: Path) -> None:
     np.testing.assert_allclose(elements.anchor_m[0, :2], [0.0, 11.12], atol=0.01)
     assert report.dropped == {
         "properties 'colour'": 1,
-        "poles that are points without a height: a pole has two ends": 1,
+        "poles that are points without a height: say --pole-height METRES": 1,
         "features that are 'Polygon', neither Point nor LineString": 1,
     }
     assert report.assumed == {
@@ -109,7 +109,7 @@ def test_lanelet2_of_others(tmp_path: Path) -> None:
         ([feature("Point", [8.0, 49.0], "round", covariance_enu_m2=[[10**400] * 3] * 3)],
          "covariance_enu_m2 is not an array of numbers"),
         ([feature("Point", [8.0, 49.0], "round", anchor_known="no")], "neither true nor false"),
-        ([feature("Point", [8.0, 49.0], None)], "property 'class' says what it is; here it is N"),
+        ([feature("Point", [8.0, 49.0], None)], "a class name is expected, not None"),
         ([feature("Point", None, "round")], "no|is not longitude"),
         ([], "holds no pole and no sign that can be read"),
         ([feature("Point", NORTH, "mast")], "no pole and no sign that can be read: 1 x poles that"),

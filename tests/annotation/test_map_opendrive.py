@@ -165,7 +165,7 @@ def test_a_file_that_is_on_earth(tmp_path: Path) -> None:
     assert town.frame.origin == (49.01, 8.42, 90.0)
     town, report = read(tmp_path, road(signals=signal), header=header)
     np.testing.assert_allclose(town.elements.anchor_m, [[7.0, 0.0, 100.0]])
-    assert any("without --anchor" in what for what in report.dropped)
+    assert any("give --anchor" in what for what in report.assumed)
 
 
 @settings(max_examples=50)

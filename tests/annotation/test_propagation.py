@@ -1,5 +1,7 @@
 """Correspondences and propagation, in small known scenes and on a simulated street."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from painted_scenes import (
@@ -20,11 +22,12 @@ from semviz_annotation.assist import (
     find_correspondence,
     propagate,
 )
+from semviz_annotation.assist.track import LabelledView, Track, growth, look_again, size
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ROUNDED
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, ROUNDED
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
 from semviz_core.simulation.street import Street
@@ -229,3 +232,54 @@ def test_on_a_street() -> None:
     assert np.mean(np.array(errors) < 1.0) >= 0.9
     assert sure > 0.7 * len(errors)
     assert wrong == 0
+
+
+def shade(radius: float) -> int:
+    return 150 - round(50.0 * float(np.exp(-0.5 * radius**2)))
+
+
+def approach(edges: bool) -> tuple[list[MarkedImage], list[Mark], list[tuple[MarkedImage, Mark]]]:
+    """A stereo pair 30 m before a sign, and nearer images with the truth.
+
+    The sign is a plate, or so soft a spot that nobody can tell where its middle is.
+    """
+    sign = np.array([[1.0, -1.5, 30.0]])
+    plate = upright(1.0, 30.0, 0.9, -1.9, -1.1)
+    rings = [
+        (upright(1.0, 30.0, 0.9 * k, -1.5 - 0.4 * k, -1.5 + 0.4 * k), (shade(k),) * 3)
+        for k in np.linspace(4.0, 0.1, 80)
+    ]
+    wall = [(upright(0.0, 60.0, 200.0, -60.0, 60.0), (150, 150, 150))]
+    boxes = [*(scenery(5) if edges else wall), *([(plate, (40, 50, 60))] if edges else rings)]
+    painted = [(in_map(corners), color) for corners, color in boxes]
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0)]
+    poses += [moved_by(0.02, z) for z in (4.0, 8.0, 12.0, 16.0, 20.0)]
+    shots = [shot_of(RECTIFIED, pose, painted) for pose in poses]
+    truths = [Mark(tuple(shot.view.project(in_map(sign))[0].tolist())) for shot in shots]
+    return shots[:2], truths[:2], list(zip(shots[2:], truths[2:], strict=True))
+
+
+def moved(mark: Mark, by_px: tuple[float, float]) -> Mark:
+    return replace(mark, anchor_px=(mark.anchor_px[0] + by_px[0], mark.anchor_px[1] + by_px[1]))
+
+
+@pytest.mark.parametrize("edges", [True, False])
+def test_an_offset_of_the_first_drawing_does_not_grow_unseen(edges: bool) -> None:
+    """Drawn 1.4 px off and followed from 30 m to 10 m: there it would be 4.2 px."""
+    shots, truths, ahead = approach(edges)
+    kind = DEFAULT_CLASSES[RECTANGULAR]
+    labelled = [(shot, moved(mark, (1.2, 0.7))) for shot, mark in zip(shots, truths, strict=True)]
+    sure = 0
+    for shot, truth in ahead:
+        element = mapped([image for image, _ in labelled], [mark for _, mark in labelled])
+        sizes = [size(element, image.view) for image, _ in labelled]
+        grown = growth(sizes, size(element, shot.view), look_again(element))
+        source, mark = labelled[-1]
+        track = Track(tuple(LabelledView(*view) for view in labelled[:-1][-4:]), grown)
+        (found,) = propagate([ReferenceView(shot, source, mark)], element, kind, track=track)
+        assert found is not None
+        sure += found.sure
+        assert not found.sure or error_px(found.mark, truth) < 1.0
+        labelled.append((shot, found.mark))  # what is not sure, somebody looks at and takes
+    assert (sure >= 3) is edges
+    assert (error_px(labelled[-1][1], ahead[-1][1]) < 1.0) is edges

@@ -43,5 +43,5 @@ def test_a_pole_that_leaves_the_image_is_cut_off_there() -> None:
 def test_beside_a_pole_and_at_a_plain_wall_is_none() -> None:
     image, ends = scene()
     middle = ends.mean(axis=0)
-    assert whole_pole(image, middle + [40.0, 0.0], DEFAULT_CLASSES[POLE]) is None
+    assert whole_pole(image, middle + np.array([40.0, 0.0]), DEFAULT_CLASSES[POLE]) is None
     assert whole_pole(image, np.array([-20.0, 60.0]), DEFAULT_CLASSES[POLE]) is None

@@ -18,7 +18,7 @@ import pytest
 from echo_tool import UPGRADE, EchoTool, ask, finished, stranger
 from serving import at
 
-from semviz.web import connections, gateway
+from semviz.web import gateway
 from semviz.web.gateway import Gateway
 from semviz.web.sessions import MAX_REQUEST
 from semviz.web.viser_servers import SECRET_HEADER, ViserServers
@@ -43,8 +43,8 @@ def test_silent_connections_are_ended_and_those_with_the_token_stay(
     tool: EchoTool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thousand of them took all files of the process: no page opened, no label was saved."""
-    monkeypatch.setattr(connections, "MOST_STRANGERS", 3)
-    monkeypatch.setattr(connections, "STRANGER_S", 0.5)
+    monkeypatch.setattr(gateway, "MOST_STRANGERS", 3)
+    monkeypatch.setattr(gateway, "STRANGER_S", 0.5)
     with Gateway(tool).running() as url:
         address = ("127.0.0.1", urlsplit(url).port or 0)
         known = http.client.HTTPConnection(*address, timeout=5)

@@ -106,7 +106,7 @@ def test_every_command_is_in_the_help_and_in_the_palette(driver: LabelDriver) ->
     page.click("text=Change keys…")
     in_help = page.locator("dialog.help button.kbd").count()
     groups = page.locator("dialog.help h3").all_inner_texts()
-    assert groups == ["Draw", "Proposals", "View", "Frames", "Map", "History", "General"]
+    assert groups == ["Draw", "Proposals", "View", "Frames", "Map", "History", "General", "Poses"]
     page.keyboard.press("Escape")
     page.keyboard.press("Control+k")
     in_palette = page.locator("dialog.palette [role=option]").count()

@@ -169,7 +169,7 @@ def test_what_is_brought_in_meanwhile_stays(
     (tmp_path / "theirs.json").write_text(PROPOSED)
 
     class Meanwhile(Slow):
-        def find(self, image: np.ndarray) -> object:  # type: ignore[override]
+        def find(self, image: np.ndarray, watch: object = None) -> object:  # type: ignore[override]
             run("labels", "propose", town, tmp_path / "theirs.json")
             return super().find(image)
 
@@ -218,7 +218,7 @@ def _without_street(workspace: Workspace) -> Workspace:
 class Refusing:
     name = "refusing"
 
-    def find(self, image: np.ndarray) -> list[object]:
+    def find(self, image: np.ndarray, watch: object = None) -> list[object]:
         raise SemvizError("m.onnx takes images of 640x640 only; pad them in m.toml")
 
 

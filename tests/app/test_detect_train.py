@@ -20,7 +20,7 @@ from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shippe
 from semviz_core.research.training.detector_images import StreetImages
 from semviz_core.research.training.trainer import CHECKPOINT
 
-TINY = ("--streets", 1, "--samples", 12, "--batch", 4)
+TINY = ("--streets", 1, "--samples", 6, "--batch", 2)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_streets_to_weights_and_on_from_wherever_it_stopped(
     parts, folder = tmp_path / "parts", tmp_path / "weights"
     status, output, errors = train("--out", whole, *TINY)
     assert status == 0, errors
-    assert "finished after 12 of 12" in output
+    assert "finished after 6 of 6" in output
     assert len(list((whole / "streets").iterdir())) == 3  # one to learn from, two to tune on
     shutil.copytree(whole / "streets", parts / "streets")
     for _ in range(5):  # each goes on for one step
@@ -60,7 +60,7 @@ def test_streets_to_weights_and_on_from_wherever_it_stopped(
     assert call(capsys, "weights", whole, "--out", folder)[0] == 0
     card = json.loads((folder / "detector.json").read_text())
     assert (card["task"], card["samples"], card["options"]["data"]["streets"]) == (
-        "detector", 12, 1,
+        "detector", 6, 1,
     )  # fmt: skip
     weights = folder / "detector.safetensors"
     street = tmp_path / "street"
@@ -173,7 +173,7 @@ def test_a_training_that_forgets_is_refused(
     assert "a training that forgot; accept it with --allow-loss" in errors
     status, output, errors = train(*arguments, "--allow-loss")
     assert status == 0, errors
-    assert "finished after 12 of 12" in output
+    assert "finished after 6 of 6" in output
     assert (tmp_path / "mine" / CHECKPOINT).exists()
     assert not aside.exists()
     planted_recall(monkeypatch, 0.92, 0.88)

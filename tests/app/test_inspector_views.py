@@ -101,7 +101,7 @@ def test_frame_without_any_stage_is_drawable() -> None:
     view = json.loads(frame_view(run_of(bare, truth=None), 0).model_dump_json())
     assert (view["matrix"], view["pairs"], view["error_m"]) == (None, [], None)
     assert all(mapped["estimate"] is None and mapped["truth"] is None for mapped in view["mapped"])
-    assert view["card"]["title"] == "Not in the submap"
+    assert view["card"]["title"] == "Search miss"
 
 
 def test_matrix_orders_rows_and_columns_into_class_blocks() -> None:
@@ -163,7 +163,7 @@ def test_failures_are_named_by_the_first_broken_link() -> None:
     )
     rows = run_view("first", replace(run, frames=known)).frames
     assert [row.diagnosis for row in rows] == [
-        "missed detection", "not in the submap", "not in the submap", "search miss",
+        "missed detection", "wrong position prior", "not in the submap", "search miss",
         "ambiguous geometry",
     ]  # fmt: skip
 

@@ -178,8 +178,11 @@ def test_edits_made_before_a_backup_was_restored_ask_before_they_change_it(
     wait_for(page, "#question", "a backup replaced the labels on which this edit was made")
     wait_for(page, "#question", "2 edits kept in this page")
     assert served.annotator.session.labels.operation == 7
+    draw(driver, 580.0)  # while it asks, and takes it back
+    page.keyboard.press("Control+z")
+    page.wait_for_function("() => semviz.outbox.entries.length === 4")
     page.keyboard.press("y")
     page.wait_for_function("() => semviz.outbox.entries.length === 0")
-    wait_for(page, "#saved", "Saved operation 9")
-    assert check_labels(workspace.labels_path).operations == 9
+    wait_for(page, "#saved", "Saved operation 11")
+    assert check_labels(workspace.labels_path).operations == 11
     assert len(served.labels.observations) == 9

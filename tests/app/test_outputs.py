@@ -5,6 +5,7 @@ read or written, so that a new one cannot be forgotten.
 """
 
 import os
+import re
 import runpy
 import stat
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from command_line import Call, call
 
 from semviz.cli import Command
 from semviz.runs.writer import RunWriter
+from semviz.workspace import outputs, workspace
 from semviz.workspace.workspace import TRUTH, Workspace
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))
@@ -81,6 +83,12 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
         "plot": [Output("W --out not-written.tum --plot TARGET.png", is_cheap=False)],
     },
     "localize": {"out": [Output("W --map truth --out TARGET.rrd", is_cheap=False)]},
+    "record": {
+        "out": [
+            Output("W --map truth --poses POSES --images none --out TARGET.rrd", is_cheap=False)
+        ]
+    },
+    "detect rates": {"out": [Output("RUN --out TARGET", is_cheap=False)]},
     "evaluate": {"csv": [Output("RUN --csv TARGET")]},
     "report": {
         "out": [
@@ -140,6 +148,7 @@ INPUTS = {
     "detect train": {"workspaces", "segmentation", "boxes"},
     "detect choose": {"workspace"},
     "detect evaluate": {"workspaces"},
+    "detect rates": {"run_file"},
     "map backdrop": {"workspace"},
     "map build": {"workspace"},
     "map check": {"workspace"},
@@ -150,6 +159,8 @@ INPUTS = {
     "poses check": {"workspace"},
     "poses refine": {"workspace"},
     "localize": {"workspace", "weights"},
+    "record": {"workspace", "poses", "matches"},
+    "relink": {"workspace", "root", "images", "right", "poses"},
     "evaluate": {"runs"},
     "compare": {"base", "other"},
     "report": {"runs"},
@@ -195,6 +206,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
     with Workspace.create_street(folder / "W", 7, range(4)).open_labels():
         pass
+    (folder / "POSES").write_text("0 0 0 1.6 -0.5 0.5 -0.5 0.5\n")
     semantic_map = made_up["make_map"](length_m=60.0)
     with RunWriter(folder / "RUN.rrd", made_up["make_info"]("a run"), semantic_map) as writer:
         for record in made_up["make_records"](semantic_map, 2, None):
@@ -264,6 +276,7 @@ def arguments_of(name: str, output: Output, target: Path, home: Path) -> list[st
     known = {
         "TARGET": target,
         "W": home / "W",
+        "POSES": home / "POSES",
         "RUN": home / "RUN.rrd",
         "TRAINING": home / "TRAINING",
     }
@@ -349,6 +362,13 @@ def test_a_workspace_s_own_files_stay_even_by_force(
     for force in ([], ["--force"]) if can_force(name) else ([],):
         assert run(*arguments_of(name, output, target, home), *force)[0] == 2
         assert state(home) == before
+
+
+def test_every_file_that_a_workspace_holds_is_its_own() -> None:
+    """The list in the module's text; a file that is missing in the other could be overwritten."""
+    held = re.findall(r"^    (\S+[./]\S*) ", f"{workspace.__doc__}\n".replace("\n", " \n"), re.M)
+    assert {"labels.db", "pose_choices.json", "maps/NAME.parquet"} <= set(held)
+    assert [name for name in held if not outputs._is_own(name, "")] == []
 
 
 CHEAP = [row for row in ALL if row.values[1].is_cheap and not row.values[1].inner]

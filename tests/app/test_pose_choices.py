@@ -10,40 +10,24 @@ import numpy as np
 import pytest
 from command_line import Call, call
 from streets import street
-from support.street_labels import careful, label_street
-from turned_drive import COUNT, SEED, TURNED, drive, wrong_poses
+from turned_drive import COUNT, SEED, TURNED, drive, labels, store_labels, wrong_poses
 
 from semviz.workspace.localize import posed_frames, select_frames
 from semviz.workspace.pose_check import check_poses
 from semviz.workspace.pose_choices import PoseOperation, read_choices
 from semviz.workspace.pose_review import PoseReview, choose_poses, pose_change
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.mapping.build import build_map
 from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
 
-__all__ = ["drive", "wrong_poses"]
+__all__ = ["drive", "labels", "wrong_poses"]
 
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Call:
     return partial(call, capsys)
-
-
-@pytest.fixture(scope="module")
-def labels() -> Labels:
-    source = street(SEED, COUNT)
-    drawn = label_street(careful(source, 0.3, seed=1), range(COUNT), memory=COUNT).labels
-    camera = source.rig.left
-    inside = [
-        row
-        for row in drawn.observations.values()
-        if camera.contains(np.array([row.anchor_px, row.end_px or row.anchor_px])).all()
-    ]
-    seen = {row.element_id for row in inside}
-    return Labels.from_rows([*(drawn.element(row) for row in seen), *inside])
 
 
 @pytest.fixture
@@ -53,12 +37,6 @@ def town(run: Call, drive: Path, wrong_poses: Path, labels: Labels, tmp_path: Pa
     assert run("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")[0] == 0
     store_labels(Workspace.open(folder), labels)
     return folder
-
-
-def store_labels(workspace: Workspace, labels: Labels) -> None:
-    with workspace.open_labels() as store:
-        rows = tuple(labels.elements.values()), tuple(labels.observations.values())
-        store.apply(ImportLabels(*rows), "ann")
 
 
 def worst_deg(frames: tuple[Frame, ...]) -> float:

@@ -6,8 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import call
 
 from semviz.commands.tools import find_runs
+from semviz.workspace.places import PLACES
 from semviz.workspace.settings import SETTINGS
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -69,7 +71,7 @@ def test_a_street_is_opened_as_it_was_made(tmp_path: Path) -> None:
     assert opened.default_observations == "simulated"
 
 
-def test_no_absolute_path_is_kept(town: Workspace, tmp_path: Path) -> None:
+def test_the_settings_keep_no_absolute_path(town: Workspace, tmp_path: Path) -> None:
     text = (town.path / SETTINGS).read_text()
     assert 'root = "../kitti"' in text
     assert str(tmp_path) not in text
@@ -83,6 +85,45 @@ def test_a_copy_beside_it_and_a_move_with_its_images_work(town: Workspace, tmp_p
     for name in ("town", "kitti"):
         (tmp_path / name).rename(elsewhere / name)
     assert len(Workspace.open(elsewhere / "town").source.frames) == 2
+
+
+def test_a_copy_at_another_depth_finds_its_images(town: Workspace, tmp_path: Path) -> None:
+    deep = tmp_path / "a" / "b" / "copy"
+    shutil.copytree(town.path, deep)
+    assert len(Workspace.open(deep).source.frames) == 2
+    (deep / PLACES).unlink()
+    with pytest.raises(SemvizError, match="semviz relink"):
+        _ = Workspace.open(deep).source
+
+
+def test_relink_changes_the_places_and_nothing_else(
+    town: Workspace, kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (town.path / SETTINGS).open("a") as settings:
+        settings.write("# a remark of ours\n")
+    moved = kitti.rename(tmp_path / "disk")
+    elsewhere = tmp_path / "a" / "town"
+    elsewhere.parent.mkdir()
+    town.path.rename(elsewhere)
+    before = (elsewhere / SETTINGS).read_bytes()
+
+    other = tmp_path / "other"
+    shutil.copytree(moved, other)
+    (other / "sequences" / "05" / "image_3" / "000001.png").unlink()
+    for place, message in ((tmp_path / "none", "no such folder"), (other, "are missing")):
+        status, _, errors = call(capsys, "relink", elsewhere, "--root", place)
+        assert status == 2
+        assert message in errors
+        assert (elsewhere / SETTINGS).read_bytes() == before
+
+    status, output, _ = call(capsys, "relink", elsewhere, "--root", moved)
+    assert status == 0
+    assert "2 frames" in output
+    assert len(Workspace.open(elsewhere).source.frames) == 2
+    text = (elsewhere / SETTINGS).read_text()
+    assert 'root = "../../disk"' in text
+    _, _, kept = before.decode().partition("\n")  # after the checksum of the old paths
+    assert text.replace("../../disk", "../kitti") == kept
 
 
 def test_a_link_to_a_workspace_finds_the_same_images(town: Workspace, tmp_path: Path) -> None:
@@ -109,7 +150,7 @@ def test_images_gone_says_what_to_edit(town: Workspace, kitti: Path) -> None:
     opened = Workspace.open(town.path)  # labels and maps stay within reach
     assert opened.maps() == ()
     assert opened.read_labels() == town.read_labels()
-    with pytest.raises(SemvizError, match=r"images of workspace 'town'.*edit 'root' in .*toml"):
+    with pytest.raises(SemvizError, match=r"kitti: 'root' of the workspace.*relink .*--root"):
         _ = opened.source
 
 

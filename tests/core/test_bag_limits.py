@@ -12,7 +12,7 @@ from bags import Kind, bag, put_camera
 from conftest import skip_or_fail
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.adapters import bag_limits
+from semviz_core.datasets.own_drive.adapters import rosbag
 from semviz_core.datasets.own_drive.adapters.rosbag import read_bag
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.recording import DriveFiles
@@ -54,10 +54,10 @@ def test_packed_bags_are_read_and_bombs_are_refused(
     path = small(tmp_path, kind, packed)
     read(path)
     if packed == "file":
-        usage = shutil.disk_usage(tmp_path)._replace(free=bag_limits.MOST_CHUNK_BYTES + 5000)
+        usage = shutil.disk_usage(tmp_path)._replace(free=rosbag.MOST_CHUNK_BYTES + 5000)
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     else:
-        monkeypatch.setattr(bag_limits, "MOST_CHUNK_BYTES", 5000)
+        monkeypatch.setattr(rosbag, "MOST_CHUNK_BYTES", 5000)
     shutil.rmtree(tmp_path / "extracted")
     with pytest.raises(SemvizError, match=r"bag.*: (a chunk )?unpacks to more than") as refusal:
         read(path)

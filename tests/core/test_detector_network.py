@@ -194,7 +194,7 @@ def test_thresholds_keep_what_is_false_within_the_limit() -> None:
     """A model with all false positives below 0.5; regions score above."""
 
     class Planted(HeatmapModel):
-        def find(self, image: np.ndarray) -> list[Region]:
+        def find(self, image: np.ndarray, watch: object = None) -> list[Region]:
             right = Region(RECTANGULAR, 0.8, np.array([200.0, 100, 240, 140]))
             false = [
                 Region(RECTANGULAR, 0.4 + 0.01 * k, np.array([20.0 * k, 340, 20.0 * k + 15, 355]))
@@ -241,3 +241,16 @@ def test_other_weights_are_refused_in_one_line(
         load_shipped_model(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_lower_score_finds_what_the_thresholds_of_training_leave_out() -> None:
+    torch.manual_seed(0)
+    strict = replace(
+        HeatmapModel.of(DetectorNet(4), DEFAULT_CLASSES), threshold=np.array([1.0, 1.0, 1.0, 1.0])
+    )
+    image = an_image().image
+    assert not strict.find(image)
+    found = strict.from_score(1e-3).find(image)
+    assert found
+    assert min(region.score for region in found) >= 1e-3
+    assert strict.threshold.min() == 1.0

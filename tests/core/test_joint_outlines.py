@@ -1,4 +1,4 @@
-"""One outline in several images: planted plates with distractors that one image cannot tell apart."""
+"""One outline in several images: planted plates before clutter that differs in each."""
 
 import cv2
 import numpy as np

@@ -11,7 +11,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.measured.odometry import MeasuredOdometry, read_odometry
 from semviz_core.datasets.measured.poses_of import Surroundings
 from semviz_core.datasets.measured.priors import MeasuredPriors, PriorSigmas, read_priors
-from semviz_core.datasets.own_drive.geodesy import map_on_earth
+from semviz_core.datasets.own_drive.geodesy import geodetic, map_on_earth
 from semviz_core.datasets.trajectory import T_MAP_WORLD, save_trajectory
 
 NO_ROAD = np.zeros((0, 3))
@@ -158,3 +158,8 @@ def test_speeds_and_yaw_rates_of_wheels(tmp_path: Path) -> None:
 def test_broken_files_are_one_clear_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(SemvizError, match=message):
         priors_of(tmp_path, text)
+
+
+def test_a_place_on_earth_and_back() -> None:
+    place = map_on_earth(ORIGIN, 90.0).inverse().translation
+    assert geodetic(place) == pytest.approx(ORIGIN)

@@ -420,7 +420,7 @@ def test_few_bits_are_refused_where_they_are_slow(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this processor has no AMX")
+@pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this processor has no bfloat16")
 def test_it_learns_with_few_bits_too(tmp_path: Path) -> None:
     exact, rough = trained(tmp_path / "exact"), trained(tmp_path / "rough", precision="bf16")
     assert rough.progress.held_out["error"] < 2.0 * exact.progress.held_out["error"]

@@ -238,7 +238,7 @@ def test_a_detector_follows_what_it_is_told() -> None:
     class Model:
         name = "one triangle"
 
-        def find(self, image: object) -> list[Region]:
+        def find(self, image: object, watch: object = None) -> list[Region]:
             return [Region(TRIANGULAR, 0.9, np.array([60.0, 60.0, 90.0, 90.0]))]
 
     outline = OUTLINES[TRIANGULAR] * 15.5 + 75.0

@@ -74,14 +74,10 @@ def made(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
 
 
 @pytest.fixture
-def town(tmp_path: Path, made: Path, recording: Path) -> Workspace:
-    """A copy, whose folders of images are named as seen from there."""
-    path = tmp_path / "town"
+def town(tmp_path: Path, made: Path) -> Workspace:
+    """A copy beside it: images are named relative to the workspace."""
+    path = made.parent / tmp_path.name
     shutil.copytree(made, path)
-    settings = (path / "semviz.toml").read_text()
-    for name in CAMERAS:
-        settings = settings.replace(f'../../rig0/{name}"', f'{recording / name}"')
-    (path / "semviz.toml").write_text(settings)
     return Workspace.open(path)
 
 

@@ -1,8 +1,10 @@
 """Image evidence for labels: snap a mark, match it in stereo, propagate it to other frames.
 
 `marked_image` pairs an image with its camera and marks. `appearance` compares image patches.
-`snap` improves one mark, `stereo_matching` finds its correspondence in the other image, and
-`propagation` finds a mapped element in other frames, from its `expected_position`.
+`snap` improves one mark, `whole_pole` finds a pole under one point, and `stereo_matching` the
+correspondence in the other image. `propagation` finds a mapped element in other frames, from its
+`expected_position`: `pole_search` and `sign_search` search one image each (`image_search`), and
+`track` tells how far a mark that follows others is trusted.
 `detection_refinement` does the same for detections, with `pole_ends` at their ends. `score`
 turns the evidence into a probability.
 """

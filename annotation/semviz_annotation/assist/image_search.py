@@ -45,7 +45,7 @@ class PropagatedMark:
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedMark:
     """The expected position of an element in one image."""
 
     reference: ReferenceView
@@ -60,7 +60,7 @@ class Expected:
 class ImageSearch:
     """The similarity of each position in one image to the element."""
 
-    expected: Expected
+    expected: ExpectedMark
     patch: Samples
     start_px: FloatArray
     """(e, 2) expected ends of the part that is compared; of a pole perhaps not all."""

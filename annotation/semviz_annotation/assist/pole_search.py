@@ -13,7 +13,7 @@ from semviz_annotation.assist import appearance
 from semviz_annotation.assist.image_search import (
     REACH_PX,
     ChosenOffset,
-    Expected,
+    ExpectedMark,
     ImageSearch,
     RefinedMark,
 )
@@ -39,7 +39,7 @@ _OTHER_WIDTH = 0.5
 _NO_EDGES = np.zeros(3)
 
 
-def search_pole(expected: Expected, element: Triangulated) -> ImageSearch | None:
+def search_pole(expected: ExpectedMark, element: Triangulated) -> ImageSearch | None:
     """Search across a pole, with the part of it that both images show."""
     source, target = expected.reference.source, expected.reference.target
     part = _part(element, source.view, expected.reference.marked, target.view, expected.ends_px)
@@ -77,7 +77,7 @@ def search_pole(expected: Expected, element: Triangulated) -> ImageSearch | None
     )
 
 
-def _sigma_px(expected: Expected, direction: FloatArray) -> float:
+def _sigma_px(expected: ExpectedMark, direction: FloatArray) -> float:
     """Return the RMS standard deviation of a pole's two ends in a direction."""
     return float(np.sqrt(np.einsum("aiaj,i,j->", expected.spread_px2, direction, direction) / 2.0))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from semviz_annotation.assist.expected_position import SIGMA_PX, expected_px, spread_px2, upright
 from semviz_annotation.assist.image_search import (
-    Expected,
+    ExpectedMark,
     ImageSearch,
     PropagatedMark,
     ReferenceView,
@@ -20,9 +20,8 @@ from semviz_annotation.assist.image_search import (
 )
 from semviz_annotation.assist.marked_image import Mark, ProposedMark
 from semviz_annotation.assist.pole_search import refine_pole, search_pole
-from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.sign_search import refine_sign, search_sign, with_outlines
-from semviz_annotation.assist.track import LOOK_AGAIN, LOOK_SCORE, NO_TRACK, Track, log_growth
+from semviz_annotation.assist.track import NO_TRACK, Track, log_growth, score_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
@@ -41,15 +40,9 @@ def propagate(
     score; one that only follows another mark and has grown a lot is never sure.
     """
     return [
-        None if view is None else ProposedMark(view.mark, _score(view, track))
+        None if view is None else ProposedMark(view.mark, score_of(view, track, element))
         for view in search_views(references, element, element_class, sigma_px, track)
     ]
-
-
-def _score(view: PropagatedMark, track: Track) -> float:
-    score = probability(view.what, view.evidence)
-    must_look = view.what.startswith("followed") and track.growth >= LOOK_AGAIN
-    return min(score, LOOK_SCORE) if must_look else score
 
 
 def search_views(
@@ -86,7 +79,7 @@ def _search_each(
         ends = expected_px(element, reference.target.view)
         if ends is None:
             continue
-        expected = Expected(reference, ends, spread[k, :, :, k], mark)
+        expected = ExpectedMark(reference, ends, spread[k, :, :, k], mark)
         search = (
             search_pole(expected, element)
             if element.is_line

@@ -1,10 +1,10 @@
 """Probability that a proposal is within 2 px, or a snap within 1 px.
 
 Logistic functions of a few measures, fitted on simulated streets with seeds below 1000 by
-``python bench/assist.py --fit``. On other streets, ``python bench/assist.py`` measures their
-calibration. Detector proposals use ``python bench/detector_proposals.py --fit --streets 24`` with
-the shipped detector: the probability that all marks are right, including every pole end marked as
-seen, and of each such end by itself.
+``python bench/assist.py --fit``; those of followed and seen marks also on KITTI 02 (``--kitti``).
+On other streets, ``python bench/assist.py`` measures their calibration. Detector proposals use
+``python bench/detector_proposals.py --fit --streets 24`` with the shipped detector: the probability
+that all marks are right, including every pole end marked as seen, and of each such end by itself.
 """
 
 import numpy as np

@@ -12,15 +12,14 @@ from semviz_annotation.assist import appearance
 from semviz_annotation.assist.image_search import (
     REACH_PX,
     ChosenOffset,
-    Expected,
+    ExpectedMark,
     ImageSearch,
     PropagatedMark,
     ReferenceView,
     RefinedMark,
 )
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, clip_to_image
-from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.track import LabelledView, Track, size
+from semviz_annotation.assist.track import LabelledView, Track, score_of, size
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
@@ -34,7 +33,7 @@ from semviz_core.subpixel.joint_outlines import (
 
 
 def search_sign(
-    expected: Expected, element: Triangulated, element_class: ElementClass
+    expected: ExpectedMark, element: Triangulated, element_class: ElementClass
 ) -> ImageSearch:
     """Search around the expected centre of a sign."""
     source, target = expected.reference.source, expected.reference.target
@@ -87,7 +86,7 @@ LOOK_PX = 1.2
 _SAME_PX = 1.5
 """Outlines whose middles are closer agree about the sign."""
 _MOST_MARGIN = 0.5
-_LEAST_EDGES, _MOST_SPREAD_PX, _LEAST_HALF_PX = 0.85, 0.8, 2.5
+_LEAST_EDGES, _MOST_SPREAD_PX, _LEAST_HALF_PX = 0.95, 0.8, 2.5
 """Bounds of a clear outline: its edges, how well its images agree, and its size."""
 
 
@@ -113,14 +112,12 @@ def with_outlines(
     outlines = joint_outlines(seen, shape, targets[0].image.triangle_center)
     result = dict(marks)
     for n, k in enumerate(marks):
-        outlined = _outlined(marks[k], n, seen, outlines, targets[n].image)
-        if outlined is not None and _score(outlined) > _score(marks[k]):
-            result[k] = outlined
+        moved = outlined(marks[k], n, seen, outlines, targets[n].image)
+        if moved is not None and (
+            score_of(moved, track, element) > score_of(marks[k], track, element)
+        ):
+            result[k] = moved
     return result
-
-
-def _score(mark: PropagatedMark) -> float:
-    return probability(mark.what, mark.evidence)
 
 
 def _outline_views(
@@ -149,7 +146,7 @@ def _profile(image: MarkedImage, mark: Mark, element_class: ElementClass) -> Edg
     return image.profiles[key]
 
 
-def _outlined(
+def outlined(
     followed: PropagatedMark,
     row: int,
     views: Sequence[OutlineView],
@@ -162,7 +159,10 @@ def _outlined(
     best = outlines[0]
     relative = views[row].scale / views[0].scale
     spread_px, half_px = best.spread_px * relative, float(best.half_px.min()) * relative
-    if best.edges < _LEAST_EDGES or spread_px > _MOST_SPREAD_PX or half_px < _LEAST_HALF_PX:
+    own_px = float(np.linalg.norm(best.moves[row] - best.move)) * relative
+    if best.edges < _LEAST_EDGES or half_px < _LEAST_HALF_PX:
+        return None
+    if max(spread_px, own_px) > _MOST_SPREAD_PX:
         return None
     other = max(
         (
@@ -179,7 +179,7 @@ def _outlined(
             np.clip(best.edges - other, 0.0, _MOST_MARGIN),
             np.log(spread_px + 0.2),
             best.fits[row],
-            np.log(np.linalg.norm(best.moves[row] - best.move) * relative + 0.2),
+            np.log(own_px + 0.2),
             np.linalg.norm(move) / views[row].sigma_px,
             np.log(half_px),
             np.log(len(views)),

@@ -10,13 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semviz_annotation.assist.image_search import PropagatedMark
 from semviz_annotation.assist.marked_image import Mark, MarkedImage
+from semviz_annotation.assist.score import probability
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
-LOOK_AGAIN = 1.15
-"""An element that has grown by this factor since somebody looked is looked at again."""
+LOOK_AGAIN = {"pole": 1.15, "sign": 1.03}
+"""An element that has grown by this factor since somebody looked is looked at again. The middle of
+a sign without a clear outline is where somebody drew it, often a pixel or two off; poles have an
+axis."""
 LOOK_SCORE = 0.5
 """The largest score of such an element."""
 
@@ -48,15 +52,21 @@ def size(element: Triangulated, view: PosedView) -> float:
     return float(view.camera.K[0, 0]) / depth_m if depth_m > 0.0 else 0.0
 
 
-def growth(sizes: Iterable[float], now: float) -> float:
+def look_again(element: Triangulated) -> float:
+    """Return the growth from which an element that only follows its labels is looked at again."""
+    return LOOK_AGAIN["pole" if element.is_line else "sign"]
+
+
+def growth(sizes: Iterable[float], now: float, again: float) -> float:
     """Return the factor from the size at which somebody looked last to the size ``now``.
 
-    ``sizes`` are those in all labelled views. Without looking nobody accepts a label of an element
-    that has grown by ``LOOK_AGAIN``; so a label of that size shows that somebody looked.
+    ``sizes`` are those in all labelled views, and ``again`` is that of ``look_again``. Without
+    looking nobody accepts a label of an element that has grown by as much, if no image shows where
+    it is; so a label of that size shows that somebody looked, or the image.
     """
     looks: list[float] = []
     for labelled in sorted(sizes):
-        if not looks or labelled >= LOOK_AGAIN * looks[-1]:
+        if not looks or labelled >= again * looks[-1]:
             looks.append(labelled)
     if not looks or now <= 0.0 or looks[0] <= 0.0:
         return float("inf")
@@ -94,3 +104,10 @@ def views_beside(moments: IntArray, followed: Iterable[int]) -> list[int]:
     taken = set(followed)
     nearest = np.argsort(moments, kind="stable").tolist()
     return [row for row in nearest if row not in taken][:MORE_VIEWS]
+
+
+def score_of(view: PropagatedMark, track: Track, element: Triangulated) -> float:
+    """Return the score of a propagated mark, which bounds that of one to look at again."""
+    score = probability(view.what, view.evidence)
+    must_look = view.what.startswith("followed") and track.growth >= look_again(element)
+    return min(score, LOOK_SCORE) if must_look else score

@@ -4,6 +4,7 @@ The tally counts dropped and assumed content, and is reported to users and scrip
 """
 
 import json
+import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,6 +24,7 @@ from semviz_annotation.label_formats.reading import (
     read_bytes,
 )
 from semviz_annotation.map_formats.georeference import Georeference
+from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES, osm_codes
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
@@ -206,6 +208,14 @@ class MapImportContext:
     """Class name in the file -> semviz class name, or ``ignore``."""
     anchor: Georeference | None = None
     """Position of the map frame's origin on Earth, as the user states it."""
+    class_property: str | None = None
+    """Property of GeoJSON that says what a feature is; None: ``class``, or OpenStreetMap's tags."""
+    all_of_class: str | None = None
+    """The class of everything in the file, whatever it says."""
+    pole_height_m: float | None = None
+    """Of poles that are points without a height; None: such poles are dropped."""
+    sign_height_m: float | None = None
+    """Of the middles of signs above points without a height of their own; None: 0."""
 
     def georeference(self, of_file: Georeference | None = None) -> Georeference | None:
         """Return the position on Earth stated by the user, else the file, else the workspace."""
@@ -225,6 +235,21 @@ class MapImportContext:
                 f"{self._class_names()}"
             )
         return class_id
+
+    def class_of_name(self, name: str) -> int | str | None:
+        """Return the class called ``name``, as ``class_of_code``."""
+        mapped = self._mapped([name])
+        return class_named(name, self.classes) if mapped is None else mapped
+
+    def class_of_tags(self, tags: Mapping[str, str]) -> int | str | None:
+        """Return the class of an element with OpenStreetMap's tags, as ``class_of_code``."""
+        if self.all_of_class is not None:
+            return self.class_id(self.all_of_class)
+        pairs = {f"{key}={value}": (key, value) for key, value in tags.items()}
+        codes = [*pairs, *osm_codes(tags)] if "traffic_sign" in tags else list(pairs)
+        poles = {text: OSM_TAGS[pair] for text, pair in pairs.items() if pair in OSM_TAGS}
+        table = {**SIGN_CODES, **poles}
+        return self.class_of_code(codes, table)
 
     def class_of_code(self, codes: Sequence[str], table: Mapping[str, int]) -> int | str | None:
         """Return the class of the first of ``codes`` that the user mapped or ``table`` has.
@@ -353,12 +378,40 @@ def attribute(element: "Element", name: str, default: str | None = None) -> floa
     return number(text)
 
 
+def parse_length_m(value: object) -> float:
+    """Return metres of ``8``, ``"8 m"``, ``"8,5"`` or ``"26 ft"``. Raise SemvizError if unclear."""
+    found = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*", str(value))
+    if found is None:
+        raise SemvizError(f"{quoted(value)} is not a length; write metres, such as 8 or '8 m'")
+    metres = float(found[1].replace(",", "."))
+    return 0.3048 * metres if found[2] in ("ft", "'") else metres
+
+
 def parse_integer(text: str | None) -> int | None:
     """Return the integer from 0 to 2^53 in ``text``; None if it is not one."""
     if text is None or not (text.isascii() and text.isdigit() and len(text) <= 16):
         return None
     value = int(text)
     return value if value <= 2**53 else None
+
+
+def height_of_pole(value: object, context: MapImportContext, parsed: ParsedMap) -> float | None:
+    """Return the height of a pole that is a point: as stated, else the default, else None."""
+    if value is not None:
+        return parse_length_m(value)
+    if context.pole_height_m is None:
+        parsed.tally.drop("poles that are points without a height: say --pole-height METRES")
+    else:
+        parsed.tally.assume(f"heights of poles: {context.pole_height_m:g} m where there is none")
+    return context.pole_height_m
+
+
+def raised(point_m: FloatArray, context: MapImportContext, parsed: ParsedMap) -> FloatArray:
+    """Return the middle of a sign whose point is on the ground."""
+    if context.sign_height_m is None:
+        return point_m
+    parsed.tally.assume(f"middles of signs: {context.sign_height_m:g} m above their points")
+    return np.asarray(point_m + np.array([0.0, 0.0, context.sign_height_m]))
 
 
 def upper_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -169,13 +169,13 @@ def _read_feature(
     if properties.get("semviz") == ROAD:  # also if an editor dropped the member "semviz"
         parsed.trajectory_m = points
         return None
-    class_id = context.class_id(_class_name(properties))
+    class_id = _class_id(properties, parsed, context)
     if class_id is None:
-        return parsed.tally.drop("features of a class that is ignored, as asked")
-    for name in sorted(properties.keys() - _OURS):
+        return None
+    for name in sorted(properties.keys() - _OURS - {context.class_property}):
         parsed.tally.drop(f"properties {quoted(name)}")
     is_line = context.classes[class_id].kind == "line"
-    ends = _ends(points, is_line, ours, properties, parsed)
+    ends = _ends(points, is_line, ours, properties, parsed, context)
     odds = properties.get(LOG_ODDS)
     if ends is not None:
         parsed.add(
@@ -202,18 +202,18 @@ def _ends(
     ours: bool,
     properties: Mapping[str, Any],
     parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
 ) -> tuple[FloatArray, FloatArray | None] | None:
     """Return anchor and end of a feature; None if its geometry does not suit its class."""
     if not is_line:
         if len(points) > 1:
             parsed.tally.drop("signs that are lines: a sign is a Point")
             return None
-        return points[0], None
+        return conversion.raised(points[0], context, parsed) if not ours else points[0], None
     if len(points) == 1:
-        if properties.get("height") is None:
-            parsed.tally.drop("poles that are points without a height: a pole has two ends")
+        height = conversion.height_of_pole(properties.get("height"), context, parsed)
+        if height is None:
             return None
-        height = float(json_number(properties["height"]))
         return conversion.upper_first(points[0], points[0] + [0.0, 0.0, height])
     parsed.tally.drop("inner points of poles: a pole is its peak and its bottom", len(points) - 2)
     return (points[0], points[-1]) if ours else conversion.upper_first(points[0], points[-1])
@@ -235,11 +235,33 @@ def _places(coordinates: object, parsed: conversion.ParsedMap, place: Georeferen
     return np.array(rows)
 
 
-def _class_name(properties: Mapping[str, Any]) -> str:
-    name = properties.get("class")
-    if not isinstance(name, str):
-        raise SemvizError(f"property 'class' says what it is; here it is {quoted(name)}")
-    return name
+def _class_id(
+    properties: Mapping[str, Any],
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
+) -> int | None:
+    """Return the class of a feature; None if it is ignored, or of no known class."""
+    class_id: int | str | None
+    what = "features of a class that is ignored, as asked"
+    if context.all_of_class is not None:
+        class_id = context.class_id(context.all_of_class)
+    elif context.class_property is not None:
+        name = str(properties.get(context.class_property, ""))
+        shown = f"{context.class_property} {quoted(name)}"
+        class_id = context.class_of_name(name)
+        if class_id is None:
+            what = f"features of {shown}: {conversion.how_to_map(name)}"
+    elif "class" in properties:
+        class_id = context.class_id(properties["class"])
+    else:
+        texts = {name: value for name, value in properties.items() if isinstance(value, str)}
+        class_id = context.class_of_tags(texts)
+        if class_id is None:
+            what = "features without 'class' or OpenStreetMap's tags: say --class-property NAME"
+    if isinstance(class_id, int):
+        return class_id
+    parsed.tally.drop(what)
+    return None
 
 
 def _id(feature: Mapping[str, Any], properties: Mapping[str, Any]) -> int | None:

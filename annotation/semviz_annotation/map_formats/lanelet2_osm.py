@@ -1,12 +1,14 @@
 """Lanelet2's OSM files in and out: signs as lower edges with a height, poles as lines.
 
+Extracts of OpenStreetMap are read too: nodes with tags of street lamps, poles and traffic signs.
+
 Tags follow Lanelet2's documentation (lanelet2_core, LinestringTagging): ``type=traffic_sign``
 with ``subtype`` of region and number (``de205``). ``type=pole`` is a semviz type; Lanelet2
 allows new ones. Data that only semviz reads is in tags ``semviz:...`` and root attributes
 ``semviz_...``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree  # for writing only; read with defusedxml
 
@@ -15,7 +17,7 @@ import numpy as np
 from semviz_annotation.label_formats.reading import IGNORE, at, number, quoted
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
-from semviz_annotation.map_formats.sign_codes import SIGN_CODES
+from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES
 from semviz_core.base.classes import POLE
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.base.triangle_center import parse_triangle_center
@@ -111,21 +113,66 @@ def read_lanelet2(path: Path, context: conversion.MapImportContext) -> conversio
     root = conversion.read_xml(path, "osm")
     ours = root.get("semviz_frame")
     context.check_frame(ours)
-    place = require_georeference(
-        context.georeference(_anchor(root)), "the file is in latitude and longitude"
-    )
+    nodes = {node.get("id", ""): node for node in root.iterfind("node")}
+    place = context.georeference(_anchor(root))
+    is_local = place is None and _has_local_coordinates(nodes.values())
+    if not is_local:
+        require_georeference(place, "the file is in latitude and longitude")
     center = parse_triangle_center(root.get("semviz_triangle_center"))
     parsed = conversion.ParsedMap(georeference=place, triangle_center=center)
-    nodes = {node.get("id", ""): node for node in root.iterfind("node")}
+    if is_local:
+        parsed.tally.assume("coordinates: local_x, local_y and ele of the nodes are the map's")
     for way in root.iterfind("way"):
         with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):
-            tags = {tag.get("k", ""): tag.get("v", "") for tag in way.iterfind("tag")}
+            tags = _tags_of(way)
             class_id = _class_id(tags, parsed.tally, context)
             if class_id is not None:
-                points = place.to_map(_places(way, nodes, parsed.tally))
+                points = _points(_nodes_of(way, nodes), place, parsed.tally)
                 _add(points, class_id, tags, way, parsed, context)
+    for id_, node in nodes.items():
+        with at(f"{path}, node {quoted(id_)[1:-1]}"):
+            _read_node(node, place, parsed, context)
     parsed.tally.drop("relations (lanelets, areas, rules)", len(root.findall("relation")))
     return parsed
+
+
+def _tags_of(element: ElementTree.Element) -> dict[str, str]:
+    return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
+
+
+def _has_local_coordinates(nodes: Iterable[ElementTree.Element]) -> bool:
+    """Whether all nodes have ``local_x`` and ``local_y``, as in files of Autoware."""
+    return all({"local_x", "local_y"} <= _tags_of(node).keys() for node in nodes)
+
+
+def _read_node(
+    node: ElementTree.Element,
+    place: Georeference | None,
+    parsed: conversion.ParsedMap,
+    context: conversion.MapImportContext,
+) -> None:
+    """Read a street lamp, pole or sign of OpenStreetMap; nodes of lines have no such tags."""
+    tags = _tags_of(node)
+    if not tags.keys() & {"traffic_sign", *(key for key, _ in OSM_TAGS)}:
+        return None
+    class_id = context.class_of_tags(tags)
+    if not isinstance(class_id, int):
+        sign = tags.get("traffic_sign")
+        if class_id == IGNORE:
+            parsed.tally.drop("nodes of a class that is ignored, as asked")
+        elif sign is not None:
+            parsed.tally.drop(f"signs {quoted(sign)}: {conversion.how_to_map(sign)}")
+        return None
+    [point_m] = _points([node], place, parsed.tally)
+    id_ = conversion.parse_integer(node.get("id"))
+    if context.classes[class_id].kind != "line":
+        middle_m = conversion.raised(point_m, context, parsed)
+        return parsed.add(conversion.ParsedElement(class_id, middle_m, None, id_))
+    height = conversion.height_of_pole(tags.get("height"), context, parsed)
+    if height is None:
+        return None
+    peak_m = point_m + np.array([0.0, 0.0, height])
+    return parsed.add(conversion.ParsedElement(class_id, peak_m, point_m, id_))
 
 
 def _anchor(root: ElementTree.Element) -> Georeference | None:
@@ -162,25 +209,39 @@ def _codes(subtype: str) -> list[str]:
     return [subtype, plain, plain.partition("-")[0]]
 
 
-def _places(
-    way: ElementTree.Element,
-    nodes: Mapping[str, ElementTree.Element],
-    tally: conversion.ConversionTally,
-) -> FloatArray:
-    """Return longitude, latitude and height (k, 3) of a way's nodes."""
-    rows = []
+def _nodes_of(
+    way: ElementTree.Element, nodes: Mapping[str, ElementTree.Element]
+) -> list[ElementTree.Element]:
+    """Return the nodes of a way, two or more."""
+    found = []
     for reference in way.iterfind("nd"):
         node = nodes.get(reference.get("ref", ""))
         if node is None:
             raise SemvizError(f"node {quoted(reference.get('ref'))} is missing")
-        heights = [tag.get("v", "") for tag in node.iterfind("tag") if tag.get("k") == "ele"]
-        if not heights:
-            tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
-        height = number(heights[0]) if heights else 0.0
-        rows.append([conversion.attribute(node, "lon"), conversion.attribute(node, "lat"), height])
-    if len(rows) < 2:
+        found.append(node)
+    if len(found) < 2:
         raise SemvizError("a line with less than 2 nodes")
-    return np.array(rows)
+    return found
+
+
+def _points(
+    nodes: Sequence[ElementTree.Element],
+    place: Georeference | None,
+    tally: conversion.ConversionTally,
+) -> FloatArray:
+    """Return the points (k, 3) of nodes in the map; without a place by their local coordinates."""
+    rows = []
+    for node in nodes:
+        tags = _tags_of(node)
+        if "ele" not in tags:
+            tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
+        height = number(tags.get("ele", "0"))
+        if place is None:
+            rows.append([number(tags["local_x"]), number(tags["local_y"]), height])
+        else:
+            longitude, latitude = (conversion.attribute(node, name) for name in ("lon", "lat"))
+            rows.append([longitude, latitude, height])
+    return np.array(rows) if place is None else place.to_map(np.array(rows))
 
 
 def _add(

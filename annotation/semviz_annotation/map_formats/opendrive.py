@@ -14,9 +14,9 @@ import numpy as np
 
 from semviz_annotation.label_formats.reading import IGNORE, MOST_ITEMS, at, quoted
 from semviz_annotation.map_formats import conversion
-from semviz_annotation.map_formats.georeference import Georeference
+from semviz_annotation.map_formats.georeference import FURTHEST_M, Georeference
 from semviz_annotation.map_formats.reference_line import RoadLine, RoadPose
-from semviz_annotation.map_formats.sign_codes import SIGN_CODES, codes_of
+from semviz_annotation.map_formats.sign_codes import SIGN_CODES, codes_of, is_like_germany
 from semviz_core.base.classes import POLE
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
@@ -107,6 +107,10 @@ def _read_signals(
         if element.get("dynamic") == "yes":
             parsed.tally.drop("signals that change, such as traffic lights: no signs")
             continue
+        if is_like_germany(country) and codes[-1] in SIGN_CODES:
+            parsed.tally.assume(
+                "numbers of signs without a country, or of OpenDRIVE: as in Germany"
+            )
         shown = codes[-1] if kind not in ("", "-1") else element.get("name", "")
         what = f"signals {quoted(shown)}: {conversion.how_to_map(shown)}"
         class_id = _class_id([*codes, element.get("name", "")], SIGN_CODES, what, parsed, context)
@@ -224,7 +228,7 @@ def _place_on_earth(
         parsed.tally.assume("axes: the file's x, y and z are the map's")
         return
     if place is None:
-        parsed.tally.drop("geoReference: without --anchor the file's x, y and z are the map's")
+        _take_origin(header, reference, parsed)
         return
     to_map = partial(_to_map, _transformer(reference), header, place)
     parsed.georeference = place
@@ -236,6 +240,37 @@ def _place_on_earth(
         )
         for element in parsed.elements
     ]
+
+
+def _take_origin(header: "Element", reference: str, parsed: conversion.ParsedMap) -> None:
+    """Take the file's offset, or a whole kilometre near its elements, as the map's origin.
+
+    Where that is on Earth becomes the map's georeference.
+    """
+    points = np.array([element.anchor_m for element in parsed.elements]).reshape(-1, 3)
+    moved = np.zeros(3)
+    if len(points) and np.abs(points[:, :2]).max() > FURTHEST_M:
+        moved[:2] = np.round(points[0, :2] / 1000.0) * 1000.0
+        parsed.elements = [
+            replace(
+                element,
+                anchor_m=element.anchor_m - moved,
+                end_m=None if element.end_m is None else element.end_m - moved,
+            )
+            for element in parsed.elements
+        ]
+    transformer = _transformer(reference)
+    ahead = moved + np.array([1.0, 0.0, 0.0])
+    origin, east = (_on_earth(transformer, header, point_m) for point_m in (moved, ahead))
+    here = Georeference(float(origin[1]), float(origin[0]), float(origin[2]))
+    x, y, _ = here.to_map(east[None])[0]
+    heading_deg = float(np.rad2deg(np.arctan2(x, y)) % 360.0)
+    parsed.georeference = Georeference(*here.origin, heading_deg)
+    shift = "" if not moved.any() else f", moved by {-moved[0]:.0f}, {-moved[1]:.0f} m"
+    parsed.tally.assume(
+        f"origin: that of the file{shift}, at latitude {origin[1]:.6f}, longitude {origin[0]:.6f}; "
+        "give --anchor if the map's is elsewhere"
+    )
 
 
 def _transformer(reference: str) -> "Transformer":
@@ -254,6 +289,11 @@ def _to_map(
     transformer: "Transformer", header: "Element", place: Georeference, point_m: FloatArray
 ) -> FloatArray:
     """Return a point (3,) of the file in the map frame; heights are above the ellipsoid."""
+    return np.asarray(place.to_map(_on_earth(transformer, header, point_m)[None])[0])
+
+
+def _on_earth(transformer: "Transformer", header: "Element", point_m: FloatArray) -> FloatArray:
+    """Return longitude, latitude and height (3,) of a point of the file."""
     offset = header.find("offset")
     if offset is not None:
         turn = Pose.from_rotvec(
@@ -263,4 +303,4 @@ def _to_map(
         point_m = turn.apply(point_m)
     x, y, z = point_m
     longitude, latitude = transformer.transform(x, y)
-    return np.asarray(place.to_map(np.array([[longitude, latitude, z]]))[0])
+    return np.array([longitude, latitude, z])

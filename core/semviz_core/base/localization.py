@@ -113,6 +113,12 @@ class Localization:
         if (self.T_camera_map is None) != (self.status == "cannot"):
             raise ValueError("a localization has a pose exactly when its status is not 'cannot'")
 
+    def _repr_html_(self) -> str:
+        """Show status, reason and image plane in a notebook."""
+        from semviz_core.base.notebook import localization_html
+
+        return localization_html(self)
+
     @property
     def given_prior(self) -> Prior:
         """The prior, for what needs one. Raise ValueError without one."""

@@ -86,6 +86,13 @@ class Pose:
         """Return points (..., 3) of the source frame in the target frame."""
         return points_m @ self.rotation.T + self.translation
 
+    def writable(self) -> tuple[FloatArray, FloatArray]:
+        """Return copies of rotation and translation for compiled code.
+
+        Read-only arrays are another type to numba: it would compile each function once more.
+        """
+        return self.rotation.copy(), self.translation.copy()
+
     def as_matrix(self) -> FloatArray:
         """Return the (4, 4) homogeneous matrix."""
         matrix = np.eye(4)

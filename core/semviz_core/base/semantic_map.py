@@ -129,6 +129,12 @@ class SemanticMap:
     def __len__(self) -> int:
         return len(self.elements)
 
+    def _repr_html_(self) -> str:
+        """Show the map from above in a notebook."""
+        from semviz_core.base.notebook import map_html
+
+        return map_html(self)
+
     def crop(self, center_m: ArrayLike, radius_m: float) -> Elements3D:
         """Return elements with an anchor within ``radius_m`` of ``center_m`` on the ground plane.
 

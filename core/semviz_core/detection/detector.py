@@ -108,9 +108,10 @@ class RegionModel(Protocol):
     def name(self) -> str:
         """The model's name in proposals, runs and reports."""
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: Stopwatch | None = None) -> Sequence[Region]:
         """Return the regions in an image (height, width, 3) sRGB, of any size.
 
+        ``watch`` gets the times of the stages "network" and "regions", if the model knows them.
         Raise SemvizError if the model cannot take the image, or its output has another format than
         described.
         """
@@ -131,7 +132,7 @@ class Detector:
     def detect(self, image: ByteImage) -> Elements2D:
         """Return the elements in an image (height, width, 3) sRGB, best score first."""
         watch = Stopwatch()
-        regions = watch.time("network and regions", lambda: self.model.find(image))
+        regions = self.model.find(image, watch)
         found = watch.time("measuring", lambda: measure(SampledImage(image), regions, self.measure))
         for stage, milliseconds in watch.time_ms.items():
             self.time_ms.setdefault(stage, []).append(milliseconds)
@@ -144,14 +145,22 @@ _KINDS = (
 )
 
 
-def load_region_model(model: str | None = None, classes: ClassSet = DEFAULT_CLASSES) -> RegionModel:
-    """Load a model; default: the shipped one. Raise SemvizError if it cannot be loaded."""
+def load_region_model(
+    model: str | None = None,
+    classes: ClassSet = DEFAULT_CLASSES,
+    least_score: float | None = None,
+) -> RegionModel:
+    """Load a model; default: the shipped one. Raise SemvizError if it cannot be loaded.
+
+    ``least_score`` replaces the thresholds of weights; models of others have it in their TOML.
+    """
     path = None if model is None else Path(model)
     if path is None or path.suffix == ".safetensors":
         require_extra("semviz's detector", "torch", "detect")
         from semviz_core.detection.network import load_shipped_model
 
-        return load_shipped_model(path, classes)
+        shipped = load_shipped_model(path, classes)
+        return shipped if least_score is None else shipped.from_score(least_score)
     if path.suffix == ".toml":
         return OnnxModel.load(path, classes)
     if str(model).startswith(HUB) or (path / "config.json").is_file():
@@ -165,6 +174,7 @@ def load_detector(
     model: str | None = None,
     measure: MeasureRegion = by_edges,
     classes: ClassSet = DEFAULT_CLASSES,
+    least_score: float | None = None,
 ) -> Detector:
     """Return a detector with ``load_region_model`` and a function that measures regions."""
-    return Detector(load_region_model(model, classes), measure)
+    return Detector(load_region_model(model, classes, least_score), measure)

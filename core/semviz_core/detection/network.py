@@ -5,11 +5,12 @@ stride 4, as in CenterNet (Zhou et al., "Objects as Points", 2019). It must run 
 it has few channels at high resolution. It takes 8-bit sRGB images.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, pixel_shuffle
 from torch.nn.utils.fusion import fuse_conv_bn_eval
@@ -18,6 +19,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.weights import NetworkWeights, load_trained
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.jit import Stopwatch
 from semviz_core.detection.heatmaps import BORDER, MASKS, Channels, regions_in
 from semviz_core.detection.regions import Region
 
@@ -41,8 +43,21 @@ class HeatmapModel:
         """Return the model of a trained network, which is changed for inference."""
         return cls(network.eval().folded(), classes, network.threshold.double().numpy())
 
-    def find(self, image: ByteImage) -> list[Region]:
+    def from_score(self, least: float) -> "HeatmapModel":
+        """Return the model with one threshold, instead of those chosen in training."""
+        return replace(self, threshold=np.full(len(self.classes), least))
+
+    def find(self, image: ByteImage, watch: Stopwatch | None = None) -> list[Region]:
         """Return the regions in an image (height, width, 3) sRGB of any size, best score first."""
+        watch = watch or Stopwatch()
+        maps, masks = watch.time("network", lambda: self._run(image))
+        size = (image.shape[0], image.shape[1])
+        return watch.time(
+            "regions", lambda: regions_in(maps, masks, self.threshold, self.classes, size)
+        )
+
+    def _run(self, image: ByteImage) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the maps and masks of an image."""
         import torch
 
         if image.ndim != 3 or image.shape[2] != 3 or not image.size:
@@ -53,8 +68,7 @@ class HeatmapModel:
         with torch.inference_mode():
             maps = self.network(torch.from_numpy(padded)[None])
             masks = masks_of(maps, Channels(len(self.classes)))[0]
-        shape = (height, width)
-        return regions_in(maps[0].numpy(), masks.numpy(), self.threshold, self.classes, shape)
+        return maps[0].numpy(), masks.numpy()
 
 
 def load_shipped_model(

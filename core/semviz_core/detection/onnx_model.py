@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from semviz_core.base.classes import ClassSet
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.common.jit import Stopwatch
 from semviz_core.detection import postprocessing
 from semviz_core.detection.model_config import (
     ImagePlacement,
@@ -107,12 +108,13 @@ class OnnxModel:
     def name(self) -> str:
         return self.path.stem
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: Stopwatch | None = None) -> Sequence[Region]:
         """Return the regions in an image (height, width, 3) sRGB, of any size."""
+        watch = watch or Stopwatch()
         placement = self.input.placement(image)
-        outputs = self._run(image, placement)
+        outputs = watch.time("network", lambda: self._run(image, placement))
         try:
-            return self._regions(outputs, placement)
+            return watch.time("regions", lambda: self._regions(outputs, placement))
         except SemvizError as error:
             raise SemvizError(f"{self.path}: {error}; fix its TOML, or export it again") from None
 

@@ -1,6 +1,7 @@
 """Candidates for a pole's axis: from the model's region and from edges in the image."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Line:
     stretched: float = 1.0
     """How many times as long it is as the part that was measured."""
 
-    @property
+    @cached_property
     def sigma_px(self) -> float:
         """Sigma across the line, at its ends."""
         return self.stretched * predicted_sigma_px(self.kind, self.evidence)

@@ -6,6 +6,7 @@ is treated separately.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class End:
     evidence: FloatArray
     """(k,) of its kind."""
 
-    @property
+    @cached_property
     def sigma_px(self) -> float:
         """Sigma along the axis."""
         return predicted_sigma_px(self.kind, self.evidence)

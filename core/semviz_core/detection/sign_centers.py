@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class SignCenter:
     to_centroid_px: float = float("nan")
     """As in ``Elements2D``."""
 
-    @property
+    @cached_property
     def sigma_px(self) -> float:
         """Sigma of one coordinate."""
         return predicted_sigma_px(self.kind, self.evidence)
@@ -168,12 +169,12 @@ def centers_from_outline(
         turned = [each for each in turned if each != ("triangle down" if turn > 0 else "triangle")]
     about = [(model_center.center_px, model_center.half_px)]
     about += [(each.center_px, (each.box_px[2:] - each.box_px[:2] + 1.0) / 2.0) for each in body]
-    fitted = [
-        outline
-        for middle, half in about
-        for outline in fit_outlines(image, middle, half, turned)
-        if np.linalg.norm(outline.center_px - middle) <= STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
-    ]
+    fitted: list[Outline] = []
+    for middle, half in about:
+        stray_px = STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
+        found = fit_outlines(image, middle, half, turned)
+        away = np.linalg.norm(_centers_px(found) - middle, axis=1)
+        fitted += [found[row] for row in np.flatnonzero(away <= stray_px).tolist()]
     centers = {}
     for class_, shape in zip(classes, shapes, strict=True):
         alike = [outline for outline in fitted if outline.is_of(shape)]
@@ -181,14 +182,15 @@ def centers_from_outline(
     return centers
 
 
+def _centers_px(outlines: Sequence[Outline]) -> FloatArray:
+    return np.array([outline.center_px for outline in outlines]).reshape(-1, 2)
+
+
 def _by_outline(outline: Outline, model_center: SignCenter, outlines: list[Outline]) -> SignCenter:
     grown = np.abs(np.log(outline.half_px / model_center.half_px))
     moved = np.abs(outline.center_px - model_center.center_px).max() / model_center.sigma_px
-    others = [
-        outline.score - other.score
-        for other in outlines
-        if np.linalg.norm(other.center_px - outline.center_px) > 1.0
-    ]
+    apart = np.linalg.norm(_centers_px(outlines) - outline.center_px, axis=1) > 1.0
+    others = [outline.score - outlines[row].score for row in np.flatnonzero(apart).tolist()]
     evidence = np.array(
         [
             *outline.evidence[1:], min([5.0, *others]), grown.mean(), grown.max(),

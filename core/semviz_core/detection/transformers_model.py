@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from semviz_core.base.classes import ClassSet
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.common.jit import Stopwatch
 from semviz_core.detection import model_config, postprocessing
 from semviz_core.detection.regions import Region
 
@@ -76,11 +77,13 @@ class TransformersModel:
         ours = model_config.model_classes(labels, mapping, classes, settings_path)
         return cls(model, processor, ours, network, settings.least_score)
 
-    def find(self, image: ByteImage) -> Sequence[Region]:
+    def find(self, image: ByteImage, watch: Stopwatch | None = None) -> Sequence[Region]:
         """Return the regions in an image (height, width, 3) sRGB, of any size."""
+        watch = watch or Stopwatch()
         try:
             placement = self.input.placement(image)
-            return self._regions(self._run(self.input.tensor(image)), placement)
+            output = watch.time("network", lambda: self._run(self.input.tensor(image)))
+            return watch.time("regions", lambda: self._regions(output, placement))
         except SemvizError as error:
             raise SemvizError(f"{self.name}: {error}") from None
 

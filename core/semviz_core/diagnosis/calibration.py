@@ -116,9 +116,7 @@ def _pairs(case: FrameReference) -> IntArray:
     """Return (k, 2) true pairs if known, else the nearest within a wide gate."""
     if case.ids is not None or case.reference is None:
         return case.same_class
-    match, _ = associate(
-        case.problem, case.reference.rotation, case.reference.translation, REFINED_COVARIANCE
-    )
+    match, _ = associate(case.problem, *case.reference.writable(), REFINED_COVARIANCE)
     rows = np.flatnonzero(match >= 0)
     return np.column_stack([rows, match[rows]])
 
@@ -137,9 +135,8 @@ def _changed(case: FrameReference, k: int) -> PoseProblem:
 def _prior_rows(case: FrameReference) -> tuple[FloatArray, FloatArray]:
     assert case.reference is not None
     residual, slope = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    pose = case.reference
     known = PriorRecord.of(assumed_upright(case.prior))
-    count = prior_rows(known, pose.rotation, pose.translation, residual, slope)
+    count = prior_rows(known, *case.reference.writable(), residual, slope)
     return residual[:count], slope[:count]
 
 

@@ -20,7 +20,12 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.alignment import misalignment, misalignment_fault
-from semviz_core.diagnosis.assumptions import assumption_faults, check_assumptions
+from semviz_core.diagnosis.assumptions import (
+    assumption_faults,
+    check_assumptions,
+    solve_in_wide_submap,
+    solve_with_more_effort,
+)
 from semviz_core.diagnosis.checks import find_faults, sound_pairs
 from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
 from semviz_core.diagnosis.fault import (
@@ -32,7 +37,6 @@ from semviz_core.diagnosis.fault import (
     GroundTruthLevel,
 )
 from semviz_core.diagnosis.reference import FrameReference, is_healthy, pose_distance
-from semviz_core.diagnosis.solve_again import solve_in_wide_submap, solve_with_more_effort
 from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
@@ -296,6 +300,12 @@ _WITH_IDS: dict[FaultKind, float] = {
     "search miss": 0.96,
     "refinement diverged": 0.99,
     "ambiguous geometry": 0.98,
+    "wrong heading prior": 0.98,
+    "wrong gravity prior": 0.98,
+    "wrong height prior": 0.98,
+    "wrong position prior": 0.98,
+    "wrong detection sigma": 0.97,
+    "misaligned map": 0.98,
 }
 _WITH_POSE: dict[FaultKind, float] = _WITH_IDS | {
     "healthy": 0.98,
@@ -306,14 +316,22 @@ _WITH_POSE: dict[FaultKind, float] = _WITH_IDS | {
 _BLIND: dict[FaultKind, float] = {
     "healthy": 0.98,
     "too few elements": 0.87,
-    "missed detection": 0.78,
-    "wrong class": 0.99,
-    "false or not mapped": 0.91,
-    "not in the submap": 0.32,
-    "moved in the map": 0.38,
-    "twice in the map": 0.99,
-    "refinement diverged": 0.98,
-    "ambiguous geometry": 0.84,
+    "missed detection": 0.82,
+    "wrong class": 0.98,
+    "false or not mapped": 0.88,
+    "not in the submap": 0.98,
+    "moved in the map": 0.41,
+    "twice in the map": 0.98,
+    "wrong matches": 0.97,
+    "search miss": 0.97,
+    "refinement diverged": 0.93,
+    "ambiguous geometry": 0.78,
+    "wrong heading prior": 0.98,
+    "wrong gravity prior": 0.98,
+    "wrong height prior": 0.93,
+    "wrong position prior": 0.98,
+    "wrong detection sigma": 0.92,
+    "unexplained": 0.25,
 }
 CONFIDENCE: dict[GroundTruthLevel, dict[FaultKind, float]] = {
     knowledge: {kind: shares.get(kind, UNMEASURED) for kind in get_args(FaultKind)}

@@ -99,10 +99,8 @@ class FrameReference:
             return np.argwhere(self.ids[:, None] == self.nearby.id)
         if self.reference is None:
             return np.empty((0, 2), dtype=np.int64)
-        pose = self.reference
-        match, _ = associate(
-            self.problem, pose.rotation, pose.translation, self.reference_covariance
-        )
+        covariance = self.reference_covariance.copy()
+        match, _ = associate(self.problem, *self.reference.writable(), covariance)
         rows = np.flatnonzero(match >= 0)
         return np.column_stack([rows, match[rows]])
 

@@ -62,7 +62,7 @@ def fit_record(
 ) -> PairFit:
     """Return ``fit_pairs`` for a prior and belief given as a record."""
     match = as_match(problem, pairs)
-    start = T_camera_map.rotation, T_camera_map.translation
+    start = T_camera_map.writable()
     R, t, _, trace = fit(problem, prior, *start, match, iterations)
     # residual covariances change with the pose: fit again with those of the optimum
     R, t, at_optimum, _ = fit(problem, prior, R, t, match, iterations)
@@ -78,7 +78,7 @@ def information(
 ) -> FloatArray:
     """Return the Fisher information (6, 6) of ``pairs``, prior and belief at a pose, for left
     perturbations of T_camera_map."""
-    start = T_camera_map.rotation, T_camera_map.translation
+    start = T_camera_map.writable()
     return fit(problem, PriorRecord.of(prior, belief), *start, as_match(problem, pairs), 0)[2]
 
 

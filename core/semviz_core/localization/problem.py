@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.detector_model import LABELS, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Belief, Prior
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -113,7 +113,7 @@ class PoseProblem(NamedTuple):
         compatible = (observed.class_id[:, None] == elements.class_id) & (
             observed.is_line[:, None] == elements.is_line
         )
-        setting = _setting(camera, detector or DetectorModel())
+        setting = _setting(camera, detector or LABELS)
         none = np.empty(0, dtype=np.int64)
         problem = cls(setting, _seen(camera, observed), _mapped(elements), none, compatible)
         return problem.only(compatible)

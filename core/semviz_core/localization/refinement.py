@@ -153,7 +153,7 @@ def refine_pose(
 
 def _stable_pairs(problem: PoseProblem, prior: PriorRecord, T_camera_map: Pose) -> IntArray:
     """Return one-to-one pairs (k, 2) that do not change when the pose is fitted to them."""
-    R, t = T_camera_map.rotation, T_camera_map.translation
+    R, t = T_camera_map.writable()
     match, _ = associate(problem, R, t, START_COVARIANCE)
     for _ in range(_ROUNDS):
         R, t, _, _ = fit(problem, prior, R, t, match, _ITERATIONS)

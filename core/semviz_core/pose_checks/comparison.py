@@ -6,7 +6,7 @@ estimate within limits, so that a drive with many faults does not excuse them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class RigErrors:
     right_u_by_half_px: tuple[float, float] = (0.0, 0.0)
     """Shift of the right image along u by the images of each half of the drive alone. A calibration
     has one; their difference is what a simple shift does not explain."""
+    by_right_u: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) by how much each value changes with an error of 1 px in the shift along u."""
 
     @classmethod
     def none(cls) -> "RigErrors":
@@ -98,9 +100,7 @@ class RigErrors:
         first, second = self.right_u_by_half_px
         systematic = max(0.5 * abs(first - second), LEAST_SYSTEMATIC_PX)
         variance = np.diag(self.covariance).copy()
-        if variance[RIGHT_U] > 0.0:
-            follow = self.covariance[:, RIGHT_U] / variance[RIGHT_U]
-            variance += (follow * systematic) ** 2
+        variance += (self.by_right_u * systematic) ** 2
         return np.asarray(np.sqrt(variance))
 
 
@@ -203,6 +203,7 @@ def _rig_errors(
     weak = 1e-2 * np.eye(3)  # where nothing is measured
     covariance = np.linalg.inv(np.einsum("n,nij->ij", weight, A) + weak)
     values = covariance @ (weight @ b)
+    by_right_u = covariance[:, RIGHT_U] / covariance[RIGHT_U, RIGHT_U]
     covariance = _with_spread(covariance, weight[:, None] * (b - A @ values))
     A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
     halves = np.array_split(np.arange(len(H)), 2)
@@ -210,7 +211,7 @@ def _rig_errors(
         float((weight[rows] @ b[rows, RIGHT_U]) / max(weight[rows] @ A[rows, 1, 1], 1e-6))
         for rows in halves
     ]
-    return RigErrors(values, covariance, (alone[0], alone[1]))
+    return RigErrors(values, covariance, (alone[0], alone[1]), by_right_u)
 
 
 def _with_spread(covariance: FloatArray, scores: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ export function watchLists() {
 function first(panel) {
   const all = /** @type {HTMLElement[]} */ ([...panel.querySelectorAll(INSIDE)]);
   const enabled = all.filter((node) => isShown(node) && !("disabled" in node && node.disabled));
-  return enabled.find((node) => node.matches(".chosen, .current")) ?? enabled[0];
+  return enabled.find((node) => node.matches(".chosen, .current, canvas.marks")) ?? enabled[0];
 }
 
 /** @param {Element} node */

@@ -13,6 +13,8 @@ import { Light } from "./aids.js";
 import { Backdrop } from "./backdrop.js";
 import { commands, editing, zoomToSelection } from "./commands.js";
 import { Cursor } from "./cursor.js";
+import { Sketch } from "./drafts.js";
+import { Drive } from "./drive.js";
 import { Effort } from "./effort.js";
 import { watchLists } from "./focus.js";
 import { History } from "./history.js";
@@ -20,14 +22,14 @@ import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
-import { find, isIdle, seen, startOf } from "./pending.js";
+import { draftOf, isIdle, seen, startOf } from "./pending.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
 import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
-import { Sketch, Tools } from "./tools.js";
+import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
 import { SIDES, spaced } from "./values.js";
 
@@ -64,7 +66,8 @@ export class Page {
     this.state.wish = wishInAddress(location.search);
     this.second = new SecondChoice(this.state, this.keys, this);
     this.poses = new Poses(this.state, this.keys, this);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses]);
+    this.drive = new Drive(this.state, this.keys, this);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -133,40 +136,12 @@ export class Page {
   async #previewOnce() {
     try {
       const { frame, subject } = this.state;
-      const { preview } = await this.socket.request("preview_draft", { draft: this.#draft() });
+      const { preview } = await this.socket.request("preview_draft", { draft: draftOf(this.state) });
       this.state.set({ preview: this.state.past ? null : preview, previewed: { frame, subject } });
     } catch (refusal) {
       if (!(refusal instanceof Refusal)) throw refusal;
       if (refusal.code !== "offline") this.notify(refusal.message, "wrong");
     }
-  }
-
-  /** The selected or drawn element.
-   *
-   * @returns {annotator.PreviewDraftRequest["draft"]}
-   */
-  #draft() {
-    const { drawing, dragged, selected, pending, aids, frame } = this.state;
-    const held = dragged && find(this.state.elements, dragged.observation)?.observation;
-    const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
-    return {
-      frame_index: frame ?? 0,
-      selected_id: isSaved ? selected.element : null,
-      is_chosen: this.state.isChosen,
-      side: selected?.side ?? "left",
-      second: this.state.second,
-      drawing: drawing && {
-        side: drawing.side,
-        class_id: drawing.class,
-        anchor_px: drawing.anchor,
-        end_px: drawing.end,
-        anchor_known: drawing.anchor_known,
-        end_known: drawing.end_known,
-        snap: aids.snap && !drawing.box,
-        asks_bottom: aids.snap && drawing.asks_bottom,
-      },
-      moved: held ? { [held.id]: [held.anchor, held.end] } : {},
-    };
   }
 
   /** Shows frame `index`; the selection stays, so that the element can be continued there.
@@ -289,7 +264,7 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use(this.poses.commands(commands(state, this.images, this.tools, this)));
+    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this)), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
@@ -298,6 +273,7 @@ export class Page {
     const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
     if (isFirst && view === "poses") this.poses.open("poses");
+    if (isFirst && view === "drive") this.drive.open();
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();

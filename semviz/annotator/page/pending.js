@@ -1,6 +1,7 @@
 // @ts-check
 // Shows unsaved edits as if they were applied. All functions are pure.
 /** @import {annotator} from "/static/protocol" */
+/** @import {State} from "./state.js" */
 /** @import {Edit, Entry, LocatedObservation, Observation, Observations, Proposal, SeenObservation, ShownAt, ShownElement, Side} from "./values.js" */
 import { SIDES, uuid7 } from "./values.js";
 
@@ -228,5 +229,34 @@ function drawn(mark, proposal) {
     class_id: proposal?.class_id ?? mark.class_id ?? 0,
     unsaved: true, // not on disk yet
     observations: { [mark.side]: observed(mark) },
+  };
+}
+
+/** The selected or drawn element, for guides and numbers.
+ *
+ * @param {State} state
+ * @returns {annotator.PreviewDraftRequest["draft"]}
+ */
+export function draftOf(state) {
+  const { drawing, dragged, selected, pending, aids, frame } = state;
+  const held = dragged && find(state.elements, dragged.observation)?.observation;
+  const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
+  return {
+    frame_index: frame ?? 0,
+    selected_id: isSaved ? selected.element : null,
+    is_chosen: state.isChosen,
+    side: selected?.side ?? "left",
+    second: state.second,
+    drawing: drawing && {
+      side: drawing.side,
+      class_id: drawing.class,
+      anchor_px: drawing.anchor,
+      end_px: drawing.end,
+      anchor_known: drawing.anchor_known,
+      end_known: drawing.end_known,
+      snap: aids.snap && !drawing.box,
+      asks_bottom: aids.snap && drawing.asks_bottom,
+    },
+    moved: held ? { [held.id]: [held.anchor, held.end] } : {},
   };
 }

@@ -94,7 +94,7 @@ export class PosePanels {
       el("p", { class: "pose-text" }, el("b", { text: CHOSEN[stretch.chosen] }), ` (${stretch.chosen_by})`),
       el("div", { class: "buttons" }, el("button", { onclick: () => this.poses.askAgain() }, "Use the given poses, and ask again")),
     ];
-    return [header("What to do", ""), ...(chosen ?? []), ...stretch.answers.map((answer) => this.#answer(answer, tried))];
+    return [header("What to do", ""), ...(chosen ?? []), ...stretch.answers.filter(({ choice }) => choice !== stretch.chosen).map((answer) => this.#answer(answer, tried))];
   }
 
   /**

@@ -270,7 +270,7 @@ export class PoseStrips {
    */
   #legend(context, { top }) {
     const x = this.surface.width - RIGHT + 10;
-    for (const [place, [text, color, dash]] of /** @type {const} */ ([["now", "--estimate", []], ["refined", "--truth", [4, 3]]]).entries()) {
+    for (const [place, [text, color, dash]] of /** @type {const} */ ([["given", "--estimate", []], ["refined", "--truth", [4, 3]]]).entries()) {
       context.beginPath();
       context.moveTo(x, top + 6 + 16 * place);
       context.lineTo(x + 18, top + 6 + 16 * place);

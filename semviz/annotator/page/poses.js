@@ -74,7 +74,7 @@ export class Poses {
     if (this.state.view === view) return;
     this.state.set({ view });
     this.page.go(this.state.frame); // the address names the view
-    if (view === "images") {
+    if (view !== "poses") {
       this.drop();
       return;
     }
@@ -124,8 +124,8 @@ export class Poses {
     return {
       ...command,
       run: (event) => {
-        if (!this.isShown) run(event);
-        else if (own) own();
+        if (this.state.view === "images") run(event);
+        else if (this.isShown && own) own();
         else if (!event) {
           this.open("images");
           run();

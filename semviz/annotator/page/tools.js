@@ -5,7 +5,7 @@
 /** @import {State} from "./state.js" */
 /** @import {Drawing, Ghost, Proposal, Point, Side} from "./values.js" */
 import { pointerAt } from "/static/canvas.js";
-import { GhostFinder } from "./ghost.js";
+import { GhostFinder } from "./drafts.js";
 import { SIDES, uuid7 } from "./values.js";
 
 const BESIDE = 8; // CSS pixels; a press this close outside the image counts as on its border
@@ -424,36 +424,6 @@ export class Tools {
   #inside(side, [u, v]) {
     const { width, height } = this.#size(side);
     return [Math.min(Math.max(u, -0.5), width - 0.5), Math.min(Math.max(v, -0.5), height - 0.5)];
-  }
-}
-
-/** Keeps a half-drawn pole in sessionStorage, so that it survives a reload or a rebuilt frame. */
-export class Sketch {
-  /**
-   * @param {State} state
-   * @param {string} workspace key of the workspace
-   */
-  constructor(state, workspace) {
-    this.state = state;
-    this.key = `semviz.sketch.${workspace}`;
-    /** @type {Drawing | null} */
-    this.saved = null;
-    state.onChange(() => this.#store());
-  }
-
-  /** Resumes the drawing that was left in the frame on screen. */
-  restore() {
-    const left = JSON.parse(sessionStorage.getItem(this.key) ?? "null");
-    if (left?.frame === this.state.frame) this.state.set({ drawing: left.drawing });
-  }
-
-  /** Stores only a drawing that waits for its second click; one stroke ends with the press. */
-  #store() {
-    const { drawing, frame } = this.state;
-    if (drawing === this.saved) return;
-    this.saved = drawing;
-    if (drawing?.end) sessionStorage.setItem(this.key, JSON.stringify({ frame, drawing }));
-    else sessionStorage.removeItem(this.key);
   }
 }
 

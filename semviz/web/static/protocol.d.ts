@@ -244,6 +244,72 @@ export interface DrawnMark {
   class_id?: number | null;
 }
 
+/** One check, as texts for people. */
+export interface DriveCheck {
+  kind: "sides" | "rows" | "poses" | "gaps";
+  name: string;
+  measured: string;
+  value: string;
+  limit: string;
+  passed: boolean | null;
+  warning?: string;
+  option?: string;
+  remedy?: string;
+  frame?: number | null;
+}
+
+/** The checks of the drive's import, and what to do. */
+export interface DriveEvent {
+  type: "drive";
+  reply_to: string | null;
+  drive: DriveView;
+}
+
+/** A figure with what it counts. */
+export interface DriveFact {
+  value: string;
+  label: string;
+}
+
+/** Matches between the left image of a frame and its right one, or the next one. */
+export interface DriveFrameEvent {
+  type: "drive_frame";
+  reply_to: string | null;
+  frame: number;
+  second: number;
+  matches: Array<DriveMatch>;
+  note: string;
+}
+
+/** A match between the two images of a picture, and its distance (px) from its line. */
+export interface DriveMatch {
+  here: [number, number];
+  there: [number, number];
+  off_px: number;
+}
+
+/** Something to do; ``command`` is for a terminal, ``view`` a view of the page. */
+export interface DriveStep {
+  title: string;
+  text: string;
+  command: string;
+  view: "" | "images" | "poses";
+}
+
+/** All of the view but its picture. */
+export interface DriveView {
+  title: string;
+  sentence: string;
+  is_sound: boolean;
+  facts: Array<DriveFact>;
+  checks: Array<DriveCheck>;
+  steps: Array<DriveStep>;
+  frames: Array<number>;
+  places_m: Array<[number, number]>;
+  without_pose: number;
+  file: string;
+}
+
 /** What the author of an edit had seen: the operations up to one, and some later requests. Fields that other operations wrote are not the edit's to overwrite. */
 export interface EditBase {
   operation: number;
@@ -771,6 +837,19 @@ export interface SetThemeRequest {
   theme: "dark" | "light";
 }
 
+/** Request matches between the images of a frame; a ``drive_frame`` event follows. */
+export interface ShowDriveFrameRequest {
+  type: "show_drive_frame";
+  id: string;
+  frame: number;
+}
+
+/** Request the checks of the drive's import, and what to do. */
+export interface ShowDriveRequest {
+  type: "show_drive";
+  id: string;
+}
+
 /** Request a frame as it was after an operation. */
 export interface ShowPastFrameRequest {
   type: "show_past_frame";
@@ -909,6 +988,8 @@ export interface Requests {
   preview_draft: PreviewDraftRequest;
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
+  show_drive: ShowDriveRequest;
+  show_drive_frame: ShowDriveFrameRequest;
   show_past_frame: ShowPastFrameRequest;
   show_pose_frame: ShowPoseFrameRequest;
   show_poses: ShowPosesRequest;
@@ -919,6 +1000,8 @@ export interface Requests {
 export interface Events {
   backdrop: BackdropEvent;
   draft_preview: DraftPreviewEvent;
+  drive: DriveEvent;
+  drive_frame: DriveFrameEvent;
   edit_saved: EditSavedEvent;
   element_clicked: ElementClickedEvent;
   error: ConflictEvent | ErrorEvent | SamePlaceEvent;

@@ -30,7 +30,8 @@ const LONGEST_HOLD_MS = 300;
  */
 export function showScene(frame, session, keys) {
   const gate = new RenderGate();
-  frame.addEventListener("load", () => {
+  frame.onload = () => { // in place of the one of an earlier scene that has not loaded
+    frame.onload = null;
     const inside = frame.contentDocument;
     const view = /** @type {ViserWindow | null} */ (frame.contentWindow);
     if (!inside || !view) return; // the browser's own error page
@@ -40,7 +41,7 @@ export function showScene(frame, session, keys) {
     keys.listen(view, true);
     speedUp(view, gate);
     frame.classList.add("ready");
-  }, { once: true });
+  };
   Object.assign(frame.style, { background: "var(--scene)", colorScheme: "normal" }); // of either theme
   frame.src = `view/${encodeURIComponent(session)}/`;
   return gate;

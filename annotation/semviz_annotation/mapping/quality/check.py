@@ -3,10 +3,8 @@
 Accuracy follows the criteria of `semviz_core.metrics.image_errors`: projection minus label, with
 the true poses, as in the paper's table. A gate sets limits that every measured class must meet.
 
-A wrong label pulls its element towards itself, so its own residual hides it. So each label is also
-predicted from its element as all other labels determine it. That is one Newton step from the joint
-solution (deletion formulas of regression: Cook and Weisberg 1982, 2.2), so 100,000 labels take
-seconds.
+A wrong label pulls its element towards itself. So each label is also predicted from its element as
+all others determine it: one Newton step from the joint solution (Cook and Weisberg 1982, 2.2).
 """
 
 from collections import Counter

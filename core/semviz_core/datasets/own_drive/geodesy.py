@@ -36,6 +36,13 @@ def is_earth_centred(positions_m: FloatArray) -> bool:
     return bool(((radii > _RADII_M[0]) & (radii < _RADII_M[1])).all())
 
 
+def geodetic(position_m: FloatArray) -> tuple[float, float, float]:
+    """Return latitude, longitude (deg) and height above the ellipsoid (m) of an ECEF position."""
+    x, y, z = position_m.tolist()
+    longitude, latitude, height_m = _to_ecef().transform(x, y, z, direction="INVERSE")
+    return float(latitude), float(longitude), float(height_m)
+
+
 def east_north_up(position_m: FloatArray) -> Pose:
     """Return T_enu_ecef of the local frame whose origin is an ECEF position (3,)."""
     x, y, z = position_m.tolist()

@@ -339,16 +339,26 @@ def _agreeing(camera: Camera, matched: Sequence[_Motion]) -> int:
     )
 
 
+def off_epipolar_lines(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> FloatArray:
+    """Return the signed distance (n,) px of matches (n, 2, 2), before and now, from the epipolar
+    lines of the motion in the image of now."""
+    rays = _rays_of(camera, pixels)
+    lines = rays[0] @ (skew(T_now_before.translation) @ T_now_before.rotation).T
+    lengths = np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)
+    return np.asarray((lines * rays[1]).sum(axis=1) / lengths * camera.K[0, 0])
+
+
+def _rays_of(camera: Camera, pixels: FloatArray) -> list[FloatArray]:
+    """Return the rays (n, 3) at depth 1 of matches (n, 2, 2), before and now."""
+    one = np.ones(len(pixels))
+    return [np.column_stack([camera.normalize(pixels[:, side]), one]) for side in (0, 1)]
+
+
 def _agrees(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> BoolArray:
     """Return (n,) whether matches (n, 2, 2), before and now, agree with the motion."""
-    rays = [
-        np.column_stack([camera.normalize(pixels[:, side]), np.ones(len(pixels))])
-        for side in (0, 1)
-    ]
+    apart = np.abs(off_epipolar_lines(camera, pixels, T_now_before))
+    rays = _rays_of(camera, pixels)
     R, t = T_now_before.rotation, T_now_before.translation
-    lines = rays[0] @ (skew(t) @ R).T
-    focal = camera.K[0, 0]
-    apart = np.abs((lines * rays[1]).sum(axis=1)) / np.hypot(lines[:, 0], lines[:, 1]) * focal
     # Depths of both rays, by least squares of depth_now * ray_now = depth_before * R ray + t.
     turned = rays[0] @ R.T
     a, b, c = (

@@ -225,7 +225,7 @@ def _ransac(soft: SoftMatches, seed: int) -> _Coarse:
 
 def _pnpl_pose(soft: SoftMatches, T_camera_map: Pose) -> Pose | Failure:
     """Refine the pose by weighted PnPL over all of P (eq. 6)."""
-    sample, R = soft.sample, T_camera_map.rotation
+    sample, R = soft.sample, T_camera_map.rotation.copy()
     ends = sample.ray, sample.bottom_ray, sample.point_m, sample.bottom_m
     points, lines = weighted_pnpl.points_and_lines(*ends, sample.seen_known, sample.mapped_known)
     sums = weighted_pnpl.weighted_sums(*(np.ascontiguousarray(end)[None] for end in ends))
@@ -248,7 +248,7 @@ def _in_map(soft: SoftMatches, rotation: FloatArray, translation: FloatArray) ->
 
 def _refinement(problem: PoseProblem, T_camera_map: Pose) -> Refinement:
     """Return the one-to-one pairs under the pose with their residuals."""
-    match, _ = associate(problem, T_camera_map.rotation, T_camera_map.translation, EXACT_POSE)
+    match, _ = associate(problem, *T_camera_map.writable(), EXACT_POSE)
     seen = np.flatnonzero(match >= 0)
     pairs = np.column_stack([seen, match[seen]])
     residuals = problem_residuals(problem, T_camera_map, pairs)

@@ -1,7 +1,7 @@
 """Run one optimizer step of a network, alone or with other processes.
 
 Adam is fused: one call for all parameters. Under torchrun the processes average their gradients
-(DDP). bfloat16 is used where it is faster: on GPUs, and on processors with AMX.
+(DDP). bfloat16 is used where it is faster: on GPUs, and on processors with AMX or AVX-512 BF16.
 """
 
 import os
@@ -182,8 +182,9 @@ def _laid_out_as(parameter: Tensor, moment: Tensor) -> Tensor:
 
 
 def has_bf16(device: torch.device) -> bool:
-    """Return whether the device is faster with bfloat16: GPUs and processors with AMX are."""
-    return device.type != "cpu" or torch.cpu._is_amx_tile_supported()
+    """Return whether the device has instructions for bfloat16, which make training faster."""
+    supported = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return device.type != "cpu" or supported
 
 
 def _numbers(values: dict[str, Tensor]) -> dict[str, float]:

@@ -365,7 +365,8 @@ def _check(options: TrainingOptions, process_group: learner.ProcessGroup) -> Non
         )
     if options.precision != "float32" and not learner.has_bf16(process_group.device):
         raise SemvizError(
-            f"--precision {options.precision}: is for a GPU or a processor with AMX; none is here"
+            f"--precision {options.precision}: is for a GPU or a processor with AMX or AVX-512 "
+            "BF16; none is here"
         )
 
 

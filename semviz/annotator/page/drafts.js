@@ -1,14 +1,15 @@
 // @ts-check
-// The whole pole under the pointer or the keyboard cursor, shown before a click takes it.
+// What is not drawn yet: the whole pole that a click would take, and a half-drawn pole.
 /** @import {Images} from "./images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
-/** @import {Ghost, Point, Side} from "./values.js" */
+/** @import {Drawing, Ghost, Point, Side} from "./values.js" */
 import { Refusal } from "/static/socket.js";
 
 const REST_MS = 60; // the pointer rests so long before the server is asked
 const NEAR = 9; // CSS pixels; a ghost stays while the pointer is this close
 
+/** Finds the whole pole under the pointer or the keyboard cursor. */
 export class GhostFinder {
   /**
    * @param {State} state
@@ -121,6 +122,36 @@ export class GhostFinder {
   /** @param {Ghost | null} ghost */
   #show(ghost) {
     if (ghost !== this.state.ghost) this.state.set({ ghost });
+  }
+}
+
+/** Keeps a half-drawn pole in sessionStorage, so that it survives a reload or a rebuilt frame. */
+export class Sketch {
+  /**
+   * @param {State} state
+   * @param {string} workspace key of the workspace
+   */
+  constructor(state, workspace) {
+    this.state = state;
+    this.key = `semviz.sketch.${workspace}`;
+    /** @type {Drawing | null} */
+    this.saved = null;
+    state.onChange(() => this.#store());
+  }
+
+  /** Resumes the drawing that was left in the frame on screen. */
+  restore() {
+    const left = JSON.parse(sessionStorage.getItem(this.key) ?? "null");
+    if (left?.frame === this.state.frame) this.state.set({ drawing: left.drawing });
+  }
+
+  /** Stores only a drawing that waits for its second click; one stroke ends with the press. */
+  #store() {
+    const { drawing, frame } = this.state;
+    if (drawing === this.saved) return;
+    this.saved = drawing;
+    if (drawing?.end) sessionStorage.setItem(this.key, JSON.stringify({ frame, drawing }));
+    else sessionStorage.removeItem(this.key);
   }
 }
 

@@ -1,0 +1,139 @@
+// @ts-check
+// The view "Your drive": the checks of the import as pictures, and what to do, in order.
+/** @import {annotator} from "/static/protocol" */
+/** @import {Command, Keys} from "/static/keys.js" */
+/** @import {Page} from "./main.js" */
+/** @import {State} from "./state.js" */
+import { byId, el } from "/static/dom.js";
+import { DrivePicture } from "./drive_picture.js";
+import { Trajectory } from "./trajectory.js";
+import { RenderCache, badge, capital, header, row } from "./widgets.js";
+
+export class Drive {
+  /**
+   * @param {State} state
+   * @param {Keys} keys
+   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures" | "poses">} page
+   */
+  constructor(state, keys, page) {
+    this.state = state;
+    this.keys = keys;
+    this.page = page;
+    this.cache = new RenderCache(state);
+    /** @type {annotator.DriveView | null} */
+    this.known = null;
+    this.chosen = -1; // the check on screen
+    this.requested = -1; // the frame whose matches were requested
+    this.picture = new DrivePicture(state, page.pictures);
+    this.trajectory = new Trajectory(byId("drive-trajectory", HTMLCanvasElement), (frame) => page.go(frame));
+    byId("tab-drive").addEventListener("click", () => this.open());
+    page.socket.on("drive", ({ drive }) => {
+      this.known = drive;
+      if (this.chosen < 0) this.#look(Math.max(0, drive.checks.findIndex(({ passed }) => passed === false)));
+      state.set({});
+    });
+    page.socket.on("drive_frame", (event) => this.picture.received(event));
+  }
+
+  get isShown() {
+    return this.state.view === "drive";
+  }
+
+  open() {
+    this.page.poses.open("drive");
+    this.page.socket.send("show_drive", {});
+  }
+
+  /** Commands for `Keys`.
+   *
+   * @returns {Command[]}
+   */
+  commands() {
+    return [{ key: "F9", group: "Poses", title: "Show your drive: checks of the import", row: "Images; poses", words: "calibration import trajectory", run: () => this.open() }];
+  }
+
+  /** Redraws; called whenever the state of the page changes. */
+  show() {
+    document.body.classList.toggle("drive", this.isShown);
+    byId("drive").hidden = !this.isShown;
+    byId("tab-drive").setAttribute("aria-current", String(this.isShown));
+    if (!this.isShown) return;
+    if (!this.known) this.page.socket.send("show_drive", {}); // opened by the address
+    const { known } = this;
+    if (!known) return;
+    this.cache.show("drive-head", [known], () => this.#head(known));
+    this.cache.show("drive-checks", [known, this.chosen], () => this.#checks(known));
+    this.cache.show("drive-steps", [known], () => this.#steps(known));
+    const { frame } = this.state;
+    if (frame !== null && frame !== this.requested && this.page.socket.send("show_drive_frame", { frame })) this.requested = frame;
+    this.picture.show(frame);
+    this.trajectory.show(known, frame);
+  }
+
+  /** @param {annotator.DriveView} drive */
+  #head({ title, sentence, is_sound: isSound, facts }) {
+    return [
+      el("div", { class: "drive-title" },
+        el("h2", {}, el("span", { class: isSound ? "sound" : "warning", text: isSound ? "●" : "◆" }), ` ${title}`),
+        el("p", { class: "dim", text: sentence, title: sentence })),
+      ...facts.map(({ value, label }) => el("div", { class: "drive-fact" }, el("b", { text: value }), el("span", { class: "dim", text: label }))),
+    ];
+  }
+
+  /** @param {annotator.DriveView} drive */
+  #checks({ checks, file }) {
+    const passed = checks.filter(({ passed: isPassed }) => isPassed).length;
+    const about = checks.length ? `${passed} of ${checks.length} pass` : "none: made without your own images";
+    return [
+      header("Checks", about),
+      el("div", { class: "list" }, ...checks.map((check, place) => this.#check(check, place))),
+      el("p", { class: "drive-file dim", text: file ? `Nothing here is changed. ${file}` : "", title: file }),
+    ];
+  }
+
+  /**
+   * @param {annotator.DriveCheck} check
+   * @param {number} place
+   */
+  #check({ name, measured, value, limit, passed }, place) {
+    const [sign, kind] = passed === null ? ["○", "dim"] : passed ? ["●", "sound"] : ["◆", "warning"];
+    return row({ chosen: place === this.chosen, title: `${capital(name)}: ${measured}`, onclick: () => this.#look(place) },
+      el("span", { class: kind, text: sign }), el("span", { class: "fill", text: capital(name) }),
+      el("b", { text: value }), el("span", { class: "drive-limit dim", text: limit }));
+  }
+
+  /** Shows a check by its frame.
+   *
+   * @param {number} place
+   */
+  #look(place) {
+    this.chosen = place;
+    const frame = this.known?.checks[place]?.frame;
+    if (typeof frame === "number") this.page.go(frame);
+    else this.state.set({});
+  }
+
+  /** @param {annotator.DriveView} drive */
+  #steps({ steps }) {
+    return [
+      header("Next", "in this order"),
+      ...steps.map(({ title, text, command, view }, place) => el("div", { class: "drive-step" },
+        el("span", { class: "drive-number", text: `${place + 1}` }),
+        el("div", {},
+          el("h3", { text: title }),
+          el("p", { class: "dim", text }),
+          command ? this.#command(command) : null,
+          view === "images" ? el("button", { onclick: () => this.page.poses.open("images") }, "Start ", badge(this.keys, "F2")) : null,
+          view === "poses" ? el("button", { onclick: () => this.page.poses.open("poses") }, "Open Poses ", badge(this.keys, "F4")) : null))),
+    ];
+  }
+
+  /** @param {string} command */
+  #command(command) {
+    const copy = async () => {
+      await navigator.clipboard?.writeText(command);
+      this.page.notify("Copied. Run it in a terminal.");
+    };
+    return el("div", { class: "drive-command" }, el("code", { text: command, title: command }), el("button", { class: "small", title: "Copy the command", onclick: copy }, "Copy"));
+  }
+}
