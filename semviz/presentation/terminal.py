@@ -7,7 +7,8 @@ compiles.
 
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
@@ -33,6 +34,22 @@ def announce_compiling(what: str = "the solver") -> None:
     notify_before_compiling(
         lambda: print(f"compiling {what}, once only: up to a minute", file=sys.stderr)
     )
+
+
+@contextmanager
+def count_functions() -> Iterator[Callable[[int], None]]:
+    """Yield a function that shows on a terminal, in one line, how many functions are compiled."""
+    shown = False
+
+    def tell(compiled: int) -> None:
+        nonlocal shown
+        if sys.stderr.isatty():
+            shown = True
+            print(f"\r{compiled} functions compiled", end="", file=sys.stderr, flush=True)
+
+    yield tell
+    if shown:
+        print(file=sys.stderr)
 
 
 class Steps:

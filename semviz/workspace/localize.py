@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz.presentation.terminal import announce_compiling, track
+from semviz.presentation.terminal import announce_compiling, count_functions, track
 from semviz.runs.images import check_images_available, with_images
 from semviz.runs.recorder import fitted_pairs
 from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
@@ -201,8 +201,10 @@ class SequenceLocalization:
             )
 
     def __iter__(self) -> Iterator[FrameRecord]:
+        with count_functions() as tell:
+            self.localizer.warmup(tell)
         for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
-            pass  # so that compilation is in no frame's time
+            pass  # the method is compiled: now what observes and tracks
         yield from self._localized(self.frames)
 
     def _localized(self, frames: tuple[Frame, ...]) -> Iterator[FrameRecord]:

@@ -1,6 +1,8 @@
 """The whole method: right where it answers, and honest where it can't."""
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -350,3 +352,33 @@ def test_a_covariance_that_is_none_is_refused() -> None:
     covariance[0, 0, 1] = covariance[0, 1, 0] = 2.0 * covariance[0, 0, 0]
     with pytest.raises(SemvizError, match=f"map element {problem.submap.id[0]}"):
         localized(replace(problem, submap=replace(problem.submap, covariance_m2=covariance)))
+
+
+FRAMES_AFTER_WARMUP = """
+from dataclasses import replace
+from semviz_core.common import jit
+compiled = []
+locked = jit._one_process_at_a_time
+jit._one_process_at_a_time = lambda compile_: locked(
+    lambda *types: (compiled.append(types), compile_(*types))[1]
+)
+from semviz_core.localization.localizer import Localizer
+Localizer("direct").warmup()
+assert compiled
+compiled.clear()
+from semviz_core.research.evaluation.problems import HARD_SETS, Difficulty, make_problem
+for level in (Difficulty(), *HARD_SETS.values()):
+    problem = make_problem(3, level)
+    for road_m in problem.prior.road_m, None:
+        prior = replace(problem.prior, road_m=road_m)
+        frame = problem.observed, problem.submap, problem.camera, prior
+        Localizer().localize(*frame)
+        Localizer().localize(*frame, start=problem.T_camera_map)
+print(len(compiled))
+"""
+
+
+def test_after_the_warmup_no_frame_compiles_or_loads_anything() -> None:
+    command = [sys.executable, "-c", FRAMES_AFTER_WARMUP]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.stdout.strip() == "0", done.stderr

@@ -13,7 +13,7 @@ import secrets
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
@@ -149,6 +149,29 @@ class _FirstCompileListener(event.Listener):  # type: ignore[misc]  # numba's ty
 
     def on_end(self, _: object) -> None:
         pass
+
+
+@contextmanager
+def count_compiled(tell: Callable[[int], None]) -> Iterator[None]:
+    """Within it, call ``tell`` with the number of functions compiled so far, after each of them.
+
+    Functions that are loaded from disk do not count.
+    """
+    listener = _CountingListener(tell)
+    with event.install_listener("numba:compile", listener):
+        yield
+
+
+class _CountingListener(event.Listener):  # type: ignore[misc]  # numba's types are not read
+    def __init__(self, tell: Callable[[int], None]) -> None:
+        self._tell, self._count = tell, 0
+
+    def on_start(self, _: object) -> None:
+        pass
+
+    def on_end(self, _: object) -> None:
+        self._count += 1
+        self._tell(self._count)
 
 
 @cache

@@ -5,7 +5,7 @@ search, association, refinement, status. The same input and seed give the same r
 that this package does not own are found through entry points.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -23,7 +23,7 @@ from semviz_core.base.localization import Alternative, Localization, Search
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.jit import Stopwatch, in_order
+from semviz_core.common.jit import Stopwatch, count_compiled, in_order
 from semviz_core.localization import refinement
 from semviz_core.localization.association import PairConstraints, posterior_match
 from semviz_core.localization.correspondences.matcher import (
@@ -34,7 +34,7 @@ from semviz_core.localization.correspondences.matcher import (
 )
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE
 from semviz_core.localization.problem import PoseProblem
-from semviz_core.localization.request import check_request
+from semviz_core.localization.request import check_request, example_request
 from semviz_core.localization.search import Modes, Propose, mode_near, most_voted, search
 from semviz_core.localization.status import StatusDecision, decide_status, is_likely
 from semviz_core.localization.upright import assumed_upright
@@ -202,6 +202,19 @@ class Localizer:
         if self.method not in EFFORTS:
             return self._external_method().localize(work, problem, pairing, start, watch)
         return self._estimate(work, problem, pairing, start, watch)
+
+    def warmup(self, tell: Callable[[int], None] = lambda compiled: None) -> None:
+        """Compile the method, or load it from disk, so that no frame's time contains that.
+
+        The first time on a machine this takes a minute; ``tell`` hears after each function how many
+        are compiled. Other processes wait for it, and load what it compiled.
+        """
+        # classes alone do not fix the example's matches; `direct` shares its code with `search`
+        localizer = replace(self, method="search") if self.method == "direct" else self
+        request = example_request(self.classes)
+        with count_compiled(tell):
+            found = localizer.localize(*request)
+            localizer.localize(*request, start=found.T_camera_map)
 
     def _estimate(
         self,

@@ -1,7 +1,7 @@
 """Check elements, camera and prior against each other before localization.
 
 A mistake raises SemvizError with one line: the fault, its place, and the remedy. Poor data is
-no mistake and passes.
+no mistake and passes. An example shows what a request is.
 """
 
 import numpy as np
@@ -113,6 +113,26 @@ def _check_mapped_upright(submap: Elements3D) -> None:
             "most mapped poles do not rise from bottom (end_m) to peak (anchor_m); swap the two, "
             "or turn the map so that z is up"
         )
+
+
+def example_request(classes: ClassSet) -> tuple[Elements2D, Elements3D, Camera, Prior]:
+    """Return a frame that every method localizes surely: eight elements, seen without error."""
+    K = np.array([[700.0, 0.0, 600.0], [0.0, 700.0, 180.0], [0.0, 0.0, 1.0]])
+    camera = Camera(1200, 360, K)
+    kinds = list(classes)
+    class_id = [kinds[k % len(kinds)].id for k in range(8)]
+    is_line = np.array([classes[id].kind == "line" for id in class_id])[:, None]
+    ahead_m = np.array([14.0, 17.0, 19.0, 22.0, 25.0, 28.0, 33.0, 37.0])
+    left_m = np.array([4.0, -5.0, 7.0, -3.5, -9.0, 5.0, -6.0, 10.0])
+    above_m = np.array([1.2, 0.9, 0.6, 1.5, 0.7, 1.1, 2.0, 0.8])
+    anchor = np.column_stack([ahead_m, left_m, above_m])  # from the camera, z up
+    bottom = np.where(is_line, anchor * [1.0, 1.0, 0.0] - [0.0, 0.0, 1.6], np.nan)
+    R_camera_map = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    anchor_px, end_px = (camera.project(points @ R_camera_map.T) for points in (anchor, bottom))
+    observed = Elements2D.from_ends(anchor_px, end_px, class_id)
+    submap = Elements3D.from_ends(np.arange(8), anchor, bottom, class_id)
+    up, road_m = np.array([0.0, -1.0, 0.0]), np.array([[-1.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    return observed, submap, camera, Prior(np.array([3.0, -2.0, 0.0]), up_camera=up, road_m=road_m)
 
 
 def _most(wrong: BoolArray) -> bool:

@@ -106,6 +106,13 @@ def prioritized_pairs(probability: FloatArray) -> IntArray:
     return np.asarray(pairs[P[tuple(pairs.T)] > 0.0])
 
 
+def couple_poses(sample: Sample) -> FloatArray:
+    """Return the poses (E, 6) of all couples of candidate pairs of one class."""
+    possible = sample.seen_class[:, None] == sample.mapped_class
+    frame = FrameGeometry.of(candidate_pairs(sample, possible), Compass.of(sample))
+    return _in_map(frame, sample)
+
+
 def _in_map(frame: FrameGeometry, sample: Sample) -> FloatArray:
     """Return the couples' poses (E, 6)."""
     camera, turn = frame.couples.camera_m, frame.couples.turn

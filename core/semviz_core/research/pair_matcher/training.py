@@ -19,7 +19,8 @@ from torch.autograd.function import once_differentiable
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.linalg import rotate_left
+from semviz_core.common.jit import compiled
+from semviz_core.common.linalg import cholesky, rotate_left, solve_cholesky
 from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
@@ -42,6 +43,8 @@ STEP_TOLERANCE = 1e-9
 """Converged if no part of a step (m or rad) is larger."""
 DIFFERENCE = 1e-5
 """Step (m and rad) of the central differences of the slope that give the Hessian."""
+NEWTON_FROM = 5
+"""Step from which on Newton's method takes over: it converges where Gauss and Newton's does not."""
 LEAST_CURVATURE = 1e-2
 """Least curvature (1/m^2 or 1/rad^2): a pose is not fixed if its sigma exceeds 10 m."""
 
@@ -78,60 +81,147 @@ class PosePairs:
             np.array(factors).reshape(-1, 4, 4), np.array(counts, dtype=np.int64),
         )  # fmt: skip
 
-    def slopes(self, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def slopes(self, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (k, 6) the slope of each pair's half squared residual by the left perturbation,
-        (6,) that of the prior, and (k + 1, 6, 6) their Gauss-Newton matrices, the prior's last."""
-        slope, matrix = np.zeros((len(self.pairs), 6)), np.zeros((len(self.pairs) + 1, 6, 6))
-        rows = new_rows()
-        for k, (i, j) in enumerate(self.pairs.tolist()):
-            count = fill_rows(self.problem, R, t, i, j, rows)
-            used = min(count, int(self.count[k]))
-            rows.factor[:] = self.factor[k]
-            whiten_by_factor(used, rows, True)
-            J = rows.jacobian[:used]
-            slope[k], matrix[k] = J.T @ rows.residual[:used], J.T @ J
-        residual, jacobian = np.empty(MOST_ROWS), np.empty((MOST_ROWS, 6))
-        count = prior_rows(self.prior, R, t, residual, jacobian)
-        matrix[-1] = jacobian[:count].T @ jacobian[:count]
-        return slope, jacobian[:count].T @ residual[:count], matrix
+        and (6,) that of the prior."""
+        slope, _ = _linearized(*self._arguments, R, t)
+        return slope[:-1], slope[-1]
 
     def slope(self, weight: FloatArray, R: FloatArray, t: FloatArray) -> FloatArray:
         """Return the slope (6,) of the cost for weights (k,)."""
-        of_pairs, of_prior, _ = self.slopes(R, t)
-        return np.asarray(weight @ of_pairs + of_prior)
-
-    def hessian(self, weight: FloatArray, R: FloatArray, t: FloatArray) -> FloatArray:
-        """Return the Hessian (6, 6) of the cost at its optimum, by central differences of the
-        slope."""
-        matrix = np.empty((6, 6))
-        for k in range(6):
-            step = np.zeros(6)
-            step[k] = DIFFERENCE
-            up = self.slope(weight, *rotate_left(R, t, step))
-            step[k] = -DIFFERENCE
-            down = self.slope(weight, *rotate_left(R, t, step))
-            matrix[k] = (up - down) / (2.0 * DIFFERENCE)
-        return 0.5 * (matrix + matrix.T)
+        return _slope(*self._arguments, np.append(weight, 1.0), R, t)
 
     def optimum(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return rotation, translation and Hessian at the optimum near the start; None if there is
         none, or if the weights and the prior do not fix it."""
-        R, t = self.start.rotation.copy(), self.start.translation.copy()
-        for iteration in range(ITERATIONS):
-            of_pairs, of_prior, matrices = self.slopes(R, t)
-            matrix = np.tensordot(np.append(weight, 1.0), matrices, 1)
-            if iteration >= 5:  # Newton's steps converge where Gauss and Newton's do not
-                exact = self.hessian(weight, R, t)
-                matrix = exact if np.linalg.eigvalsh(exact)[0] > LEAST_CURVATURE else matrix
-            if not np.linalg.eigvalsh(matrix)[0] > LEAST_CURVATURE:
-                return None
-            step = np.linalg.solve(matrix, -(weight @ of_pairs + of_prior)).astype(np.float64)
-            R, t = rotate_left(R, t, step)
-            if np.abs(step).max() < STEP_TOLERANCE:
-                hessian = self.hessian(weight, R, t)
-                is_fixed = np.linalg.eigvalsh(hessian)[0] > LEAST_CURVATURE
-                return (R, t, hessian) if is_fixed else None
-        return None
+        start = self.start.rotation.copy(), self.start.translation.copy()
+        R, t, hessian, ok = _optimum(*self._arguments, np.append(weight, 1.0), *start)
+        return (R, t, hessian) if ok else None
+
+    @property
+    def _arguments(self) -> tuple[PoseProblem, PriorRecord, IntArray, FloatArray, IntArray]:
+        return self.problem, self.prior, self.pairs, self.factor, self.count
+
+
+@compiled
+def _linearized(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    pairs: IntArray,
+    factor: FloatArray,
+    count: IntArray,
+    R: FloatArray,
+    t: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the slopes (k + 1, 6) and Gauss-Newton matrices (k + 1, 6, 6) of pairs and, last, of
+    the prior."""
+    k = len(pairs)
+    slope, matrix = np.zeros((k + 1, 6)), np.zeros((k + 1, 6, 6))
+    rows = new_rows()
+    for pair in range(k):
+        filled = fill_rows(problem, R, t, pairs[pair, 0], pairs[pair, 1], rows)
+        used = min(filled, count[pair])
+        rows.factor[:] = factor[pair]
+        whiten_by_factor(used, rows, True)
+        _add_rows(rows.residual, rows.jacobian, used, slope[pair], matrix[pair])
+    residual, jacobian = np.empty(MOST_ROWS), np.empty((MOST_ROWS, 6))
+    used = prior_rows(prior, R, t, residual, jacobian)
+    _add_rows(residual, jacobian, used, slope[k], matrix[k])
+    return slope, matrix
+
+
+@compiled
+def _add_rows(
+    residual: FloatArray, jacobian: FloatArray, count: int, slope: FloatArray, matrix: FloatArray
+) -> None:
+    for row in range(count):
+        for a in range(6):
+            slope[a] += jacobian[row, a] * residual[row]
+            for b in range(6):
+                matrix[a, b] += jacobian[row, a] * jacobian[row, b]
+
+
+@compiled
+def _slope(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    pairs: IntArray,
+    factor: FloatArray,
+    count: IntArray,
+    weight: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+) -> FloatArray:
+    """Return the slope (6,) of the cost for weights (k + 1,), the prior's last."""
+    slope, _ = _linearized(problem, prior, pairs, factor, count, R, t)
+    total = np.zeros(6)
+    for row in range(len(weight)):
+        total += weight[row] * slope[row]
+    return total
+
+
+@compiled
+def _hessian(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    pairs: IntArray,
+    factor: FloatArray,
+    count: IntArray,
+    weight: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+) -> FloatArray:
+    """Return the Hessian (6, 6) of the cost, by central differences of the slope."""
+    matrix = np.empty((6, 6))
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = DIFFERENCE
+        up_R, up_t = rotate_left(R, t, step)
+        down_R, down_t = rotate_left(R, t, -step)
+        up = _slope(problem, prior, pairs, factor, count, weight, up_R, up_t)
+        down = _slope(problem, prior, pairs, factor, count, weight, down_R, down_t)
+        matrix[k] = (up - down) / (2.0 * DIFFERENCE)
+    return 0.5 * (matrix + matrix.T)
+
+
+@compiled
+def _optimum(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    pairs: IntArray,
+    factor: FloatArray,
+    count: IntArray,
+    weight: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    """Return rotation, translation, Hessian and whether they are an optimum."""
+    none = np.zeros((6, 6))
+    for iteration in range(ITERATIONS):
+        slope, matrices = _linearized(problem, prior, pairs, factor, count, R, t)
+        step, matrix = np.zeros(6), np.zeros((6, 6))
+        for row in range(len(weight)):
+            step -= weight[row] * slope[row]
+            matrix += weight[row] * matrices[row]
+        if iteration >= NEWTON_FROM:
+            exact = _hessian(problem, prior, pairs, factor, count, weight, R, t)
+            if _is_fixed(exact):
+                matrix = exact
+        if not _is_fixed(matrix):
+            return R, t, none, False
+        cholesky(matrix, 6)
+        solve_cholesky(matrix, step)
+        R, t = rotate_left(R, t, step)
+        if np.abs(step).max() < STEP_TOLERANCE:
+            hessian = _hessian(problem, prior, pairs, factor, count, weight, R, t)
+            return R, t, hessian, _is_fixed(hessian)
+    return R, t, none, False
+
+
+@compiled
+def _is_fixed(matrix: FloatArray) -> bool:
+    """Return whether all eigenvalues of ``matrix`` (6, 6) are above LEAST_CURVATURE."""
+    return cholesky(matrix - LEAST_CURVATURE * np.eye(6), 6)
 
 
 def pose_of_weights(weight: Tensor, pairs: PosePairs) -> tuple[Tensor, Tensor, bool]:
@@ -161,7 +251,7 @@ class _PoseOfWeights(torch.autograd.Function):
         R, t, hessian = ctx.found
         given = R[None], t[None], by_rotation.numpy()[None], by_translation.numpy()[None]
         moved = np.linalg.solve(hessian, by_perturbation(*given)[0])
-        of_pairs, _, _ = ctx.pairs.slopes(R, t)
+        of_pairs, _ = ctx.pairs.slopes(R, t)
         return torch.from_numpy(-of_pairs @ moved).to(ctx.device), None
 
 
@@ -201,7 +291,7 @@ class MatcherTask:
     def losses(self, prepared: Prepared, progress: Progress) -> dict[str, Tensor]:
         """Return the mean negative log-likelihood of each element's pair, or of no pair."""
         log_probability = log_probabilities(self.network(prepared), prepared.batch)
-        return {"loss": _mean_surprise(log_probability, prepared.batch)}
+        return {"loss": mean_surprise(log_probability, prepared.batch)}
 
     def finish(self) -> None:
         """Do nothing."""
@@ -217,7 +307,7 @@ class MatcherTask:
         alone = log_probability[:, :-1, -1]
         with_pair, without = alone[paired], alone[prepared.batch.seen & ~paired]
         return {
-            "surprise": _mean_surprise(log_probability, prepared.batch),
+            "surprise": mean_surprise(log_probability, prepared.batch),
             **top_shares,
             "auc": (with_pair[:, None] < without).double().mean(),
         }
@@ -242,7 +332,7 @@ def make_task(name: str, source: SampleSource | None) -> MatcherTask:
     return MatcherTask(name, source or LEARNED_DISTRIBUTION)
 
 
-def _mean_surprise(log_probability: Tensor, batch: Batch) -> Tensor:
+def mean_surprise(log_probability: Tensor, batch: Batch) -> Tensor:
     """Return the mean negative log-probability; any of an element's true pairs is right, since the
     map may hold an element twice."""
     pairs = _pairs(batch)
