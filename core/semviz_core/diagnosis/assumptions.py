@@ -165,6 +165,14 @@ def assumption_faults(case: FrameReference) -> tuple[Fault, ...]:
     return (*faults, *([] if sigma is None else [sigma]))
 
 
+def position_fault(case: FrameReference) -> Fault | None:
+    """Return the fault of a position prior that is further off than chance allows."""
+    if case.reference is None or case.localization.prior is None:
+        return None
+    test = _prior_test(POSITION, case)
+    return test.fault if test.is_fault else None
+
+
 def _given_parts(case: FrameReference) -> tuple[PriorPart, ...]:
     prior = case.localization.prior
     return () if prior is None else tuple(part for part in PRIOR_PARTS if part.is_given(prior))

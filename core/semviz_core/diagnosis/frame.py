@@ -23,6 +23,7 @@ from semviz_core.diagnosis.alignment import misalignment, misalignment_fault
 from semviz_core.diagnosis.assumptions import (
     assumption_faults,
     check_assumptions,
+    position_fault,
     solve_in_wide_submap,
     solve_with_more_effort,
 )
@@ -82,6 +83,8 @@ def check_submap(case: FrameReference) -> Fault | None:
     enough = len(sound) - outside >= NEEDED_ELEMENTS
     if enough or not outside:
         return None
+    if wrong := position_fault(case):  # other faults besides keep the frame from a pose
+        return wrong
     sentence = f"{outside} of {len(sound)} detected elements are outside the submap"
     if result.prior is None:
         return Fault("not in the submap", f"{sentence}.", (EvidenceItem("outside", outside),))
