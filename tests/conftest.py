@@ -22,7 +22,8 @@ from fonts import font_settings
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
 
-if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads only wait
+IS_WORKER = "PYTEST_XDIST_WORKER" in os.environ
+if IS_WORKER:  # workers share the cores: more threads only wait
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
@@ -55,8 +56,11 @@ WORKER_BYTES = 2.5e9
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads its option
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Let plain ``pytest`` use all cores, with a worker each; who names tests gets none."""
-    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    """Let plain ``pytest`` use all cores, with a worker each; who names tests gets none.
+
+    A worker runs this hook as well, with no number of processes, and must start none.
+    """
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not IS_WORKER
     asked = getattr(config.option, "numprocesses", 0) is not None or config.option.usepdb
     if whole and not asked:
         room = int(psutil.virtual_memory().available / WORKER_BYTES)
