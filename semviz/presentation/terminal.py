@@ -8,7 +8,6 @@ compiles.
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
@@ -36,9 +35,9 @@ def announce_compiling(what: str = "the solver") -> None:
     )
 
 
-@contextmanager
-def count_functions() -> Iterator[Callable[[int], None]]:
-    """Yield a function that shows on a terminal, in one line, how many functions are compiled."""
+def count_functions(compile_: Callable[[Callable[[int], None]], None]) -> None:
+    """Run ``compile_`` with a function that shows on a terminal, in one line, how many functions
+    are compiled."""
     shown = False
 
     def tell(compiled: int) -> None:
@@ -47,7 +46,7 @@ def count_functions() -> Iterator[Callable[[int], None]]:
             shown = True
             print(f"\r{compiled} functions compiled", end="", file=sys.stderr, flush=True)
 
-    yield tell
+    compile_(tell)
     if shown:
         print(file=sys.stderr)
 

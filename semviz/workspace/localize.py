@@ -201,8 +201,7 @@ class SequenceLocalization:
             )
 
     def __iter__(self) -> Iterator[FrameRecord]:
-        with count_functions() as tell:
-            self.localizer.warmup(tell)
+        count_functions(self.localizer.warmup)
         for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
             pass  # the method is compiled: now what observes and tracks
         yield from self._localized(self.frames)
