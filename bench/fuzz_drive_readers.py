@@ -16,7 +16,7 @@ import numpy as np
 from drive_formats import CALIBRATION, COUNT, stamps
 from drive_layouts import argoverse2, boreas, comma, euroc_layout, kitti_360, kitti_raw, nuscenes
 
-from semviz.workspace.drive_file import DriveFile, open_drive
+from semviz.workspace.drive_file import DriveFile, ImageFolders, open_drive
 from semviz_core.base.frame import Frame, OdometryNoise
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
@@ -98,7 +98,7 @@ def nerfstudio(path: Path) -> None:
 def drive_file(path: Path) -> None:
     """What is kept in a workspace, up to its first image."""
     images = _files(path.parent).images
-    dataset = open_drive(path, images, images, path.parent / "rectified")
+    dataset = open_drive(path, ImageFolders(images, images), path.parent / "rectified")
     frame = dataset.frames[0]
     all_of(lambda: dataset.image(frame.index, "left"), lambda: dataset.image(frame.index, "right"))
 

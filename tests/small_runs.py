@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector
 from semviz.runs.writer import RunWriter
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
@@ -40,17 +40,18 @@ def run_with_a_moved_pole() -> tuple[Run, int]:
 
 
 def _localized(info: RunInfo, street: Street, semantic_map: SemanticMap) -> Run:
-    frames = tuple(_record(street, index, semantic_map) for index in FRAMES)
+    frames = tuple(_record(info, street, index, semantic_map) for index in FRAMES)
     return Run(info, semantic_map, frames)
 
 
-def _record(street: Street, index: int, semantic_map: SemanticMap) -> FrameRecord:
+def _record(info: RunInfo, street: Street, index: int, semantic_map: SemanticMap) -> FrameRecord:
     frame = street.frames[index]
     observed, ids = street.labels(index, "left")
     assert frame.T_map_camera is not None
     prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
     submap = semantic_map.crop(prior.position_m, 50.0)
-    return FrameRecord(frame, Localizer().localize(observed, submap, street.rig.left, prior), ids)
+    localizer = Localizer(detector=assumed_detector(info))
+    return FrameRecord(frame, localizer.localize(observed, submap, street.rig.left, prior), ids)
 
 
 def spoiled(run: Run, by_frame: dict[int, Spoil]) -> Run:

@@ -138,6 +138,8 @@ DIAGNOSIS_COLORS = {
             "missing in the map",
             "twice in the map",
             "misaligned map",
+            "time offset",
+            "wrong extrinsic",
             "wrong calibration",
         ),
         ALTERNATIVE,

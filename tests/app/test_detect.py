@@ -44,7 +44,7 @@ def town(tmp_path: Path) -> Path:
 
 def use(monkeypatch: pytest.MonkeyPatch, loaded: RegionModel) -> None:
     """Any model is this one."""
-    monkeypatch.setattr(detector, "load_detector", lambda *_: Detector(loaded))
+    monkeypatch.setattr(detector, "load_detector", lambda *_, **__: Detector(loaded))
 
 
 def run(*arguments: object) -> int:
@@ -103,7 +103,7 @@ from semviz import cli
 from semviz.workspace import detect
 from semviz_core.detection import detector
 from semviz_core.detection.detector import Detector
-detector.load_detector = lambda *_: Detector(Slow(Path({str(tmp_path / "diary")!r}), 0.2))
+detector.load_detector = lambda *_, **__: Detector(Slow(Path({str(tmp_path / "diary")!r}), 0.2))
 detect.SAVE_INTERVAL_S, detect.SAVING_SHARE = 0.0, 1.0
 cli.main(["detect", {str(town)!r}])
 """

@@ -85,6 +85,7 @@ def test_check_says_how_good_a_map_is(town, capsys):
     assert worst[0]["normalized"] == max(label["normalized"] for label in worst)
     assert set(worst[0]) == {
         "observation_id", "element_id", "frame_index", "side", "residual_px", "normalized",
+        "pose_is_wrong",
     }  # fmt: skip
 
 

@@ -190,4 +190,4 @@ def test_poses_of_another_make_a_workspace(
             frame.T_map_camera.as_matrix(), other.T_map_camera.as_matrix(), atol=1e-9
         )
     poses.unlink()
-    refused(run("trajectory", tmp_path / "slam", tmp_path / "x.tum"), "no such file of poses")
+    refused(run("trajectory", tmp_path / "slam", tmp_path / "x.tum"), "semviz relink")

@@ -158,6 +158,7 @@ INPUTS = {
     "map import": {"workspace", "file"},
     "poses check": {"workspace"},
     "poses refine": {"workspace"},
+    "poses choose": {"workspace"},
     "localize": {"workspace", "weights"},
     "record": {"workspace", "poses", "matches"},
     "relink": {"workspace", "root", "images", "right", "poses"},

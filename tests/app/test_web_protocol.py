@@ -14,6 +14,7 @@ from drawn_marks import sign
 from pydantic import Field, ValidationError
 
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
+from semviz.annotator.pose_requests import PoseSteps
 from semviz.annotator.session import LabelSession
 from semviz.web import protocol
 from semviz.web.protocol import (
@@ -212,6 +213,7 @@ def opened(tmp_path: Path) -> Any:
         scenes=ViserServers(),
         scene_thread=later,
         search_thread=later,
+        pose_steps=PoseSteps(),
         pages=[],
     )
     page = AnnotatorPage("id", events.append, shared)

@@ -17,6 +17,7 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, heading_rad
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.detection_sigma import LEAST_SCALE, sigma_fault, with_sigma_scaled
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind
 from semviz_core.diagnosis.reference import FrameReference, is_healthy
@@ -32,36 +33,39 @@ SEEN_M = 40.0
 
 def solve_with_prior(case: FrameReference, prior: Prior) -> Localization:
     """Return the frame solved with another prior, in the submap around that prior."""
-    result = case.localization
     moved_m = float(np.linalg.norm((prior.position_m - case.prior.position_m)[:2]))
-    submap = result.submap
+    submap = case.localization.submap
     if moved_m > 0.0 or prior.horizontal_sigma_m > case.prior.horizontal_sigma_m:
         submap = _around(case, prior)
-    return Localizer(detector=case.detector).localize(result.observed, submap, result.camera, prior)
+    return _solved(case, submap, prior)
 
 
 def solve_with_sigma(case: FrameReference, factor: float) -> Localization:
     """Return the frame solved with larger sigmas of the detections."""
-    result = with_sigma_scaled(case, factor).localization
-    return Localizer(detector=case.detector).localize(
-        result.observed, result.submap, result.camera, case.prior
-    )
+    return _solved(with_sigma_scaled(case, factor), case.localization.submap, case.prior)
 
 
 def solve_with_more_effort(case: FrameReference) -> Localization:
     """Return the frame solved by the widest search."""
-    result = case.localization
-    return Localizer("wide", detector=case.detector).localize(
-        result.observed, result.submap, result.camera, case.prior
-    )
+    return _solved(case, case.localization.submap, case.prior, "wide")
 
 
 def solve_in_wide_submap(case: FrameReference) -> Localization:
     """Return the frame solved in a submap with all that it may have detected."""
+    return _solved(case, _around(case, case.prior), case.prior)
+
+
+def _solved(
+    case: FrameReference, submap: Elements3D, prior: Prior, method: str = "search"
+) -> Localization:
+    """Return the frame solved again; as it is if its input is none that ``Localizer`` takes, for
+    example of another localizer."""
     result = case.localization
-    return Localizer(detector=case.detector).localize(
-        result.observed, _around(case, case.prior), result.camera, case.prior
-    )
+    localizer = Localizer(method, classes=case.semantic_map.classes, detector=case.detector)
+    try:
+        return localizer.localize(result.observed, submap, result.camera, prior)
+    except SemvizError:
+        return result
 
 
 def _around(case: FrameReference, prior: Prior) -> Elements3D:
