@@ -110,7 +110,7 @@ def test_the_same_by_keys_alone_and_off_by_one(
     driver.page.keyboard.press("Control+z")
     driver.page.keyboard.press("Escape")
     driver.settle()
-    driver.page.keyboard.press("w")
+    driver.page.keyboard.press("Shift+P")
     assert point_at(driver, pole_px.mean(axis=0) + np.array([0.0, 2.0])) is None
     press(driver)
     assert driver.page.evaluate("semviz.state.drawing !== null")
