@@ -93,8 +93,7 @@ def test_one_click_saves_the_pole_that_is_shown_and_one_key_its_match(
     assert {left.side, right.side} == {"left", "right"}
     assert left.element_id == right.element_id
     for _ in range(2):
-        driver.page.keyboard.press("Control+z")
-        driver.settle()
+        driver.press_and_save("Control+z")
     assert served.observations == []
 
 
