@@ -66,8 +66,8 @@ class Cameras:
 
 LEAST_ANGLE_RAD = float(np.deg2rad(1.8))
 """Least angle between the rays of both images, if there is no right camera, to a point
-``REFERENCE_M`` ahead and aside. Driving straight ahead, that needs 4 m; for a camera that looks
-aside, it needs 1 m."""
+``REFERENCE_M`` ahead and aside. Driving straight ahead, that needs 4 m to an earlier frame and 3 m
+to a later one; for a camera that looks aside, it needs 1 m."""
 REFERENCE_M = np.array([[4.0, 0.0, 20.0], [-4.0, 0.0, 20.0]])
 LEAST_APART_M = 0.3
 MOST_FRAMES_APART = 20

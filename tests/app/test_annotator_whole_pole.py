@@ -93,8 +93,7 @@ def test_one_click_saves_the_pole_that_is_shown_and_one_key_its_match(
     assert {left.side, right.side} == {"left", "right"}
     assert left.element_id == right.element_id
     for _ in range(2):
-        driver.page.keyboard.press("Control+z")
-        driver.settle()
+        driver.press_and_save("Control+z")
     assert served.observations == []
 
 
@@ -110,7 +109,7 @@ def test_the_same_by_keys_alone_and_off_by_one(
     driver.page.keyboard.press("Control+z")
     driver.page.keyboard.press("Escape")
     driver.settle()
-    driver.page.keyboard.press("w")
+    driver.page.keyboard.press("Shift+P")
     assert point_at(driver, pole_px.mean(axis=0) + np.array([0.0, 2.0])) is None
     press(driver)
     assert driver.page.evaluate("semviz.state.drawing !== null")

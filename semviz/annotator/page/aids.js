@@ -10,7 +10,7 @@ import { RenderCache, badge, row } from "./widgets.js";
 /** @type {[keyof Switches, string, string][]} */
 const AIDS = [
   ["snap", "Snap to edge", "M"],
-  ["whole", "Whole pole", "W"],
+  ["whole", "Whole pole", "Shift P"],
   ["loupe", "Loupe", "L"],
   ["guides", "Epipolar line", "I"],
   ["proposals", "Proposals", "G"],

@@ -32,7 +32,7 @@ export class Backdrop {
   async show() {
     const shown = this.state.aids.backdrop;
     byId("backdrop").setAttribute("aria-pressed", String(shown));
-    find(byId("backdrop"), "kbd").textContent = this.keys.shown("D");
+    find(byId("backdrop"), "kbd").textContent = this.keys.shown("Shift B");
     if (shown === this.asked) return;
     const note = await this.#ask(shown);
     this.page.notify(note);

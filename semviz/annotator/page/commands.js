@@ -84,7 +84,7 @@ export function commands(state, images, tools, actions) {
     { key: "PageDown", group: "View", title: "Zoom out", run: () => images.zoomBy(1 / 1.5, state.cursor?.pixel) },
     { key: "0", group: "View", title: "Whole image", run: () => images.fit() },
     { key: "m", group: "View", title: "Snap to edges", run: toggle("snap") },
-    { key: "w", group: "View", title: "Whole pole by one click", words: "ghost", run: toggle("whole") },
+    { key: "p", shift: true, group: "View", title: "Whole pole by one click", words: "ghost", run: toggle("whole") },
     { key: "l", group: "View", title: "Loupe", run: toggle("loupe") },
     { key: "i", group: "View", title: "Epipolar line", run: toggle("guides") },
     { key: "g", group: "View", title: "Proposals", run: toggle("proposals") },

@@ -34,7 +34,7 @@ export function hints(state) {
 
 /** @param {Ghost} ghost */
 const forGhost = ({ joins }) => [
-  hint(joins ? `${joins} as dashed` : "the whole pole as dashed", "Click"), hint("peak, then bottom", "Shift Click"), hint("one stroke", "Drag"), hint("no whole poles", "W"),
+  hint(joins ? `${joins} as dashed` : "the whole pole as dashed", "Click"), hint("peak, then bottom", "Shift Click"), hint("one stroke", "Drag"), hint("no whole poles", "Shift P"),
 ];
 
 /** @param {annotator.EntryView} entry */
