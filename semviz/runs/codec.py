@@ -110,6 +110,8 @@ def _decode(node: Any, hint: Any, pools: _PoolReader) -> Any:
 def _kind(hint: Any) -> tuple[str, Any]:
     """Return the kind of a type hint, and its inner hint, members or dtype."""
     origin, inner = get_origin(hint), get_args(hint)
+    if (alias := getattr(origin, "__value__", None)) is not None:  # NDArray, from NumPy 2.5 on
+        return _kind(alias[inner])
     if origin in (Union, UnionType):
         (kind,) = (choice for choice in inner if choice is not NoneType)
         return "optional", kind
