@@ -99,4 +99,4 @@ def test_the_page_shows_the_worst_check_first(served: Served, page: "Page") -> N
     page.keyboard.press("F9")
     page.wait_for_selector("#drive-steps .drive-step")
     page.click('#drive-steps button:has-text("Start")')
-    assert page.get_attribute("#tab-images", "aria-current") == "true"
+    page.wait_for_selector('#tab-images[aria-current="true"]')
