@@ -25,13 +25,13 @@ from scipy.stats import chi2
 from support.planted_pose_faults import POSE_FAULTS, PlantedFault, noisy
 from support.street_labels import careful, label_street
 
-from semviz.workspace.pose_labels import DriveWithPoses
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import footprint_covariance_m2, footprint_m
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import DatasetWithFrames
 from semviz_core.pose_checks.faults import PoseCheck, check_drive, refined_frames
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
@@ -56,7 +56,7 @@ def errors(
     """Return error (m), squared normalized error and degrees of freedom of elements concerned."""
     try:
         built, _ = build_map(
-            labels, DriveWithPoses(street, tuple(frames)), BuildOptions(sigma_px=LABEL_PX)
+            labels, DatasetWithFrames(street, tuple(frames)), BuildOptions(sigma_px=LABEL_PX)
         )
     except SemvizError:
         return np.zeros(0), np.zeros(0), np.zeros(0)

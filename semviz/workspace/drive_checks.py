@@ -16,7 +16,7 @@ from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, read_limited, shown
 from semviz_core.datasets.own_drive import match_checks
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
-from semviz_core.datasets.rig_cameras import OneCamera, frames_by_camera
+from semviz_core.datasets.rig_cameras import DatasetWithFrames, frames_by_camera
 
 CHECKS = Path("checks", "checks.json")
 MOST_GAP_S = 0.5
@@ -76,7 +76,7 @@ def check_drive_files(dataset: Dataset, drive: RecordedDrive) -> Iterator[DriveC
         yield _rows(dataset)
     if drive.axes is not None:
         for camera, frames in frames_by_camera(dataset).items():
-            yield _poses(OneCamera(dataset, frames), drive, camera)
+            yield _poses(DatasetWithFrames(dataset, frames), drive, camera)
         for camera, frames in frames_by_camera(dataset).items():
             yield from _gaps(frames, camera)
 

@@ -16,11 +16,11 @@ from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.quality.label_links import map_rows
-from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Dataset, Frame, Side
-from semviz_core.base.semantic_map import MapFrame, SemanticMap, footprint_m
-from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.base.semantic_map import SemanticMap, footprint_m
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.rig_cameras import DatasetWithFrames
 from semviz_core.metrics.image_errors import ImageErrors
 from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
 
@@ -59,30 +59,11 @@ class LabelEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class DriveWithPoses:
-    """A drive with other poses."""
-
-    source: Dataset
-    frames: tuple[Frame, ...]
-
-    @property
-    def map_frame(self) -> MapFrame:
-        return self.source.map_frame
-
-    @property
-    def rig(self) -> Rig:
-        return self.source.rig
-
-    def image(self, index: int, side: Side) -> ByteImage:
-        return self.source.image(index, side)
-
-
-@dataclass(frozen=True, eq=False)
 class PlacedElements:
     """Elements of a map as the poses of a drive show them."""
 
     semantic_map: SemanticMap
-    drive: DriveWithPoses
+    drive: DatasetWithFrames
 
     @cached_property
     def _poses(self) -> dict[int, Frame]:
@@ -142,8 +123,8 @@ class FaultLabels:
         rows = tuple(row for index in sorted(inside) for row in labels.in_frame(index))
         elements = {row.element_id for row in rows}
         seen = {row.frame_index for id_ in elements for row in labels.of_element(id_)} & known
-        given = DriveWithPoses(source, check.frames)
-        refined = DriveWithPoses(source, refined_frames(check))
+        given = DatasetWithFrames(source, check.frames)
+        refined = DatasetWithFrames(source, refined_frames(check))
         outside = seen - inside
         try:
             if known - inside and not outside:
@@ -190,7 +171,7 @@ class FaultLabels:
         return {id_: float(np.median(sizes)) for id_, sizes in errors.items()}
 
 
-def _placed(labels: Labels, drive: DriveWithPoses, frames: Collection[int]) -> SemanticMap:
+def _placed(labels: Labels, drive: DatasetWithFrames, frames: Collection[int]) -> SemanticMap:
     semantic_map, _ = build_map(labels, drive, frames=sorted(frames))
     return semantic_map
 
@@ -229,7 +210,7 @@ def element_moves(
     )
     try:
         before, after = (
-            _placed(labels, DriveWithPoses(source, poses), frames)
+            _placed(labels, DatasetWithFrames(source, poses), frames)
             for poses in (check.frames, mixed)
         )
     except SemvizError:  # too few labels
@@ -263,13 +244,13 @@ class FrameAgreement:
 
 
 def frame_agreements(
-    labels: Labels, drive: DriveWithPoses, refined: Sequence[Frame]
+    labels: Labels, drive: DatasetWithFrames, refined: Sequence[Frame]
 ) -> Iterator[FrameAgreement]:
     """Yield for each labelled frame how its labels fit the poses of ``drive``.
 
     The elements are placed with refined poses.
     """
-    good = DriveWithPoses(drive.source, tuple(refined))
+    good = DatasetWithFrames(drive.source, tuple(refined))
     posed = {frame.index for frame in good.frames if frame.T_map_camera is not None}
     try:
         placed = PlacedElements(_placed(labels, good, posed & set(labels.frames)), drive)

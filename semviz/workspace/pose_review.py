@@ -23,7 +23,6 @@ from semviz.workspace.pose_choices import (
     write_choices,
 )
 from semviz.workspace.pose_labels import (
-    DriveWithPoses,
     ElementMove,
     FaultLabels,
     FrameAgreement,
@@ -36,7 +35,7 @@ from semviz_annotation.mapping.build import POSES
 from semviz_core.base.frame import FileDataset, Frame
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.rig_cameras import cameras_by_frame
+from semviz_core.datasets.rig_cameras import DatasetWithFrames, cameras_by_frame
 from semviz_core.pose_checks.comparison import rows_of_runs
 from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
 
@@ -127,7 +126,7 @@ class PoseFindings:
     @cached_property
     def agreements(self) -> dict[int, FrameAgreement]:
         """How the labels of each frame fit the given poses."""
-        given = DriveWithPoses(self.workspace.given_source, self.check.frames)
+        given = DatasetWithFrames(self.workspace.given_source, self.check.frames)
         found = frame_agreements(self.labels, given, refined_frames(self.check))
         return {agreement.frame: agreement for agreement in found}
 

@@ -38,8 +38,8 @@ class RigDataset(Dataset, Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class OneCamera:
-    """A ``Dataset`` with some frames of another, such as those of one camera of a rig."""
+class DatasetWithFrames:
+    """A ``Dataset`` with the images of another: some of its frames, or frames with other poses."""
 
     source: Dataset
     frames: tuple[Frame, ...]
