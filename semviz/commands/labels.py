@@ -26,6 +26,10 @@ ImportFormat: TypeAlias = Annotated[
     Literal["log", "cvat", "labelme", "coco"] | None,
     arg(metavar="{log,cvat,labelme,coco}", help_behavior_hint=""),
 ]
+Pixels: TypeAlias = Annotated[
+    Literal["recorded", "rectified"] | None,
+    arg(metavar="{recorded,rectified}", help_behavior_hint=""),
+]
 _CVAT = (b"<annotations>\n  <version>1.1</version>\n  <meta>\n    <task>\n      <name>",)
 _MARKS = {
     "log": (b'{"format": "semviz-operations"',),
@@ -51,6 +55,9 @@ class LabelsExportCommand:
     recorded images, others the log with one operation per line."""
     side: OptionalSide = None
     """Images of one side only; default for cvat-video: left."""
+    start_frame: parsing.OptionalInt = None
+    """cvat-video: number of the workspace's first image in the CVAT task, the others follow one by
+    one; default: frame numbers of the workspace, for a task of the whole sequence."""
     force: parsing.Force = False
     json: bool = False
     """Print one JSON object instead of lines: counts, and losses of the format."""
@@ -64,15 +71,23 @@ class LabelsExportCommand:
         self._check_file(format_)
         if format_ is None or format_ == "log":
             return self._export_log(workspace)
+        source = workspace.source
+        frames = {frame.index for frame in source.frames}
         with workspace.open_labels() as store:
-            original = original_pixels(workspace.source) if format_ == "csv" else None
-            report = export_labels(store, self.file, format_, self.side, original)
+            original = original_pixels(source) if format_ == "csv" else None
+            report = export_labels(
+                store, self.file, format_, self.side, original, frames, self.start_frame
+            )
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
 
     def _check_file(self, format_: ExportFormat) -> None:
         from semviz.workspace import outputs
 
+        if self.start_frame is not None and format_ != "cvat-video":
+            raise SemvizError("--start-frame is for --format cvat-video; leave it out")
+        if self.start_frame is not None and not 0 <= self.start_frame < 2**30:
+            raise SemvizError(f"--start-frame {self.start_frame}: give 0 or more")
         if format_ == "labelme":
             outputs.check_new_folder(self.file, [self.workspace])
             return
@@ -105,7 +120,11 @@ class LabelsImportCommand:
     side: OptionalSide = None
     """Side of images whose names do not tell it."""
     class_map: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name. The NAME '*' is
+    all others."""
+    pixels: Pixels = None
+    """Images that were drawn in, for drives of your own: as recorded, or rectified by semviz.
+    Default: recorded if the file has their names, rectified for names such as left/000012.png."""
     author: parsing.OptionalText = None
     """Author in the history; default: your login name."""
     json: bool = False
@@ -115,6 +134,7 @@ class LabelsImportCommand:
         from semviz.workspace.settings import login_name
         from semviz.workspace.workspace import Workspace
         from semviz_annotation.label_formats.exchange import import_labels
+        from semviz_annotation.label_formats.import_context import ImageNames
         from semviz_annotation.label_formats.reading import parse_class_map
 
         workspace = Workspace.open(self.workspace)
@@ -123,9 +143,10 @@ class LabelsImportCommand:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
                 from semviz_annotation.storage.backup import import_operations, tells_its_length
 
-                if class_map or self.side is not None:
+                if class_map or self.side is not None or self.pixels is not None:
                     raise SemvizError(
-                        "--side and --class-map do not apply to a log of operations; leave them out"
+                        "--side, --class-map and --pixels do not apply to a log of operations; "
+                        "leave them out"
                     )
                 import_operations(self.file, store)
                 note = "" if tells_its_length(self.file) else UNCHECKED
@@ -139,6 +160,8 @@ class LabelsImportCommand:
                 frames={frame.index for frame in workspace.source.frames},
                 side=self.side,
                 class_map=class_map,
+                recorded=ImageNames.of(workspace.source),
+                pixels=self.pixels,
             )
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
