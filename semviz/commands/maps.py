@@ -329,6 +329,8 @@ class MapImportCommand:
     OpenStreetMap."""
     all_of_class: parsing.OptionalText = None
     """The class of everything in a file of GeoJSON, for example of a city's street lamps."""
+    height_property: parsing.OptionalText = None
+    """Property of GeoJSON with the height of poles; default: 'height'."""
     pole_height: parsing.OptionalFloat = None
     """Height (m) of poles that are points without one; default: they are left out."""
     sign_height: parsing.OptionalFloat = None
@@ -369,6 +371,7 @@ class MapImportCommand:
             anchor,
             self.class_property,
             self.all_of_class,
+            self.height_property,
             self.pole_height,
             self.sign_height,
         )
