@@ -23,11 +23,10 @@ from semviz_annotation.label_formats.reading import (
 )
 from semviz_annotation.label_formats.shapes import DrawnShape, axis, centroid
 from semviz_annotation.labels.rows import Observation, Pixel, Rules, is_id
-from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.classes import OLDER, TRIANGULAR, TriangleCenter
 from semviz_core.base.frame import Dataset, Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.image_files import ImageFolder
 
 OTHERS = "*"
 """Name in a class map of all classes that are neither mapped nor known."""

@@ -23,9 +23,8 @@ from semviz_annotation.map_formats.georeference import (
     require_georeference,
 )
 from semviz_annotation.map_formats.sign_codes import OSM_TAGS, sign_class
-from semviz_core.base.classes import POLE
+from semviz_core.base.classes import POLE, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
