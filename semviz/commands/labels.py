@@ -44,7 +44,9 @@ _BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco", ".csv
 
 @dataclass(frozen=True)
 class LabelsExportCommand:
-    """Export the labels of a workspace: the log of all operations, or another tool's format."""
+    """Export the labels of a workspace: the log of all operations, or another tool's format.
+
+    Examples: 'semviz labels export town labels.jsonl'; 'semviz labels export town town.xml'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -108,7 +110,10 @@ class LabelsExportCommand:
 
 @dataclass(frozen=True)
 class LabelsImportCommand:
-    """Import labels of another tool, or fill a new workspace from a log of operations."""
+    """Import labels of another tool, or fill a new workspace from a log of operations.
+
+    Example: 'semviz labels import town theirs.json --class-map lamp=pole --class-map "*=ignore"'.
+    """
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -169,7 +174,9 @@ class LabelsImportCommand:
 
 @dataclass(frozen=True)
 class LabelsProposeCommand:
-    """Import detections as proposals, to accept or reject while labelling."""
+    """Import detections as proposals, to accept or reject while labelling.
+
+    Example: 'semviz labels propose town detections.parquet'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -225,7 +232,8 @@ class LabelsCheckCommand:
     """Check that no label was lost or altered: the log is complete, and the labels follow from it.
 
     Otherwise, exit with status 2 and name the operation at which the log breaks.
-    """
+
+    Example: 'semviz labels check town'."""
 
     workspace: Positional[Path]
     """Workspace; others may use it meanwhile."""
@@ -249,12 +257,15 @@ class LabelsCheckCommand:
 
 @dataclass(frozen=True)
 class LabelsBackupCommand:
-    """Copy all labels and their history into one file, even while others label."""
+    """Copy all labels and their history into one file, even while others label.
+
+    Example: 'semviz labels backup town labels.db'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
     file: Positional[Path]
     """File to write (.db); it may replace only an earlier backup of the same labels."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.workspace.outputs import DATABASE, check_outputs
@@ -262,18 +273,24 @@ class LabelsBackupCommand:
 
         check_outputs(self.file, DATABASE, can_force=False, reads=[self.workspace])
         state = backup_labels(parsing.open_workspace(self.workspace).labels_path, self.file)
-        print(f"{self.file}: {state.operations} operations, checked")
+        if self.json:
+            print(json.dumps({"path": str(self.file), "operations": state.operations}))
+        else:
+            print(f"{self.file}: {state.operations} operations, checked")
         return 0
 
 
 @dataclass(frozen=True)
 class LabelsRestoreCommand:
-    """Restore the labels of a backup, even while others label; keep the replaced file beside it."""
+    """Restore the labels of a backup, even while others label; keep the replaced file beside it.
+
+    Example: 'semviz labels restore town labels.db'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
     file: Positional[Path]
     """Backup made by 'semviz labels backup'."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz_annotation.storage.backup import restore_labels
@@ -281,5 +298,9 @@ class LabelsRestoreCommand:
         path = parsing.open_workspace(self.workspace).labels_path
         state, replaced = restore_labels(path, self.file)
         kept = "" if replaced is None else f"; the replaced file is kept as {replaced}"
-        print(f"{path}: {state.operations} operations{kept}")
+        if self.json:
+            said = {"path": str(path), "operations": state.operations}
+            print(json.dumps(said | {"kept": None if replaced is None else str(replaced)}))
+        else:
+            print(f"{path}: {state.operations} operations{kept}")
         return 0

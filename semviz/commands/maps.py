@@ -31,7 +31,9 @@ _METHOD_OPTIONS = {
 @dataclass(frozen=True)
 class MapBuildCommand:
     """Build a map from labels or detections: triangulate, associate elements of one landmark,
-    reject outliers."""
+    reject outliers.
+
+    Examples: 'semviz map build town'; 'semviz map build town --from detections'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -158,7 +160,9 @@ class MapBuildCommand:
 @dataclass(frozen=True)
 class MapCheckCommand:
     """Check a map: its errors against the labels (or its detections) per class, the labels that
-    agree least with the others, and the findings of lint."""
+    agree least with the others, and the findings of lint.
+
+    Example: 'semviz map check town'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -215,7 +219,9 @@ class MapCheckCommand:
 
 @dataclass(frozen=True)
 class MapDiffCommand:
-    """List the differences of two maps: elements moved, new, gone, merged, split, renumbered."""
+    """List the differences of two maps: elements moved, new, gone, merged, split, renumbered.
+
+    Example: 'semviz map diff town main other'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -244,7 +250,9 @@ def _read(workspace: "Workspace", name: str) -> "SemanticMap":
 @dataclass(frozen=True)
 class MapLocalizabilityCommand:
     """Predict localization from the map alone: expected error along the route, ambiguous stretches,
-    and the new elements that help most."""
+    and the new elements that help most.
+
+    Example: 'semviz map localizability town --plot route.png'."""
 
     workspace: Positional[Path]
     """Workspace: its camera, and the route by its poses (without poses, by the map)."""
