@@ -8,6 +8,7 @@ import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
 /** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
 /** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
 
@@ -72,6 +73,8 @@ export class FrameList {
     /** @type {Set<number> | null} */
     this.withElement = null; // their positions
     this.elementName = "";
+    /** @type {{kind: string, positions: Set<number>} | null} */
+    this.cause = null; // only frames that it explains
     page.socket.on("element_frames", (event) => this.showElementFrames(event));
     byId("frame-list").addEventListener("click", (event) => goToClicked(page, event));
     this.choice = byId("diagnosis-filter", HTMLSelectElement);
@@ -98,6 +101,7 @@ export class FrameList {
     this.diagnosis = null;
     this.element = null;
     this.withElement = null;
+    this.cause = null;
   }
 
   showRun() {
@@ -161,6 +165,15 @@ export class FrameList {
     this.page.address.changed();
   }
 
+  /** Only frames that a cause of the run's story explains; null shows all.
+   *
+   * @param {StoryCause | null} cause
+   */
+  showCause(cause) {
+    this.cause = cause && { kind: cause.kind, positions: new Set(cause.frames) };
+    this.fill();
+  }
+
   toggleElement() {
     this.filter({ element: this.element === null ? this.page.store.state.element : null });
   }
@@ -174,14 +187,15 @@ export class FrameList {
     return this.page.store.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
       (except === "status" || !this.status || row.status === this.status)
       && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
-      && (!this.withElement || this.withElement.has(row.position)));
+      && (!this.withElement || this.withElement.has(row.position))
+      && (!this.cause || this.cause.positions.has(row.position)));
   }
 
   fill() {
     this.groups = grouped(this.rows()).sort((a, b) => severity(b) - severity(a) || a.position - b.position);
     const none = el("li", { class: "none dim", text: "No frames match these filters." });
     byId("frame-list").replaceChildren(...(this.groups.length ? this.groups.map(listRow) : [none]));
-    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)));
+    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), ...this.causeChip());
     this.fillDiagnoses();
     this.fillElement();
     this.pointAt(this.page.store.target);
@@ -198,6 +212,12 @@ export class FrameList {
     });
     chip.append(status ? statusMark(status) : el("span", { text: "All" }), el("span", { text: rows.length }));
     return chip;
+  }
+
+  causeChip() {
+    if (!this.cause) return [];
+    return [el("button", { class: "chip", title: "Only frames that this cause explains. Click to show all", "aria-pressed": true,
+      text: `${this.cause.kind} ✕`, onclick: () => this.showCause(null) })];
   }
 
   /** Most frequent first. */
