@@ -2,7 +2,9 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +16,15 @@ from small_runs import off_by, run_with_a_moved_pole, saved, small_run, spoiled,
 
 from semviz.inspector.server import Inspector
 from semviz.inspector.story import story_view
-from semviz.runs.diagnosis import run_diagnosis
-from semviz.runs.run import FrameRecord, Run
+from semviz.runs import diagnosis
+from semviz.runs.diagnosis import (
+    DetectionErrors,
+    diagnosis_card,
+    diagnosis_name,
+    run_diagnosis,
+)
+from semviz.runs.reader import assemble, load_run, read_rows
+from semviz.runs.run import DIAGNOSIS, FrameRecord, Run
 from semviz.runs.story import frames_text, stretches, tell
 from semviz.web.gateway import Gateway
 from semviz_core.diagnosis.fault import RunFault
@@ -39,8 +48,8 @@ def test_a_run_without_failures_says_that_all_frames_are_right() -> None:
 
 def test_every_wrong_frame_belongs_to_one_cause_and_the_largest_comes_first() -> None:
     run = lost_run()
-    for diagnosis in (None, run_diagnosis(run)):
-        story = tell(run, diagnosis)
+    for diagnosed in (None, run_diagnosis(run)):
+        story = tell(run, diagnosed)
         explained = [position for cause in story.causes for position in cause.frames]
         assert sorted(explained) == [1, 2, 4] == np.flatnonzero(story.is_wrong).tolist()
         sizes = [len(cause.frames) for cause in story.causes]
@@ -61,10 +70,10 @@ def test_a_cause_of_the_whole_run_takes_the_frames_that_it_explains_from_their_o
 
 def test_a_fault_of_an_element_explains_only_frames_that_it_is_the_diagnosis_of() -> None:
     run, pole = run_with_a_moved_pole()
-    diagnosis = run_diagnosis(run)
-    assert [fault.elements for fault in diagnosis.elements] == [(pole,)]
-    assert len(diagnosis.elements[0].frames) == len(run.frames), "all frames show it"
-    story = tell(run, diagnosis)
+    diagnosed = run_diagnosis(run)
+    assert [fault.elements for fault in diagnosed.elements] == [(pole,)]
+    assert len(diagnosed.elements[0].frames) == len(run.frames), "all frames show it"
+    story = tell(run, diagnosed)
     (cause,) = story.causes
     assert (cause.kind, cause.is_of_run) == ("moved in the map", True)
     assert list(cause.frames) == np.flatnonzero(story.is_wrong).tolist() != []
@@ -99,6 +108,34 @@ def nowhere(record: FrameRecord) -> FrameRecord:
         frame=replace(failed.frame, T_map_camera=None),
         localization=replace(failed.localization, prior=None),
     )
+
+
+def test_a_run_read_again_has_its_diagnoses_unless_they_are_damaged_or_of_another_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = lost_run()
+    path = saved(
+        replace(run, info=replace(run.info, version=version("semviz"))), tmp_path / "a.rrd"
+    )
+    old = saved(run, tmp_path / "old.rrd")
+    names = [diagnosis_name(run, record) for record in run.frames]
+    with monkeypatch.context() as patch:
+        patch.setattr(diagnosis, "diagnose_frame", _refuse)
+        read = load_run(path)
+        assert [diagnosis_name(read, record) for record in read.frames] == names
+        card = diagnosis_card(read, read.frames[1], DetectionErrors((), ()))
+        with pytest.raises(AssertionError, match="diagnosed again"):
+            [diagnosis_name(load_run(old), record) for record in load_run(old).frames]
+    assert card == diagnosis_card(run, run.frames[1], DetectionErrors((), ()))
+    rows, _ = read_rows(path)
+    for _, row in rows[DIAGNOSIS]:
+        row["structure"][0] = row["structure"][0].replace("kind", "kinb")
+    damaged = assemble(path, rows, damaged=False)
+    assert [diagnosis_name(damaged, record) for record in damaged.frames] == names
+
+
+def _refuse(*_: object) -> None:
+    raise AssertionError("diagnosed again")
 
 
 @given(st.sets(st.integers(0, 60)))
