@@ -3,6 +3,7 @@
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
+import { VirtualList } from "/static/virtual_list.js";
 import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
 
 /** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
@@ -14,6 +15,7 @@ import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
 
 /** @type {Status[]} */
 const STATUSES = ["ok", "ambiguous", "cannot"];
+const ROW_PX = 26;
 
 /** @typedef {FrameRow["status"]} Status */
 /** @typedef {FrameRow & {position: number}} PlacedRow */
@@ -64,6 +66,9 @@ export class FrameList {
     this.page = page;
     /** @type {FrameGroup[]} */
     this.groups = [];
+    /** @type {Map<number, number>} */
+    this.groupOf = new Map(); // by position
+    this.rowList = new VirtualList(byId("frame-list"), ROW_PX, (index) => listRow(this.groups[index]));
     /** @type {Status | null} */
     this.status = null;
     /** @type {string | null} */
@@ -136,16 +141,12 @@ export class FrameList {
 
   /** @param {number} position */
   pointAt(position) {
-    [...byId("frame-list").children].forEach((row, at) => {
-      const current = this.groups[at]?.members.includes(position) ?? false;
-      row.setAttribute("aria-current", String(current));
-      if (current) row.scrollIntoView({ block: "nearest" });
-    });
+    this.rowList.mark(this.groupOf.get(position) ?? -1);
   }
 
   /** @param {number} by */
   step(by) {
-    const now = this.groups.findIndex((group) => group.members.includes(this.page.store.target));
+    const now = this.groupOf.get(this.page.store.target) ?? -1;
     const next = this.groups[Math.min(Math.max(now + by, 0), this.groups.length - 1)];
     if (next) this.page.go(next.position);
   }
@@ -193,8 +194,9 @@ export class FrameList {
 
   fill() {
     this.groups = grouped(this.rows()).sort((a, b) => severity(b) - severity(a) || a.position - b.position);
-    const none = el("li", { class: "none dim", text: "No frames match these filters." });
-    byId("frame-list").replaceChildren(...(this.groups.length ? this.groups.map(listRow) : [none]));
+    this.groupOf = new Map(this.groups.flatMap(({ members }, index) => members.map((position) => [position, index])));
+    this.rowList.show(this.groups.length);
+    if (!this.groups.length) byId("frame-list").append(el("li", { class: "none dim", text: "No frames match these filters." }));
     byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), ...this.causeChip());
     this.fillDiagnoses();
     this.fillElement();
