@@ -165,7 +165,7 @@ def test_the_page_leads_from_a_cause_to_its_frames_and_to_one_of_them(
     page.keyboard.press("F3")
     wait_for(page, lambda: page.locator("#story-causes .cause").count() > 0, "the causes")
     assert "3 of 6 frames" in page.inner_text("#story-headline")
-    wait_for(page, lambda: in_url(page, "view") == "story", "the address")
+    wait_for(page, lambda: in_url(page, "show") == "story", "the address")
     listed = page.locator("#frame-list .row").count()
     page.locator("#story-causes .cause").first.click()
     assert page.locator("#frame-list .row").count() < listed

@@ -53,9 +53,9 @@ export class Story {
   address() {
     const name = () => (this.isOpen ? "story" : "frame");
     return [{
-      fields: { view: { initial: null, accepts: (text) => text === "story" || text === "frame" } },
-      get: () => ({ view: this.isOpen === this.isFirst() ? null : name() }),
-      set: ({ view }) => this.show(view ? view === "story" : this.isFirst()),
+      fields: { show: { initial: null, accepts: (text) => text === "story" || text === "frame" } },
+      get: () => ({ show: this.isOpen === this.isFirst() ? null : name() }),
+      set: ({ show }) => this.show(show ? show === "story" : this.isFirst()),
     }];
   }
 
