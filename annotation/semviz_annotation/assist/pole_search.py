@@ -18,7 +18,7 @@ from semviz_annotation.assist.image_search import (
     RefinedMark,
 )
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, clip_to_image, pixel
-from semviz_annotation.assist.pole_ends import align_ends
+from semviz_annotation.assist.pole_ends import align_ends, longer
 from semviz_annotation.assist.score import probability
 from semviz_annotation.assist.snap import CLEAR, best_snap
 from semviz_annotation.labels.views import PosedView
@@ -120,7 +120,9 @@ def refine_pole(search: ImageSearch, choice: ChosenOffset) -> RefinedMark:
         ]
     )  # fmt: skip
     what = "followed pole" if edged is None else "seen pole"
-    return RefinedMark(clipped_mark, what, np.array([moved.mean()]), evidence)
+    whole_mark = longer(target, clipped_mark, width)
+    is_longer = whole_mark.ends_px.tolist() != clipped_mark.ends_px.tolist()
+    return RefinedMark(whole_mark, what, np.array([moved.mean()]), evidence, is_longer)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.classes import DEFAULT_CLASSES, ElementClass
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.subpixel.pole_axis import edge_support, find_axes, stripe
+from semviz_core.subpixel.pole_axis import Axis, edge_support, find_axes, stripe
 from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sign_outline import find_outlines
 
@@ -23,6 +23,8 @@ CLEAR = 0.6
 _SHORTEST_PX = 8.0
 _THIN_PX, _DIFFERS = 4.0, 0.35
 """A thinner line must differ from both sides in this share of its rows."""
+_AXES = 3
+"""Candidates for a pole's axis that are tried, the likeliest first, until one is clear."""
 _LARGEST_SHIFT = 0.75
 """Largest distance of a sign's centre from the click, in half sizes of the sign."""
 
@@ -91,18 +93,34 @@ def _pole(image: MarkedImage, mark: Mark, reach_px: float) -> Snap | None:
     marked = mark.ends_px
     if np.linalg.norm(marked[1] - marked[0]) < _SHORTEST_PX:
         return None
-    axes = find_axes(image, marked, reach_px, 2)
-    if not axes:
-        return None
-    axis = refine_axis(image, axes[0])
+    best: Snap | None = None
+    most = 0.0
+    axes = find_axes(image, marked, reach_px, _AXES + 1)
+    for axis in axes[:_AXES]:
+        others = [other.score for other in axes if other is not axis]
+        found = _on_axis(image, mark, axis, max(others, default=axis.score - 5.0), reach_px)
+        clear = 0.0 if found is None else probability("snap pole", found.evidence)
+        if clear > most:
+            best, most = found, clear
+        if most >= CLEAR:
+            break
+    return best
+
+
+def _on_axis(
+    image: MarkedImage, mark: Mark, found: Axis, next_score: float, reach_px: float
+) -> Snap | None:
+    """Return a pole on a candidate for its axis; None if it is too far, or only one edge."""
+    marked = mark.ends_px
+    axis = refine_axis(image, found)
     moved = np.linalg.norm(axis.ends_px - marked, axis=1)
     if moved.max() > reach_px + 1.0:
         return None
     differs = stripe(image, axis.ends_px, axis.width_px)
     if axis.width_px < _THIN_PX and differs < _DIFFERS:
         return None
-    margin = axes[0].score - axes[1].score if len(axes) > 1 else 5.0
-    drift = np.abs(axis.ends_px - axes[0].ends_px).max()
+    margin = found.score - next_score
+    drift = np.abs(axis.ends_px - found.ends_px).max()
     evidence = np.array(
         [
             *edge_support(image, axis.ends_px, axis.width_px), differs, np.clip(margin, 0.0, 3.0),
