@@ -14,13 +14,14 @@ from semviz_core.base.frame import FileDataset, Frame, Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import frames_of_camera
 from semviz_core.datasets.validation import Calibration
-from semviz_core.pose_checks.faults import PoseCheck, check_drive
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_information
 from semviz_core.pose_checks.image_motions import (
     OnProgress,
     load_motions,
     measure_motions,
     save_motions,
 )
+from semviz_core.pose_checks.refinement import PoseInformation
 
 FILE = "image_motions.safetensors"
 MIN_FRAMES = 3
@@ -65,6 +66,17 @@ def known_check(workspace: Workspace) -> PoseCheck | None:
         return None
     check = check_drive(frames, motions, workspace.given_source.rig)
     return check if check.is_checked else None
+
+
+def pose_errors(workspace: Workspace) -> PoseInformation | None:
+    """Return the errors of the poses used now, as images show them; None if the motions of the
+    images are not known."""
+    check = known_check(workspace)
+    if check is None:
+        return None
+    pairs = zip(workspace.given_source.frames, workspace.source.frames, strict=True)
+    refined = [now.index for given, now in pairs if now is not given and not now.left_out]
+    return pose_information(check, refined)
 
 
 def _require_poses(workspace: Workspace, frames: Sequence[Frame]) -> None:

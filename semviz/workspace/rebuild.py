@@ -24,6 +24,7 @@ from semviz.workspace.localize import (
     simulated_odometry,
 )
 from semviz.workspace.observations import Observe, observe_labels, read_detections
+from semviz.workspace.pose_check import pose_errors
 from semviz.workspace.pose_review import with_used_poses
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import rebuild_map, uses_detections
@@ -57,6 +58,7 @@ def rebuild_run(
         workspace.source,
         on_progress,
         read_detections(workspace, ()) if detected else None,
+        pose_errors(workspace),
     )
     semantic_map = with_used_poses(semantic_map, workspace)
     info = _info(run, path, workspace)
