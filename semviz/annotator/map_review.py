@@ -172,7 +172,7 @@ class MapWork:
             self.building = None
 
     def _of_labels(self, labels: Labels) -> SemanticMap:
-        from semviz.workspace.pose_check import pose_errors
+        from semviz.workspace.pose_review import pose_errors
         from semviz_annotation.mapping.build import build_map
 
         workspace = self._workspace
@@ -187,7 +187,7 @@ class MapWork:
 
     def _rebuilt(self, old: SemanticMap, labels: Labels) -> SemanticMap:
         from semviz.workspace.observations import read_detections
-        from semviz.workspace.pose_check import pose_errors
+        from semviz.workspace.pose_review import pose_errors
         from semviz_annotation.mapping.build import rebuild_map
 
         detections = read_detections(self._workspace, ())

@@ -9,12 +9,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from semviz.annotator.detection_tracks import (
-    DetectionTrack,
-    OpenTracks,
-    free_detections,
-    mark_of,
-)
+from semviz.annotator import detection_tracks
 from semviz.annotator.draft import SMALLER, PagePixel
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.image_worker import ImageWorker
@@ -83,7 +78,7 @@ class TrackEdit:
     """
 
     kind: Literal["accept tracks", "reject tracks"]
-    choose: Callable[[Labels], Sequence[DetectionTrack]]
+    choose: Callable[[Labels], Sequence[detection_tracks.DetectionTrack]]
     corrections: Corrections = field(default_factory=dict)
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
@@ -97,9 +92,11 @@ class TrackEdit:
                 raise SemvizError(f"{track.name} is labelled in all images of the track already")
         return AddElements(elements, left_out=self.kind == "reject tracks").changes(labels, rules)
 
-    def _observations(self, track: DetectionTrack, labels: Labels) -> Iterator[Observation]:
-        for detection in free_detections(track.detections, labels):
-            row = mark_of(detection).at(detection.frame_index, detection.side)
+    def _observations(
+        self, track: detection_tracks.DetectionTrack, labels: Labels
+    ) -> Iterator[Observation]:
+        for detection in detection_tracks.free_detections(track.detections, labels):
+            row = detection_tracks.mark_of(detection).at(detection.frame_index, detection.side)
             row = replace(row, id=detection.id)
             if detection.id in self.corrections:
                 anchor_px, end_px = self.corrections[detection.id]
@@ -108,8 +105,8 @@ class TrackEdit:
 
 
 def _named_tracks(
-    tracks: OpenTracks, track_ids: Iterable[str], labels: Labels
-) -> Sequence[DetectionTrack]:
+    tracks: detection_tracks.OpenTracks, track_ids: Iterable[str], labels: Labels
+) -> Sequence[detection_tracks.DetectionTrack]:
     """Return tracks by their ids. Raise SemvizError if the map has none of an id."""
     by_id = tracks.tracks.by_id
     try:
@@ -118,7 +115,9 @@ def _named_tracks(
         raise SemvizError("the last map has no such track any more; nothing was changed") from None
 
 
-def _sure_tracks(tracks: OpenTracks, count: int, labels: Labels) -> Sequence[DetectionTrack]:
+def _sure_tracks(
+    tracks: detection_tracks.OpenTracks, count: int, labels: Labels
+) -> Sequence[detection_tracks.DetectionTrack]:
     """Return all sure tracks. Raise SemvizError if their number is not ``count``, or is 0."""
     sure = tracks.sure(labels)
     if len(sure) != count or not count:
@@ -267,7 +266,7 @@ def _moved(row: Observation, found: Mark, shown: Mark) -> Observation:
 PageTrackEdit: TypeAlias = AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit
 
 
-def track_edit(edit: PageTrackEdit, tracks: OpenTracks) -> TrackEdit:
+def track_edit(edit: PageTrackEdit, tracks: detection_tracks.OpenTracks) -> TrackEdit:
     """Return the edit of the labels that a page asks for."""
     match edit:
         case AcceptSureTracksEdit():

@@ -23,7 +23,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.diagnosis.element_statistics import ElementRecord
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
-from semviz_core.localizability.element_effects import Effect
+from semviz_core.localizability.expected_error import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
 from semviz_core.localizability.route import Conditions
 

@@ -23,7 +23,7 @@ from semviz_annotation.assist import (
     propagate,
 )
 from semviz_annotation.assist.appearance import visible_rows
-from semviz_annotation.assist.track import LabelledView, Track, growth, look_again, size
+from semviz_annotation.assist.score import LabelledView, Track, growth, look_again, size
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate

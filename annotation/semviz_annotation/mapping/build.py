@@ -312,9 +312,9 @@ def build_map(
 
     ``PaperOptions`` build the paper's map. With ``detections``, the landmarks that they show and
     nobody has labelled are added. With ``poses``, covariances include the errors of the poses;
-    otherwise poses count as exact, unless they are refined. Triangular signs follow ``labels``. ``on_progress`` gets the
-    stage, the count that is done, and the total. Raise SemvizError if a labelled frame is not in
-    the source or has no pose, or if nothing can be triangulated.
+    otherwise poses count as exact, unless they are refined. Triangular signs follow ``labels``.
+    ``on_progress`` gets the stage, the count that is done, and the total. Raise SemvizError if a
+    labelled frame is not in the source or has no pose, or if nothing can be triangulated.
     """
     joined = None
     if detections is not None:
