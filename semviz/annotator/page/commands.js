@@ -63,7 +63,7 @@ export function commands(state, images, tools, actions) {
     { key: "o", group: "Draw", title: "Bottom hidden; proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or visible again", run: () => edit.flag("anchor_known") },
     { key: "r", group: "Draw", title: "Swap peak and bottom", run: edit.swap },
-    { key: "a", group: "Draw", title: "Align its other labels to this view", words: "snap track again whole", run: edit.align },
+    { key: "r", shift: true, group: "Draw", title: "Align its other labels to this view", words: "snap track again whole", run: edit.align },
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
     { key: "+", group: "Draw", title: "Show the cursor; again: set a point", run: () => cursor.setPoint() },

@@ -163,7 +163,7 @@ export class Panels {
   #nearest(card) {
     if (!card?.smaller_views || this.state.drawing) return null;
     const text = `Align ${counted(card.smaller_views, "label")} farther away`;
-    return el("p", { class: "about-card" }, el("button", { class: "small", onclick: this.edit.align }, text, badge(this.keys, "A")));
+    return el("p", { class: "about-card" }, el("button", { class: "small", onclick: this.edit.align }, text, badge(this.keys, "Shift R")));
   }
 
   /** Why the card lacks numbers, while the server cannot be asked. */
