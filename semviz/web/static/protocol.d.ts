@@ -58,6 +58,13 @@ export interface AddObservation {
   kind: "add";
 }
 
+/** Move the labels of an element to where its labels in the frame on screen put them. */
+export interface AlignLabelsEdit {
+  kind: "align labels";
+  element_id: string;
+  frame_index: number;
+}
+
 /** A possible review decision, and its edit. */
 export interface AnswerView {
   name: string;
@@ -69,7 +76,7 @@ export interface AnswerView {
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
   base?: EditBase | null;
 }
 
@@ -100,6 +107,7 @@ export interface Card {
   height_sigma_m: number | null;
   length_px: Partial<Record<"left" | "right", number>>;
   epipolar_px: number | null;
+  smaller_views: number;
 }
 
 /** Choose what to do with the poses of a stretch; its ``id`` is stored, so a request that is sent twice is applied once. */
@@ -1387,6 +1395,12 @@ export interface GetSolverRequest {
   id: string;
 }
 
+/** Tell the story of the open run. */
+export interface GetStoryRequest {
+  type: "get_story";
+  id: string;
+}
+
 /** Request the user's viewpoint in 3D. */
 export interface GetViewpointRequest {
   type: "get_viewpoint";
@@ -1986,6 +2000,48 @@ export interface StopSweepRequest {
   id: string;
 }
 
+/** A cause of wrong frames; ``frames`` and ``examples`` are positions. */
+export interface StoryCause {
+  kind: string;
+  sentence: string;
+  where: string;
+  is_of_run: boolean;
+  frames: Array<number>;
+  examples: Array<number>;
+  parts: Array<number>;
+}
+
+/** The story of the run. It has no causes of the run as a whole while ``progress`` has text. */
+export interface StoryEvent {
+  type: "story";
+  reply_to: string | null;
+  progress: string;
+  found: StoryView;
+}
+
+/** A part of the route: map points (m), its frames and wrong frames, and the worst one. */
+export interface StoryPart {
+  points: Array<[number, number]>;
+  frames: number;
+  wrong: number;
+  position: number;
+}
+
+/** The story of a run. Counts are of frames. */
+export interface StoryView {
+  headline: string;
+  detail: string;
+  length_m: number;
+  seconds: number | null;
+  median_m: number | null;
+  ok: number;
+  ambiguous: number;
+  cannot: number;
+  overconfident: number | null;
+  causes: Array<StoryCause>;
+  route: Array<StoryPart>;
+}
+
 /** Find the change most likely to explain the failure of this frame. */
 export interface SuggestWhatIfRequest {
   type: "suggest_what_if";
@@ -2128,6 +2184,7 @@ export interface Requests {
   get_label_edits: GetLabelEditsRequest;
   get_origins: GetOriginsRequest;
   get_solver: GetSolverRequest;
+  get_story: GetStoryRequest;
   get_viewpoint: GetViewpointRequest;
   get_what_if_options: GetWhatIfOptionsRequest;
   go_to_decision: GoToDecisionRequest;
@@ -2186,6 +2243,7 @@ export interface Events {
   selection: SelectionEvent;
   solver: SolverEvent;
   state: StateEvent;
+  story: StoryEvent;
   suggestion: SuggestionEvent;
   suggestion_status: SuggestionStatusEvent;
   viewpoint: ViewpointEvent;
