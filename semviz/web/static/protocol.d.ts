@@ -1323,6 +1323,7 @@ export interface FrameRow {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;
@@ -1335,6 +1336,7 @@ export interface FrameView {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;
