@@ -49,7 +49,7 @@ from semviz.workspace.settings import (
     settings_content,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, NEW, ClassSet, TriangleCenter
+from semviz_core.base.classes import DEFAULT_CLASSES, NEW_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
@@ -309,7 +309,7 @@ class Workspace:
         from semviz_annotation.storage.store import LabelStore
 
         rig = self.source.rig
-        center = NEW if self.labels_path.exists() else self._center_of_proposals
+        center = NEW_CENTER if self.labels_path.exists() else self._center_of_proposals
         store = LabelStore.open(self.labels_path, self.classes, rig, center)
         if self.settings.calibration is None:
             self._keep_calibration(rig)

@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeAlias
 
 from semviz_annotation.labels.rows import Observation, Pixel, Rules
 from semviz_core.base.classes import (
-    OLDER,
+    OLDER_CENTER,
     POLE,
     RECTANGULAR,
     ROUNDED,
@@ -191,7 +191,7 @@ class LabelImportContext:
     """Side of images whose names do not state it."""
     class_map: Mapping[str, str] = field(default_factory=dict)
     """Class name in the file -> semviz class name, or ``ignore``."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the labels of triangular signs mark in the workspace."""
 
     def class_id(self, name: object) -> int | None:
