@@ -118,7 +118,7 @@ def test_one_key_accepts_weak_ones_too_and_the_nearest_view_offers_to_align_the_
     wait_for_score(driver, "P-01")
     driver.press_and_save("Shift+G")
     assert len(served.labels.in_frame(0, "right")) == 1
-    driver.goto(5)
+    driver.goto(3)
     wait_for_score(driver, "P-01")
     page = driver.page
     driver.settle()
