@@ -119,9 +119,12 @@ class Labeller:
                 with self.work.on("sure but wrong: " + why_wrong(offer, truth), frame, told(offer)):
                     self.point_at(offer)
                     self.key("x")
-            elif not offer.is_confident and element is not None:
-                if self.lacking(frame, truth, element):
-                    weak[offer.id] = offer, element
+            elif (
+                not offer.is_confident
+                and element is not None
+                and self.lacking(frame, truth, element)
+            ):
+                weak[offer.id] = offer, element
         together = set(self.page.evaluate("semviz.state.foundProposals.map(({ id }) => id)"))
         with self.annotator.lock:
             sure = {offer.id for offer in self.offers(frame) if offer.is_confident}
@@ -133,7 +136,7 @@ class Labeller:
                     self.point_at(offer)
                     self.key("x")
                 self.key("Shift+G")
-        for id_, (offer, element) in weak.items():
+        for offer, element in weak.values():
             if self.lacking(frame, truth, element):
                 with self.work.on("weak but right", frame, told(offer), element):
                     self.point_at(offer)
