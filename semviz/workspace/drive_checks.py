@@ -297,7 +297,7 @@ def right_turn_rad(dataset: Dataset) -> float | None:
 
 def _mount(found: PoseCheck, camera: str) -> DriveCheck:
     turn_rad, sigma_rad = turned_camera(DrivePoses.of(found.frames), found.comparison)
-    angle, limit = float(np.linalg.norm(turn_rad)), max(LEAST_TURN_RAD, 5.0 * sigma_rad)
+    angle, limit = float(np.linalg.norm(turn_rad)), max(LEAST_TURN_RAD, SIGMAS * sigma_rad)
     name, of = _of(camera)
     words = ", ".join(
         f"{axis} {value:+.1f}" for axis, value in zip("xy", np.rad2deg(turn_rad), strict=True)
