@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from semviz.workspace import drive_file
+from semviz.workspace.outputs import check_empty
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
@@ -205,8 +206,7 @@ class Workspace:
         """Make the folder, ``fill`` it, and write its settings: a folder without is no workspace,
         so one that was interrupted is never taken for a whole one."""
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
-            raise SemvizError(f"{path}: exists and is not empty; choose another name")
+        check_empty(path)
         content = settings_content(settings, path)
         for name in ("maps", "runs"):
             (path / name).mkdir(parents=True, exist_ok=True)
