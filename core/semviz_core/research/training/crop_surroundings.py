@@ -1,8 +1,8 @@
 """Give the elements of a crop other surroundings than those of rendered streets.
 
 Bushes, woods, walls, boards and trunks are painted behind the elements; poles get a bright and a
-dark side and other colours; stakes and posts of fences are added, with their labels. Real images
-have all of this, rendered streets have little of it.
+dark side and other colours; stakes, posts of fences and signs of many kinds are added, with their
+labels. Real images have all of this, rendered streets have little of it.
 """
 
 from dataclasses import dataclass, replace
@@ -12,11 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.base.classes import POLE
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.research.training.crop_light import Floats, as_bytes, fractal
 from semviz_core.research.training.detector_images import Crop
+from semviz_core.simulation.drawing import Texture
+from semviz_core.simulation.objects import SignLook
+from semviz_core.simulation.sign_faces import face
+from semviz_core.simulation.worn_signs import worn_face
 
 _LEAST_POST_PX, _MOST_NUMBER = 12.0, 200
 """Shortest post that is added; most elements of a crop, whose rows are bytes."""
@@ -26,7 +30,7 @@ _LEAST_CONTRAST = 22.0
 
 
 def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
-    """Return the crop with other surroundings, and with posts that are labelled like its poles.
+    """Return the crop with other surroundings, and with posts and signs that are labelled too.
 
     The crop must have masks.
     """
@@ -37,7 +41,9 @@ def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
             paint(image, behind, rng)
     _relight(image, crop, rng)
     changed = replace(crop, image=as_bytes(image))
-    return _with_posts(changed, rng) if rng.random() < 0.6 else changed
+    if rng.random() < 0.6:
+        changed = _with_posts(changed, rng)
+    return _with_signs(changed, rng) if rng.random() < 0.6 else changed
 
 
 def _over(image: Floats, alpha: Floats, color: Any) -> None:
@@ -55,6 +61,14 @@ def _color(rng: np.random.Generator) -> FloatArray:
     return np.asarray(level * np.array(tint))
 
 
+def _leaf_color(rng: np.random.Generator) -> FloatArray:
+    """Return a colour (3,) of leaves or dry grass, mostly dark; sometimes any."""
+    if rng.random() < 0.25:
+        return _color(rng) * 0.7
+    level = np.exp(rng.uniform(np.log(_NEAR_BLACK), np.log(150.0)))
+    return np.asarray(level * np.array([rng.uniform(0.55, 1.1), 1.0, rng.uniform(0.3, 0.8)]))
+
+
 def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
     """Paint bushes, woods or high grass: from a ragged skyline down, or from above."""
     height, width = behind.shape
@@ -63,15 +77,15 @@ def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         skyline = rng.uniform(0.0, 0.9) * height + rng.uniform(3.0, 50.0) * relief
         rows = np.arange(height, dtype=np.float32)[:, None]
         hanging = rng.random() < 0.35
-        inside = rows < skyline if hanging else rows > skyline
+        inside = behind & (rows < skyline if hanging else rows > skyline)
         if rng.random() < 0.5:  # a bush is not as wide as the crop
             left = rng.uniform(-0.3, 0.9) * width
             columns = np.arange(width)
             inside &= (columns > left) & (columns < left + rng.uniform(0.1, 0.8) * width)
         leaves = fractal(rng, behind.shape, rng.uniform(6.0, 60.0), rng.uniform(0.5, 3.0))
-        middle, change = _color(rng) * 0.7, rng.uniform(0.15, 0.7)
+        middle, change = _leaf_color(rng), rng.uniform(0.15, 0.7)
         shade = np.clip(1.0 + change * leaves, 0.05, 2.5)
-        _over(image, (inside & behind).astype(np.float32), shade[..., None] * middle)
+        image[inside] = shade[inside][:, None] * middle
 
 
 def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
@@ -329,3 +343,125 @@ def _visible(
     if len(shown) < 2 or shown[-1] - shown[0] < _LEAST_POST_PX or seen.mean() < 0.3:
         return None
     return float(shown[0]), float(shown[-1])
+
+
+_SIGNS: tuple[tuple[int, SignLook, tuple[float, ...]], ...] = (
+    (TRIANGULAR, "new", (1.14,)), (TRIANGULAR, "faded", (1.14,)), (TRIANGULAR, "back", (1.14,)),
+    (ROUNDED, "new", (1.0,)), (ROUNDED, "faded", (1.0,)), (ROUNDED, "back", (1.0,)),
+    (RECTANGULAR, "new", (1.0, 0.67, 1.53)), (RECTANGULAR, "faded", (1.0, 0.67, 1.53)),
+    (RECTANGULAR, "back", (0.67, 1.0, 1.5, 3.0)), (RECTANGULAR, "plank", (3.5, 5.5)),
+    (RECTANGULAR, "street name", (3.0, 5.0)), (RECTANGULAR, "number", (1.2,)),
+)  # fmt: skip
+"""Class, look, and the widths over heights of signs that are added."""
+_FACES = 15
+_LEAST_SIGN_PX = 6.0
+_LEAST_SHOWN = 0.7
+"""Least share of an added sign that no element hides."""
+
+
+@dataclass(frozen=True)
+class _Plate:
+    """A sign to be added, seen by the camera."""
+
+    class_id: int
+    texture: Texture
+    middle_px: FloatArray
+    corners_px: FloatArray
+    """(4, 2) of its box, clockwise from the top left."""
+
+    @property
+    def height_px(self) -> float:
+        return float(np.ptp(self.corners_px[:, 1]))
+
+
+def _with_signs(crop: Crop, rng: np.random.Generator) -> Crop:
+    """Return the crop with signs behind its own elements, most of them on posts of their own."""
+    image, rows = crop.image.astype(np.float32), crop.rows.copy()
+    elements = crop.elements
+    for _ in range(rng.integers(1, 5)):
+        if len(elements) >= _MOST_NUMBER:
+            break
+        plate = _plate(crop.rows.shape, rng)
+        free = rows == 0
+        if rng.random() < 0.75:
+            post, number = _post_of(plate, rng), len(elements) + 1
+            shown = _paint_post(image, rows, post, number, _color(rng) * 0.8, rng)
+            if shown is not None:
+                elements = joined(elements, shown)
+        if _paint_plate(image, rows, plate, len(elements) + 1, free, rng):
+            elements = joined(elements, _middle_of(plate))
+    return replace(crop, image=as_bytes(image), elements=elements, rows=rows)
+
+
+def _plate(shape: tuple[int, ...], rng: np.random.Generator) -> _Plate:
+    """Draw a sign of any kind and size, turned to a side, anywhere above the crop's lowest part."""
+    class_id, look, aspects = _SIGNS[rng.integers(len(_SIGNS))]
+    aspect, number = float(rng.choice(aspects)), int(rng.integers(_FACES))
+    new = look == "new"
+    texture = face(class_id, number, aspect) if new else worn_face(look, class_id, number, aspect)
+    height = np.exp(rng.uniform(np.log(8.0), np.log(70.0))) / max(1.0, aspect) ** 0.7
+    half = np.array([aspect * height * rng.uniform(0.55, 1.0), height]) / 2.0
+    nearer = 1.0 + rng.normal(0.0, 0.04)  # one side looks higher than the other
+    tilt, roll = rng.normal(0.0, 0.04, 2)
+    corners = np.array([(-1.0, -1.0), (1.0, -nearer), (1.0, nearer), (-1.0, 1.0)]) * half
+    corners[:, 1] += corners[:, 0] * tilt
+    corners[:, 0] -= corners[:, 1] * roll
+    middle = rng.uniform((0.0, 0.0), (shape[1], 0.75 * shape[0]))
+    return _Plate(class_id, texture, middle, corners + middle)
+
+
+def _post_of(plate: _Plate, rng: np.random.Generator) -> _Post:
+    """Return the post of a sign; its peak rises above the sign, as those of streets do."""
+    height = plate.height_px
+    above = height * rng.uniform(0.53, 0.85)
+    span = height * np.exp(rng.uniform(np.log(1.6), np.log(7.0))) * np.array(
+        [rng.normal(0.0, 0.02), 1.0]
+    )  # fmt: skip
+    peak = plate.middle_px - span * above / span[1]
+    return _Post(peak, peak + span, max(1.2, height * rng.uniform(0.07, 0.18)))
+
+
+def _paint_plate(
+    image: Floats,
+    rows: ByteImage,
+    plate: _Plate,
+    number: int,
+    free: BoolArray,
+    rng: np.random.Generator,
+) -> bool:
+    """Paint a sign where ``free``, and number its pixels; False if too little of it is seen."""
+    low, high = plate.corners_px.min(axis=0), plate.corners_px.max(axis=0)
+    if min(high - low) < _LEAST_SIGN_PX or (low < 0).any() or (high > free.shape[::-1]).any():
+        return False
+    part, corner = _window(low, high)
+    colors, opacity = plate.texture.level_for(*(high - low))
+    height, width = opacity.shape
+    of_texture = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32) - 0.5
+    to_crop = cv2.getPerspectiveTransform(
+        of_texture.astype(np.float32), (plate.corners_px - corner).astype(np.float32)
+    )
+    size = free[part].shape[::-1]
+    cover = cv2.warpPerspective(opacity, to_crop, size)
+    mine = (cover > 0.5) & free[part]
+    if not mine.any() or mine.sum() < _LEAST_SHOWN * (cover > 0.5).sum():
+        return False
+    warped = cv2.warpPerspective(colors, to_crop, size, borderMode=cv2.BORDER_REPLICATE)
+    if rng.random() < 0.25:  # other countries have other colours
+        warped = warped[..., rng.permutation(3)]
+    gain = np.exp(rng.uniform(-1.1, 0.3)) * np.exp(rng.normal(0.0, 0.08, 3))
+    _over(image[part], cover * free[part], warped * gain.astype(np.float32))
+    rows[part][mine] = number
+    return True
+
+
+def _middle_of(plate: _Plate) -> Elements2D:
+    """Return a sign as an element: its middle is that of its box."""
+    return Elements2D(
+        anchor_px=plate.middle_px[None],
+        end_px=np.full((1, 2), np.nan),
+        class_id=np.array([plate.class_id]),
+        score=np.ones(1),
+        sigma_px=np.ones((1, 2)),
+        anchor_known=np.array([True]),
+        end_known=np.array([False]),
+    )

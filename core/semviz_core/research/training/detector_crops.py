@@ -286,9 +286,8 @@ def _masks(crop: Crop) -> tuple[Floats, Floats]:
 def _cell_shares(mask: BoolArray) -> Floats:
     """Return the share of each mask cell's pixels."""
     step = STRIDE // MASKS
-    height, width = mask.shape
-    cells = mask.reshape(height // step, step, width // step, step)
-    return np.asarray(cells.mean((1, 3), dtype=np.float32))
+    cells = mask.shape[1] // step, mask.shape[0] // step
+    return np.asarray(cv2.resize(mask.astype(np.float32), cells, interpolation=cv2.INTER_AREA))
 
 
 def _grown(ignored: BoolArray) -> BoolArray:
