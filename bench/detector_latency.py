@@ -25,7 +25,7 @@ import transformers
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.common.arrays import ByteImage
 from semviz_core.detection.detector import Detector, RegionModel, load_region_model
-from semviz_core.detection.onnx_model import OnnxModel
+from semviz_core.detection.foreign_models import OnnxModel
 from semviz_core.simulation.street import Street
 
 SIZE = (1248, 384)

@@ -15,13 +15,12 @@ from assist_cases import POSE_M, POSE_RAD, Answer, shaken
 from drives import SIDES, Drive, StreetDrive, view_of
 from labelling_truth import ALONG_M, ALONG_PX, RIGHT_PX, error_px
 
-from semviz_annotation.assist import sign_search
+from semviz_annotation.assist import element_search
 from semviz_annotation.assist.expected_position import not_sure_if_cut
 from semviz_annotation.assist.image_search import PropagatedMark, ReferenceView
 from semviz_annotation.assist.marked_image import SURE, Mark, MarkedImage, ProposedMark
 from semviz_annotation.assist.propagation import search_views
-from semviz_annotation.assist.snap import snap
-from semviz_annotation.assist.track import (
+from semviz_annotation.assist.score import (
     LabelledView,
     Track,
     growth,
@@ -31,6 +30,7 @@ from semviz_annotation.assist.track import (
     view_to_follow,
     views_beside,
 )
+from semviz_annotation.assist.snap import snap
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import (
     Triangulated,
@@ -177,18 +177,18 @@ def both_candidates(
 ) -> list[list[PropagatedMark]]:
     """What is followed and, of signs, what the outline says, for each image."""
     outlined: dict[int, PropagatedMark] = {}
-    chosen = sign_search.outlined
+    chosen = element_search.outlined
 
     def noted(followed, row, views, outlines, image):  # type: ignore[no-untyped-def]
         found = chosen(followed, row, views, outlines, image)
         if found is not None:
             outlined[id(image)] = found
 
-    sign_search.outlined = noted  # type: ignore[assignment]
+    element_search.outlined = noted  # type: ignore[assignment]
     try:
         marks = search_views(references, place, kind, track=track)  # type: ignore[arg-type]
     finally:
-        sign_search.outlined = chosen
+        element_search.outlined = chosen
     return [
         [mark for mark in (found, outlined.get(id(reference.target))) if mark is not None]
         for found, reference in zip(marks, references, strict=True)

@@ -20,12 +20,10 @@ from semviz.workspace.drive_file import DriveFile, ImageFolders, open_drive
 from semviz_core.base.frame import Frame, OdometryNoise
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.measured.odometry import read_odometry
-from semviz_core.datasets.measured.poses_of import Surroundings
-from semviz_core.datasets.measured.priors import PriorSigmas, read_priors
+from semviz_core.datasets.measured_poses import Surroundings
+from semviz_core.datasets.measured_priors import PriorSigmas, read_odometry, read_priors
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.conventions import read_extrinsic
-from semviz_core.datasets.own_drive.geodesy import map_on_earth
+from semviz_core.datasets.own_drive.conventions import map_on_earth, read_extrinsic
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles

@@ -42,8 +42,8 @@ from semviz_core.base.weights import read_weights
 from semviz_core.common.limits import decode_image
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.trajectory import load_trajectory
+from semviz_core.detection.foreign_models import OnnxSettings
 from semviz_core.detection.model_config import model_classes, read_settings
-from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.pose_checks.image_motions import load_motions
 from semviz_core.research.evaluation.roads import kitti_road
 from semviz_core.research.training import annotated_images

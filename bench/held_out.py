@@ -35,7 +35,7 @@ from semviz_core.localization.matched import localize_matches
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.baselines import MATCHED_METHODS
-from semviz_core.research.evaluation.matched_problems import MatchedProblem
+from semviz_core.research.evaluation.methods import MatchedProblem
 from semviz_core.research.evaluation.problems import LocalizationProblem, mapped_elements
 from semviz_core.research.evaluation.problems import make_problem as make_road_problem
 from semviz_core.research.evaluation.roads import kitti_road

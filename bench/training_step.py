@@ -21,8 +21,12 @@ from torch.utils.data import DataLoader, Dataset
 
 from semviz.research.training_run import make_training_task
 from semviz_core.research.training.batch import Progress, TrainingTask
-from semviz_core.research.training.checkpoint import Checkpoint, TrainingProgress
-from semviz_core.research.training.learner import Learner, init_process_group
+from semviz_core.research.training.checkpoint import (
+    Checkpoint,
+    Learner,
+    TrainingProgress,
+    init_process_group,
+)
 from semviz_core.research.training.trainer import packed
 
 BATCH, BATCHES, TURNS = 12, 20, 1000

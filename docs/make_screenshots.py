@@ -115,6 +115,15 @@ def take_inspector(page: Page) -> None:
         page.screenshot(path=IMAGES / "serve.png")
 
 
+def take_story(page: Page) -> None:
+    with inspecting(page, "?show=story"):
+        page.wait_for_selector("#story-causes .cause", timeout=LOADED_MS)
+        page.wait_for_selector("#story-progress:empty", state="attached", timeout=LOADED_MS)
+        page.click("#story-causes .cause >> nth=1")
+        page.wait_for_timeout(500)
+        page.screenshot(path=IMAGES / "serve-story.png")
+
+
 def take_image(page: Page) -> None:
     """The image with the neighbouring frames, and a saved view as SVG."""
     with inspecting(page, f"?frame={MOVED_FRAME}") as url:
@@ -312,8 +321,9 @@ def forgetful_labels(street: Street) -> Iterator[Edit]:
 
 WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
-    take_inspector, take_image, take_space, take_selected, take_solver, take_compare, take_forecast,
-    take_what_if, take_label, take_report, take_detector_report, take_annotator, take_review,
+    take_inspector, take_story, take_image, take_space, take_selected, take_solver, take_compare,
+    take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
+    take_review,
 )  # fmt: skip
 
 

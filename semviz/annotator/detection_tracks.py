@@ -20,14 +20,13 @@ from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import Proposals
-from semviz_annotation.labels.rows import derived_id
-from semviz_annotation.labels.shared_dict import SharedDict
+from semviz_annotation.labels.rows import SharedDict, derived_id
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 from semviz_core.base.semantic_map import Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray
-from semviz_core.metrics.image_errors import across_px
+from semviz_core.metrics.detection import across_px
 
 SURE_FRAMES = 3
 """A false detection seldom repeats in a position that fits one object in so many frames."""

@@ -21,7 +21,7 @@ from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.metrics.image_errors import across_px
+from semviz_core.metrics.detection import across_px
 
 
 def reprojection_error_px(views: Sequence[PosedView], observations: Sequence[Observation]) -> float:

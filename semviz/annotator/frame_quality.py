@@ -18,7 +18,7 @@ from semviz_annotation.labels.labels import (
 )
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.store import Operation
-from semviz_core.metrics.image_errors import across_px
+from semviz_core.metrics.detection import across_px
 
 AROUND = 60
 """A mapped element changes the proposals of this many frames before and after its own."""

@@ -18,14 +18,12 @@ from semviz_annotation.assist.expected_position import matched_element, not_sure
 from semviz_annotation.assist.image_search import ReferenceView
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
 from semviz_annotation.assist.propagation import propagate
-from semviz_annotation.assist.snap import Snapped, snap
+from semviz_annotation.assist.score import LabelledView, Track
+from semviz_annotation.assist.snap import Snapped, snap, whole_pole
 from semviz_annotation.assist.stereo_matching import find_correspondence
-from semviz_annotation.assist.track import LabelledView, Track
-from semviz_annotation.assist.whole_pole import whole_pole
 from semviz_annotation.labels.labels import Pixel
-from semviz_core.base.classes import ClassSet
+from semviz_core.base.classes import ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, Side
-from semviz_core.base.triangle_center import TriangleCenter
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
 

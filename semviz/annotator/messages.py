@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import views
+from semviz.annotator import pose_views, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -16,14 +16,6 @@ from semviz.annotator.drive_view import DriveMatch, DriveView
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
-from semviz.annotator.pose_messages import (
-    ChoosePosesRequest,
-    PoseFrameEvent,
-    PosesChosenEvent,
-    PosesEvent,
-    ShowPoseFrameRequest,
-    ShowPosesRequest,
-)
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
@@ -265,9 +257,9 @@ AnnotatorRequest: TypeAlias = Annotated[
     | StopMapBuildRequest
     | ShowDriveRequest
     | ShowDriveFrameRequest
-    | ShowPosesRequest
-    | ShowPoseFrameRequest
-    | ChoosePosesRequest
+    | pose_views.ShowPosesRequest
+    | pose_views.ShowPoseFrameRequest
+    | pose_views.ChoosePosesRequest
     | protocol.SetThemeRequest
     | protocol.SetBackdropRequest,
     Field(discriminator="type"),
@@ -438,9 +430,9 @@ AnnotatorEvent: TypeAlias = (
     | ReviewEvent
     | DriveEvent
     | DriveFrameEvent
-    | PosesEvent
-    | PoseFrameEvent
-    | PosesChosenEvent
+    | pose_views.PosesEvent
+    | pose_views.PoseFrameEvent
+    | pose_views.PosesChosenEvent
     | protocol.SceneEvent
     | protocol.BackdropEvent
     | ElementClickedEvent

@@ -10,10 +10,9 @@ import numpy as np
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
 from semviz.annotator.draft import LabelledFrameView
-from semviz.annotator.drive_requests import DriveRequests
+from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseSteps
 from semviz.annotator.panes import SecondImage
-from semviz.annotator.pose_requests import PoseRequests, PoseSteps
-from semviz.annotator.pose_work import PoseWork
+from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
 from semviz.annotator.session import LabelSession, SavedEdit
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name

@@ -13,7 +13,7 @@ import numpy as np
 from semviz.annotator.element_positions import REACH_M, ProjectedElement
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.marked_image import SURE, Mark, ProposedMark, clip_to_image
-from semviz_annotation.assist.track import growth, look_again, view_to_follow, views_beside
+from semviz_annotation.assist.score import growth, look_again, view_to_follow, views_beside
 from semviz_annotation.labels.labels import Labels, proposal_id
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Camera

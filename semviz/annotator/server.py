@@ -11,9 +11,9 @@ from pathlib import Path
 
 from aiohttp import web
 
+from semviz.annotator.drive_requests import PoseSteps
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
-from semviz.annotator.pose_requests import PoseSteps
-from semviz.annotator.pose_work import PoseWork
+from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions

@@ -5,13 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeAlias
 
-from semviz.annotator import messages
-from semviz.annotator.detection_tracks import (
-    DetectionTrack,
-    OpenTracks,
-    free_detections,
-    mark_of,
-)
+from semviz.annotator import detection_tracks, messages
 from semviz_annotation.labels.edits import AddElements, NewElement
 from semviz_annotation.labels.labels import Labels, Observation, Pixel
 from semviz_annotation.labels.rows import RowChange, Rules
@@ -29,7 +23,7 @@ class TrackEdit:
     """
 
     kind: Literal["accept tracks", "reject tracks"]
-    choose: Callable[[Labels], Sequence[DetectionTrack]]
+    choose: Callable[[Labels], Sequence[detection_tracks.DetectionTrack]]
     corrections: Corrections = field(default_factory=dict)
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
@@ -43,9 +37,11 @@ class TrackEdit:
                 raise SemvizError(f"{track.name} is labelled in all images of the track already")
         return AddElements(elements, left_out=self.kind == "reject tracks").changes(labels, rules)
 
-    def _observations(self, track: DetectionTrack, labels: Labels) -> Iterator[Observation]:
-        for detection in free_detections(track.detections, labels):
-            row = mark_of(detection).at(detection.frame_index, detection.side)
+    def _observations(
+        self, track: detection_tracks.DetectionTrack, labels: Labels
+    ) -> Iterator[Observation]:
+        for detection in detection_tracks.free_detections(track.detections, labels):
+            row = detection_tracks.mark_of(detection).at(detection.frame_index, detection.side)
             row = replace(row, id=detection.id)
             if detection.id in self.corrections:
                 anchor_px, end_px = self.corrections[detection.id]
@@ -54,8 +50,8 @@ class TrackEdit:
 
 
 def _named_tracks(
-    tracks: OpenTracks, track_ids: Iterable[str], labels: Labels
-) -> Sequence[DetectionTrack]:
+    tracks: detection_tracks.OpenTracks, track_ids: Iterable[str], labels: Labels
+) -> Sequence[detection_tracks.DetectionTrack]:
     """Return tracks by their ids. Raise SemvizError if the map has none of an id."""
     by_id = tracks.tracks.by_id
     try:
@@ -64,7 +60,9 @@ def _named_tracks(
         raise SemvizError("the last map has no such track any more; nothing was changed") from None
 
 
-def _sure_tracks(tracks: OpenTracks, count: int, labels: Labels) -> Sequence[DetectionTrack]:
+def _sure_tracks(
+    tracks: detection_tracks.OpenTracks, count: int, labels: Labels
+) -> Sequence[detection_tracks.DetectionTrack]:
     """Return all sure tracks. Raise SemvizError if their number is not ``count``, or is 0."""
     sure = tracks.sure(labels)
     if len(sure) != count or not count:
@@ -81,7 +79,7 @@ PageTrackEdit: TypeAlias = (
 )
 
 
-def track_edit(edit: PageTrackEdit, tracks: OpenTracks) -> TrackEdit:
+def track_edit(edit: PageTrackEdit, tracks: detection_tracks.OpenTracks) -> TrackEdit:
     """Return the edit of the labels that a page asks for."""
     match edit:
         case messages.AcceptSureTracksEdit():

@@ -24,9 +24,8 @@ from semviz_annotation.labels.labels import (
 )
 from semviz_annotation.labels.rows import row_elements
 from semviz_annotation.storage.store import Operation
-from semviz_core.base.classes import ClassSet, ElementClass
+from semviz_core.base.classes import ClassSet, ElementClass, TriangleCenter
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import TriangleCenter
 from semviz_core.datasets.rig_cameras import camera_names
 
 VERBS = {

@@ -20,9 +20,9 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
-    from semviz.research.detector_data import LabelledSide
     from semviz.research.detector_evaluation import EvaluationImage
     from semviz.research.training_run import ForgettingCheck
+    from semviz.research.workspace_data import LabelledSide
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.labels.proposals import Proposals
     from semviz_core.base.frame import Side
@@ -317,7 +317,7 @@ class DetectTrainCommand:
 
         sources: dict[str, LabelledImages] = {}
         if self.workspaces:
-            from semviz.research.detector_data import workspace_images
+            from semviz.research.workspace_data import workspace_images
 
             workspaces = [parsing.open_workspace(path) for path in self.workspaces]
             name = "labels" if self.map is None else f"map {self.map}"

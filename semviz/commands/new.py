@@ -42,7 +42,7 @@ class RelinkCommand:
     """Print one JSON object instead of a line."""
 
     def run(self) -> int:
-        from semviz.workspace.places import places_of, relink
+        from semviz.workspace.settings import places_of, relink
 
         given = {"root": self.root, "images": self.images, "right": self.right, "poses": self.poses}
         places = {name: place for name, place in given.items() if place is not None}
@@ -303,7 +303,7 @@ class NewCommand:
         """Print a line for each fault of the poses; with images only if asked."""
         from semviz.presentation.terminal import Steps
         from semviz.reports.pose_check import warning_lines
-        from semviz.workspace.pose_check import check_poses
+        from semviz.workspace.pose_review import check_poses
         from semviz_core.datasets.rig_cameras import frames_of_camera
         from semviz_core.pose_checks.faults import suspicions
 

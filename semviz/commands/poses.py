@@ -149,8 +149,7 @@ class PosesChooseCommand:
 
     def _choose(self, workspace: "Workspace") -> "list[PoseOperation]":
         from semviz.presentation.terminal import Steps
-        from semviz.workspace.pose_check import check_poses
-        from semviz.workspace.pose_review import PoseReview, choose_poses
+        from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses
         from semviz.workspace.settings import login_name
         from semviz_core.datasets.rig_cameras import frames_of_camera
 
@@ -186,8 +185,7 @@ class PosesChooseCommand:
 
 def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
     """Return the faults of poses that an earlier check of all frames measured; None without one."""
-    from semviz.workspace.pose_check import known_check
-    from semviz.workspace.pose_review import PoseReview
+    from semviz.workspace.pose_review import PoseReview, known_check
 
     check = known_check(workspace)
     return None if check is None else PoseReview.of(workspace, check, workspace.read_labels())
@@ -196,7 +194,7 @@ def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
 def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
     from semviz.presentation.terminal import Steps
     from semviz.workspace.localize import select_frames
-    from semviz.workspace.pose_check import check_poses
+    from semviz.workspace.pose_review import check_poses
 
     workspace = parsing.open_workspace(path)
     chosen = select_frames(workspace.source, parsing.parse_frames(frames), camera)

@@ -8,7 +8,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from semviz.commands import parsing
-from semviz.commands.measurements import MeasurementOptions
+from semviz.commands.parsing import MeasurementOptions
 from semviz.commands.runs import print_run
 from semviz_core.common.errors import SemvizError
 
@@ -46,7 +46,7 @@ class RecordCommand:
     def run(self) -> int:
         from semviz.runs.recorder import RunRecorder
         from semviz.workspace import foreign_results, localize, outputs
-        from semviz_core.datasets.measured.poses_of import read_poses_or_table
+        from semviz_core.datasets.measured_poses import read_poses_or_table
 
         workspace, given = parsing.open_workspace(self.workspace), self.measurements
         given.check_used()

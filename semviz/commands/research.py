@@ -163,8 +163,12 @@ class BenchmarkCommand:
     def run(self) -> int:
         os.environ |= parsing.ONE_THREAD
 
-        from semviz.research.benchmark.paper_table import METHODS, SUITE
-        from semviz.research.benchmark.report import BenchmarkReport, draw_benchmark_plots
+        from semviz.research.benchmark.report import (
+            METHODS,
+            SUITE,
+            BenchmarkReport,
+            draw_benchmark_plots,
+        )
         from semviz.research.benchmark.runner import BenchmarkPlan, complete
         from semviz.research.benchmark.suites import Roads, choose_methods, choose_suites
         from semviz_core.research.evaluation.outcomes import rows
@@ -263,7 +267,7 @@ class TrainCommand:
                 raise SemvizError("--workspace and --kitti-poses: give one of them")
             return replace(simulated, kitti=KittiFiles(self.kitti_poses, self.pole_maps))
         if self.workspace:
-            from semviz.research.matcher_data import workspace_samples
+            from semviz.research.workspace_data import workspace_samples
 
             workspaces = [parsing.open_workspace(path) for path in self.workspace]
             return workspace_samples(workspaces, shift_m=simulated.shift_m)

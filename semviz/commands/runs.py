@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from semviz.commands import parsing
-from semviz.commands.measurements import MeasurementOptions
+from semviz.commands.parsing import MeasurementOptions
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ class CompareCommand:
 
     def run(self) -> int:
         from semviz.runs.comparison import compare_runs, comparison_text
-        from semviz.runs.gates import check_complete, parse_condition
+        from semviz.runs.metrics import check_complete, parse_condition
         from semviz.runs.reader import load_run
 
         conditions = [parse_condition(text) for text in self.fail_if]

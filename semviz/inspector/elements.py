@@ -4,6 +4,7 @@ The forecast is the expected error along the run's route. All are computed on fi
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,14 @@ from semviz.inspector.views import number
 from semviz.inspector.views_run import ForecastEvent, ForecastView, SuggestedElement
 from semviz.runs.diagnosis import run_diagnosis, run_elements
 from semviz.runs.run import Run
+from semviz.runs.story import RunStory, tell
 from semviz.web.protocol import handles
 from semviz.workspace import localizability
 from semviz_core.base.pose import Pose
 from semviz_core.diagnosis.element_statistics import ElementRecord
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
-from semviz_core.localizability.element_effects import Effect
+from semviz_core.localizability.expected_error import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability, predict
 from semviz_core.localizability.route import Conditions
 
@@ -42,10 +44,22 @@ class RunAnalysis(Background[Findings]):
     def __init__(self, run: Run, _: Path) -> None:
         super().__init__()
         self._run = run
+        self.diagnosed: RunStory | None = None
+        """The story with the causes of the whole run, which comes before the elements."""
 
     def work(self) -> Findings:
         diagnosis = run_diagnosis(self._run, self.watch)
+        self.diagnosed = tell(self._run, diagnosis)
         return Findings(diagnosis, run_elements(self._run, self.watch))
+
+    @property
+    def story(self) -> RunStory:
+        """The story of the run, as far as it is known."""
+        return self.diagnosed or self._first_story
+
+    @cached_property
+    def _first_story(self) -> RunStory:
+        return tell(self._run, None)
 
     def view(self) -> views_run.ElementsEvent:
         """Return the findings, or the progress of the work."""

@@ -134,6 +134,12 @@ class GetElementsRequest(Request):
     type: Literal["get_elements"] = "get_elements"
 
 
+class GetStoryRequest(Request):
+    """Tell the story of the open run."""
+
+    type: Literal["get_story"] = "get_story"
+
+
 class FindFramesRequest(Request):
     """Find the frames that detect an element, or whose estimate uses it."""
 
@@ -332,6 +338,7 @@ InspectorRequest = Annotated[
     | GetSolverRequest
     | ShowSearchPoseRequest
     | GetElementsRequest
+    | GetStoryRequest
     | FindFramesRequest
     | ShowForecastRequest
     | GetDecisionsRequest
@@ -377,6 +384,7 @@ InspectorEvent = (
     | views_frame.OriginsEvent
     | views_frame.SolverEvent
     | views_run.ElementsEvent
+    | views_run.StoryEvent
     | views_run.ElementFramesEvent
     | views_run.ForecastEvent
     | views_run.DecisionsEvent

@@ -11,14 +11,7 @@ import numpy as np
 
 from semviz.inspector.state import MapColors
 from semviz.inspector.views import MapColorLevel, MapLegend
-from semviz.presentation.plots import (
-    RESIDUAL,
-    RESIDUAL_LIMITS_PX,
-    STATUS,
-    USED,
-    USED_LIMITS,
-    residual_level,
-)
+from semviz.presentation import plots
 from semviz.runs.run import Run
 from semviz.web import shapes
 from semviz.web.scene import CAMERA_HEIGHT_M, ElementStyle, SceneDrawer, class_rows, elements_ends
@@ -29,7 +22,7 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.localizability.element_effects import Effect
+from semviz_core.localizability.expected_error import Effect
 from semviz_core.localizability.predict import LIMITS_M, Localizability
 from semviz_core.localizability.route import GAP_M
 
@@ -105,9 +98,9 @@ def coloring(
 def levels(colors: MapColors, usage: Usage) -> IntArray:
     """Return (n,) level of each element; the number of levels for unused elements."""
     if colors == "residual":
-        level = residual_level(usage.residual_px)
+        level = plots.residual_level(usage.residual_px)
     else:
-        level = np.searchsorted(USED_LIMITS, usage.times, side="left").astype(np.int64)
+        level = np.searchsorted(plots.USED_LIMITS, usage.times, side="left").astype(np.int64)
     return np.where(usage.times == 0, len(WIDTHS_PX), level)
 
 
@@ -116,7 +109,7 @@ def legend(colors: MapColors, usage: Usage, theme: Theme) -> MapLegend:
     if colors == "class":
         return MapLegend(by=colors, levels=())
     level = levels(colors, usage)
-    limits = RESIDUAL_LIMITS_PX if colors == "residual" else USED_LIMITS
+    limits = plots.RESIDUAL_LIMITS_PX if colors == "residual" else plots.USED_LIMITS
     names = _residual_ranges(limits) if colors == "residual" else _count_ranges()
     used = [
         MapColorLevel(color=color, width=width, name=name, elements=int((level == number).sum()))
@@ -139,13 +132,13 @@ def _residual_ranges(limits: tuple[float, ...]) -> list[str]:
 
 
 def _count_ranges() -> list[str]:
-    lows = (1, *(limit + 1 for limit in USED_LIMITS[:-1]))
-    names = [f"{low}-{high}" for low, high in zip(lows, USED_LIMITS, strict=True)]
-    return [*names, f"over {USED_LIMITS[-1]}"]
+    lows = (1, *(limit + 1 for limit in plots.USED_LIMITS[:-1]))
+    names = [f"{low}-{high}" for low, high in zip(lows, plots.USED_LIMITS, strict=True)]
+    return [*names, f"over {plots.USED_LIMITS[-1]}"]
 
 
 def _ramp(colors: MapColors, theme: Theme) -> tuple[str, ...]:
-    tones = RESIDUAL if colors == "residual" else USED
+    tones = plots.RESIDUAL if colors == "residual" else plots.USED
     return tuple(tone.dark if theme == "dark" else tone.light for tone in tones)
 
 
@@ -266,7 +259,7 @@ def draw_forecast(scene: SceneDrawer, predicted: Localizability, classes: ClassS
         for level, color in enumerate(scene.palette.residual):
             rows = np.flatnonzero(levels == level)
             scene.draw_band(f"{FORECAST}-{level}", track_m, rows, WIDTHS_M[level], color)
-        tone = STATUS["ambiguous"]
+        tone = plots.STATUS["ambiguous"]
         color = tone.dark if scene.theme == "dark" else tone.light
         scene.draw_lines(f"{FORECAST}-hatch", _hatch(predicted, track_m), color, 2.0)
     for number, effect in enumerate(predicted.suggested, start=1):

@@ -26,8 +26,8 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.files import csv_text
 from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import INLIER_CHI2, problem_residuals

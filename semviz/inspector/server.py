@@ -15,6 +15,7 @@ from semviz.inspector.messages import InspectorRequest
 from semviz.inspector.navigation import BackdropPanel, NavigationPanel, ViewpointPanel
 from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
+from semviz.inspector.story import StoryPanel
 from semviz.inspector.what_if import WhatIfPanel
 from semviz.web.protocol import Handlers, Request, SceneEvent
 from semviz.web.sessions import Send, Sessions
@@ -28,6 +29,7 @@ PANELS = (
     ImagePanel,
     SelectionPanel,
     SolverPanel,
+    StoryPanel,
     ElementPanel,
     ForecastPanel,
     DecisionPanel,

@@ -5,10 +5,9 @@ Of two runs, A is the base, and B is open and compared with it.
 
 from typing import Literal
 
-from semviz.inspector.views import FrameView, RunHead
+from semviz.inspector.views import FrameView, Pixel, RunHead
 from semviz.inspector.views_frame import RightMapped
-from semviz.runs.comparison import Change
-from semviz.runs.differences import Kind
+from semviz.runs.comparison import Change, Kind
 from semviz.runs.metrics import Trend
 from semviz.web.protocol import Event, Part
 from semviz_annotation.storage.operations import EditBase
@@ -71,6 +70,55 @@ class ElementFramesEvent(Event):
     element: int
     name: str
     positions: tuple[int, ...]
+
+
+class StoryCause(Part):
+    """A cause of wrong frames; ``frames`` and ``examples`` are positions."""
+
+    kind: str
+    sentence: str
+    where: str
+    """Its frames as text."""
+    is_of_run: bool
+    frames: tuple[int, ...]
+    examples: tuple[int, ...]
+    parts: tuple[int, ...]
+    """Parts of the route with its frames, the one with most first."""
+
+
+class StoryPart(Part):
+    """A part of the route: map points (m), its frames and wrong frames, and the worst one."""
+
+    points: tuple[Pixel, ...]
+    frames: int
+    wrong: int
+    position: int
+
+
+class StoryView(Part):
+    """The story of a run. Counts are of frames."""
+
+    headline: str
+    detail: str
+    length_m: float
+    seconds: float | None
+    """Duration; null without time stamps."""
+    median_m: float | None
+    ok: int
+    ambiguous: int
+    cannot: int
+    overconfident: int | None
+    """Null without ground truth."""
+    causes: tuple[StoryCause, ...]
+    route: tuple[StoryPart, ...]
+
+
+class StoryEvent(Event):
+    """The story of the run. It has no causes of the run as a whole while ``progress`` has text."""
+
+    type: Literal["story"] = "story"
+    progress: str
+    found: StoryView
 
 
 class SuggestedElement(Part):

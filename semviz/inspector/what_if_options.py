@@ -11,7 +11,7 @@ from semviz.runs.images import project_elements
 from semviz.runs.metrics import errors_of
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import Event, Part
-from semviz.what_if import prior_changes, request_changes
+from semviz.what_if import change, request_changes
 from semviz.what_if.change import FrameRequest, WhatIfChange, map_element_name
 from semviz.what_if.solve import has_effect, localize_request, to_json
 from semviz_core.base.classes import ClassSet
@@ -250,25 +250,25 @@ def _selected_detection(
 def _prior_and_submap(request: FrameRequest) -> Iterator[WhatIfOption]:
     prior, radius_m = request.prior, request.radius_m
     if request.truth is not None:
-        yield _button("Prior at the true pose", prior_changes.PriorAtTruth())
+        yield _button("Prior at the true pose", change.PriorAtTruth())
     if request.reference_pose is not None:
         yield _fields(
             "Move the prior",
-            prior_changes.MovePrior(0.0, 0.0),
+            change.MovePrior(0.0, 0.0),
             ("ahead_m", "ahead"),
             ("left_m", "left"),
         )
     yield _fields(
         "Prior sigma",
-        prior_changes.PriorSigma(round(prior.horizontal_sigma_m, 1)),
+        change.PriorSigma(round(prior.horizontal_sigma_m, 1)),
         ("sigma_m", ""),
     )
-    for part in prior_changes.LEFT_OUT:
-        without = prior_changes.WithoutPriorPart(part)
+    for part in change.LEFT_OUT:
+        without = change.WithoutPriorPart(part)
         if without.affects(request):
             yield _button(f"Without the {part} prior", without)
-    yield _fields("Raise the prior", prior_changes.RaisePrior(0.0), ("up_m", "up"))
-    yield _fields("Submap radius", prior_changes.CropRadius(round(radius_m, 1)), ("radius_m", ""))
+    yield _fields("Raise the prior", change.RaisePrior(0.0), ("up_m", "up"))
+    yield _fields("Submap radius", change.CropRadius(round(radius_m, 1)), ("radius_m", ""))
 
 
 def _detections(request: FrameRequest) -> Iterator[WhatIfOption]:

@@ -21,11 +21,10 @@ from semviz_annotation.labels.labels import Labels, Observation, proposal_id
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.mapping.quality.label_links import observe
-from semviz_core.base.classes import DEFAULT_CLASSES
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, TriangleCenter, converted
 from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter, converted
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import Detector

@@ -16,7 +16,7 @@ from semviz.reports.run_plots import as_svg
 from semviz.research import detection_crops
 from semviz.research.detector_evaluation import Evaluation
 from semviz_core.metrics import detection_summary
-from semviz_core.metrics.image_errors import CRITERIA
+from semviz_core.metrics.detection import CRITERIA
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -29,16 +29,14 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.detection.network import HeatmapModel, load_shipped_model
 from semviz_core.research.training import simulated_samples
-from semviz_core.research.training.checkpoint import Checkpoint
+from semviz_core.research.training.checkpoint import NETWORK, Checkpoint
 from semviz_core.research.training.detector import DetectorTask, threshold_sweep
 from semviz_core.research.training.detector_images import LabelledImages
-from semviz_core.research.training.learner import NETWORK
 from semviz_core.research.training.trainer import CHECKPOINT
 
 if TYPE_CHECKING:
     from semviz_core.research.training.batch import SampleSource, TrainingTask
-    from semviz_core.research.training.checkpoint import TrainingProgress
-    from semviz_core.research.training.learner import Precision
+    from semviz_core.research.training.checkpoint import Precision, TrainingProgress
     from semviz_core.research.training.trainer import TrainerEvent, TrainingOptions
 
 

@@ -7,12 +7,11 @@ not in the map may be of any element.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from semviz.runs.metrics import Errors, difference, errors_of
-from semviz.runs.run import TRACK, FrameRecord, Run, assumed_detector
+from semviz.runs.run import KNOWN_DIAGNOSES, TRACK, FrameRecord, Run, assumed_detector
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
@@ -38,16 +37,13 @@ def diagnosis_name(run: Run, record: FrameRecord) -> str:
     return frame_diagnosis(run, record).kind
 
 
-_FRAME_DIAGNOSES: WeakKeyDictionary[FrameRecord, FrameDiagnosis] = WeakKeyDictionary()
-
-
 def frame_diagnosis(run: Run, record: FrameRecord) -> FrameDiagnosis:
     """Return the diagnosis of a frame, with the ground truth that the run holds."""
-    if record not in _FRAME_DIAGNOSES:
-        _FRAME_DIAGNOSES[record] = diagnose_frame(
+    if record not in KNOWN_DIAGNOSES:
+        KNOWN_DIAGNOSES[record] = diagnose_frame(
             record.localization, run.semantic_map, truth_of(run, record), detector_of(run)
         )
-    return _FRAME_DIAGNOSES[record]
+    return KNOWN_DIAGNOSES[record]
 
 
 def implicated_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:

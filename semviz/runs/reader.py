@@ -11,8 +11,10 @@ and reading goes on at the next message that can.
 
 import mmap
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from semviz.runs.run import FrameRecord, Run, RunInfo
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsed_json, shown
+from semviz_core.diagnosis.fault import FrameDiagnosis
 
 _HEAD_BYTES = 12
 _MESSAGE = struct.Struct("<QQ")
@@ -210,11 +213,13 @@ def assemble(path: Path, rows: dict[str, list[Row]], damaged: bool) -> Run:
             replace(_decode(FrameRecord, row), image=left, image_right=right)
             for row, left, right in sound
         )
+        if (decoded_info := _decode(RunInfo, info)).version == installed_version("semviz"):
+            _recall_diagnoses(rows, frames)
         written = _frames_written(rows, is_checked)
         last = max((int(row[run.ORDINAL][0]) + 1 for row, *_ in sound if is_checked), default=0)
         expected = last if written is None else written
         return Run(
-            info=_decode(RunInfo, info),
+            info=decoded_info,
             semantic_map=_decode(SemanticMap, rows[run.MAP][0][1]),
             frames=frames,
             complete=written is not None,
@@ -285,6 +290,17 @@ def _frames_written(rows: dict[str, list[Row]], is_checked: bool) -> int | None:
         except DamagedRowError:
             continue
     return None
+
+
+def _recall_diagnoses(rows: dict[str, list[Row]], frames: Sequence[FrameRecord]) -> None:
+    """Note the diagnoses that the file holds; a damaged one is made again when it is needed."""
+    records = {record.frame.index: record for record in frames}
+    for frame, row in rows.get(run.DIAGNOSIS, []):
+        if frame not in records:
+            continue
+        with suppress(*_BROKEN, SemvizError):
+            verify_row(run.DIAGNOSIS, frame, row)
+            run.KNOWN_DIAGNOSES[records[frame]] = _decode(FrameDiagnosis, row)
 
 
 def _decode(kind: Any, row: Pools) -> Any:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 from semviz_core.base.camera import Rig
 from semviz_core.base.detector_model import (
@@ -22,6 +23,7 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray, int_array
+from semviz_core.diagnosis.fault import FrameDiagnosis
 
 Images = Literal["embedded", "both", "reference", "none"]
 """A run's images: the left ones in its file, those of both cameras, only their names, or none."""
@@ -78,6 +80,10 @@ class FrameRecord:
     def __post_init__(self) -> None:
         rows = len(self.localization.observed)
         object.__setattr__(self, "element_id", int_array(self.element_id, (rows,), "element_id"))
+
+
+KNOWN_DIAGNOSES: WeakKeyDictionary[FrameRecord, FrameDiagnosis] = WeakKeyDictionary()
+"""Diagnoses of frames, as read or made: a frame that failed takes milliseconds to diagnose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +188,8 @@ APPLICATION = "semviz"
 EXACT = "/semviz"
 """Entities below it hold the exact values. All others, except for images, are for rerun only."""
 INFO, MAP, FRAME, END = f"{EXACT}/info", f"{EXACT}/map", f"{EXACT}/frame", f"{EXACT}/end"
+DIAGNOSIS = f"{EXACT}/diagnosis"
+"""Of the frames that need one. Read if the same version of semviz wrote it."""
 STRUCTURE = "structure"
 """Component with the codec's JSON."""
 CHECKSUM = "crc32"

@@ -169,8 +169,10 @@ class RunWriter:
         columns.jpeg(run.IMAGE, record.image)
         if record.image_right is not None:
             columns.jpeg(run.IMAGE_RIGHT, record.image_right)
+        if record in run.KNOWN_DIAGNOSES:  # by drawing it
+            _add_exact(columns, run.DIAGNOSIS, run.KNOWN_DIAGNOSES[record], frame.index)
         # Last, so that a frame with readable values has its images too.
-        _add_exact(columns, run.FRAME, record, ordinal=self.frames)
+        _add_exact(columns, run.FRAME, record, frame.index, ordinal=self.frames)
         columns.send(self._stream)
         self._flush()
         self._last_index = frame.index
@@ -257,11 +259,13 @@ def _remove_earlier(unfinished: Path) -> None:
         raise SemvizError(f"{unfinished}: cannot be written ({error.strerror})") from None
 
 
-def _add_exact(columns: Columns, entity: str, value: object, **numbers: int) -> None:
+def _add_exact(
+    columns: Columns, entity: str, value: object, frame: int = 0, **numbers: int
+) -> None:
     """Add a value as a row, with further numbers by name, and the row's checksum."""
-    frame, images = 0, tuple[bytes | None, ...]()
+    images = tuple[bytes | None, ...]()
     if isinstance(value, FrameRecord):
-        frame, images = value.frame.index, (value.image, value.image_right)
+        images = (value.image, value.image_right)
         value = replace(value, image=None, image_right=None)
     structure, pools = encode(value)
     row = pools | {name: np.array([number]) for name, number in numbers.items()}

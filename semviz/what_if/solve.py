@@ -21,9 +21,17 @@ from semviz.runs.comparison import FrameChange, frame_change
 from semviz.runs.metrics import Errors, errors_of
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.writer import write_run
-from semviz.what_if import prior_changes, request_changes
-from semviz.what_if.change import FrameRequest, WhatIfChange
-from semviz.what_if.prior_changes import CropRadius, PriorAtTruth
+from semviz.what_if import request_changes
+from semviz.what_if.change import (
+    CropRadius,
+    FrameRequest,
+    MovePrior,
+    PriorAtTruth,
+    PriorSigma,
+    RaisePrior,
+    WhatIfChange,
+    WithoutPriorPart,
+)
 from semviz.what_if.request_changes import StartAtTruth
 from semviz_core.base.localization import Localization, Refinement
 from semviz_core.base.semantic_map import SemanticMap
@@ -47,12 +55,12 @@ KINDS: dict[str, type[WhatIfChange]] = {
     "force pair": request_changes.ForcePair,
     "forbid pair": request_changes.ForbidPair,
     "true pairs": request_changes.ForceTruePairs,
-    "move prior": prior_changes.MovePrior,
-    "prior at truth": prior_changes.PriorAtTruth,
-    "prior sigma": prior_changes.PriorSigma,
-    "crop radius": prior_changes.CropRadius,
-    "without prior part": prior_changes.WithoutPriorPart,
-    "raise prior": prior_changes.RaisePrior,
+    "move prior": MovePrior,
+    "prior at truth": PriorAtTruth,
+    "prior sigma": PriorSigma,
+    "crop radius": CropRadius,
+    "without prior part": WithoutPriorPart,
+    "raise prior": RaisePrior,
     "method": request_changes.UseMethod,
     "start at truth": request_changes.StartAtTruth,
 }
@@ -373,14 +381,14 @@ def _other_prior(fault: Fault) -> Iterator[WhatIfChange]:
     """Yield the changes that leave out, or correct, the part of the prior that is wrong."""
     off = fault.evidence[0].value
     if fault.kind == "wrong heading prior":
-        yield prior_changes.WithoutPriorPart("heading")
+        yield WithoutPriorPart("heading")
     elif fault.kind == "wrong gravity prior":
-        yield prior_changes.WithoutPriorPart("gravity")
+        yield WithoutPriorPart("gravity")
     elif fault.kind == "wrong height prior":
-        yield from (prior_changes.RaisePrior(round(up_m, 2)) for up_m in (off, -off))
+        yield from (RaisePrior(round(up_m, 2)) for up_m in (off, -off))
     else:
         yield PriorAtTruth()
-        yield prior_changes.PriorSigma(round(off, 1))
+        yield PriorSigma(round(off, 1))
 
 
 def _other_class(

@@ -21,12 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
-from semviz_core.common.csv_text import csv_text
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import replacing
+from semviz_core.common.files import csv_text, replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
-from semviz_core.datasets.own_drive.geodesy import geodetic, is_earth_centred
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.conventions import geodetic, is_earth_centred
+from semviz_core.datasets.own_drive.image_files import ImageFolder
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.rectification import rectify_cameras, rectify_rig
 

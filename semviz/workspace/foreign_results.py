@@ -21,7 +21,7 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsed_json, shown
-from semviz_core.datasets.measured.poses_of import MeasuredPoses
+from semviz_core.datasets.measured_poses import MeasuredPoses
 from semviz_core.datasets.own_drive.recording import poses_at_times
 from semviz_core.datasets.trajectory import read_text
 

@@ -23,7 +23,7 @@ from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import check_replaceable
 from semviz_core.localizability import route
-from semviz_core.localizability.element_effects import Effect
+from semviz_core.localizability.expected_error import Effect
 from semviz_core.localizability.predict import Localizability, Stretch
 
 STEP_M = 1.0

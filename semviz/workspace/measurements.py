@@ -20,11 +20,9 @@ from semviz_core.base.frame import FileDataset, Frame, Odometry, OdometryNoise, 
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.measured.odometry import MeasuredOdometry, read_odometry
-from semviz_core.datasets.measured.poses_of import Surroundings
-from semviz_core.datasets.measured.priors import MeasuredPriors, PriorSigmas, read_priors
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, read_matrix
-from semviz_core.datasets.own_drive.geodesy import map_on_earth
+from semviz_core.datasets import measured_priors
+from semviz_core.datasets.measured_poses import Surroundings
+from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, map_on_earth, read_matrix
 
 Coordinates = Literal["recorded", "map"]
 FAR_M = 2000.0
@@ -37,7 +35,7 @@ class MeasurementFiles:
 
     priors: Path | None = None
     odometry: Path | None = None
-    sigmas: PriorSigmas = field(default_factory=PriorSigmas)
+    sigmas: measured_priors.PriorSigmas = field(default_factory=measured_priors.PriorSigmas)
     noise: OdometryNoise = field(default_factory=OdometryNoise)
     most_gap_s: float = 0.25
     coordinates: Coordinates = "recorded"
@@ -51,10 +49,12 @@ class MeasurementFiles:
         around = self.around(workspace, semantic_map)
         road_m = semantic_map.trajectory_m
         return Measurements(
-            None if self.priors is None else read_priors(self.priors, around, self.sigmas, road_m),
+            None
+            if self.priors is None
+            else measured_priors.read_priors(self.priors, around, self.sigmas, road_m),
             None
             if self.odometry is None
-            else read_odometry(self.odometry, around, self.noise, self.most_gap_s),
+            else measured_priors.read_odometry(self.odometry, around, self.noise, self.most_gap_s),
         )
 
     def around(self, workspace: Workspace, semantic_map: SemanticMap) -> Surroundings:
@@ -86,8 +86,8 @@ def _images(workspace: Workspace) -> dict[int, Path]:
 class Measurements:
     """Measured priors and odometry; None for what is simulated."""
 
-    priors: MeasuredPriors | None = None
-    odometry: MeasuredOdometry | None = None
+    priors: measured_priors.MeasuredPriors | None = None
+    odometry: measured_priors.MeasuredOdometry | None = None
 
     @property
     def is_any(self) -> bool:
@@ -136,7 +136,9 @@ class Measurements:
 
 
 def _check_priors(
-    measured: MeasuredPriors, priors: Sequence[Prior | None], semantic_map: SemanticMap
+    measured: measured_priors.MeasuredPriors,
+    priors: Sequence[Prior | None],
+    semantic_map: SemanticMap,
 ) -> None:
     fixes = [prior.position_m[:2] for prior in priors if prior is not None]
     if not fixes or not len(semantic_map):
@@ -151,7 +153,9 @@ def _check_priors(
 
 
 def _no_times(
-    measured: MeasuredPriors | MeasuredOdometry, what: str, frames: Sequence[Frame]
+    measured: measured_priors.MeasuredPriors | measured_priors.MeasuredOdometry,
+    what: str,
+    frames: Sequence[Frame],
 ) -> str:
     """Say that a file has nothing for any frame, and why if it has times."""
     text, time_s = f"{measured.path}: no {what} for any frame", measured.time_s

@@ -21,7 +21,7 @@ from semviz_core.base.semantic_map import SemanticMap, footprint_m
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import DatasetWithFrames
-from semviz_core.metrics.image_errors import ImageErrors
+from semviz_core.metrics.detection import ImageErrors
 from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
 
 AGREES = 0.5

@@ -1,15 +1,21 @@
 """Wrong poses of a workspace, what labels say about them, and the choice that a person makes.
 
-A check compares the given poses with the images; the choices made so far answer its faults.
+A check compares the given poses with the motions of the images. Motions take seconds per hundred
+frames, and depend on images and calibration alone, so the workspace keeps them in one file; a file
+of other images is measured again. The choices made so far answer the check's faults.
 """
 
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from semviz.workspace import pose_labels
 from semviz.workspace.pose_choices import (
     Choice,
     PoseChoices,
@@ -22,30 +28,98 @@ from semviz.workspace.pose_choices import (
     subject_of,
     write_choices,
 )
-from semviz.workspace.pose_labels import (
-    ElementMove,
-    FaultLabels,
-    FrameAgreement,
-    element_moves,
-    frame_agreements,
-)
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.build import POSES
-from semviz_core.base.frame import FileDataset, Frame
+from semviz_core.base.frame import FileDataset, Frame, Side
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.rig_cameras import DatasetWithFrames, cameras_by_frame
+from semviz_core.datasets.rig_cameras import DatasetWithFrames, cameras_by_frame, frames_of_camera
+from semviz_core.datasets.validation import Calibration
+from semviz_core.pose_checks import faults, image_motions
 from semviz_core.pose_checks.comparison import rows_of_runs
-from semviz_core.pose_checks.faults import RIG_KINDS, PoseCheck, PoseFault, refined_frames
+
+FILE = "image_motions.safetensors"
+MIN_FRAMES = 3
+
+
+def motions_path(workspace: Workspace) -> Path:
+    """Return where the motions of the images are or would be."""
+    return workspace.path / FILE
+
+
+def check_poses(
+    workspace: Workspace, frames: Sequence[Frame], on_progress: image_motions.OnProgress
+) -> faults.PoseCheck:
+    """Return what images say about the poses of ``frames``.
+
+    ``on_progress`` may raise to stop. Raise SemvizError if there are too few frames or poses, or
+    if the images show too little motion to check anything.
+    """
+    _require_poses(workspace, frames)
+    source = source_key(workspace, frames)
+    motions = image_motions.load_motions(motions_path(workspace), source)
+    if motions is None:
+        motions = image_motions.measure_motions(workspace.source, frames, on_progress)
+        image_motions.save_motions(motions, source, motions_path(workspace))
+    check = faults.check_drive(frames, motions, workspace.source.rig)
+    if not check.is_checked:
+        raise SemvizError(
+            f"{workspace.path}: only {check.measured:.0%} of the pairs of frames share enough "
+            "points to check poses; choose --frames where neighbours look alike"
+        )
+    return check
+
+
+def known_check(workspace: Workspace) -> faults.PoseCheck | None:
+    """Return the check of all given poses if the motions of the images are known; measure
+    nothing."""
+    frames = frames_of_camera(workspace.given_source, None)
+    if not motions_path(workspace).is_file() or len(frames) < MIN_FRAMES:
+        return None
+    motions = image_motions.load_motions(motions_path(workspace), source_key(workspace, frames))
+    if motions is None:
+        return None
+    check = faults.check_drive(frames, motions, workspace.given_source.rig)
+    return check if check.is_checked else None
+
+
+def _require_poses(workspace: Workspace, frames: Sequence[Frame]) -> None:
+    posed = sum(frame.T_map_camera is not None for frame in frames)
+    if len(frames) < MIN_FRAMES or posed < MIN_FRAMES:
+        raise SemvizError(
+            f"{workspace.path}: {posed} of {len(frames)} frames have a pose; "
+            f"a check needs {MIN_FRAMES} or more"
+        )
+
+
+def source_key(workspace: Workspace, frames: Sequence[Frame]) -> str:
+    """Return a digest of what the motions depend on: images, by size and time, and calibration."""
+    source = workspace.source
+    settings = workspace.settings.source.model_dump(exclude={"poses", "frames", "root"})
+    parts: list[object] = [Calibration.of(source.rig).hash, settings]
+    parts += [frame.index for frame in frames]
+    if isinstance(source, FileDataset):
+        sides: tuple[Side, ...] = ("left", "right") if source.rig.right is not None else ("left",)
+        parts += [_file_state(source, frame.index, side) for frame in frames for side in sides]
+    return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
+
+
+def _file_state(source: FileDataset, index: int, side: Side) -> tuple[int, int] | None:
+    """Return size and time of a recorded image; None if there is none."""
+    try:
+        state = source.original_path(index, side).stat()
+    except (SemvizError, OSError):
+        return None
+    return state.st_size, state.st_mtime_ns
 
 
 @dataclass(frozen=True, eq=False)
 class PoseStretch:
     """A fault of poses, with the labels of its frames."""
 
-    fault: PoseFault
-    check: PoseCheck
+    fault: faults.PoseFault
+    check: faults.PoseCheck
     labels: Labels
     workspace: Workspace
 
@@ -56,7 +130,7 @@ class PoseStretch:
     @property
     def can_refine(self) -> bool:
         """Whether other poses repair it: not a fault of the calibration."""
-        return self.fault.kind not in RIG_KINDS
+        return self.fault.kind not in faults.RIG_KINDS
 
     @property
     def labels_agree(self) -> bool:
@@ -72,20 +146,20 @@ class PoseStretch:
         )
 
     @cached_property
-    def seen(self) -> FaultLabels | None:
+    def seen(self) -> pose_labels.FaultLabels | None:
         """The labels against elements placed by other frames; None if they say nothing."""
         if not self.can_refine:
             return None
         source, (first, last) = self.workspace.given_source, (self.fault.first, self.fault.last)
-        return FaultLabels.of(self.labels, source, self.check, first, last)
+        return pose_labels.FaultLabels.of(self.labels, source, self.check, first, last)
 
     @cached_property
-    def moves(self) -> tuple[ElementMove, ...]:
+    def moves(self) -> tuple[pose_labels.ElementMove, ...]:
         """How far refining these poses moves the elements of the map."""
         if not self.can_refine:
             return ()
         source, (first, last) = self.workspace.given_source, (self.fault.first, self.fault.last)
-        return element_moves(self.labels, source, self.check, first, last)
+        return pose_labels.element_moves(self.labels, source, self.check, first, last)
 
     @cached_property
     def lost(self) -> tuple[str, ...]:
@@ -110,7 +184,7 @@ class PoseFindings:
     """What images and labels say about the given poses, whatever is chosen for them."""
 
     workspace: Workspace
-    check: PoseCheck
+    check: faults.PoseCheck
     """Of the given poses."""
     labels: Labels
 
@@ -124,10 +198,10 @@ class PoseFindings:
         return tuple(sorted(found, key=lambda one: -_size(one.fault)))
 
     @cached_property
-    def agreements(self) -> dict[int, FrameAgreement]:
+    def agreements(self) -> dict[int, pose_labels.FrameAgreement]:
         """How the labels of each frame fit the given poses."""
         given = DatasetWithFrames(self.workspace.given_source, self.check.frames)
-        found = frame_agreements(self.labels, given, refined_frames(self.check))
+        found = pose_labels.frame_agreements(self.labels, given, faults.refined_frames(self.check))
         return {agreement.frame: agreement for agreement in found}
 
 
@@ -139,7 +213,7 @@ class PoseReview:
     choices: PoseChoices
 
     @classmethod
-    def of(cls, workspace: Workspace, check: PoseCheck, labels: Labels) -> "PoseReview":
+    def of(cls, workspace: Workspace, check: faults.PoseCheck, labels: Labels) -> "PoseReview":
         """Return the faults of ``check``, of the given poses, with the choices made so far."""
         return cls(PoseFindings(workspace, check, labels), workspace.pose_choices())
 
@@ -148,7 +222,7 @@ class PoseReview:
         return self.findings.workspace
 
     @property
-    def check(self) -> PoseCheck:
+    def check(self) -> faults.PoseCheck:
         return self.findings.check
 
     @property
@@ -197,9 +271,9 @@ class PoseReview:
         return self.choices.applied(self.check.frames)
 
 
-def _size(fault: PoseFault) -> float:
+def _size(fault: faults.PoseFault) -> float:
     """Return how bad a fault is: all poses, then by turn and shift, then the calibration."""
-    if fault.kind in RIG_KINDS:
+    if fault.kind in faults.RIG_KINDS:
         return 0.0
     if subject_of(fault) != "frames":
         return 1000.0
@@ -278,7 +352,7 @@ def _operation(
 
 def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ...]:
     """Return the refined poses of the frames. Raise SemvizError if they may not be used."""
-    if wanted.subject in RIG_KINDS:
+    if wanted.subject in faults.RIG_KINDS:
         raise SemvizError("other poses do not repair the calibration; correct that, or keep it")
     source = review.workspace.given_source
     if cameras_by_frame(source):
@@ -290,7 +364,9 @@ def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ..
         operation = review.choice_for(other)
         if is_whole and (operation is None or operation.choice != "refine"):
             raise SemvizError(f"first refine the whole drive: {other.fault.text}")
-    seen = FaultLabels.of(review.labels, source, review.check, wanted.first, wanted.last)
+    seen = pose_labels.FaultLabels.of(
+        review.labels, source, review.check, wanted.first, wanted.last
+    )
     evidence = None if seen is None else seen.evidence
     if evidence is not None and evidence.grows_worse:
         raise SemvizError(
@@ -299,7 +375,7 @@ def _refined(review: PoseReview, wanted: PoseOperation) -> tuple[RefinedPose, ..
         )
     chosen = [
         RefinedPose.of(frame)
-        for frame in refined_frames(review.check)
+        for frame in faults.refined_frames(review.check)
         if wanted.first <= frame.index <= wanted.last and frame.T_map_camera is not None
     ]
     if not chosen:

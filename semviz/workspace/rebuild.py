@@ -16,13 +16,8 @@ import numpy as np
 
 from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
+from semviz.workspace import localize
 from semviz.workspace.localizability import options_of
-from semviz.workspace.localize import (
-    LocalizeOptions,
-    OdometrySource,
-    SequenceLocalization,
-    simulated_odometry,
-)
 from semviz.workspace.observations import Observe, observe_labels, read_detections
 from semviz.workspace.pose_review import with_used_poses
 from semviz.workspace.workspace import Workspace
@@ -117,7 +112,7 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
     observe = (
         observe_labels(workspace, semantic_map) if from_labels else _recorded(recorded, new_id)
     )
-    localization = SequenceLocalization(
+    localization = localize.SequenceLocalization(
         workspace.source,
         semantic_map,
         tuple(frame.frame for frame in run.frames),
@@ -138,11 +133,13 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
         yield replace(old, localization=record.localization, element_id=record.element_id)
 
 
-def _odometry_of(recorded: dict[int, FrameRecord], options: LocalizeOptions) -> OdometrySource:
+def _odometry_of(
+    recorded: dict[int, FrameRecord], options: localize.LocalizeOptions
+) -> localize.OdometrySource:
     """Return the odometry of a run: what was measured, else simulated again."""
     if options.has_measurements:
         return lambda before, now: recorded[now.index].odometry
-    return simulated_odometry(options.seed)
+    return localize.simulated_odometry(options.seed)
 
 
 def _recorded(recorded: dict[int, FrameRecord], new_id: dict[int, int]) -> Observe:

@@ -31,17 +31,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tomli_w
 
-from semviz.workspace.drive_file import (
-    DRIVE_FILE,
-    LEFT_OUT,
-    RECORDED,
-    RECTIFIED,
-    DriveFile,
-    ImageFolders,
-    open_drive,
-    write_left_out,
-)
-from semviz.workspace.places import find_place, keep_places
+from semviz.workspace import drive_file
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
@@ -52,16 +42,17 @@ from semviz.workspace.settings import (
     KittiSettings,
     Settings,
     StreetSettings,
+    find_place,
+    keep_places,
     new_settings,
     read_settings,
     settings_content,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, NEW, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.datasets.validation import Calibration
@@ -149,7 +140,7 @@ class Workspace:
 
         def kept(folder: Path) -> str:
             if extracted is not None and folder.is_relative_to(extracted):
-                return str(RECORDED / folder.relative_to(extracted))
+                return str(drive_file.RECORDED / folder.relative_to(extracted))
             return os.path.relpath(folder.resolve(), path.resolve())
 
         source: dict[str, object] = {"kind": "images", "images": kept(drive.left_folder)}
@@ -158,16 +149,16 @@ class Workspace:
         if drive.cameras:
             source["cameras"] = {name: kept(one.folder) for name, one in drive.cameras.items()}
         settings = new_settings(path, source, trust_poses)
-        content = DriveFile.of(drive, f"drive-{settings.name}")
+        content = drive_file.DriveFile.of(drive, f"drive-{settings.name}")
         with tempfile.TemporaryDirectory() as cache:  # before a folder is made
-            dataset = content.dataset(ImageFolders.of_drive(drive), Path(cache))
+            dataset = content.dataset(drive_file.ImageFolders.of_drive(drive), Path(cache))
             _check_dataset(dataset, trust_poses, looks_ahead=False)
 
         def fill() -> None:
-            content.save(path / DRIVE_FILE)
-            write_left_out(path / LEFT_OUT, drive.left_out)
+            content.save(path / drive_file.DRIVE_FILE)
+            drive_file.write_left_out(path / drive_file.LEFT_OUT, drive.left_out)
             if extracted is not None and extracted.is_dir():
-                shutil.move(extracted, path / RECORDED)
+                shutil.move(extracted, path / drive_file.RECORDED)
 
         return cls._create(path, settings, dataset.rig, fill)
 
@@ -383,12 +374,14 @@ class Workspace:
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
         cameras = settings.cameras or {}
-        folders = ImageFolders(
+        folders = drive_file.ImageFolders(
             find_place(self.path, "images", settings.images),
             None if settings.right is None else find_place(self.path, "right", settings.right),
             {name: find_place(self.path, name, kept) for name, kept in cameras.items()},
         )
-        return open_drive(self.path / DRIVE_FILE, folders, self.path / RECTIFIED)
+        return drive_file.open_drive(
+            self.path / drive_file.DRIVE_FILE, folders, self.path / drive_file.RECTIFIED
+        )
 
     def _open_street(self, settings: StreetSettings) -> Dataset:
         from semviz_core.simulation.layout import Section, StreetOptions

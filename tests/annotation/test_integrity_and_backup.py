@@ -27,7 +27,7 @@ from semviz_annotation.storage.backup import backup_labels, check_labels, restor
 from semviz_annotation.storage.database import make
 from semviz_annotation.storage.operations import CHANGES, sealed
 from semviz_annotation.storage.store import LabelStore
-from semviz_core.base.triangle_center import NEW, TriangleCenter
+from semviz_core.base.classes import NEW, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 

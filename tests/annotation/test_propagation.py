@@ -22,7 +22,7 @@ from semviz_annotation.assist import (
     find_correspondence,
     propagate,
 )
-from semviz_annotation.assist.track import LabelledView, Track, growth, look_again, size
+from semviz_annotation.assist.score import LabelledView, Track, growth, look_again, size
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_annotation.assist.track import (
+from semviz_annotation.assist.score import (
     MORE_VIEWS,
     growth,
     view_to_follow,

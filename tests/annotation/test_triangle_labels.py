@@ -40,11 +40,10 @@ from semviz_annotation.storage.backup import (
 )
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import DEFAULT_CLASSES, POLE, TRIANGULAR
+from semviz_core.base.classes import DEFAULT_CLASSES, POLE, TRIANGULAR, TriangleCenter
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
-from semviz_core.base.triangle_center import TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation.detector import Detection
 from semviz_core.simulation.street import Street

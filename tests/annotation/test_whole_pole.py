@@ -5,7 +5,7 @@ import pytest
 from painted_scenes import RECTIFIED, scenery, shot_of, upright
 
 from semviz_annotation.assist.marked_image import MarkedImage
-from semviz_annotation.assist.whole_pole import whole_pole
+from semviz_annotation.assist.snap import whole_pole
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray

@@ -10,7 +10,7 @@ from annotator_page import Served, annotating
 from journeys.driver import LabelDriver
 from turned_drive import TURNED, drive, labels, store_labels, wrong_poses
 
-from semviz.workspace.pose_check import check_poses
+from semviz.workspace.pose_review import check_poses
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.frame import Frame

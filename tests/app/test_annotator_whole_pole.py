@@ -11,7 +11,7 @@ from journeys.driver import ROUNDED, LabelDriver, Pixel
 from streets import street_workspace
 
 from semviz_annotation.assist.marked_image import MarkedImage
-from semviz_annotation.assist.whole_pole import whole_pole
+from semviz_annotation.assist.snap import whole_pole
 from semviz_annotation.labels.views import rig_view
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE
 from semviz_core.common.arrays import FloatArray

@@ -11,7 +11,7 @@ import pytest
 from command_line import Call, call
 
 import semviz_core
-from semviz.research.benchmark import paper_table, runner, suites
+from semviz.research.benchmark import report, runner, suites
 from semviz.research.benchmark.report import BenchmarkReport
 from semviz.research.benchmark.runner import code_digest
 from semviz.research.benchmark.suites import KNOWN, SUITES, choose_suites
@@ -235,20 +235,20 @@ def test_the_papers_table_stands_beside_what_was_measured(run: Call, tmp_path: P
 
 
 def test_each_method_stands_under_its_printed_row() -> None:
-    measured = [fake("search"), *(fake(row.method) for row in paper_table.PRINTED if row.method)]
-    table = paper_table.beside_printed(rows(measured))
+    measured = [fake("search"), *(fake(row.method) for row in report.PRINTED if row.method)]
+    table = report.beside_printed(rows(measured))
     names = [cells[0] for cells in table.cells if cells[1] in ("printed", "all")]
-    for printed in paper_table.PRINTED:
+    for printed in report.PRINTED:
         below = names[names.index(printed.name) + 1]
         assert printed.method is None or below == printed.method
     assert names[-1] == "search"
-    assert len(names) == len(paper_table.PRINTED) + len(measured)
+    assert len(names) == len(report.PRINTED) + len(measured)
 
 
 def test_frames_without_a_pose_are_counted_beside_the_quartiles() -> None:
     nothing = {"status": "cannot", "rte_m": None, "rre_deg": None, "nees": None}
     outcomes = [fake("search"), replace(fake("search"), **nothing), fake("search")]
-    table = paper_table.beside_printed(rows(outcomes))
+    table = report.beside_printed(rows(outcomes))
     (cells,) = (cell for cell in table.cells if cell[:2] == ("search", "all"))
     assert cells[2] == "2/3"
     assert cells[7] == "66.7%"
@@ -256,23 +256,23 @@ def test_frames_without_a_pose_are_counted_beside_the_quartiles() -> None:
 
 def test_printed_figures_are_whole() -> None:
     """Mean and quartiles of each, the quartiles in order; the paper's own method is best."""
-    for printed in paper_table.PRINTED:
+    for printed in report.PRINTED:
         for words in (printed.rte_m, printed.rre_deg):
             _, *quartiles = map(float, words.split())
             assert len(quartiles) == 3
             assert quartiles == sorted(quartiles)
-    means = [float(row.rte_m.split()[0]) for row in paper_table.PRINTED]
+    means = [float(row.rte_m.split()[0]) for row in report.PRINTED]
     assert min(means) == means[-1] == 0.22
 
 
 def test_the_papers_table_has_methods_that_there_are() -> None:
-    assert set(paper_table.METHODS) <= set(KNOWN["single"])
-    assert {row.method for row in paper_table.PRINTED if row.method} <= set(paper_table.METHODS)
+    assert set(report.METHODS) <= set(KNOWN["single"])
+    assert {row.method for row in report.PRINTED if row.method} <= set(report.METHODS)
 
 
 def test_all_suites_hold_no_problem_twice() -> None:
-    assert paper_table.SUITE not in {suite.name for suite in choose_suites("all")}
-    assert [suite.name for suite in choose_suites(paper_table.SUITE)] == [paper_table.SUITE]
+    assert report.SUITE not in {suite.name for suite in choose_suites("all")}
+    assert [suite.name for suite in choose_suites(report.SUITE)] == [report.SUITE]
 
 
 def test_results_of_other_weights_are_not_mixed(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.street_labels import careful, label_street
 
-from semviz.research.detector_data import WorkspaceImages, workspace_images
+from semviz.research.workspace_data import WorkspaceImages, workspace_images
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.edits import DecideElements, Dismiss, ReviewFrame

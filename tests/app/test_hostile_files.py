@@ -46,8 +46,8 @@ from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
 from semviz_core.datasets.trajectory import load_trajectory
+from semviz_core.detection.foreign_models import OnnxSettings
 from semviz_core.detection.model_config import read_settings
-from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.research.evaluation.roads import kitti_road
 from semviz_core.research.training import annotated_images
 from semviz_core.research.training.annotated_images import MASK_TABLE, SegmentationImages

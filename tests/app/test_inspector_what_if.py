@@ -19,7 +19,7 @@ from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.gateway import Gateway
 from semviz.web.scene import SceneDrawer
-from semviz.what_if.prior_changes import PriorAtTruth
+from semviz.what_if.change import PriorAtTruth
 from semviz.what_if.request_changes import DropElement, UseMethod
 from semviz.what_if.solve import KINDS, from_json, solve_with_changes
 from semviz_core.localization.localizer import Localizer, available_methods

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from semviz.research.matcher_data import HELD_OUT_SHARE, WorkspaceSamples, workspace_samples
+from semviz.research.workspace_data import HELD_OUT_SHARE, WorkspaceSamples, workspace_samples
 from semviz.workspace.demo import AUTHOR, demo_labels
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import MoveObservation
@@ -23,7 +23,7 @@ from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 
 FRAMES = 36
 SLIPPED, SLIP_FRAME = 18, 6

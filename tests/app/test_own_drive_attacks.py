@@ -12,7 +12,7 @@ from command_line import call
 from drive_formats import CALIBRATION, COUNT, image_name, tum
 
 from semviz.workspace.drive_file import DRIVE_FILE, read_drive_file
-from semviz.workspace.pose_check import source_key
+from semviz.workspace.pose_review import source_key
 from semviz.workspace.workspace import Workspace
 from semviz_core.common.errors import SemvizError
 

@@ -13,9 +13,8 @@ from streets import street
 from turned_drive import COUNT, SEED, TURNED, drive, labels, store_labels, wrong_poses
 
 from semviz.workspace.localize import posed_frames, select_frames
-from semviz.workspace.pose_check import check_poses
 from semviz.workspace.pose_choices import PoseOperation, read_choices
-from semviz.workspace.pose_review import PoseReview, choose_poses, pose_change
+from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses, pose_change
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.mapping.build import build_map

@@ -12,7 +12,7 @@ import pytest
 from command_line import Call, call
 from equality import assert_same
 
-from semviz.runs.gates import check_complete
+from semviz.runs.metrics import check_complete
 from semviz.runs.reader import load_run
 from semviz.runs.run import Run
 from semviz.runs.writer import RunWriter, repair

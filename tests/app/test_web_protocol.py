@@ -13,8 +13,8 @@ from annotator_page import draw_signs
 from drawn_marks import sign
 from pydantic import Field, ValidationError
 
+from semviz.annotator.drive_requests import PoseSteps
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
-from semviz.annotator.pose_requests import PoseSteps
 from semviz.annotator.session import LabelSession
 from semviz.web import protocol
 from semviz.web.protocol import (

@@ -15,13 +15,13 @@ from semviz.runs.diagnosis import frame_diagnosis
 from semviz.runs.metrics import errors_of
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
-from semviz.what_if.change import WhatIfChange
-from semviz.what_if.prior_changes import (
+from semviz.what_if.change import (
     CropRadius,
     MovePrior,
     PriorAtTruth,
     PriorSigma,
     RaisePrior,
+    WhatIfChange,
     WithoutPriorPart,
 )
 from semviz.what_if.request_changes import (

@@ -9,8 +9,7 @@ import pytest
 from command_line import call
 
 from semviz.commands.tools import find_runs
-from semviz.workspace.places import PLACES
-from semviz.workspace.settings import SETTINGS
+from semviz.workspace.settings import PLACES, SETTINGS
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements3D

@@ -14,7 +14,7 @@ from semviz_core.research.evaluation.baselines import (
     Baseline,
     possible_pairs,
 )
-from semviz_core.research.evaluation.matched_problems import make_matched_problem
+from semviz_core.research.evaluation.methods import make_matched_problem
 from semviz_core.research.evaluation.problems import Difficulty
 
 PROBLEM = make_matched_problem(

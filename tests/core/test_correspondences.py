@@ -17,6 +17,7 @@ from semviz_core.localization.association import PairConstraints
 from semviz_core.localization.correspondences.candidate_pairs import (
     CandidatePairs,
     Compass,
+    Sample,
     candidate_pairs,
     level_view,
     pair_distance_m,
@@ -30,9 +31,7 @@ from semviz_core.localization.correspondences.matcher import (
     consensus,
     load_pair_matcher,
 )
-from semviz_core.localization.correspondences.network import LEAST_ODDS
-from semviz_core.localization.correspondences.pose_support import fit_poses
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.network import LEAST_ODDS, fit_poses
 from semviz_core.localization.heading_votes import OF_COUPLES
 from semviz_core.localization.localizer import Localizer
 from semviz_core.localization.problem import PoseProblem, PriorRecord

@@ -3,7 +3,7 @@ import io
 
 import pytest
 
-from semviz_core.common.csv_text import cell_text, csv_text
+from semviz_core.common.files import cell_text, csv_text
 
 FORMULAS = ("=1+2", "+1", "-1", "@a", "\t=1", " =1", "'=1", "''=1", "\n=1")
 PLAIN = ("plain", "", "'", "it's", "a=b")

@@ -16,11 +16,10 @@ from semviz_core.base.classes import DEFAULT_CLASSES, POLE, RECTANGULAR, TRIANGU
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import load_region_model
+from semviz_core.detection.foreign_models import OnnxSettings, TransformersSettings
 from semviz_core.detection.model_config import ProcessorInput, model_classes, read_settings
-from semviz_core.detection.onnx_model import OnnxSettings
 from semviz_core.detection.postprocessing import MOST_BOXES
 from semviz_core.detection.regions import Region
-from semviz_core.detection.transformers_model import TransformersSettings
 
 onnx = pytest.importorskip("onnx", reason="makes ONNX models; pip install 'semviz[test]'")
 pytest.importorskip("onnxruntime", reason="runs ONNX models; pip install 'semviz[onnx]'")

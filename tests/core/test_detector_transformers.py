@@ -22,8 +22,8 @@ from semviz_core.base.classes import POLE, TRIANGULAR
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import load_region_model
+from semviz_core.detection.foreign_models import TransformersModel
 from semviz_core.detection.model_config import ProcessorInput, default_classes
-from semviz_core.detection.transformers_model import TransformersModel
 
 IMAGE_SIZE = (310, 94)
 LABELS_OF_PIXELS = {0: "road", 1: "object--sign--store", 2: "Traffic Sign (Front)"}

@@ -16,8 +16,12 @@ from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
-from semviz_core.localizability.element_effects import suggest
-from semviz_core.localizability.expected_error import LOST_M, PositionInformation, expected_error
+from semviz_core.localizability.expected_error import (
+    LOST_M,
+    PositionInformation,
+    expected_error,
+    suggest,
+)
 from semviz_core.localizability.predict import Localizability, predict, simulate_localization
 from semviz_core.localizability.route import (
     UP,

@@ -24,7 +24,7 @@ from semviz_core.localization.matched.ransac import (
 )
 from semviz_core.localization.problem import PriorRecord
 from semviz_core.metrics.pose_errors import pose_error
-from semviz_core.research.evaluation.matched_problems import make_matched_problem
+from semviz_core.research.evaluation.methods import make_matched_problem
 from semviz_core.research.evaluation.problems import CAMERA, DETECTOR, LocalizationProblem
 
 UP_MAP = np.array([0.0, 0.0, 1.0])

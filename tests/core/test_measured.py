@@ -8,10 +8,15 @@ import pytest
 from semviz_core.base.frame import Frame, OdometryNoise, Prior
 from semviz_core.base.pose import Pose, heading_rad
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.measured.odometry import MeasuredOdometry, read_odometry
-from semviz_core.datasets.measured.poses_of import Surroundings
-from semviz_core.datasets.measured.priors import MeasuredPriors, PriorSigmas, read_priors
-from semviz_core.datasets.own_drive.geodesy import geodetic, map_on_earth
+from semviz_core.datasets.measured_poses import Surroundings
+from semviz_core.datasets.measured_priors import (
+    MeasuredOdometry,
+    MeasuredPriors,
+    PriorSigmas,
+    read_odometry,
+    read_priors,
+)
+from semviz_core.datasets.own_drive.conventions import geodetic, map_on_earth
 from semviz_core.datasets.trajectory import T_MAP_WORLD, save_trajectory
 
 NO_ROAD = np.zeros((0, 3))

@@ -14,11 +14,11 @@ import pytest
 
 from semviz_core.base.classes import POLE
 from semviz_core.common.arrays import ByteImage
-from semviz_core.detection import transformers_model
+from semviz_core.detection import foreign_models
 from semviz_core.detection.detector import load_region_model
+from semviz_core.detection.foreign_models import SETTINGS, TransformersModel
 from semviz_core.detection.model_config import IGNORED, SIGN
 from semviz_core.detection.regions import Region
-from semviz_core.detection.transformers_model import SETTINGS, TransformersModel
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = (REPOSITORY / "docs" / "detector.md").read_text()
@@ -68,7 +68,7 @@ def loaded(
         def __call__(self, pixel_values: Any) -> Any:
             return answer(pixel_values)
 
-    monkeypatch.setattr(transformers_model, "_load_network", lambda _: Network())
+    monkeypatch.setattr(foreign_models, "_load_network", lambda _: Network())
     model = load_region_model(str(folder))
     assert isinstance(model, TransformersModel)
     return model

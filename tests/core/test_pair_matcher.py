@@ -7,13 +7,12 @@ import pytest
 import torch
 
 from semviz_core.base.classes import DEFAULT_CLASSES
-from semviz_core.localization.correspondences.candidate_pairs import BIN_RAD
+from semviz_core.localization.correspondences.candidate_pairs import BIN_RAD, Sample
 from semviz_core.localization.correspondences.network import (
     LEAST_ODDS,
     pair_log_odds,
     tensor_shapes,
 )
-from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.evaluation.problems import (
     HARD_SETS,
     Difficulty,

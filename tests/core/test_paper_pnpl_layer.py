@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from semviz_core.base.pose import Pose
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.p3p_ransac import Objective, paper_pnpl
 from semviz_core.research.evaluation.problems import LocalizationProblem, make_problem
+from semviz_core.research.paper.graph_torch import sinkhorn
 from semviz_core.research.paper.training import (
     StartPoses,
     correspondence_loss,
@@ -21,7 +22,6 @@ from semviz_core.research.paper.training import (
     start_poses,
     whole_loss,
 )
-from semviz_core.research.paper.transport import sinkhorn
 from semviz_core.research.training.batch import Batch
 
 FRAMES = 3

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.research.evaluation.problems import Difficulty
 from semviz_core.research.training import simulated_samples
 from semviz_core.research.training.simulated_samples import (

@@ -22,8 +22,12 @@ from toy_training_task import TOGETHER, ToyTask, fresh_network
 
 from semviz_core.common.errors import SemvizError
 from semviz_core.research.training.batch import Progress
-from semviz_core.research.training.checkpoint import WINDOW_STEPS, Checkpoint, read_history
-from semviz_core.research.training.learner import has_bf16
+from semviz_core.research.training.checkpoint import (
+    WINDOW_STEPS,
+    Checkpoint,
+    has_bf16,
+    read_history,
+)
 from semviz_core.research.training.trainer import (
     CHECKPOINT,
     HISTORY,
@@ -414,7 +418,7 @@ def test_options_that_make_no_sense(tmp_path: Path, options: dict[str, object], 
 def test_few_bits_are_refused_where_they_are_slow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("semviz_core.research.training.learner.has_bf16", lambda device: False)
+    monkeypatch.setattr("semviz_core.research.training.checkpoint.has_bf16", lambda device: False)
     with pytest.raises(SemvizError, match="--precision bf16: is for a GPU or a processor with AMX"):
         trained(tmp_path, precision="bf16")
     assert not list(tmp_path.iterdir())

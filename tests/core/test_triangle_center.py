@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import ROUNDED, TRIANGULAR
+from semviz_core.base.classes import ROUNDED, TRIANGULAR, TriangleCenter, converted
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
-from semviz_core.base.triangle_center import TriangleCenter, converted
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior

@@ -22,7 +22,7 @@ from semviz.cli import main
 from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.image_files import ImageFolder
 from semviz_core.datasets.rig_cameras import frames_by_camera
 from semviz_core.simulation.street import Street
 from semviz_core.simulation.street_rig import (

@@ -4,7 +4,9 @@ import { SameElement } from "../../semviz/inspector/page/compare/same_element.js
 import { Scatter } from "../../semviz/inspector/page/compare/scatter_drawing.js";
 import { severity } from "../../semviz/inspector/page/frames.js";
 import { MatrixLayout } from "../../semviz/inspector/page/matrix_layout.js";
+import { worstPerPixel } from "../../semviz/inspector/page/timeline.js";
 import { TimelineAxes } from "../../semviz/inspector/page/timeline_drawing.js";
+import { wanted } from "../../semviz/web/static/virtual_list.js";
 
 // -- frames
 
@@ -28,6 +30,28 @@ test("every frame is hit where it is drawn, and errors are drawn within the pane
   assert.equal(axes.topM, 100); // a whole decade
   assert.ok(axes.y(100) < axes.y(1) && axes.y(1) < axes.y(0.01));
   assert.equal(axes.y(1e-9), axes.floor);
+});
+
+test("of the frames that share a pixel the worst is drawn, and none is left out where there is room", () => {
+  const frames = Array.from({ length: 1000 }, (_, at) => ({ status: at % 97 === 5 ? "cannot" : "ok", error_m: 0.001 * (at % 10), overconfident: at === 501 }));
+  const drawn = worstPerPixel(frames, 0.1);
+  assert.equal(drawn.length, 100);
+  assert.ok(drawn.some(({ position }) => position === 501));
+  for (const { row, position } of drawn) assert.equal(row, frames[position]);
+  const lost = new Set(frames.flatMap(({ status }, at) => (status === "cannot" ? [Math.floor(at / 10)] : [])));
+  assert.equal(drawn.filter(({ row }) => row.status === "cannot").length, lost.size - (lost.has(50) ? 1 : 0));
+  assert.equal(worstPerPixel(frames, 2).length, 1000);
+});
+
+// -- a long list
+
+test("a long list has the rows that are visible in the page, wherever it is scrolled", () => {
+  assert.deepEqual(wanted(0, 500, 26, 300), [0, 300]);
+  for (let top = 0; top <= 26 * 100_000 - 500; top += 9_999) {
+    const [first, end] = wanted(top, 500, 26, 100_000);
+    assert.ok(first <= top / 26 && end >= Math.min(100_000, (top + 500) / 26));
+    assert.ok(end - first < 150 && first >= 0 && end <= 100_000);
+  }
 });
 
 // -- matrix_layout

@@ -11,9 +11,8 @@ import numpy as np
 
 from semviz_annotation.assist.appearance import end_on_line
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark
-from semviz_annotation.assist.pole_ends import end_evidence
 from semviz_annotation.assist.score import probability
-from semviz_annotation.assist.snap import CLEAR, best_snap
+from semviz_annotation.assist.snap import CLEAR, best_snap, end_evidence
 from semviz_annotation.assist.stereo_matching import ImageCorrespondences, find_correspondence
 from semviz_annotation.mapping.placement.triangulation import TriangulationFailure, triangulate
 from semviz_core.base.classes import ElementClass

@@ -14,9 +14,9 @@ import numpy as np
 from semviz_annotation.labels.labels import Observation, Pixel
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.camera import Camera
+from semviz_core.base.classes import OLDER, TriangleCenter
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.subpixel.joint_outlines import EdgeProfile

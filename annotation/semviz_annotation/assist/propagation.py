@@ -9,26 +9,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from semviz_annotation.assist import element_search, image_search
 from semviz_annotation.assist.expected_position import SIGMA_PX, expected_px, spread_px2, upright
-from semviz_annotation.assist.image_search import (
-    ExpectedMark,
-    ImageSearch,
-    PropagatedMark,
-    ReferenceView,
-    RefinedMark,
-    joint_maximum,
-)
 from semviz_annotation.assist.marked_image import Mark, ProposedMark
-from semviz_annotation.assist.pole_search import refine_pole, search_pole
-from semviz_annotation.assist.sign_search import refine_sign, search_sign, with_outlines
-from semviz_annotation.assist.track import NO_TRACK, Track, log_growth, score_of
+from semviz_annotation.assist.score import NO_TRACK, Track, log_growth, score_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
 
 
 def propagate(
-    references: Sequence[ReferenceView],
+    references: Sequence[image_search.ReferenceView],
     element: Triangulated,
     element_class: ElementClass,
     sigma_px: float = SIGMA_PX,
@@ -46,44 +37,44 @@ def propagate(
 
 
 def search_views(
-    references: Sequence[ReferenceView],
+    references: Sequence[image_search.ReferenceView],
     element: Triangulated,
     element_class: ElementClass,
     sigma_px: float = SIGMA_PX,
     track: Track = NO_TRACK,
-) -> list[PropagatedMark | None]:
+) -> list[image_search.PropagatedMark | None]:
     """Return the marks of ``propagate`` with their evidence."""
     element = upright(element)
     spread = spread_px2(element, [reference.target.view for reference in references], sigma_px)
     searches = _search_each(references, element, element_class, spread)
-    marks: dict[int, PropagatedMark] = {}
+    marks: dict[int, image_search.PropagatedMark] = {}
     if element.is_line:  # poles may stand side by side in an image
         marks = _search_jointly(searches, spread, track)
     else:
         for k in searches:
             marks |= _search_jointly({k: searches[k]}, spread, track)
-        marks = with_outlines(marks, references, element, element_class, track)
+        marks = element_search.with_outlines(marks, references, element, element_class, track)
     return [marks.get(k) for k in range(len(references))]
 
 
 def _search_each(
-    references: Sequence[ReferenceView],
+    references: Sequence[image_search.ReferenceView],
     element: Triangulated,
     element_class: ElementClass,
     spread: FloatArray,
-) -> dict[int, ImageSearch]:
+) -> dict[int, image_search.ImageSearch]:
     """Search each image that shows the element; keys are rows of ``references``."""
     mark = Mark((0.0, 0.0), None, element.anchor_known, element.end_known)
-    searches: dict[int, ImageSearch] = {}
+    searches: dict[int, image_search.ImageSearch] = {}
     for k, reference in enumerate(references):
         ends = expected_px(element, reference.target.view)
         if ends is None:
             continue
-        expected = ExpectedMark(reference, ends, spread[k, :, :, k], mark)
+        expected = image_search.ExpectedMark(reference, ends, spread[k, :, :, k], mark)
         search = (
-            search_pole(expected, element)
+            element_search.search_pole(expected, element)
             if element.is_line
-            else search_sign(expected, element, element_class)
+            else element_search.search_sign(expected, element, element_class)
         )
         if search is not None:
             searches[k] = search
@@ -93,7 +84,7 @@ def _search_each(
 # -- the images of one moment together
 
 
-def _joint_px2(searches: dict[int, ImageSearch], spread: FloatArray) -> FloatArray:
+def _joint_px2(searches: dict[int, image_search.ImageSearch], spread: FloatArray) -> FloatArray:
     """Return the covariance (s m, s m) of the offsets of s searches along their m axes each."""
     blocks = [
         [
@@ -106,19 +97,19 @@ def _joint_px2(searches: dict[int, ImageSearch], spread: FloatArray) -> FloatArr
 
 
 def _search_jointly(
-    by_view: dict[int, ImageSearch], spread: FloatArray, track: Track
-) -> dict[int, PropagatedMark]:
+    by_view: dict[int, image_search.ImageSearch], spread: FloatArray, track: Track
+) -> dict[int, image_search.PropagatedMark]:
     """Combine the searches of one moment; return marks by rows of the references."""
     if not by_view:
         return {}
     searches = [*by_view.values()]
     information = np.asarray(np.linalg.inv(_joint_px2(by_view, spread)), dtype=np.float64)
-    choices = joint_maximum(
+    choices = image_search.joint_maximum(
         [search.offsets for search in searches], [search.total for search in searches], information
     )
     is_line = len(searches[0].axes) == 1
     refined_marks = [
-        (refine_pole if is_line else refine_sign)(search, choice)
+        (element_search.refine_pole if is_line else element_search.refine_sign)(search, choice)
         for search, choice in zip(searches, choices, strict=True)
     ]
     offset = np.concatenate([result.offset for result in refined_marks])
@@ -126,7 +117,7 @@ def _search_jointly(
     worst = min(choice.total for choice in choices)
     moment = (worst, pull, log_growth(track))
     return {
-        k: PropagatedMark(
+        k: image_search.PropagatedMark(
             result.mark,
             result.what,
             np.array([*result.evidence, _apart_px(result, refined_marks), *moment]),
@@ -135,6 +126,6 @@ def _search_jointly(
     }
 
 
-def _apart_px(result: RefinedMark, marks: Sequence[RefinedMark]) -> float:
+def _apart_px(result: image_search.RefinedMark, marks: Sequence[image_search.RefinedMark]) -> float:
     """Return how far the offset in one image is from those in the others; 0 without others."""
     return max(float(np.abs(result.offset - other.offset).max()) for other in marks)

@@ -18,9 +18,16 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from semviz_annotation.labels.rows import Observation, Pixel, Rules
-from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, ClassSet
+from semviz_core.base.classes import (
+    OLDER,
+    POLE,
+    RECTANGULAR,
+    ROUNDED,
+    TRIANGULAR,
+    ClassSet,
+    TriangleCenter,
+)
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import LARGEST
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited

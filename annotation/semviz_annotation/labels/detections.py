@@ -12,10 +12,10 @@ from semviz_annotation.labels.proposal import Proposal, proposal_content_id
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import MIN_LENGTH_PX
 from semviz_core.base.camera import Camera
+from semviz_core.base.classes import OLDER, TriangleCenter
 from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 

@@ -21,15 +21,15 @@ from semviz_annotation.labels.rows import (
     ReviewDecision,
     Row,
     RowChange,
+    SharedDict,
     new_id,
     proposal_id,
     review_decision_id,
     row_elements,
     row_key,
 )
-from semviz_annotation.labels.shared_dict import SharedDict
+from semviz_core.base.classes import OLDER, TriangleCenter
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 __all__ = [

@@ -9,9 +9,8 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_annotation.labels.rows import Index, Pixel, derived_id
-from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.classes import OLDER, SIGMA_RATIO, TRIANGULAR, TriangleCenter, describe
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import OLDER, SIGMA_RATIO, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
 
 Setting = str | int | float | bool | None

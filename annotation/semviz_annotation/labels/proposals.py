@@ -22,9 +22,15 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from semviz_annotation.labels.proposal import ProcessedImages, Proposal, proposal_content_id
 from semviz_annotation.labels.rows import MIN_LENGTH_PX, Id, Index, Pixel
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, TRIANGULAR, ClassSet
+from semviz_core.base.classes import (
+    DEFAULT_CLASSES,
+    NEW,
+    OLDER,
+    TRIANGULAR,
+    ClassSet,
+    TriangleCenter,
+)
 from semviz_core.base.frame import Side
-from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing

@@ -25,10 +25,9 @@ from semviz_annotation.label_formats.reading import (
 )
 from semviz_annotation.map_formats.georeference import Georeference
 from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES, osm_codes
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsing_xml

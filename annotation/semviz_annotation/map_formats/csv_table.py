@@ -10,12 +10,11 @@ import numpy as np
 from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, number, quoted, read_bytes
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, drop_history
+from semviz_core.base.classes import OLDER, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
-from semviz_core.common.csv_text import cell_text, csv_text
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import replacing
+from semviz_core.common.files import cell_text, csv_text, replacing
 
 ANCHOR = ("anchor_x_m", "anchor_y_m", "anchor_z_m")
 END = ("end_x_m", "end_y_m", "end_z_m")

@@ -25,8 +25,8 @@ from semviz_annotation.label_formats.reading import (
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, as_json, drop_making
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
+from semviz_core.base.classes import parse_triangle_center
 from semviz_core.base.semantic_map import Provenance, SemanticMap
-from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing

@@ -18,9 +18,8 @@ from semviz_annotation.label_formats.reading import IGNORE, at, number, quoted
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
 from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES
-from semviz_core.base.classes import POLE
+from semviz_core.base.classes import POLE, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.base.triangle_center import parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing

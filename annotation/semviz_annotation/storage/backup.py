@@ -30,7 +30,7 @@ from semviz_annotation.storage.integrity import (
 from semviz_annotation.storage.label_file import LabelFileError
 from semviz_annotation.storage.operations import NO_HASH, BrokenOperationError, Operation, sealed
 from semviz_annotation.storage.store import LabelStore
-from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
+from semviz_core.base.classes import NEW, OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import read_limited

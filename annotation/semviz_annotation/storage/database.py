@@ -11,20 +11,15 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from semviz_annotation.labels.edits import first_fault
+from semviz_annotation.storage import tables
 from semviz_annotation.storage.operations import NO_HASH, sealed
-from semviz_annotation.storage.tables import (
-    CENTROID_VERSION,
-    operation_of_row,
-    write_operation,
-    write_triangle_center,
-)
-from semviz_core.base.triangle_center import NEW, OLDER, TriangleCenter
+from semviz_core.base.classes import NEW, OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import new_file
 
 APPLICATION_ID = 0x53564C42
 """Identifies a SQLite file as a label file ("SVLB")."""
-VERSION, OLDER_VERSION = CENTROID_VERSION, 3
+VERSION, OLDER_VERSION = tables.CENTROID_VERSION, 3
 """Labels whose triangles follow the box stay at version 3. Earlier versions of semviz, which would
 snap to the middle of the box, refuse those of version 4."""
 
@@ -107,7 +102,7 @@ def make(connection: sqlite3.Connection, center: TriangleCenter = NEW) -> None:
 
 def define_triangles(connection: sqlite3.Connection, center: TriangleCenter) -> None:
     """Store what the labels of triangular signs mark, within the open transaction."""
-    write_triangle_center(connection, center)
+    tables.write_triangle_center(connection, center)
     version = OLDER_VERSION if center == OLDER else VERSION
     connection.execute(f"PRAGMA user_version = {version}")
 
@@ -133,9 +128,9 @@ def _seal_operations(connection: sqlite3.Connection) -> None:
         "SELECT number, request_id, author, origin, time, kind, changes, undoes, redoes "
         "FROM operations_1 ORDER BY number"
     ):
-        operation = sealed(operation_of_row((*row, "", NO_HASH)), hash_before)
+        operation = sealed(tables.operation_of_row((*row, "", NO_HASH)), hash_before)
         hash_before = operation.hash
-        write_operation(connection, operation)
+        tables.write_operation(connection, operation)
     connection.execute("DROP TABLE operations_1")
 
 

@@ -17,7 +17,7 @@ from semviz_annotation.storage import database, integrity, tables
 from semviz_annotation.storage.database import DamagedError
 from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.operations import NO_HASH, Operation
-from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
+from semviz_core.base.classes import NEW, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
 
 _Identity: TypeAlias = tuple[int, int]

@@ -13,14 +13,9 @@ from itertools import islice
 from pathlib import Path
 from types import TracebackType
 
+from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
-from semviz_annotation.labels.rows import (
-    LabelElement,
-    Observation,
-    Rules,
-    new_id,
-)
 from semviz_annotation.storage import tables
 from semviz_annotation.storage.conflicts import ConflictChecker
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
@@ -36,8 +31,7 @@ from semviz_annotation.storage.operations import (
     sealed,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.base.triangle_center import NEW, TriangleCenter, describe
+from semviz_core.base.classes import DEFAULT_CLASSES, NEW, ClassSet, TriangleCenter, describe
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -61,7 +55,7 @@ MAX_NAME_LENGTH = 100
 class LabelStore:
     """An open label file. Threads may share it; several processes may open the file at once."""
 
-    def __init__(self, file: LabelFile, rules: Rules) -> None:
+    def __init__(self, file: LabelFile, rules: rows.Rules) -> None:
         self.path = file.path
         self.rules = rules
         self._file = file
@@ -83,7 +77,7 @@ class LabelStore:
         """
         if not path.parent.is_dir():
             raise SemvizError(f"{path}: there is no such folder; create it with 'semviz new'")
-        return cls(LabelFile(path, triangle_center), Rules(classes, rig))
+        return cls(LabelFile(path, triangle_center), rows.Rules(classes, rig))
 
     def close(self) -> None:
         if self._check is not None:
@@ -179,7 +173,7 @@ class LabelStore:
         """Return the last writer of each observation, without unknown ids."""
         with self._file.reading():
             writers = {
-                id_: tables.last_writer(self._file.connection, [(Observation, id_)])
+                id_: tables.last_writer(self._file.connection, [(rows.Observation, id_)])
                 for id_ in observation_ids
             }
         return {id_: writer for id_, writer in writers.items() if writer is not None}
@@ -366,7 +360,7 @@ class LabelStore:
                 return earlier
             if base and base.hash and tables.hash_of(connection, base.operation) != base.hash:
                 raise ReplacedLogError
-            operation = make(labels.operation + 1, request_id or new_id())
+            operation = make(labels.operation + 1, request_id or rows.new_id())
             operation = sealed(operation, self._file.hash)
             if operation.origin == "machine":
                 self._conflicts().check_machine(operation.changes)
@@ -382,9 +376,9 @@ class LabelStore:
 
     def _check_rows(self, operation: Operation, draft: Draft) -> None:
         for change in operation.changes:
-            if isinstance(change.after, LabelElement):
+            if isinstance(change.after, rows.LabelElement):
                 self.rules.check_class(change.after)
-            elif isinstance(change.after, Observation):
+            elif isinstance(change.after, rows.Observation):
                 self.rules.check(change.after, draft.class_of(change.after))
 
     def _first_applicable(

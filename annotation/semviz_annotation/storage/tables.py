@@ -22,7 +22,7 @@ from semviz_annotation.labels.rows import (
     row_key,
 )
 from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Writer
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
+from semviz_core.base.classes import OLDER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 

@@ -1,13 +1,21 @@
-"""The element classes of a map, with their names, letters and colours.
+"""The element classes of a map: names, letters, colours, and what the middle of a triangle is.
 
 A class id is stored in files and is never reused.
+
+The middle of a triangular sign is the middle of its box, or the centroid of its corners. The
+centroid projects onto the centroid under any affine view, also of a triangle upside down (give
+way); the middle of the box does not. The two are a sixth of the height apart. A value or file that
+does not say which it follows is older, and follows the box.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Final, Literal, TypeAlias, get_args
 
+import numpy as np
+
+from semviz_core.base.elements import SIGMA_PX_RANGE, Elements2D
 from semviz_core.common.errors import SemvizError
 
 Kind = Literal["line", "point"]
@@ -79,3 +87,52 @@ DEFAULT_CLASSES = ClassSet(
     )
 )
 """The paper's four classes (section III-A)."""
+
+
+TriangleCenter: TypeAlias = Literal["box", "centroid"]
+OLDER: Final[TriangleCenter] = "box"
+"""What values and files follow that do not say it."""
+NEW: Final[TriangleCenter] = "centroid"
+"""What new workspaces and simulated streets follow."""
+SIGMA_RATIO = float(np.sqrt(10.0 / 9.0))
+"""Sigma of the centroid's row over that of the box's. With independent errors s of the upper and
+lower edge, (top + bottom) / 2 has the variance s^2 / 2, and (top + 2 bottom) / 3 has 5 s^2 / 9."""
+
+
+def parse_triangle_center(value: Any) -> TriangleCenter:
+    """Return the definition in a file; None, if it says nothing, is the box.
+
+    Raise SemvizError for any other value.
+    """
+    if value is None:
+        return OLDER
+    if value not in get_args(TriangleCenter):
+        raise SemvizError(f"triangle_center is {str(value)[:40]!r}; known are box and centroid")
+    known: TriangleCenter = value
+    return known
+
+
+def describe(center: TriangleCenter) -> str:
+    """Return the definition in words, for people."""
+    return "the middle of its box" if center == "box" else "the centroid of its corners"
+
+
+def converted(elements: Elements2D, source: TriangleCenter, target: TriangleCenter) -> Elements2D:
+    """Return observed elements (m) that follow ``source`` as they are in ``target``.
+
+    Only triangular signs move. Raise SemvizError if the height of one is not known.
+    """
+    rows = np.flatnonzero(elements.class_id == TRIANGULAR)
+    if source == target or not len(rows):
+        return elements
+    shift = elements.to_centroid_px[rows]
+    if np.isnan(shift).any():
+        raise SemvizError(
+            f"a triangular sign is {describe(source)}, but {describe(target)} is needed and its "
+            "height is not known; use labels, detections and maps of one definition"
+        )
+    to = 1.0 if target == "centroid" else -1.0
+    anchor_px, sigma_px = elements.anchor_px.copy(), elements.sigma_px.copy()
+    anchor_px[rows, 1] += to * shift
+    sigma_px[rows] = np.clip(sigma_px[rows] * SIGMA_RATIO**to, *SIGMA_PX_RANGE)
+    return replace(elements, anchor_px=anchor_px, sigma_px=sigma_px)

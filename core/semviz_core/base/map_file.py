@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from semviz_core.base.classes import ClassSet, ElementClass
+from semviz_core.base.classes import OLDER, ClassSet, ElementClass, parse_triangle_center
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
-from semviz_core.base.triangle_center import OLDER, parse_triangle_center
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing

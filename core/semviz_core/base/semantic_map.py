@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
-from semviz_core.base.triangle_center import OLDER, TriangleCenter
 from semviz_core.common.arrays import FloatArray, IntArray, float_array
 from semviz_core.common.errors import SemvizError
 

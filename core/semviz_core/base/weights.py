@@ -18,16 +18,9 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from semviz_core.base.classes import ClassSet
+from semviz_core.common import limits
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.common.limits import (
-    MOST_SETTINGS_BYTES,
-    MOST_TENSOR_BYTES,
-    check_file,
-    parsed_json,
-    read_limited,
-    shown,
-)
 
 if TYPE_CHECKING:
     from torch import nn
@@ -121,7 +114,9 @@ def _check_card(path: Path) -> None:
     if not card.is_file():
         return
     try:
-        recorded = parsed_json(read_limited(card, MOST_SETTINGS_BYTES))["sha256"]
+        recorded = limits.parsed_json(limits.read_limited(card, limits.MOST_SETTINGS_BYTES))[
+            "sha256"
+        ]
         is_sound = recorded == hashlib.sha256(path.read_bytes()).hexdigest()
     except (OSError, KeyError, TypeError, ValueError):
         is_sound = False
@@ -136,10 +131,10 @@ def read_weights(path: Path) -> NetworkWeights:
     """Read weights. Raise SemvizError if they are missing, damaged, or of another format."""
     if not path.is_file():
         raise SemvizError(f"{path}: no such weights; train a network, or name another file")
-    check_file(path, MOST_TENSOR_BYTES)
+    limits.check_file(path, limits.MOST_TENSOR_BYTES)
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = parsed_json((file.metadata() or {})[_KEY])
+            metadata = limits.parsed_json((file.metadata() or {})[_KEY])
             tensors = {
                 name: file.get_tensor(name).astype(np.float32)
                 for name in file.keys()  # noqa: SIM118
@@ -151,8 +146,8 @@ def read_weights(path: Path) -> NetworkWeights:
         raise SemvizError(f"{path}: not weights of semviz, or damaged; train again") from None
     if form != FORMAT:
         raise SemvizError(
-            f"{path}: weights of format {shown(form)}, this semviz reads {FORMAT}; use the version "
-            "that wrote them, or train again"
+            f"{path}: weights of format {limits.shown(form)}, this semviz reads {FORMAT}; use the "
+            "version that wrote them, or train again"
         )
     _check_card(path)
     if not all(np.isfinite(tensor).all() for tensor in tensors.values()):

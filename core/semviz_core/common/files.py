@@ -1,13 +1,15 @@
-"""Write files and folders that are either complete or absent.
+"""Write files and folders that are either complete or absent, and CSV without formulas.
 
 A temporary path beside the target is written, fsynced and renamed, so an interrupted write
 leaves the old file untouched.
 """
 
+import csv
+import io
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -143,3 +145,32 @@ def _fsync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""Spreadsheets take a cell that begins with one of these for a formula; some skip white space."""
+
+
+def csv_text(rows: Iterable[Sequence[object]], line_end: str = "\n") -> str:
+    """Return rows as CSV: None as an empty cell, floats exactly, as ``repr`` writes them.
+
+    Names come from files of others: a text that a spreadsheet would take for a formula stands
+    behind an apostrophe.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator=line_end)  # noqa: TID251
+    writer.writerows([_guarded(cell) for cell in row] for row in rows)
+    return text.getvalue()
+
+
+def cell_text(cell: str) -> str:
+    """Return the text from which ``csv_text`` made a cell."""
+    return cell[1:] if cell.startswith("'") and _is_formula(cell) else cell
+
+
+def _guarded(cell: object) -> object:
+    return f"'{cell}" if isinstance(cell, str) and _is_formula(cell) else cell
+
+
+def _is_formula(text: str) -> bool:
+    return text.lstrip("' ").startswith(_FORMULA)

@@ -10,13 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ClassSet
+from semviz_core.base.classes import (
+    DEFAULT_CLASSES,
+    OLDER,
+    POLE,
+    ClassSet,
+    TriangleCenter,
+    converted,
+)
 from semviz_core.base.elements import Elements2D
-from semviz_core.base.triangle_center import OLDER, TriangleCenter, converted
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError, require_extra
 from semviz_core.common.jit import Stopwatch
-from semviz_core.detection.onnx_model import OnnxModel
+from semviz_core.detection.foreign_models import HUB, OnnxModel, TransformersModel
 from semviz_core.detection.pole_axes import best_line, line_over
 from semviz_core.detection.pole_ends import pole_extent
 from semviz_core.detection.regions import (
@@ -27,7 +33,6 @@ from semviz_core.detection.regions import (
     suppress_duplicates,
 )
 from semviz_core.detection.sign_centers import best_center
-from semviz_core.detection.transformers_model import HUB, TransformersModel
 from semviz_core.subpixel.sampling import SampledImage
 
 MeasureRegion: TypeAlias = Callable[

@@ -47,7 +47,7 @@ class Line:
     @cached_property
     def middle_px(self) -> FloatArray:
         """(2,)"""
-        return (self.ends_px[0] + self.ends_px[1]) / 2.0
+        return np.asarray((self.ends_px[0] + self.ends_px[1]) / 2.0)
 
     @cached_property
     def along(self) -> FloatArray:

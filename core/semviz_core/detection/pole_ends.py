@@ -14,15 +14,8 @@ from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.common.jit import compiled
 from semviz_core.detection.pole_axes import SHORTEST_PX, Line
 from semviz_core.detection.regions import Region, known, predicted_sigma_px
+from semviz_core.subpixel import pole_ends
 from semviz_core.subpixel.pole_axis import across
-from semviz_core.subpixel.pole_ends import (
-    NOT_GROWN,
-    GrownEnd,
-    end_by_rows,
-    grown_end,
-    rows_across,
-    visible_end,
-)
 from semviz_core.subpixel.sampling import SampledImage, Samples
 
 _SHORTEST_PX = 6.0
@@ -149,13 +142,15 @@ def followed_end(image: SampledImage, region: Region, line: Line, first: End) ->
     return End("end by growth", first.which, place, np.array(evidence))
 
 
-def _beyond_end(image: SampledImage, line: Line, end: End) -> GrownEnd:
+def _beyond_end(image: SampledImage, line: Line, end: End) -> pole_ends.GrownEnd:
     """Return how a pole goes on beyond an end."""
     other, end_px = _start_and_end(line, end)
     length = float(np.hypot(*(end_px - other)))
     if length < _SHORTEST_PX:
-        return NOT_GROWN
-    return grown_end(image, other, end_px, line.width_px, min(_ASIDE, 2.0 * line.sigma_px / length))
+        return pole_ends.NOT_GROWN
+    return pole_ends.grown_end(
+        image, other, end_px, line.width_px, min(_ASIDE, 2.0 * line.sigma_px / length)
+    )
 
 
 def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
@@ -177,7 +172,7 @@ def end_at_sign(image: SampledImage, line: Line, sign: Region) -> End:
     place = float((top - middle[1]) * along[1])
     start, width = middle + place * along, line.width_px
     height = np.log(bottom - top + 1.0)
-    rows = end_by_rows(image, line.ends_px[1], start, width, _ABOVE_SIGN_PX, hidden=True)
+    rows = pole_ends.end_by_rows(image, line.ends_px[1], start, width, _ABOVE_SIGN_PX, hidden=True)
     beyond = 0.0 if rows is None else rows.off_px
     evidence = np.array([height, np.log(width), np.log(beyond + 1.0)])
     return End("end at sign", 0, place - beyond, evidence)
@@ -213,7 +208,7 @@ def end_in_image(image: SampledImage, line: Line, first: End) -> End | None:
     if np.hypot(*(end - other)) < _SHORTEST_PX:
         return None
     sigma = min(2.0 * first.sigma_px, _MOST_PX)
-    rows = end_by_rows(image, other, end, line.width_px, sigma)
+    rows = pole_ends.end_by_rows(image, other, end, line.width_px, sigma)
     if rows is None:
         return None
     evidence = np.array(
@@ -231,7 +226,7 @@ def visible_end_near(image: SampledImage, line: Line, first: End, rows: End) -> 
     other, end = _start_and_end(line, rows)
     if np.hypot(*(end - other)) < _SHORTEST_PX:
         return []
-    off = visible_end(image, other, end, line.width_px, _REACH_PX)
+    off = pole_ends.visible_end(image, other, end, line.width_px, _REACH_PX)
     if off is None:
         return []
     place = _beyond(rows, off)
@@ -335,7 +330,7 @@ def _beside(
     for row in range(len(rows)):
         points[row, 0] = ends_px[which, 0] - rows[row] * normal[1]
         points[row, 1] = ends_px[which, 1] + rows[row] * normal[0]
-    return rows_across(image, points, normal, side * (width_px / 2.0 + _BESIDE_PX))
+    return pole_ends.rows_across(image, points, normal, side * (width_px / 2.0 + _BESIDE_PX))
 
 
 @compiled

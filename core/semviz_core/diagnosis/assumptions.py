@@ -18,8 +18,8 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, heading_rad
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.diagnosis.detection_sigma import LEAST_SCALE, sigma_fault, with_sigma_scaled
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind
+from semviz_core.diagnosis.frame_causes import LEAST_SCALE, sigma_fault, with_sigma_scaled
 from semviz_core.diagnosis.reference import FrameReference, is_healthy
 from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows

@@ -5,7 +5,7 @@ states that the frame is healthy.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import IntArray
@@ -46,7 +46,8 @@ FALSE_POSITIVE, UNKNOWN_ID = -1, -2
 """Stand for the element id of a false positive and of an unknown element."""
 
 
-class EvidenceItem(NamedTuple):
+@dataclass(frozen=True, order=True)
+class EvidenceItem:
     """One number behind a diagnosis."""
 
     name: str

@@ -19,16 +19,8 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.diagnosis.alignment import misalignment, misalignment_fault
-from semviz_core.diagnosis.assumptions import (
-    assumption_faults,
-    check_assumptions,
-    position_fault,
-    solve_in_wide_submap,
-    solve_with_more_effort,
-)
+from semviz_core.diagnosis import assumptions
 from semviz_core.diagnosis.checks import find_faults, sound_pairs
-from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
 from semviz_core.diagnosis.fault import (
     EvidenceItem,
     Fault,
@@ -37,6 +29,7 @@ from semviz_core.diagnosis.fault import (
     GroundTruth,
     GroundTruthLevel,
 )
+from semviz_core.diagnosis.frame_causes import misalignment, misalignment_fault, with_sigma_scaled
 from semviz_core.diagnosis.reference import FrameReference, is_healthy, pose_distance
 from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
@@ -83,7 +76,7 @@ def check_submap(case: FrameReference) -> Fault | None:
     enough = len(sound) - outside >= NEEDED_ELEMENTS
     if enough or not outside:
         return None
-    if wrong := position_fault(case):  # other faults besides keep the frame from a pose
+    if wrong := assumptions.position_fault(case):  # other faults besides keep the frame from a pose
         return wrong
     sentence = f"{outside} of {len(sound)} detected elements are outside the submap"
     if result.prior is None:
@@ -95,7 +88,7 @@ def check_submap(case: FrameReference) -> Fault | None:
 
 def _found_in_wide_submap(case: FrameReference) -> Fault | None:
     """Return the fault of a crop without which the frame has a pose."""
-    result, again = case.localization, solve_in_wide_submap(case)
+    result, again = case.localization, assumptions.solve_in_wide_submap(case)
     if again.status != "ok" or again.refinement is None:
         return None
     used = again.submap.id[again.refinement.pairs[again.refinement.inlier, 1]]
@@ -175,7 +168,7 @@ def check_search(case: FrameReference) -> Fault | None:
 
 def _found_with_more_effort(case: FrameReference) -> Fault | None:
     """Return the fault of a search that stopped before the pose that a wider one finds."""
-    result, again = case.localization, solve_with_more_effort(case)
+    result, again = case.localization, assumptions.solve_with_more_effort(case)
     if again.status != "ok" or again.refinement is None:
         return None
     fit = int(again.refinement.inlier.sum())
@@ -364,7 +357,7 @@ def diagnose_frame(
 
 def _all_faults(case: FrameReference) -> tuple[Fault, ...]:
     """Return the common causes of a frame, then the faults of rows that they leave unexplained."""
-    assumed = assumption_faults(case)
+    assumed = assumptions.assumption_faults(case)
     for fault in assumed:
         if fault.kind == "wrong detection sigma":
             case = with_sigma_scaled(case, fault.evidence[0].value)
@@ -397,7 +390,7 @@ def _first_failure(case: FrameReference, faults: tuple[Fault, ...]) -> Fault:
     return (
         (check_refinement(case) if found else None)
         or check_detection_count(case)
-        or check_assumptions(case)
+        or assumptions.check_assumptions(case)
         or check_alignment(case)
         or check_submap(case)
         or check_candidate_pairs(case, faults)

@@ -14,12 +14,11 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.diagnosis.calibration import find_calibration, residual_cost
+from semviz_core.diagnosis import run_causes
 from semviz_core.diagnosis.checks import find_faults
-from semviz_core.diagnosis.detection_sigma import with_sigma_scaled
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth, RunFault
+from semviz_core.diagnosis.frame_causes import with_sigma_scaled
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
-from semviz_core.diagnosis.run_causes import Alignment, assumption_run_faults, find_alignment
 
 NEEDED_FRAMES = 3
 """Rays of this many frames must meet, since two always do."""
@@ -163,7 +162,7 @@ def diagnose_run(
     if alignment is not None:
         compared = alignment.corrected(compared)
         cases = _replaced(cases, positions, compared)
-    causes = assumption_run_faults(cases, watch)
+    causes = run_causes.assumption_run_faults(cases, watch)
     if alignment is not None:
         causes.insert(0, _at(alignment.fault, positions))
     if calibration is not None:  # it explains large residuals, and a camera that is rolled
@@ -190,15 +189,18 @@ def _replaced(
 
 def _geometric_cause(
     cases: Sequence[FrameReference], watch: ProgressCallback
-) -> tuple[Alignment | None, Fault | None]:
+) -> tuple[run_causes.Alignment | None, Fault | None]:
     """Return the alignment or the calibration that is wrong.
 
     Of both, the calibration, which is one number, unless the alignment explains clearly more.
     """
-    alignment, calibration = find_alignment(cases), find_calibration(cases, watch)
+    alignment, calibration = (
+        run_causes.find_alignment(cases),
+        run_causes.find_calibration(cases, watch),
+    )
     if alignment is None or calibration is None:
         return alignment, None if calibration is None else calibration.fault
-    if residual_cost(alignment.corrected(cases)) < CLEARLY * calibration.cost:
+    if run_causes.residual_cost(alignment.corrected(cases)) < CLEARLY * calibration.cost:
         return alignment, None
     return None, calibration.fault
 

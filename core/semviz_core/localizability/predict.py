@@ -19,8 +19,13 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import simulate_prior
-from semviz_core.localizability.element_effects import Effect, critical, suggest
-from semviz_core.localizability.expected_error import LOST_M, expected_error
+from semviz_core.localizability.expected_error import (
+    LOST_M,
+    Effect,
+    critical,
+    expected_error,
+    suggest,
+)
 from semviz_core.localizability.route import Conditions, candidates_beside, detect, distance_along
 from semviz_core.localization.localizer import Localizer
 

@@ -14,7 +14,7 @@ from semviz_core.base.classes import ClassSet, ElementClass
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.metrics import detection
-from semviz_core.metrics.image_errors import ClassAccuracy, ImageErrors, rms
+from semviz_core.metrics.detection import ClassAccuracy, ImageErrors, rms
 
 SIGMA_LIMITS_PX = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 """Limits of the sigma bins."""

@@ -14,6 +14,7 @@ import numpy as np
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
 from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.pose_checks import whole_drive
 from semviz_core.pose_checks.comparison import (
     BASELINE,
     RIGHT_U,
@@ -25,13 +26,6 @@ from semviz_core.pose_checks.comparison import (
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
 from semviz_core.pose_checks.refinement import PoseRefinement, refine, stretches
-from semviz_core.pose_checks.whole_drive import (
-    FLAT_M,
-    Correction,
-    corrected_axes,
-    corrected_heights,
-    corrected_time,
-)
 
 FaultKind: TypeAlias = Literal[
     "axes", "time", "heights", "baseline", "right image", "frozen", "turned", "shifted"
@@ -162,7 +156,7 @@ def check_drive(frames: Sequence[Frame], motions: ImageMotions, rig: Rig) -> Pos
     return PoseCheck(tuple(frames), motions, comparison, refinement, tuple(faults), measured)
 
 
-def _axes_fault(correction: Correction, first: int, last: int) -> PoseFault:
+def _axes_fault(correction: whole_drive.Correction, first: int, last: int) -> PoseFault:
     return PoseFault(
         "axes",
         first,
@@ -172,7 +166,7 @@ def _axes_fault(correction: Correction, first: int, last: int) -> PoseFault:
     )
 
 
-def _time_fault(correction: Correction, first: int, last: int) -> PoseFault:
+def _time_fault(correction: whole_drive.Correction, first: int, last: int) -> PoseFault:
     late = correction.value
     word = "late" if late > 0.0 else "early"
     return PoseFault(
@@ -185,7 +179,7 @@ def _time_fault(correction: Correction, first: int, last: int) -> PoseFault:
     )
 
 
-def _height_fault(correction: Correction, first: int, last: int) -> PoseFault:
+def _height_fault(correction: whole_drive.Correction, first: int, last: int) -> PoseFault:
     return PoseFault(
         "heights",
         first,
@@ -197,9 +191,9 @@ def _height_fault(correction: Correction, first: int, last: int) -> PoseFault:
 
 
 _EXPLANATIONS: Final = (
-    (corrected_axes, _axes_fault),
-    (corrected_time, _time_fault),
-    (corrected_heights, _height_fault),
+    (whole_drive.corrected_axes, _axes_fault),
+    (whole_drive.corrected_time, _time_fault),
+    (whole_drive.corrected_heights, _height_fault),
 )
 
 
@@ -319,7 +313,10 @@ def suspicions(frames: Sequence[Frame]) -> tuple[str, ...]:
     step_m = poses.step_m()
     usual_m = float(np.median(step_m[poses.pair_known])) if poses.pair_known.any() else 0.0
     found = []
-    if usual_m > 10.0 * FLAT_M and float(np.ptp(poses.center_m[poses.known, 2])) < FLAT_M:
+    if (
+        usual_m > 10.0 * whole_drive.FLAT_M
+        and float(np.ptp(poses.center_m[poses.known, 2])) < whole_drive.FLAT_M
+    ):
         found.append("all heights are the same")
     still = poses.pair_known & (step_m < 1e-9) & (usual_m > 0.05)
     for first, last in rows_of_runs(still):

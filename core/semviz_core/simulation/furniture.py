@@ -12,8 +12,7 @@ from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.simulation import drawing
 from semviz_core.simulation.layout import Layout
 from semviz_core.simulation.objects import Car, Color, Pole, Sign, StandingObject
-from semviz_core.simulation.sign_faces import face, outline
-from semviz_core.simulation.worn_signs import worn_face
+from semviz_core.simulation.sign_faces import face, outline, worn_face
 
 
 class Patch(NamedTuple):

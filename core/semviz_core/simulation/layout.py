@@ -16,7 +16,7 @@ from semviz_core.base.classes import RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation import objects
-from semviz_core.simulation.worn_signs import worn
+from semviz_core.simulation.sign_faces import worn
 
 LANE_M = 3.4
 PARKING_M = 2.1

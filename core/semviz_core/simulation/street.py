@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.classes import POLE, TRIANGULAR
+from semviz_core.base.classes import NEW, POLE, TRIANGULAR, TriangleCenter
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
-from semviz_core.base.triangle_center import NEW, TriangleCenter
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.localizability.route import CAMERA_HEIGHT_M

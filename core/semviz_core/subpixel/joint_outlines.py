@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.base.triangle_center import TriangleCenter
+from semviz_core.base.classes import TriangleCenter
 from semviz_core.common.arrays import FloatArray
 from semviz_core.subpixel.sampling import SampledImage
 from semviz_core.subpixel.sign_outline import (

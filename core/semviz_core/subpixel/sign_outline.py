@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.base.triangle_center import TriangleCenter
+from semviz_core.base.classes import TriangleCenter
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, solve_cholesky

@@ -4,6 +4,7 @@
 import { byId, el, fixed } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
+import { VirtualList } from "/static/virtual_list.js";
 import { memberOf, oneOf } from "./address.js";
 
 /** @typedef {import("/static/protocol").inspector.ElementClassView} ElementClassView */
@@ -30,6 +31,7 @@ const COLUMNS = [
 const BY_NAME = new Map(COLUMNS.map((column) => [column.name, column]));
 const WORST = "out";
 const MAX_LISTED = 8; // frames listed for a fault
+const ROW_PX = 26;
 
 export class ElementList {
   /** @param {Page} page */
@@ -48,6 +50,11 @@ export class ElementList {
       el("div", { class: "chips", id: "element-classes" }),
       el("div", { class: "element row head", id: "element-head" }),
       el("ol", { class: "body list", id: "element-list", tabindex: -1 }));
+    /** The rows in the list.
+     *
+     * @type {ElementRow[]} */
+    this.listed = [];
+    this.rowList = new VirtualList(byId("element-list"), ROW_PX, (index) => this.row(this.listed[index]));
   }
 
   /** @returns {AddressPart[]} */
@@ -116,7 +123,8 @@ export class ElementList {
     byId("run-diagnosis").replaceChildren(...(findings ? this.faults(findings) : [progress]));
     byId("element-classes").replaceChildren(...(findings ? this.chips(findings.rows) : []));
     byId("element-head").replaceChildren(...(findings ? this.head() : []));
-    byId("element-list").replaceChildren(...(findings ? this.sorted(findings.rows).map((row) => this.row(row)) : []));
+    this.listed = findings ? this.sorted(findings.rows) : [];
+    this.rowList.show(this.listed.length);
     this.mark();
   }
 
@@ -223,11 +231,7 @@ export class ElementList {
 
   mark() {
     const { element } = this.page.store.state;
-    for (const row of byId("element-list").children) {
-      const current = row instanceof HTMLElement && Number(row.dataset.element) === element;
-      row.setAttribute("aria-current", String(current));
-      if (current) row.scrollIntoView({ block: "nearest" });
-    }
+    this.rowList.mark(this.listed.findIndex((row) => row.id === element));
   }
 }
 

@@ -3,16 +3,19 @@
 
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
+import { VirtualList } from "/static/virtual_list.js";
 import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
 
 /** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
 /** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
+/** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
 
 /** @type {Status[]} */
 const STATUSES = ["ok", "ambiguous", "cannot"];
+const ROW_PX = 26;
 
 /** @typedef {FrameRow["status"]} Status */
 /** @typedef {FrameRow & {position: number}} PlacedRow */
@@ -63,6 +66,9 @@ export class FrameList {
     this.page = page;
     /** @type {FrameGroup[]} */
     this.groups = [];
+    /** @type {Map<number, number>} */
+    this.groupOf = new Map(); // by position
+    this.rowList = new VirtualList(byId("frame-list"), ROW_PX, (index) => listRow(this.groups[index]));
     /** @type {Status | null} */
     this.status = null;
     /** @type {string | null} */
@@ -72,6 +78,8 @@ export class FrameList {
     /** @type {Set<number> | null} */
     this.withElement = null; // their positions
     this.elementName = "";
+    /** @type {{kind: string, positions: Set<number>} | null} */
+    this.cause = null; // only frames that it explains
     page.socket.on("element_frames", (event) => this.showElementFrames(event));
     byId("frame-list").addEventListener("click", (event) => goToClicked(page, event));
     this.choice = byId("diagnosis-filter", HTMLSelectElement);
@@ -98,6 +106,7 @@ export class FrameList {
     this.diagnosis = null;
     this.element = null;
     this.withElement = null;
+    this.cause = null;
   }
 
   showRun() {
@@ -132,16 +141,12 @@ export class FrameList {
 
   /** @param {number} position */
   pointAt(position) {
-    [...byId("frame-list").children].forEach((row, at) => {
-      const current = this.groups[at]?.members.includes(position) ?? false;
-      row.setAttribute("aria-current", String(current));
-      if (current) row.scrollIntoView({ block: "nearest" });
-    });
+    this.rowList.mark(this.groupOf.get(position) ?? -1);
   }
 
   /** @param {number} by */
   step(by) {
-    const now = this.groups.findIndex((group) => group.members.includes(this.page.store.target));
+    const now = this.groupOf.get(this.page.store.target) ?? -1;
     const next = this.groups[Math.min(Math.max(now + by, 0), this.groups.length - 1)];
     if (next) this.page.go(next.position);
   }
@@ -161,6 +166,15 @@ export class FrameList {
     this.page.address.changed();
   }
 
+  /** Only frames that a cause of the run's story explains; null shows all.
+   *
+   * @param {StoryCause | null} cause
+   */
+  showCause(cause) {
+    this.cause = cause && { kind: cause.kind, positions: new Set(cause.frames) };
+    this.fill();
+  }
+
   toggleElement() {
     this.filter({ element: this.element === null ? this.page.store.state.element : null });
   }
@@ -174,14 +188,16 @@ export class FrameList {
     return this.page.store.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
       (except === "status" || !this.status || row.status === this.status)
       && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
-      && (!this.withElement || this.withElement.has(row.position)));
+      && (!this.withElement || this.withElement.has(row.position))
+      && (!this.cause || this.cause.positions.has(row.position)));
   }
 
   fill() {
     this.groups = grouped(this.rows()).sort((a, b) => severity(b) - severity(a) || a.position - b.position);
-    const none = el("li", { class: "none dim", text: "No frames match these filters." });
-    byId("frame-list").replaceChildren(...(this.groups.length ? this.groups.map(listRow) : [none]));
-    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)));
+    this.groupOf = new Map(this.groups.flatMap(({ members }, index) => members.map((position) => [position, index])));
+    this.rowList.show(this.groups.length);
+    if (!this.groups.length) byId("frame-list").append(el("li", { class: "none dim", text: "No frames match these filters." }));
+    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), ...this.causeChip());
     this.fillDiagnoses();
     this.fillElement();
     this.pointAt(this.page.store.target);
@@ -198,6 +214,12 @@ export class FrameList {
     });
     chip.append(status ? statusMark(status) : el("span", { text: "All" }), el("span", { text: rows.length }));
     return chip;
+  }
+
+  causeChip() {
+    if (!this.cause) return [];
+    return [el("button", { class: "chip", title: "Only frames that this cause explains. Click to show all", "aria-pressed": true,
+      text: `${this.cause.kind} ✕`, onclick: () => this.showCause(null) })];
   }
 
   /** Most frequent first. */

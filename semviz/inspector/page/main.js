@@ -25,6 +25,7 @@ import { SelectedCard } from "./selected.js";
 import { SolverCard } from "./solver.js";
 import { SpacePanel } from "./space.js";
 import { Store } from "./store.js";
+import { Story } from "./story.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
 import { Viewpoints } from "./viewpoints.js";
@@ -80,6 +81,7 @@ export class Page {
       new Timeline(this),
       this.compare,
       ...this.compare.panels,
+      new Story(this),
       new Exporter(this),
     ];
     this.address = new Address(this, [...this.ownAddress(), ...this.panels.flatMap((panel) => panel.address?.() ?? [])]);

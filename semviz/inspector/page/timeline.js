@@ -6,6 +6,7 @@ import { byId, fixed } from "/static/dom.js";
 import { drawMark } from "/static/glyphs.js";
 import { drawChanges } from "./compare/error_lines.js";
 import { TimelineCanvas } from "./frame_canvas.js";
+import { severity } from "./frames.js";
 import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "./timeline_drawing.js";
 
 /** @typedef {import("/static/protocol").inspector.ComparedFrame} ComparedFrame */
@@ -23,6 +24,8 @@ const STATUS_PX = 26; // status line, from the bottom
 const FLOOR_PX = 40; // foot of the bars, from the bottom
 const CHANGES_PX = 18; // height of the line of fixed and broken frames
 
+/** @typedef {{row: FrameRow, position: number}} Placed a frame at its position */
+
 export class Timeline extends TimelineCanvas {
   /** Frames of both runs by position, null for frames of one; null without a comparison.
    *
@@ -33,6 +36,10 @@ export class Timeline extends TimelineCanvas {
   /** @type {ForecastView | null} */
   forecast = null;
   maxErrorM = 1;
+  /** The frames that are drawn for this many pixels a frame.
+   *
+   * @type {{slot: number, frames: Placed[]}} */
+  drawn = { slot: 0, frames: [] };
   withForecast = false;
   base = "";
 
@@ -54,6 +61,7 @@ export class Timeline extends TimelineCanvas {
     if (run.name !== this.run?.name) this.compareWith("");
     this.run = run;
     this.forecast = null;
+    this.drawn = { slot: 0, frames: [] };
     this.maxErrorM = run.frames.reduce((most, row) => Math.max(most, row.error_m ?? 0), 1);
     byId("median").textContent = run.median_m === null ? "no ground truth" : `median ${fixed(run.median_m, 2)} m`;
     byId("ok-share").textContent = `${Math.round(100 * run.ok_share)} % ok`;
@@ -109,6 +117,15 @@ export class Timeline extends TimelineCanvas {
     this.surface.redraw();
   }
 
+  /** The frames to draw, found once for a run and a width.
+   *
+   * @param {number} slot pixels a frame
+   */
+  frames(slot) {
+    if (this.run && this.drawn.slot !== slot) this.drawn = { slot, frames: worstPerPixel(this.run.frames, slot) };
+    return this.drawn;
+  }
+
   /**
    * @param {Context} context
    * @param {number} width
@@ -123,31 +140,52 @@ export class Timeline extends TimelineCanvas {
     this.axes = axes;
     drawScale(context, axes);
     const colors = { ok: cssColor("--ok"), ambiguous: cssColor("--ambiguous"), cannot: cssColor("--cannot") };
-    drawBars(context, axes, frames, colors);
+    const { frames: shown } = this.frames(axes.slot);
+    drawBars(context, axes, shown, colors);
     if (this.withForecast && this.forecast) drawForecast(context, axes, this.forecast.expected_m);
-    drawStatus(context, axes, frames, statusY, colors);
+    drawStatus(context, axes, shown, statusY, colors);
     if (this.changed) drawChanges(context, axes, this.changed, statusY + CHANGES_PX);
     drawFrameNumbers(context, axes, frames, height - 4);
     drawCursor(context, axes.x(this.position), height - STATUS_PX + 6);
   }
 }
 
+/** All frames, or the worst one of those that share a pixel.
+ *
+ * @param {FrameRow[]} frames
+ * @param {number} slot pixels a frame
+ * @returns {Placed[]}
+ */
+export function worstPerPixel(frames, slot) {
+  /** @type {Placed[]} */
+  const worst = [];
+  let last = -1; // pixel
+  frames.forEach((row, position) => {
+    const pixel = slot < 1 ? Math.floor(position * slot) : position;
+    const before = worst.at(-1);
+    if (pixel !== last) worst.push({ row, position });
+    else if (before && severity(row) > severity(before.row)) worst[worst.length - 1] = { row, position };
+    last = pixel;
+  });
+  return worst;
+}
+
 /** The errors as bars; frames without an error get a wide pale bar.
  *
  * @param {Context} context
  * @param {TimelineAxes} axes
- * @param {FrameRow[]} frames
+ * @param {Placed[]} frames
  * @param {Record<Status, string>} colors
  */
 function drawBars(context, axes, frames, colors) {
   const { slot, floor } = axes;
   const bar = Math.min(18, Math.max(1, slot - (slot > 3 ? 1 : 0)));
-  frames.forEach((row, position) => {
+  frames.forEach(({ row, position }) => {
     const x = axes.x(position);
     context.fillStyle = colors[row.status];
     if (row.error_m === null) {
       context.globalAlpha = row.status === "cannot" ? 0.22 : 0.1;
-      context.fillRect(x - slot / 2, 4, slot, floor - 4);
+      context.fillRect(x - slot / 2, 4, Math.max(slot, 1), floor - 4);
     } else {
       context.globalAlpha = row.status === "ok" ? 0.62 : 1;
       const top = Math.min(axes.y(row.error_m), floor - 1);
@@ -185,14 +223,14 @@ function drawForecast(context, axes, expectedM) {
 /**
  * @param {Context} context
  * @param {TimelineAxes} axes
- * @param {FrameRow[]} frames
+ * @param {Placed[]} frames
  * @param {number} y
  * @param {Record<Status, string>} colors
  */
 function drawStatus(context, axes, frames, y, colors) {
   context.fillStyle = colors.ok;
   context.fillRect(axes.left, y - 0.75, axes.width - axes.left, 1.5);
-  frames.forEach(({ status }, position) => {
+  frames.forEach(({ row: { status }, position }) => {
     if (status !== "ok") drawMark(context, status, axes.x(position), y, Math.min(3.5, Math.max(2, axes.slot / 2)), colors[status]);
   });
 }

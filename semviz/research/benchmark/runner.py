@@ -35,8 +35,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import Outcome, ProblemFacts
-from semviz_core.research.evaluation.matched_problems import MatchedProblem
-from semviz_core.research.evaluation.methods import BOUNDS, MethodResult, bound_covariance
+from semviz_core.research.evaluation.methods import (
+    BOUNDS,
+    MatchedProblem,
+    MethodResult,
+    bound_covariance,
+)
 from semviz_core.research.evaluation.outcomes import errors, facts_of
 from semviz_core.research.evaluation.problems import LocalizationProblem
 

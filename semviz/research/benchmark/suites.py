@@ -13,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from semviz.research.benchmark import paper_table
+from semviz.research.benchmark import report
 from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import EFFORTS
 from semviz_core.research.evaluation import baselines, methods, problems, sequences
-from semviz_core.research.evaluation.matched_problems import MatchedProblem, make_matched_problem
+from semviz_core.research.evaluation.methods import MatchedProblem, make_matched_problem
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
 from semviz_core.research.paper.matcher import MODELS
 
@@ -162,7 +162,7 @@ SUITES: dict[str, Suite] = {
     suite.name: suite
     for suite in (
         Suite("frames", "single"),
-        Suite(paper_table.SUITE, "single"),
+        Suite(report.SUITE, "single"),
         *(Suite(name, "single", difficulty) for name, difficulty in problems.HARD_SETS.items()),
         Suite("matched", "matched"),
         Suite("sequence", "sequence"),
@@ -170,7 +170,7 @@ SUITES: dict[str, Suite] = {
 }
 GROUPS = {
     "hard": tuple(problems.HARD_SETS),
-    "all": tuple(name for name in SUITES if name != paper_table.SUITE),
+    "all": tuple(name for name in SUITES if name != report.SUITE),
 }
 """``paper`` has the same problems as ``frames``."""
 

@@ -1387,6 +1387,12 @@ export interface GetSolverRequest {
   id: string;
 }
 
+/** Tell the story of the open run. */
+export interface GetStoryRequest {
+  type: "get_story";
+  id: string;
+}
+
 /** Request the user's viewpoint in 3D. */
 export interface GetViewpointRequest {
   type: "get_viewpoint";
@@ -1986,6 +1992,48 @@ export interface StopSweepRequest {
   id: string;
 }
 
+/** A cause of wrong frames; ``frames`` and ``examples`` are positions. */
+export interface StoryCause {
+  kind: string;
+  sentence: string;
+  where: string;
+  is_of_run: boolean;
+  frames: Array<number>;
+  examples: Array<number>;
+  parts: Array<number>;
+}
+
+/** The story of the run. It has no causes of the run as a whole while ``progress`` has text. */
+export interface StoryEvent {
+  type: "story";
+  reply_to: string | null;
+  progress: string;
+  found: StoryView;
+}
+
+/** A part of the route: map points (m), its frames and wrong frames, and the worst one. */
+export interface StoryPart {
+  points: Array<[number, number]>;
+  frames: number;
+  wrong: number;
+  position: number;
+}
+
+/** The story of a run. Counts are of frames. */
+export interface StoryView {
+  headline: string;
+  detail: string;
+  length_m: number;
+  seconds: number | null;
+  median_m: number | null;
+  ok: number;
+  ambiguous: number;
+  cannot: number;
+  overconfident: number | null;
+  causes: Array<StoryCause>;
+  route: Array<StoryPart>;
+}
+
 /** Find the change most likely to explain the failure of this frame. */
 export interface SuggestWhatIfRequest {
   type: "suggest_what_if";
@@ -2128,6 +2176,7 @@ export interface Requests {
   get_label_edits: GetLabelEditsRequest;
   get_origins: GetOriginsRequest;
   get_solver: GetSolverRequest;
+  get_story: GetStoryRequest;
   get_viewpoint: GetViewpointRequest;
   get_what_if_options: GetWhatIfOptionsRequest;
   go_to_decision: GoToDecisionRequest;
@@ -2186,6 +2235,7 @@ export interface Events {
   selection: SelectionEvent;
   solver: SolverEvent;
   state: StateEvent;
+  story: StoryEvent;
   suggestion: SuggestionEvent;
   suggestion_status: SuggestionStatusEvent;
   viewpoint: ViewpointEvent;

@@ -16,10 +16,13 @@ from semviz_annotation.labels.labels import LabelElement, Labels, Observation
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.rows import Row, derived_id
 from semviz_annotation.mapping.association.candidates import LandmarkPositions, ground_positions
-from semviz_annotation.mapping.association.ground_rays import DriveImages, GroundRays
+from semviz_annotation.mapping.association.ground_rays import (
+    DriveImages,
+    GroundRays,
+    marks_on_camera,
+)
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.nodes import ReviewConstraints, spans
-from semviz_annotation.mapping.association.not_landmarks import marks_on_camera
 from semviz_annotation.mapping.association.shared_observations import (
     CandidateExplanations,
     nearby_explanations,

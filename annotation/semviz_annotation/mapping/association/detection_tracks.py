@@ -31,9 +31,9 @@ from semviz_annotation.mapping.association.ground_rays import (
     AgreedEnds,
     GroundRays,
     agreed_ends,
+    moving_tracks,
 )
 from semviz_annotation.mapping.association.merging import LinkOptions
-from semviz_annotation.mapping.association.not_landmarks import moving_tracks
 from semviz_annotation.mapping.association.track_search import SearchOptions, search_tracks
 from semviz_annotation.mapping.placement.landmarks import Landmarks
 from semviz_annotation.mapping.placement.observations import (

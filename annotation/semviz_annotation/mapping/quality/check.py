@@ -1,6 +1,6 @@
 """Map check: everything that ``semviz map check`` prints.
 
-Accuracy follows the criteria of `semviz_core.metrics.image_errors`: projection minus label, with
+Accuracy follows the criteria of `semviz_core.metrics.detection`: projection minus label, with
 the true poses, as in the paper's table. A gate sets limits that every measured class must meet.
 
 A wrong label pulls its element towards itself. So each label is also predicted from its element as
@@ -24,20 +24,15 @@ from semviz_annotation.mapping.placement.observations import (
 )
 from semviz_annotation.mapping.placement.reprojection import Residuals, information, residuals
 from semviz_annotation.mapping.placement.triangulation import PlaceOptions, triangulate_landmarks
-from semviz_annotation.mapping.quality.label_links import (
-    associate_labels,
-    check_frame,
-    check_triangles,
-    map_rows,
-)
+from semviz_annotation.mapping.quality import label_links
 from semviz_annotation.mapping.quality.lint import SEVERITIES, Finding, lint
 from semviz_annotation.mapping.quality.lint_context import LintContext
+from semviz_core.base.classes import describe
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import Provenance, SemanticMap
-from semviz_core.base.triangle_center import describe
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.metrics.image_errors import CRITERIA, ClassAccuracy, ImageErrors
+from semviz_core.metrics.detection import CRITERIA, ClassAccuracy, ImageErrors
 
 _FEWEST = 3
 """Least number of observations per landmark; fewer do not determine it without one."""
@@ -80,7 +75,7 @@ def leave_one_out(
 
     Elements with fewer than three labels are left out. ``sigma_ratio``: ``collect_observations``.
     """
-    linked = associate_labels(semantic_map, labels, source, frames, sigma_ratio)
+    linked = label_links.associate_labels(semantic_map, labels, source, frames, sigma_ratio)
     if linked is None:
         return ()
     options, elements = PlaceOptions(), semantic_map.elements
@@ -256,12 +251,12 @@ def mapping_accuracy(
     Raise SemvizError if the map is of another frame, was not made from labels, or a labelled frame
     has no pose.
     """
-    check_frame(semantic_map, source)
+    label_links.check_frame(semantic_map, source)
     if not semantic_map.provenance:
         raise SemvizError("the map was not made from labels, so there is nothing to compare with")
-    check_triangles(semantic_map, labels)
+    label_links.check_triangles(semantic_map, labels)
     elements = semantic_map.elements
-    rows = map_rows(semantic_map)
+    rows = label_links.map_rows(semantic_map)
     errors: dict[int, list[ImageErrors]] = {class_.id: [] for class_ in semantic_map.classes}
     unmapped = 0
     for view, observation in _observations(labels, source, frames):
@@ -434,7 +429,7 @@ def check_map(
 
 def _refuse(semantic_map: SemanticMap, labels: Labels, source: Dataset) -> None:
     """Raise SemvizError if this cannot be a map of these images."""
-    check_frame(semantic_map, source)
+    label_links.check_frame(semantic_map, source)
     if not len(semantic_map):
         raise SemvizError("the map is empty: label some poles and signs, then 'map build'")
     elements, road = semantic_map.elements, LintContext(semantic_map, labels, source).road

@@ -10,10 +10,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.classes import OLDER, TRIANGULAR, TriangleCenter, describe
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
-from semviz_core.base.triangle_center import OLDER, TriangleCenter, describe
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 

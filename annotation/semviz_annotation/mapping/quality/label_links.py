@@ -19,11 +19,10 @@ from semviz_annotation.mapping.placement.observations import (
     ViewArray,
     collect_observations,
 )
-from semviz_core.base.classes import TRIANGULAR
+from semviz_core.base.classes import TRIANGULAR, converted, describe
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.base.triangle_center import converted, describe
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 

@@ -24,9 +24,9 @@ from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.conventions import (
     QuaternionOrder,
     RecordedPoses,
+    local_poses,
     rotations_of,
 )
-from semviz_core.datasets.own_drive.geodesy import local_poses
 from semviz_core.datasets.own_drive.image_files import TimeUnit, in_seconds, is_number
 from semviz_core.datasets.trajectory import read_text
 

@@ -16,15 +16,8 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive import image_files
+from semviz_core.datasets.own_drive import conventions, image_files
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import (
-    CameraAxes,
-    Direction,
-    QuaternionOrder,
-    RecordedPoses,
-    UpDirection,
-)
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit
 from semviz_core.datasets.own_drive.rectification import MOST_VIEW_DEG
 
@@ -145,11 +138,11 @@ class DriveFiles:
     extrinsic: str | None = None
     """As for ``read_extrinsic``; None: the poses are those of the camera, if their format does not
     say that they are a body's."""
-    direction: Direction | None = None
-    axes: CameraAxes | None = None
-    quaternion: QuaternionOrder | None = None
+    direction: conventions.Direction | None = None
+    axes: conventions.CameraAxes | None = None
+    quaternion: conventions.QuaternionOrder | None = None
     time_unit: TimeUnit | None = None
-    up: UpDirection = "auto"
+    up: conventions.UpDirection = "auto"
     scale: float | None = None
     """Metres in a unit of length of the poses."""
     metric: bool = False
@@ -184,7 +177,7 @@ class Recording:
     calibration: CalibrationFile | None = None
     times: image_files.ImageTimes | None = None
     """Of each pair; None: not known."""
-    poses: RecordedPoses | None = None
+    poses: conventions.RecordedPoses | None = None
 
 
 Adapter: TypeAlias = Callable[[DriveFiles], Recording]

@@ -22,9 +22,12 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.association import SURELY_REAL_NATS, sinkhorn_with_dustbin
 from semviz_core.localization.correspondences import network
-from semviz_core.localization.correspondences.candidate_pairs import Compass, candidate_pairs
+from semviz_core.localization.correspondences.candidate_pairs import (
+    Compass,
+    Sample,
+    candidate_pairs,
+)
 from semviz_core.localization.correspondences.couples import FrameGeometry
-from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.localization.heading_votes import Effort
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.rating import (

@@ -26,7 +26,7 @@ from semviz_core.research.evaluation.methods import MatchedMethod, Method, Metho
 from semviz_core.research.evaluation.problems import DETECTOR, LocalizationProblem
 
 if TYPE_CHECKING:
-    from semviz_core.research.evaluation.matched_problems import MatchedProblem
+    from semviz_core.research.evaluation.methods import MatchedProblem
 
 NEEDED_POINTS = 4
 """Three to solve and one to choose among up to four solutions."""

@@ -22,6 +22,7 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.localization.correspondences.candidate_pairs import (
     BINS,
     Compass,
+    Sample,
     candidate_pairs,
     in_bins,
 )
@@ -42,9 +43,8 @@ from semviz_core.localization.correspondences.network import (
     RULED_OUT,
     SMALLEST,
     layer_sizes,
+    proposed_poses,
 )
-from semviz_core.localization.correspondences.pose_support import proposed_poses
-from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.research.training.batch import Batch
 
 

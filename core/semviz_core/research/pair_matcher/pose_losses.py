@@ -18,12 +18,12 @@ from torch import Tensor
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.association import associate
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.correspondences.matcher import (
     LEAST_LIKELIHOOD,
     MOST_GAIN,
     couple_poses,
 )
-from semviz_core.localization.correspondences.sample import Sample
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.rating import (

@@ -21,7 +21,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, rotate_left, solve_cholesky
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.residuals import (
@@ -33,8 +33,8 @@ from semviz_core.localization.residuals import (
     whiten_by_factor,
 )
 from semviz_core.research.pair_matcher.network import ConsensusNetwork, Prepared
+from semviz_core.research.paper.graph_torch import sinkhorn_with_dustbins
 from semviz_core.research.paper.training import by_perturbation
-from semviz_core.research.paper.transport import sinkhorn_with_dustbins
 from semviz_core.research.training.batch import Batch, Progress, SampleSource, cosine
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION
 

@@ -39,7 +39,11 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.localization.correspondences.sample import PRIOR_LENGTH, Sample, SampleTarget
+from semviz_core.localization.correspondences.candidate_pairs import (
+    PRIOR_LENGTH,
+    Sample,
+    SampleTarget,
+)
 
 Floats = NDArray[np.floating[Any]]
 

@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.p3p_ransac import SAMPLE, Points, most_inliers
 from semviz_core.research.paper import weighted_pnpl
 from semviz_core.research.paper.graph_torch import GraphMatcher

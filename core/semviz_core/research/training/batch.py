@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from semviz_core.common.arrays import BoolArray
-from semviz_core.localization.correspondences.sample import Sample
+from semviz_core.localization.correspondences.candidate_pairs import Sample
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.localization.correspondences.sample import Sample, SampleTarget
+from semviz_core.localization.correspondences.candidate_pairs import Sample, SampleTarget
 from semviz_core.research.evaluation import problems
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
 

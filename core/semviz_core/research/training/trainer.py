@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from semviz_core.common.errors import SemvizError
-from semviz_core.research.training import checkpoint, learner
+from semviz_core.research.training import checkpoint
 from semviz_core.research.training.batch import Progress, TrainingTask
 
 MOST_SAMPLES = 10_000_000
@@ -176,7 +176,7 @@ class TrainingOptions:
     seed: int = 0
     workers: int = 1
     """Worker processes per training process; with 0 it makes the items itself."""
-    precision: learner.Precision = "float32"
+    precision: checkpoint.Precision = "float32"
     held_out: int = 240
     """Number of validation items."""
     stop_after_s: float = float("inf")
@@ -203,7 +203,7 @@ class Trainer:
         """Resume from the folder's checkpoint, if any. Raise SemvizError if it belongs to another
         training."""
         torch.set_num_threads(1)  # samples are small: more threads would wait for each other
-        self.process_group = learner.init_process_group()
+        self.process_group = checkpoint.init_process_group()
         _check(options, self.process_group)
         if self.process_group.leads:
             self._lock = _locked(folder)
@@ -212,7 +212,7 @@ class Trainer:
             "task": task.name, "options": task.options,
             "seed": options.seed, "batch": options.batch,
         }  # fmt: skip
-        self._learner = learner.Learner(task, self.process_group, options.precision)
+        self._learner = checkpoint.Learner(task, self.process_group, options.precision)
         self.progress = self._resumed_progress()
         self._plan()
         if self.process_group.leads:
@@ -348,7 +348,7 @@ def _locked(folder: Path) -> IO[bytes]:
     return file
 
 
-def _check(options: TrainingOptions, process_group: learner.ProcessGroup) -> None:
+def _check(options: TrainingOptions, process_group: checkpoint.ProcessGroup) -> None:
     samples = 1 if options.samples is None else options.samples
     for number, name, least, most in (
         (samples, "samples", 1, MOST_SAMPLES),
@@ -363,7 +363,7 @@ def _check(options: TrainingOptions, process_group: learner.ProcessGroup) -> Non
         raise SemvizError(
             f"--batch {options.batch}: not a multiple of {process_group.world} processes"
         )
-    if options.precision != "float32" and not learner.has_bf16(process_group.device):
+    if options.precision != "float32" and not checkpoint.has_bf16(process_group.device):
         raise SemvizError(
             f"--precision {options.precision}: is for a GPU or a processor with AMX or AVX-512 "
             "BF16; none is here"

@@ -25,25 +25,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_file, first_line, read_limited, shown
+from semviz_core.datasets.own_drive import image_files, recording
 from semviz_core.datasets.own_drive.adapters import kitti, nuscenes, rosbag
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
 from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, RecordedPoses, rotations_of
-from semviz_core.datasets.own_drive.image_files import (
-    ImageTimes,
-    in_seconds,
-    list_images,
-    pairs_by_time,
-    size_of_images,
-)
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recording import (
-    Adapter,
-    DriveFiles,
-    Recording,
-    chosen_cameras,
-    read_image_folders,
-)
 from semviz_core.datasets.trajectory import parsed_numbers, read_text
 
 _MOST_BYTES = 2**22
@@ -58,32 +45,36 @@ def is_argoverse2(path: Path) -> bool:
     return (path / "city_SE3_egovehicle.feather").is_file()
 
 
-def read_argoverse2(files: DriveFiles) -> Recording:
+def read_argoverse2(files: recording.DriveFiles) -> recording.Recording:
     """Return one camera or two; default: ring_front_center."""
     log = files.images
     folder = log / "sensors" / "cameras"
     known = sorted(path.name for path in folder.glob("*") if path.is_dir())
-    chosen = chosen_cameras(files, known, [_FRONT] if _FRONT in known else [])
-    names = list_images(folder / chosen[0], None)
-    time_s, _ = in_seconds([Path(name).stem for name in names.left], "ns", folder / chosen[0])
+    chosen = recording.chosen_cameras(files, known, [_FRONT] if _FRONT in known else [])
+    names = image_files.list_images(folder / chosen[0], None)
+    time_s, _ = image_files.in_seconds(
+        [Path(name).stem for name in names.left], "ns", folder / chosen[0]
+    )
     if len(chosen) == 2:
-        others = list_images(folder / chosen[1], None).left
-        other_s, _ = in_seconds([Path(name).stem for name in others], "ns", folder / chosen[1])
-        names, rows = pairs_by_time(names.left, time_s, others, other_s)
+        others = image_files.list_images(folder / chosen[1], None).left
+        other_s, _ = image_files.in_seconds(
+            [Path(name).stem for name in others], "ns", folder / chosen[1]
+        )
+        names, rows = image_files.pairs_by_time(names.left, time_s, others, other_s)
         time_s = time_s[rows]
     table = log / "calibration" / "intrinsics.feather"
     mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
     cameras = [_camera(table, name) for name in chosen]
     T_ego_camera = [_mounted(mounts, name) for name in chosen]
     T_right_left = T_ego_camera[1].inverse() @ T_ego_camera[0] if len(chosen) == 2 else None
-    return Recording(
+    return recording.Recording(
         folder / chosen[0],
         folder / chosen[1] if len(chosen) == 2 else None,
         names,
         CalibrationFile(
             table, f"Argoverse 2, {chosen[0]}", tuple(cameras), T_right_left, T_ego_camera[0]
         ),
-        ImageTimes(time_s, "names of the images", "ns"),
+        image_files.ImageTimes(time_s, "names of the images", "ns"),
         _poses(log / "city_SE3_egovehicle.feather"),
     )
 
@@ -167,17 +158,19 @@ def is_boreas(path: Path) -> bool:
     return (path / "applanix" / "camera_poses.csv").is_file()
 
 
-def read_boreas(files: DriveFiles) -> Recording:
+def read_boreas(files: recording.DriveFiles) -> recording.Recording:
     """Return the images of the only camera, with its poses."""
-    chosen_cameras(files, ["camera"], ["camera"])
+    recording.chosen_cameras(files, ["camera"], ["camera"])
     images = files.images / "camera"
-    names = list_images(images, None)
+    names = image_files.list_images(images, None)
     path = files.images / "calib" / "P_camera.txt"
     P = parsed_numbers(" ".join(read_text(path).split()[:12]), 12, str(path)).reshape(3, 4)
-    size = size_of_images(images, names.left)
+    size = image_files.size_of_images(images, names.left)
     camera = OriginalCamera("pinhole", *size, P[:, :3], np.zeros(0))
     poses = _read_poses(files.images / "applanix" / "camera_poses.csv")
-    return Recording(images, None, names, CalibrationFile(path, "Boreas", (camera,)), None, poses)
+    return recording.Recording(
+        images, None, names, CalibrationFile(path, "Boreas", (camera,)), None, poses
+    )
 
 
 def _read_poses(path: Path) -> RecordedPoses:
@@ -217,21 +210,21 @@ def is_euroc(path: Path) -> bool:
     return (_folder(path) / "cam0" / "sensor.yaml").is_file()
 
 
-def read_euroc(files: DriveFiles) -> Recording:
+def read_euroc(files: recording.DriveFiles) -> recording.Recording:
     """Return cam0 and cam1, or the chosen cameras; images are named by their time in ns."""
     folder = _folder(files.images)
     known = sorted(path.parent.name for path in folder.glob("cam*/sensor.yaml"))
-    cameras = chosen_cameras(files, known, known[:2])
+    cameras = recording.chosen_cameras(files, known, known[:2])
     sides = [folder / camera for camera in cameras]
     calibration = read_calibration(*(side / "sensor.yaml" for side in sides))
     if calibration.T_body_left is None:
         raise SemvizError(f"{sides[0] / 'sensor.yaml'}: no T_BS; complete it")
     images, *right = (side / "data" for side in sides)
     poses = folder.joinpath(*_POSES)
-    return Recording(
+    return recording.Recording(
         images,
         right[0] if right else None,
-        list_images(images, right[0] if right else None),
+        image_files.list_images(images, right[0] if right else None),
         calibration,
         poses=read_poses(poses, files.quaternion, files.time_unit) if poses.is_file() else None,
     )
@@ -271,7 +264,7 @@ def _array(path: Path, width: int) -> FloatArray:
         raise SemvizError(f"{path}: not an array of numbers ({first_line(error)})") from None
 
 
-ADAPTERS: dict[str, tuple[Callable[[Path], bool], Adapter]] = {
+ADAPTERS: dict[str, tuple[Callable[[Path], bool], recording.Adapter]] = {
     "bag": (rosbag.is_bag, rosbag.read_bag),
     "nuScenes": (nuscenes.is_nuscenes, nuscenes.read_nuscenes),
     "KITTI-360": (kitti.is_kitti360, kitti.read_kitti360),
@@ -283,7 +276,7 @@ ADAPTERS: dict[str, tuple[Callable[[Path], bool], Adapter]] = {
 """By the name of a layout: whether a path has it, and its adapter."""
 
 
-def read_recording(files: DriveFiles) -> Recording:
+def read_recording(files: recording.DriveFiles) -> recording.Recording:
     """Return the recording at ``files.images``: one of a known layout, or folders of images.
 
     Raise SemvizError if it is damaged, or an option is not for such a source.
@@ -297,17 +290,17 @@ def read_recording(files: DriveFiles) -> Recording:
                 )
             return read(files)
     if files.rig and files.sequence is None:
-        return read_image_folders(replace(files, images=_folder_of_camera(files)))
+        return recording.read_image_folders(replace(files, images=_folder_of_camera(files)))
     if files.cameras or files.sequence is not None:
         option = "--cameras" if files.cameras else "--sequence"
         raise SemvizError(
             f"{files.images}: a folder of images, where {option} has no meaning; if it holds a "
             "folder for each of several cameras, add --rig"
         )
-    return read_image_folders(files)
+    return recording.read_image_folders(files)
 
 
-def _folder_of_camera(files: DriveFiles) -> Path:
+def _folder_of_camera(files: recording.DriveFiles) -> Path:
     """Return the folder of the one camera of a rig that ``files`` are of."""
     (name,) = files.cameras
     folder = files.images / name

@@ -15,15 +15,9 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
+from semviz_core.datasets.own_drive import image_files
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import RecordedPoses
-from semviz_core.datasets.own_drive.geodesy import local_poses
-from semviz_core.datasets.own_drive.image_files import (
-    ImageNames,
-    ImageTimes,
-    list_images,
-    size_of_images,
-)
+from semviz_core.datasets.own_drive.conventions import RecordedPoses, local_poses
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.pose_files import body_axes, read_poses
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
@@ -46,9 +40,9 @@ def read_kitti_raw(files: DriveFiles) -> Recording:
     cameras = chosen_cameras(files, known, pair or known[:1])
     folders = [drive / camera / "data" for camera in cameras]
     right = folders[1] if len(folders) == 2 else None
-    names = list_images(folders[0], right)
+    names = image_files.list_images(folders[0], right)
     table = _read_table(drive.parent / "calib_cam_to_cam.txt")
-    size = size_of_images(folders[0], names.left)
+    size = image_files.size_of_images(folders[0], names.left)
     T_velo_imu = _rigid(drive.parent / "calib_imu_to_velo.txt")
     T_camera0_velo = _rigid(drive.parent / "calib_velo_to_cam.txt")
     calibration = _calibration(
@@ -82,7 +76,7 @@ def read_kitti360(files: DriveFiles) -> Recording:
     cameras = chosen_cameras(files, ("image_00", "image_01"), ("image_00", "image_01"))
     folders = [raw / sequence / camera / "data_rect" for camera in cameras]
     right = folders[1] if len(folders) == 2 else None
-    names = list_images(folders[0], right)
+    names = image_files.list_images(folders[0], right)
     path = root / "calibration" / "perspective.txt"
     to_pose = root / "calibration" / "calib_cam_to_pose.txt"
     T = _numbers(to_pose, _read_table(to_pose), "image_00", 12).reshape(3, 4)
@@ -90,7 +84,7 @@ def read_kitti360(files: DriveFiles) -> Recording:
         path,
         _read_table(path),
         [camera[-2:] for camera in cameras],
-        size_of_images(folders[0], names.left),
+        image_files.size_of_images(folders[0], names.left),
         _pose(to_pose, T[:, :3], T[:, 3]),
         "KITTI-360",
     )
@@ -172,7 +166,9 @@ def _pose(path: Path, R: FloatArray, t: FloatArray) -> Pose:
         raise SemvizError(f"{path}: {error}") from None
 
 
-def _image_times(path: Path, folder: Path, names: ImageNames) -> ImageTimes | None:
+def _image_times(
+    path: Path, folder: Path, names: image_files.ImageNames
+) -> image_files.ImageTimes | None:
     """Return the times of the listed images; line n is that of image n, which is its name."""
     if not path.is_file():
         return None
@@ -183,7 +179,7 @@ def _image_times(path: Path, folder: Path, names: ImageNames) -> ImageTimes | No
             f"{path}: {len(time_s)} times, but {folder} has images up to {shown(stems[-1], 40)}; "
             "copy both again"
         )
-    return ImageTimes(_known(path, time_s, [int(stem) for stem in stems]), path.name)
+    return image_files.ImageTimes(_known(path, time_s, [int(stem) for stem in stems]), path.name)
 
 
 def _read_stamps(path: Path) -> FloatArray:

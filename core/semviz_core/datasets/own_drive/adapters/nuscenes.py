@@ -15,14 +15,9 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line, parsed_json, read_limited, shown
+from semviz_core.datasets.own_drive import image_files
 from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
 from semviz_core.datasets.own_drive.conventions import RecordedPoses, rotations_of
-from semviz_core.datasets.own_drive.image_files import (
-    ImageNames,
-    ImageTimes,
-    LeftOutImage,
-    pairs_by_time,
-)
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 
@@ -90,7 +85,7 @@ def _read(files: DriveFiles, folder: Path) -> Recording:
             T_right_left,
             left.T_ego_camera,
         ),
-        ImageTimes(left.time_s[rows], "sample_data.json", "us"),
+        image_files.ImageTimes(left.time_s[rows], "sample_data.json", "us"),
         RecordedPoses(path, "nuScenes", matrices, of_body=True, quaternion="wxyz"),
     )
 
@@ -130,26 +125,28 @@ class _Side:
         R = rotations_of(np.array([sensor["rotation"]], dtype=np.float64), "wxyz", path)[0]
         self.T_ego_camera = Pose(R, float_array(sensor["translation"], (3,), str(path)))
 
-    def missing(self, side: Side) -> list[LeftOutImage]:
+    def missing(self, side: Side) -> list[image_files.LeftOutImage]:
         """Return the images that are listed, and not there."""
         found = set(self.names)
         reason = "listed by the recording, but there is no such file"
         return [
-            LeftOutImage(name, side, time_s, reason)
+            image_files.LeftOutImage(name, side, time_s, reason)
             for name, time_s in self._listed
             if name not in found
         ]
 
 
-def _paired(sides: Sequence[_Side]) -> tuple[ImageNames, list[int]]:
+def _paired(sides: Sequence[_Side]) -> tuple[image_files.ImageNames, list[int]]:
     """Return the names of one camera's images, or of pairs, and their rows on the left."""
     left = sides[0]
     missing = left.missing("left")
     if len(sides) == 1:
-        return ImageNames(tuple(left.names), missing=tuple(missing)), list(range(len(left.names)))
+        return image_files.ImageNames(tuple(left.names), missing=tuple(missing)), list(
+            range(len(left.names))
+        )
     right = sides[1]
     missing += right.missing("right")
-    return pairs_by_time(left.names, left.time_s, right.names, right.time_s, missing)
+    return image_files.pairs_by_time(left.names, left.time_s, right.names, right.time_s, missing)
 
 
 def _camera(folder: Path, name: str, sensor: _Row, row: _Row) -> OriginalCamera:

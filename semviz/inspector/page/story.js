@@ -1,0 +1,203 @@
+// @ts-check
+/* The story of a run: how many frames are right, what explains the others, and where they are. Opens
+ * first for long runs. */
+
+import { byId, el, fill, fixed } from "/static/dom.js";
+import { statusMark } from "/static/glyphs.js";
+import { StoryMap } from "./story_map.js";
+
+/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
+/** @typedef {import("/static/protocol").inspector.StoryEvent} StoryEvent */
+/** @typedef {import("/static/protocol").inspector.StoryView} StoryView */
+/** @typedef {import("/static/keys.js").Command} Command */
+/** @typedef {import("./panel.js").AddressPart} AddressPart */
+/** @typedef {import("./main.js").Page} Page */
+
+const LONG_RUN = 200; // frames; longer runs open with their story
+const LEADS_TO_FRAME = ".list .row, .fault, .decision";
+
+export class Story {
+  /** @param {Page} page */
+  constructor(page) {
+    this.page = page;
+    this.isOpen = false;
+    this.isRequested = false;
+    this.run = ""; // the name of the open one
+    /** @type {StoryView | null} */
+    this.found = null;
+    /** The selected cause.
+     *
+     * @type {StoryCause | null} */
+    this.cause = null;
+    this.map = new StoryMap((position) => this.openFrame(position));
+    page.socket.on("story", (event) => this.showStory(event));
+    byId("view-frame").addEventListener("click", () => this.show(false));
+    byId("view-story").addEventListener("click", () => this.show(true));
+    byId("frames").addEventListener("click", ({ target }) => {
+      if (target instanceof Element && target.closest(LEADS_TO_FRAME)) this.show(false);
+    });
+    byId("story-all").addEventListener("click", () => this.choose(null));
+    byId("story-copy").addEventListener("click", () => this.copy());
+  }
+
+  /** @returns {Command[]} */
+  commands() {
+    return [
+      { key: "F2", group: "Page", title: "The frame: image, map, diagnosis", run: () => this.show(false) },
+      { key: "F3", group: "Page", title: "The story of the run: causes, and where it fails", run: () => this.show(true) },
+    ];
+  }
+
+  /** @returns {AddressPart[]} */
+  address() {
+    const name = () => (this.isOpen ? "story" : "frame");
+    return [{
+      fields: { show: { initial: null, accepts: (text) => text === "story" || text === "frame" } },
+      get: () => ({ show: this.isOpen === this.isFirst() ? null : name() }),
+      set: ({ show }) => this.show(show ? show === "story" : this.isFirst()),
+    }];
+  }
+
+  /** Whether the run opens with its story. */
+  isFirst() {
+    return this.page.store.run.frames.length > LONG_RUN;
+  }
+
+  /** @param {RunView} run */
+  showRun(run) {
+    if (run.name !== this.run) {
+      this.found = null;
+      this.cause = null;
+      this.isRequested = false;
+      this.show(this.isFirst());
+    }
+    this.run = run.name;
+  }
+
+  /** Opens the story, or the frame.
+   *
+   * @param {boolean} isOpen
+   */
+  show(isOpen) {
+    if (isOpen && this.page.compare.isOpen) this.page.compare.close();
+    this.isOpen = isOpen;
+    document.body.classList.toggle("telling", isOpen);
+    byId("story").hidden = !isOpen;
+    byId("view-story").setAttribute("aria-selected", String(isOpen));
+    byId("view-frame").setAttribute("aria-selected", String(!isOpen));
+    if (isOpen && !this.isRequested) {
+      this.isRequested = true;
+      this.page.socket.send("get_story");
+    }
+    this.page.address.changed();
+  }
+
+  /** @param {number} position */
+  openFrame(position) {
+    this.page.go(position);
+    this.show(false);
+  }
+
+  /** @param {StoryEvent} event */
+  showStory({ found, progress }) {
+    this.found = found;
+    if (this.cause) this.cause = found.causes.find(({ kind }) => kind === this.cause?.kind) ?? null;
+    byId("story-headline").textContent = found.headline;
+    byId("story-detail").textContent = found.detail;
+    byId("story-progress").textContent = progress ? `Looking for causes of the whole run: ${progress}` : "";
+    fill(byId("story-tiles"), tiles(found));
+    byId("story-about").textContent = about(found, this.page.store.run.frames.length);
+    this.fillCauses(found);
+    this.map.use(found.route, found.causes);
+  }
+
+  /** @param {StoryView} found */
+  fillCauses({ causes, overconfident }) {
+    const none = el("li", { class: "none dim", text: "Every frame is right." });
+    fill(byId("story-causes"), causes.length ? causes.map((cause) => this.entry(cause)) : [none]);
+    byId("story-truth").textContent = overconfident === null ? "without ground truth" : "with ground truth";
+    this.mark();
+  }
+
+  /** @param {StoryCause} cause */
+  entry(cause) {
+    const { kind, sentence, where, frames, examples, is_of_run: ofRun } = cause;
+    const { frames: rows } = this.page.store.run;
+    const example = (/** @type {number} */ position) => el("button", {
+      class: "small", text: rows[position].index, title: "Open this frame",
+      onclick: (event) => { event.stopPropagation(); this.openFrame(position); } });
+    return el("li", { class: "cause", tabindex: 0, data: { kind }, onclick: () => this.choose(cause),
+      onkeydown: (/** @type {KeyboardEvent} */ event) => { if (event.key === "Enter") this.choose(cause); } },
+      el("header", {}, statusMark(rows[frames[0]].status), el("b", { class: "kind", text: kind }), el("b", { class: "count", text: frames.length.toLocaleString("en") })),
+      el("p", { text: sentence }),
+      el("p", { class: "dim", text: `${where}${ofRun ? " · seen over the whole run" : ""}` }),
+      el("div", { class: "examples" }, el("span", { class: "faint", text: "open" }), ...examples.map(example)));
+  }
+
+  /** Shows only the frames of a cause in the list; null shows all.
+   *
+   * @param {StoryCause | null} cause
+   */
+  choose(cause) {
+    this.cause = cause && cause.kind === this.cause?.kind ? null : cause;
+    this.page.list.showCause(this.cause);
+    this.page.left.show("frames");
+    this.mark();
+    this.map.select(this.cause);
+  }
+
+  mark() {
+    byId("story-all").hidden = this.cause === null;
+    for (const entry of document.querySelectorAll("#story-causes .cause")) {
+      const isCurrent = entry instanceof HTMLElement && entry.dataset.kind === this.cause?.kind;
+      entry.setAttribute("aria-current", String(isCurrent));
+    }
+  }
+
+  /** Copies the causes as a table that spreadsheets read. */
+  async copy() {
+    const rows = (this.found?.causes ?? []).map(({ kind, frames, where, sentence }) => [kind, frames.length, where, sentence].join("\t"));
+    await navigator.clipboard.writeText(["cause\tframes\twhere\tsentence", ...rows].join("\n"));
+    const button = byId("story-copy");
+    button.textContent = "Copied";
+    setTimeout(() => { button.textContent = "Copy as table"; }, 1200);
+  }
+
+  showTheme() {
+    this.map.surface.redraw();
+  }
+
+  figures() {
+    return this.isOpen ? [this.map.surface.figure("where-it-fails", "Where it fails")] : [];
+  }
+}
+
+/** Numbers of the run, each above what it counts.
+ *
+ * @param {StoryView} found
+ */
+function tiles({ ok, ambiguous, cannot, overconfident, median_m: medianM }) {
+  const frames = ok + ambiguous + cannot;
+  const share = (/** @type {number} */ count) => `${fixed((100 * count) / Math.max(frames, 1), 1)} %`;
+  const count = (/** @type {number} */ number) => number.toLocaleString("en");
+  /** @type {(value: (Node | string)[], label: string, kind?: string) => HTMLElement} */
+  const tile = (value, label, kind = "") => el("div", { class: `tile ${kind}` }, el("b", {}, ...value), el("span", { class: "dim", text: label }));
+  return [
+    medianM === null ? null : tile([`${fixed(medianM, 2)} m`], "median error"),
+    tile([statusMark("ok"), share(ok)], `ok, ${count(ok)}`),
+    tile([statusMark("ambiguous"), share(ambiguous)], `ambiguous, ${count(ambiguous)}`),
+    tile([statusMark("cannot"), share(cannot)], `cannot, ${count(cannot)}`),
+    overconfident === null ? null : tile([count(overconfident)], "ok, yet over 1 m off", overconfident ? "wrong" : ""),
+  ];
+}
+
+/**
+ * @param {StoryView} found
+ * @param {number} frames
+ */
+function about({ length_m: lengthM, seconds }, frames) {
+  const length = lengthM < 2000 ? `${Math.round(lengthM)} m` : `${fixed(lengthM / 1000, 1)} km`;
+  const time = !seconds ? null : seconds < 120 ? `${Math.round(seconds)} s` : `${Math.round(seconds / 60)} min`;
+  return [`${frames.toLocaleString("en")} frames`, time, length].filter(Boolean).join(", ");
+}

@@ -1,0 +1,93 @@
+"""Send the story of the open run: what is right, what explains the rest, and where it happens.
+
+It is told at once from the diagnoses of single frames, and again when the run is diagnosed, in a
+background thread.
+"""
+
+import numpy as np
+
+from semviz.inspector.context import Panel
+from semviz.inspector.elements import RunAnalysis
+from semviz.inspector.messages import GetStoryRequest
+from semviz.inspector.views import number
+from semviz.inspector.views_run import StoryCause, StoryEvent, StoryPart, StoryView
+from semviz.runs.metrics import errors_of, is_overconfident
+from semviz.runs.run import Run
+from semviz.runs.story import (
+    Cause,
+    RoutePart,
+    RunStory,
+    counts_by_status,
+    frames_text,
+    stretches,
+)
+from semviz.web.protocol import handles
+
+EXAMPLES = 3
+"""Frames that are offered for a cause."""
+
+
+class StoryPanel(Panel):
+    """Sends the story of the open run on request."""
+
+    @handles(GetStoryRequest)
+    def _get(self, _: GetStoryRequest) -> None:
+        run = self.context.run
+        self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
+
+    def _on_progress(self, run: Run) -> None:
+        """Called in the background thread; the page may show another run by then."""
+        with self.context.lock:
+            if self.context.run is not run:
+                return
+            analysis = self.context.cached(RunAnalysis)
+            progress = "" if analysis.diagnosed is not None else analysis.progress
+            self.context.send(StoryEvent(progress=progress, found=story_view(analysis.story)))
+
+
+def story_view(story: RunStory) -> StoryView:
+    """Return a story as the page gets it."""
+    frames = story.run.frames
+    counts, times = counts_by_status(story.run), [record.frame.time_s for record in frames]
+    errors = [errors_of(record) for record in frames]
+    known_m = [error.distance_m for error in errors if error is not None]
+    overconfident = sum(
+        is_overconfident(record.localization, error)
+        for record, error in zip(frames, errors, strict=True)
+    )
+    return StoryView(
+        headline=story.headline,
+        detail=story.detail,
+        length_m=round(story.length_m, 1),
+        seconds=round(times[-1] - times[0], 1),
+        median_m=number(np.median(known_m)) if known_m else None,
+        ok=counts["ok"],
+        ambiguous=counts["ambiguous"],
+        cannot=counts["cannot"],
+        overconfident=overconfident if known_m else None,
+        causes=tuple(_cause_view(story, cause) for cause in story.causes),
+        route=tuple(_part_view(part) for part in story.route),
+    )
+
+
+def _cause_view(story: RunStory, cause: Cause) -> StoryCause:
+    groups = sorted(stretches(cause.frames), key=lambda group: group[0] - group[1])[:EXAMPLES]
+    return StoryCause(
+        kind=cause.kind,
+        sentence=cause.sentence,
+        where=frames_text(story.run, cause.frames),
+        is_of_run=cause.is_of_run,
+        frames=cause.frames,
+        examples=tuple(sorted((first + last) // 2 for first, last in groups)),
+        parts=story.parts_of(cause),
+    )
+
+
+def _part_view(part: RoutePart) -> StoryPart:
+    shown = part.wrong or part.frames
+    return StoryPart(
+        points=tuple((round(x, 1), round(y, 1)) for x, y in part.points_m.tolist()),
+        frames=len(part.frames),
+        wrong=len(part.wrong),
+        position=shown[len(shown) // 2],
+    )

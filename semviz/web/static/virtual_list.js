@@ -1,0 +1,90 @@
+// @ts-check
+/* A list of rows of one height, of which only those near the visible part are in the page. */
+
+const ALL = 300; // a list up to this length is in the page as a whole
+const AROUND = 30; // rows above and below the visible ones
+
+export class VirtualList {
+  /** `make` returns the row at an index.
+   *
+   * @param {HTMLElement} box scrolls
+   * @param {number} rowPx
+   * @param {(index: number) => HTMLElement} make
+   */
+  constructor(box, rowPx, make) {
+    this.box = box;
+    this.rowPx = rowPx;
+    this.make = make;
+    this.count = 0;
+    this.current = -1;
+    this.first = 0;
+    this.end = 0;
+    this.paddingPx = 0;
+    box.addEventListener("scroll", () => this.update());
+    new ResizeObserver(() => this.update()).observe(box);
+  }
+
+  /** Shows `count` rows made anew.
+   *
+   * @param {number} count
+   */
+  show(count) {
+    this.count = count;
+    this.first = this.end = 0;
+    this.box.replaceChildren();
+    this.update();
+  }
+
+  /** Marks a row, and scrolls to it if it is not visible; -1 marks none.
+   *
+   * @param {number} index
+   */
+  mark(index) {
+    this.row(this.current)?.setAttribute("aria-current", "false");
+    this.current = index;
+    if (index < 0) return;
+    const { box, rowPx } = this;
+    const top = index * rowPx;
+    if (top < box.scrollTop) box.scrollTop = top;
+    else if (top + rowPx > box.scrollTop + box.clientHeight) box.scrollTop = top + rowPx - box.clientHeight;
+    this.update();
+    this.row(index)?.setAttribute("aria-current", "true");
+  }
+
+  /** The row at an index, if it is in the page.
+   *
+   * @param {number} index
+   */
+  row(index) {
+    return index >= this.first && index < this.end ? this.box.children[index - this.first] : undefined;
+  }
+
+  /** Puts the rows near the visible part into the page. */
+  update() {
+    const [first, end] = wanted(this.box.scrollTop, this.box.clientHeight, this.rowPx, this.count);
+    if (first === this.first && end === this.end) return;
+    this.first = first;
+    this.end = end;
+    const rows = Array.from({ length: end - first }, (_, at) => this.make(first + at));
+    this.box.replaceChildren(...rows);
+    this.row(this.current)?.setAttribute("aria-current", "true");
+    this.box.style.paddingTop = `${first * this.rowPx}px`;
+    this.box.style.paddingBottom = `${(this.count - end) * this.rowPx}px`;
+  }
+}
+
+/** The rows that should be in the page: from the first one to before the end. They change in steps, so that
+ * not every scrolled pixel makes rows.
+ *
+ * @param {number} topPx
+ * @param {number} heightPx
+ * @param {number} rowPx
+ * @param {number} count
+ * @returns {[number, number]}
+ */
+export function wanted(topPx, heightPx, rowPx, count) {
+  if (count <= ALL) return [0, count];
+  const step = Math.floor(topPx / rowPx / AROUND) * AROUND;
+  const visible = Math.ceil(heightPx / rowPx);
+  return [Math.max(0, Math.min(step - AROUND, count)), Math.min(count, step + visible + 2 * AROUND)];
+}
