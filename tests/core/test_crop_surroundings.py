@@ -74,8 +74,10 @@ def test_added_signs_are_labelled_at_the_middle_of_their_box(changed: list[Crop]
             if not _is_cut(crop, row):
                 off.append(np.abs(box.mean(axis=0) - crop.elements.anchor_px[row]).max())
             classes.add(int(crop.elements.class_id[row]))
-    assert len(off) > 5 and len(classes) == 3
-    assert np.median(off) < 0.7 and max(off) < 3.0
+    assert len(off) > 5
+    assert len(classes) == 3
+    assert np.median(off) < 0.7
+    assert max(off) < 3.0
 
 
 def _is_cut(crop: Crop, row: int) -> bool:
