@@ -110,7 +110,9 @@ class Labeller:
         }
 
     def judge(self, frame: int, truth: Truth) -> None:
-        """Turns down what is sure but wrong, and accepts what is weak but right."""
+        """Turns down what is sure but wrong, and accepts what is weak but right: together, if that
+        takes fewer keys."""
+        weak: dict[str, tuple[ProposalView, int]] = {}
         for offer in self.offers(frame):
             element = self.meant(offer, truth)
             if offer.is_confident and element is None:
@@ -122,6 +124,20 @@ class Labeller:
                 and element is not None
                 and self.lacking(frame, truth, element)
             ):
+                weak[offer.id] = offer, element
+        together = set(self.page.evaluate("semviz.state.foundProposals.map(({ id }) => id)"))
+        with self.annotator.lock:
+            sure = {offer.id for offer in self.offers(frame) if offer.is_confident}
+        wrong = [o for o in self.offers(frame) if o.id in together - sure - weak.keys()]
+        if len(weak.keys() & together) > 1 + len(wrong):
+            self.work.thoughts += 1
+            with self.work.on("weak but right, together", frame):
+                for offer in wrong:
+                    self.point_at(offer)
+                    self.key("x")
+                self.key("Shift+G")
+        for offer, element in weak.values():
+            if self.lacking(frame, truth, element):
                 with self.work.on("weak but right", frame, told(offer), element):
                     self.point_at(offer)
                     self.key(" ")

@@ -32,16 +32,23 @@ from semviz_core.base.semantic_map import footprint_covariance_m2, footprint_m
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import DatasetWithFrames
-from semviz_core.pose_checks.faults import PoseCheck, check_drive, refined_frames
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_information, refined_frames
+from semviz_core.pose_checks.refinement import PoseInformation
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
 
 LABEL_PX = 0.5
 
 
+def wrong_frames(check: PoseCheck) -> set[int]:
+    """Return the frames that somebody would refine: all for a fault of the whole drive."""
+    whole = any(fault.kind in ("axes", "time", "heights") for fault in check.faults)
+    return {frame.index for frame in check.frames} if whole else set(check.wrong_frames)
+
+
 def repaired(check: PoseCheck) -> tuple[Frame, ...]:
     """Return the frames with refined poses where a fault was found."""
-    wrong = set(check.wrong_frames)
+    wrong = wrong_frames(check)
     pairs = zip(check.frames, refined_frames(check), strict=True)
     return tuple(refined if given.index in wrong else given for given, refined in pairs)
 
@@ -52,11 +59,15 @@ def errors(
     true_id: dict[str, int],
     frames: Sequence[Frame],
     inside: set[int],
+    poses: PoseInformation | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return error (m), squared normalized error and degrees of freedom of elements concerned."""
     try:
         built, _ = build_map(
-            labels, DatasetWithFrames(street, tuple(frames)), BuildOptions(sigma_px=LABEL_PX)
+            labels,
+            DatasetWithFrames(street, tuple(frames)),
+            BuildOptions(sigma_px=LABEL_PX),
+            poses=poses,
         )
     except SemvizError:
         return np.zeros(0), np.zeros(0), np.zeros(0)
@@ -106,8 +117,12 @@ def main() -> None:
             assert planted.first is not None
             assert planted.last is not None
             inside = set(range(planted.first, planted.last + 1))
-            for poses, frames in (("given", planted.frames), ("refined", repaired(check))):
-                result = errors(street, drawn.labels, true_id, frames, inside)
+            known = pose_information(check, wrong_frames(check))
+            for poses, frames, information in (
+                ("given", planted.frames, None),
+                ("refined", repaired(check), known),
+            ):
+                result = errors(street, drawn.labels, true_id, frames, inside, information)
                 rows[name, level][poses].append(result)
     print("| fault | poses | given: m | NEES | median | refined: m | NEES | median |")
     print("|---|---|---|---|---|---|---|---|")

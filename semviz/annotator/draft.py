@@ -27,6 +27,8 @@ PageCoordinate: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
 PagePixel: TypeAlias = tuple[PageCoordinate, PageCoordinate]
 """A pixel in an image or beside it: squares of those far away would be beyond floats."""
 ANYWHERE_M = (0.1, float("inf"))
+SMALLER = 1.1
+"""A view in which an element is larger by less tells nothing new about its other labels."""
 THIN_DEG = 1.0
 """Below this ray angle depth is uncertain; the card warns."""
 
@@ -49,6 +51,8 @@ class Card(Part):
     length_px: dict[Side, float]
     """Length of a line in each image on the page."""
     epipolar_px: float | None
+    smaller_views: int = 0
+    """Labels in other images that could be aligned to this one: the element is smaller there."""
 
 
 def card(
@@ -274,7 +278,25 @@ class DraftEditor:
         }
         view = self._cameras.view(frame_index, "left")
         epipolar_px = epipolar_error_px([shown[side] for side in sorted(shown)])
-        return card(position, view, count, lengths, epipolar_px)
+        numbers = card(position, view, count, lengths, epipolar_px)
+        smaller = self._smaller(position, observations, here)
+        return numbers.model_copy(update={"smaller_views": smaller})
+
+    def _smaller(
+        self,
+        position: Triangulated | TriangulationFailure,
+        observations: Sequence[Observation],
+        here: Sequence[Observation],
+    ) -> int:
+        """Return in how many other images an element is smaller; 0 if it is larger in one."""
+        posed = self._positions.posed(observations)
+        if not isinstance(position, Triangulated) or not here or not posed:
+            return 0
+        sizes = self._cameras.sizes_px(position, [Pane(row.frame_index, row.side) for row in posed])
+        shown = np.array([row in here for row in posed])
+        now = sizes[shown].max(initial=0.0)
+        larger = sizes[~shown].max(initial=0.0) > SMALLER * now
+        return 0 if larger else int((SMALLER * sizes < now).sum())
 
 
 def _guide(here: PosedView, there: PosedView, pixel: Pixel) -> Guide:

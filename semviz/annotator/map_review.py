@@ -172,21 +172,27 @@ class MapWork:
             self.building = None
 
     def _of_labels(self, labels: Labels) -> SemanticMap:
+        from semviz.workspace.pose_review import pose_errors
         from semviz_annotation.mapping.build import build_map
 
         workspace = self._workspace
         built, _ = build_map(
-            labels, workspace.source, classes=workspace.classes, on_progress=self._on_progress
+            labels,
+            workspace.source,
+            classes=workspace.classes,
+            on_progress=self._on_progress,
+            poses=pose_errors(workspace),
         )
         return built
 
     def _rebuilt(self, old: SemanticMap, labels: Labels) -> SemanticMap:
         from semviz.workspace.observations import read_detections
+        from semviz.workspace.pose_review import pose_errors
         from semviz_annotation.mapping.build import rebuild_map
 
         detections = read_detections(self._workspace, ())
-        source = self._workspace.source
-        built, _ = rebuild_map(old, labels, source, self._on_progress, detections)
+        source, poses = self._workspace.source, pose_errors(self._workspace)
+        built, _ = rebuild_map(old, labels, source, self._on_progress, detections, poses)
         return built
 
     def _saved(self, name: str, semantic_map: SemanticMap) -> SemanticMap:

@@ -16,6 +16,12 @@ from semviz.annotator.drive_view import DriveMatch, DriveView
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
+from semviz.annotator.track_edits import (
+    AcceptSureTracksEdit,
+    AcceptTracksEdit,
+    AlignLabelsEdit,
+    RejectTracksEdit,
+)
 from semviz.web import protocol
 from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
@@ -80,38 +86,6 @@ class AcceptEdit(protocol.Part):
     marks: list[DrawnMark] = Field(min_length=1)
 
 
-class CorrectedMark(protocol.Part):
-    """The ends by which a person replaced those of a detection."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
-
-    observation_id: Id
-    anchor_px: PagePixel
-    end_px: PagePixel | None = None
-
-
-class AcceptTracksEdit(protocol.Part):
-    """Accept tracks of detections in all their images, with corrections of single marks."""
-
-    kind: Literal["accept tracks"]
-    track_ids: list[Id] = Field(min_length=1)
-    corrections: list[CorrectedMark] = Field(default_factory=list)
-
-
-class RejectTracksEdit(protocol.Part):
-    """Reject tracks of detections in all their images: no map will have them."""
-
-    kind: Literal["reject tracks"]
-    track_ids: list[Id] = Field(min_length=1)
-
-
-class AcceptSureTracksEdit(protocol.Part):
-    """Accept all sure tracks; ``count`` is their number as the page showed it."""
-
-    kind: Literal["accept sure tracks"]
-    count: Count
-
-
 class UndoEdit(protocol.Part):
     """Undo the author's last edit."""
 
@@ -144,6 +118,7 @@ PageEdit: TypeAlias = Annotated[
     | AcceptTracksEdit
     | RejectTracksEdit
     | AcceptSureTracksEdit
+    | AlignLabelsEdit
     | UndoEdit
     | RedoEdit
     | NameEdit

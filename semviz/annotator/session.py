@@ -7,9 +7,9 @@ and the map review may be used by any thread.
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
-from semviz.annotator import draft, messages, views
+from semviz.annotator import draft, messages, track_edits, views
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -30,7 +30,6 @@ from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
-from semviz.annotator.track_edits import PageTrackEdit, track_edit
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
@@ -93,6 +92,9 @@ class LabelSession:
         self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
+        self._aligner = partial(
+            track_edits.LabelAligner, cameras, self._positions, self.image_worker
+        )
         self.map_work = MapWork(
             workspace,
             lambda: self._store.labels,
@@ -228,11 +230,16 @@ class LabelSession:
             case messages.AcceptEdit():
                 return self._accept(request_id, edit.marks, base)
             case (
-                messages.AcceptTracksEdit()
-                | messages.RejectTracksEdit()
-                | messages.AcceptSureTracksEdit()
+                track_edits.AcceptTracksEdit()
+                | track_edits.RejectTracksEdit()
+                | track_edits.AcceptSureTracksEdit()
             ):
                 return self._decide_tracks(request_id, edit, base)
+            case track_edits.AlignLabelsEdit():
+                aligner = self._aligner(self.labels, self._panes.of(edit.frame_index))
+                aligned = aligner.edit(edit.element_id)
+                operation = self._store.apply(aligned, self.author, request_id, base=base)
+                return replace(self._saved(operation), note=aligned.note)
             case _:
                 return self._saved(self._store.apply(edit, self.author, request_id, base=base))
 
@@ -278,11 +285,11 @@ class LabelSession:
             yield replace(addition, element_id=element_id, class_id=class_id if first else None)
 
     def _decide_tracks(
-        self, request_id: str, edit: PageTrackEdit, base: EditBase | None
+        self, request_id: str, edit: track_edits.PageTrackEdit, base: EditBase | None
     ) -> SavedEdit:
         """Accept or reject tracks of the last map, all or none."""
         self.map_work.wait_for_first()
-        decision = track_edit(edit, self._reviews.tracks())
+        decision = track_edits.track_edit(edit, self._reviews.tracks())
         return self._saved(self._store.apply(decision, self.author, request_id, base=base))
 
     def _addition(

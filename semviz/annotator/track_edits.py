@@ -1,15 +1,70 @@
-"""Edits that accept or reject tracks of detections as a whole, in the labels of the moment."""
+"""Edits of whole tracks: accept or reject those of detections, align labels to a view."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
-from semviz.annotator import detection_tracks, messages
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from semviz.annotator import detection_tracks
+from semviz.annotator.draft import SMALLER, PagePixel
+from semviz.annotator.element_positions import ElementPositions
+from semviz.annotator.image_worker import ImageWorker
+from semviz.annotator.panes import Cameras, Pane
+from semviz.annotator.proposals import PropagationQuery, SearchImage
+from semviz.web.protocol import Part
+from semviz_annotation.assist.marked_image import Mark, pixel
 from semviz_annotation.labels.edits import AddElements, NewElement
-from semviz_annotation.labels.labels import Labels, Observation, Pixel
+from semviz_annotation.labels.labels import Id, Index, Labels, Observation, Pixel
 from semviz_annotation.labels.rows import RowChange, Rules
+from semviz_annotation.mapping.placement.triangulation import Triangulated
+from semviz_core.base.frame import Side
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
+
+
+class CorrectedMark(Part):
+    """The ends by which a person replaced those of a detection."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
+
+    observation_id: Id
+    anchor_px: PagePixel
+    end_px: PagePixel | None = None
+
+
+class AcceptTracksEdit(Part):
+    """Accept tracks of detections in all their images, with corrections of single marks."""
+
+    kind: Literal["accept tracks"]
+    track_ids: list[Id] = Field(min_length=1)
+    corrections: list[CorrectedMark] = Field(default_factory=list)
+
+
+class RejectTracksEdit(Part):
+    """Reject tracks of detections in all their images: no map will have them."""
+
+    kind: Literal["reject tracks"]
+    track_ids: list[Id] = Field(min_length=1)
+
+
+class AcceptSureTracksEdit(Part):
+    """Accept all sure tracks; ``count`` is their number as the page showed it."""
+
+    kind: Literal["accept sure tracks"]
+    count: Annotated[int, Field(ge=0)]
+
+
+class AlignLabelsEdit(Part):
+    """Move the labels of an element to where its labels in the frame on screen put them."""
+
+    kind: Literal["align labels"]
+    element_id: Id
+    frame_index: Index
+
 
 Corrections: TypeAlias = Mapping[str, tuple[Pixel, Pixel | None]]
 """Ends by which a person replaced those of detections, by the detection's id."""
@@ -74,19 +129,151 @@ def _sure_tracks(
     return sure
 
 
-PageTrackEdit: TypeAlias = (
-    messages.AcceptTracksEdit | messages.RejectTracksEdit | messages.AcceptSureTracksEdit
-)
+LEAST_MOVE_PX = 0.5
+"""Labels that would move by less stay."""
+
+
+@dataclass(frozen=True, eq=False)
+class AlignEdit:
+    """Move labels of an element to where another view shows it."""
+
+    aligned: tuple[Observation, ...]
+    by_px: float
+    """How far an end moves at most."""
+    kind: Literal["align labels"] = "align labels"
+
+    @property
+    def note(self) -> str:
+        """What it did, for people."""
+        labels = "1 label" if len(self.aligned) == 1 else f"{len(self.aligned)} labels"
+        return f"Aligned {labels} to this view, by up to {self.by_px:.1f} px. Ctrl Z undoes it."
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        for row in self.aligned:
+            before = labels.observation(row.id)
+            yield RowChange(before, rules.check(row, labels.element(row.element_id).class_id))
+
+
+@dataclass(frozen=True, eq=False)
+class LabelAligner:
+    """Finds where the labels of an element belong by those in the frame on screen.
+
+    An offset of a drawing goes on in the labels that follow it. In a nearer view the same offset in
+    metres is larger in pixels, so that one shows it; followed backwards, its own shrinks.
+    """
+
+    cameras: Cameras
+    positions: ElementPositions
+    worker: ImageWorker
+    labels: Labels
+    panes: Mapping[Side, Pane]
+    """Those on screen."""
+
+    def edit(self, element_id: str) -> AlignEdit:
+        """Return the edit of the labels in which the element is smaller than on screen.
+
+        Where an image does not show it surely, the label stays. Raise SemvizError if nothing moves.
+        """
+        self.labels.element(element_id)
+        here = self._here(element_id)
+        element = self._position(element_id, here)
+        moments = defaultdict(list)
+        for row in self._smaller(element_id, here, element):
+            moments[row.frame_index].append(row)
+        aligned = [row for rows in moments.values() for row in self._aligned(rows, here, element)]
+        if not aligned:
+            raise SemvizError("no label moves: each agrees with this view, or is unclear there")
+        by_px = max(_apart_px(self.labels.observation(row.id), row) for row in aligned)
+        return AlignEdit(tuple(aligned), by_px)
+
+    def _here(self, element_id: str) -> list[Observation]:
+        shown = {(pane.frame_index, pane.side) for pane in self.panes.values()}
+        rows = self.positions.posed(self.labels.of_element(element_id))
+        return [row for row in rows if (row.frame_index, row.side) in shown]
+
+    def _position(self, element_id: str, here: Sequence[Observation]) -> Triangulated:
+        if not here:
+            raise SemvizError("label it in this frame first: its other labels follow this view")
+        pair = self.positions.of_observations(here) if len(here) > 1 else None
+        if isinstance(pair, Triangulated):
+            return pair
+        element = self.positions.of_element(self.labels, element_id)
+        if isinstance(element, Triangulated):
+            return element
+        raise SemvizError(f"it has no position: {element.reason}")
+
+    def _sizes(self, element: Triangulated, rows: Sequence[Observation]) -> FloatArray:
+        return self.cameras.sizes_px(element, [_pane(row) for row in rows])
+
+    def _smaller(
+        self, element_id: str, here: Sequence[Observation], element: Triangulated
+    ) -> list[Observation]:
+        rows = self.positions.posed(self.labels.of_element(element_id))
+        now = self._sizes(element, here).max()
+        smaller = SMALLER * self._sizes(element, rows) < now
+        return [row for row, is_smaller in zip(rows, smaller, strict=True) if is_smaller]
+
+    def _aligned(
+        self, rows: Sequence[Observation], here: Sequence[Observation], element: Triangulated
+    ) -> Iterator[Observation]:
+        """Return the labels of one moment that move."""
+        by_side = {row.side: row for row in here}
+        images = tuple(
+            SearchImage(
+                Pane(row.frame_index, row.side), Pane(source.frame_index, source.side), mark
+            )
+            for row in rows
+            for source in [by_side.get(row.side, here[0])]
+            for mark in [Mark.of(source)]
+        )
+        class_id = self.labels.element(rows[0].element_id).class_id
+        query = PropagationQuery(class_id, element, images)
+        for row, image in zip(rows, images, strict=True):
+            found = self.worker.best(query, image.there)
+            if found is None or not found.sure:
+                continue
+            moved = _moved(row, found.mark, image.mark)
+            if _apart_px(row, moved) >= LEAST_MOVE_PX:
+                yield moved
+
+
+def _pane(row: Observation) -> Pane:
+    return Pane(row.frame_index, row.side)
+
+
+def _apart_px(row: Observation, moved: Observation) -> float:
+    ends = Mark.of(moved).ends_px - Mark.of(row).ends_px
+    return float(np.linalg.norm(ends, axis=1).max())
+
+
+def _moved(row: Observation, found: Mark, shown: Mark) -> Observation:
+    """Return a label at a found mark; an end that ``shown`` does not know stays along the pole."""
+    if row.end_px is None or found.end_px is None:
+        return replace(row, anchor_px=found.anchor_px)
+    line = found.ends_px
+    along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    kept = line[0] + ((Mark.of(row).ends_px - line[0]) @ along)[:, None] * along
+    ends = np.where(np.array([[shown.anchor_known], [shown.end_known]]), line, kept)
+    return replace(
+        row,
+        anchor_px=pixel(ends[0]),
+        end_px=pixel(ends[1]),
+        anchor_known=found.anchor_known if shown.anchor_known else row.anchor_known,
+        end_known=found.end_known if shown.end_known else row.end_known,
+    )
+
+
+PageTrackEdit: TypeAlias = AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit
 
 
 def track_edit(edit: PageTrackEdit, tracks: detection_tracks.OpenTracks) -> TrackEdit:
     """Return the edit of the labels that a page asks for."""
     match edit:
-        case messages.AcceptSureTracksEdit():
+        case AcceptSureTracksEdit():
             return TrackEdit("accept tracks", partial(_sure_tracks, tracks, edit.count))
-        case messages.RejectTracksEdit():
+        case RejectTracksEdit():
             return TrackEdit("reject tracks", partial(_named_tracks, tracks, edit.track_ids))
-        case messages.AcceptTracksEdit():
+        case AcceptTracksEdit():
             corrections = {
                 mark.observation_id: (mark.anchor_px, mark.end_px) for mark in edit.corrections
             }

@@ -44,6 +44,7 @@ VERBS = {
     "take back": "Revoke the decision on",
     "accept tracks": "Accept",
     "reject tracks": "Reject",
+    "align labels": "Align",
 }
 OF_SEVERAL = ("add many", "delete many", "import", "accept tracks", "reject tracks")
 """Kinds of operations that may change several elements at once."""
@@ -315,11 +316,10 @@ def _note_on_tracks(operation: Operation, labels: Labels, classes: ClassSet) -> 
     elements = [row for row in rows if isinstance(row, LabelElement)]
     frames = _count(len(frames_touched(operation)), "frame")
     name = label_element_name(elements[0], classes)
-    subject = name if len(elements) == 1 else f"{len(elements)} tracks"
+    subject, them = (name, "it") if len(elements) == 1 else (f"{len(elements)} tracks", "them")
     if operation.kind == "accept tracks":
         return f"Accepted {subject} in {frames}. Ctrl Z undoes it."
-    what = "it" if len(elements) == 1 else "them"
-    return f"Rejected {subject} in {frames}: no map will have {what}. Ctrl Z undoes it."
+    return f"Rejected {subject} in {frames}: no map will have {them}. Ctrl Z undoes it."
 
 
 def observations_added(operation: Operation) -> int:

@@ -70,7 +70,7 @@ class MapBuildCommand:
         from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
-        from semviz.workspace.pose_review import with_used_poses
+        from semviz.workspace.pose_review import pose_errors, with_used_poses
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
 
@@ -95,6 +95,7 @@ class MapBuildCommand:
                 on_progress=steps.show,
                 detections=detections,
                 tracking=tracking or DEFAULT_TRACKING,
+                poses=pose_errors(workspace),
             )
         built = with_used_poses(built, workspace)
         save_map(built, path)

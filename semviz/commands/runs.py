@@ -152,7 +152,7 @@ def print_run(path: Path, counts: Mapping[str, int], as_json: bool) -> None:
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """Evaluate runs against ground truth: translation and rotation errors, status, runtime.
+    """Evaluate runs against ground truth: errors, status, diagnoses, runtime.
 
     Example: 'semviz evaluate town/runs/search.rrd --json --csv frames.csv'."""
 
@@ -165,8 +165,9 @@ class EvaluateCommand:
     force: parsing.Force = False
 
     def run(self) -> int:
-        from semviz.runs.metrics import summarize_run, write_csv
+        from semviz.runs.metrics import summarize_run
         from semviz.runs.reader import load_run
+        from semviz.runs.tables import found_diagnoses, write_csv
         from semviz.workspace.outputs import check_outputs, starts_with
 
         if not self.runs:
@@ -180,13 +181,14 @@ class EvaluateCommand:
             write_csv(loaded, self.csv)
         if self.json:
             rows = [
-                {"run": str(path), **summary.as_json()}
-                for path, summary in zip(self.runs, summaries, strict=True)
+                {"run": str(path), **summary.as_json(), "diagnoses": found_diagnoses(run)}
+                for path, run, summary in zip(self.runs, loaded, summaries, strict=True)
             ]
             print(json.dumps(rows[0] if len(rows) == 1 else {"runs": rows}))
         else:
             for path, run, summary in zip(self.runs, loaded, summaries, strict=True):
-                print(f"{path}  {run.note}\n{summary.as_text()}\n")
+                found = ", ".join(f"{kind} {n}" for kind, n in found_diagnoses(run).items())
+                print(f"{path}  {run.note}\n{summary.as_text()}\ndiagnoses: {found}\n")
         return 0
 
 

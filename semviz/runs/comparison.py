@@ -16,8 +16,9 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from semviz.presentation.terminal import Table
-from semviz.runs.metrics import Errors, Metrics, errors_of, metrics_of, settings_of
+from semviz.runs.metrics import DIAGNOSED, Errors, Metrics, errors_of, metrics_of, settings_of
 from semviz.runs.run import FrameRecord, Run
+from semviz.runs.tables import diagnosis_counts
 from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps
 from semviz_core.base.localization import Status
 from semviz_core.base.semantic_map import SemanticMap
@@ -59,6 +60,8 @@ class Comparison:
     """Sorted by number."""
     base: Metrics
     other: Metrics
+    diagnosed: tuple[Metrics, Metrics]
+    """Number of frames of each diagnosis, in both."""
     only_base: tuple[int, ...]
     """Numbers of the frames that the other run does not have."""
     only_other: tuple[int, ...]
@@ -85,7 +88,19 @@ class Comparison:
     @property
     def measured(self) -> tuple[Metrics, Metrics]:
         """Metrics for conditions: those of the base, and those of the other run with the counts."""
-        return self.base, {**self.other, **self.counts}
+        base, other = self.diagnosed
+        return {**self.base, **base}, {**self.other, **self.counts, **other}
+
+    @property
+    def found_diagnoses(self) -> list[tuple[str, int, int]]:
+        """Return the diagnoses that frames have, with the number of frames in both."""
+        base, other = self.diagnosed
+        counts = [(name, int(base[name] or 0), int(other[name] or 0)) for name in base]
+        return [
+            (name.removeprefix(DIAGNOSED), before, after)
+            for name, before, after in counts
+            if before or after
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values, without the names of the runs."""
@@ -99,6 +114,9 @@ class Comparison:
             "metrics": {
                 name: {"base": self.base[name], "other": value}
                 for name, value in self.other.items()
+            },
+            "diagnoses": {
+                name: {"base": base, "other": other} for name, base, other in self.found_diagnoses
             },
             "each": [_frame_as_dict(frame) for frame in self.frames],
             "differences": [difference._asdict() for difference in self.differences],
@@ -126,6 +144,7 @@ def compare_runs(base: Run, other: Run) -> Comparison:
         frames=tuple(frame_change(*pair) for pair in pairs),
         base=metrics_of(common_base),
         other=metrics_of(common_other),
+        diagnosed=(diagnosis_counts(common_base), diagnosis_counts(common_other)),
         only_base=tuple(sorted(numbers[0] - common)),
         only_other=tuple(sorted(numbers[1] - common)),
         differences=tuple(_setting_differences(base, other)),
@@ -210,6 +229,17 @@ def _frame_as_dict(frame: FrameChange) -> dict[str, Any]:
     return {"frame": frame.index, "change": frame.change, **sides}
 
 
+def _diagnoses(comparison: Comparison) -> str:
+    """Return the diagnoses whose number of frames differs, in a line."""
+    changed = (
+        f"{name.replace('_', ' ')} {base} -> {other}"
+        for name, base, other in comparison.found_diagnoses
+        if base != other
+    )
+    text = ", ".join(changed)
+    return f"diagnoses: {text}" if text else ""
+
+
 LISTED = 10
 """Maximum number of fixed, and of broken, frames in the text."""
 
@@ -221,6 +251,7 @@ def comparison_text(comparison: Comparison) -> str:
         "\n".join(_difference_lines(comparison)),
         _counts(comparison),
         metrics_table(comparison).as_text(),
+        _diagnoses(comparison),
         *(_frames(comparison, change) for change in ("broken", "fixed")),
     ]
     if comparison.maps is not None:

@@ -1,4 +1,4 @@
-"""Measure a run: pose errors, named metrics, one row per frame, and gates on the metrics.
+"""Measure a run: pose errors, named metrics, and gates on the metrics.
 
 A frame is overconfident if its status is ok and it is more than 1 m off. A gate is a condition like
 ``median_rte_m > 1.05*base``, parsed without executing code. It rejects an interrupted run: that
@@ -7,9 +7,8 @@ run's metrics are not those of the whole sequence.
 
 import ast
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -18,8 +17,7 @@ from semviz.runs.run import FrameRecord, Run
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import csv_text, replacing
-from semviz_core.metrics.pose_errors import Summary, pose_error, summarize
+from semviz_core.metrics.pose_errors import Summary, summarize
 
 OVERCONFIDENT_M = 1.0
 
@@ -52,9 +50,6 @@ def is_overconfident(localization: Localization, errors: Errors | None) -> bool:
     return localization.status == "ok" and error_m > OVERCONFIDENT_M
 
 
-Row = dict[str, str | int | float | None]
-
-
 def summarize_run(run: Run) -> Summary:
     """Summarize errors, status and runtime over all frames of a run."""
     truths = [frame.frame.T_map_camera for frame in run.frames]
@@ -77,41 +72,15 @@ def settings_of(run: Run) -> dict[str, str]:
     }
 
 
-def frame_row(run: Run, record: FrameRecord) -> Row:
-    """Return the figures of a frame; errors are None without a pose or a true one."""
-    result, truth = record.localization, record.frame.T_map_camera
-    rte_m = rre_deg = None
-    if result.T_camera_map is not None and truth is not None:
-        rte_m, rre_deg = pose_error(result.T_camera_map, truth.inverse())
-    return {
-        "run": run.info.name,
-        "frame": record.frame.index,
-        "time_s": record.frame.time_s,
-        "status": result.status,
-        "rte_m": rte_m,
-        "rre_deg": rre_deg,
-        "seen": len(result.observed),
-        "mapped": len(result.submap),
-        "matched": int(result.refinement.inlier.sum()) if result.refinement else 0,
-        "time_ms": sum(result.time_ms.values()),
-        "reason": result.reason,
-    }
-
-
-def write_csv(runs: Sequence[Run], path: Path) -> None:
-    """Write one row per frame of every run, below a header."""
-    rows = [frame_row(run, record) for run in runs for record in run.frames]
-    header = list(rows[0]) if rows else ["run", "frame"]
-    table = csv_text([header, *(list(row.values()) for row in rows)], line_end="\r\n")
-    with replacing(path) as temporary:
-        temporary.write_text(table, encoding="utf-8", newline="")
-
-
 Metrics = dict[str, float | None]
 """Metrics by name; None if unknown, for example errors without true poses."""
+DIAGNOSED = "diagnosed_"
+"""Start of the metrics that count the frames of a diagnosis."""
 
 Trend = Literal["better", "worse", "same"]
-MORE_IS_BETTER = frozenset({"share_below_1m", "share_below_1deg", "coverage"})
+MORE_IS_BETTER = frozenset(
+    {"share_below_1m", "share_below_1deg", "coverage", f"{DIAGNOSED}healthy"}
+)
 NEITHER = frozenset({"frames", "share_ambiguous"})
 """Metrics of which neither more nor less is better. Ambiguous frames are better than failed ones,
 and worse than located ones."""

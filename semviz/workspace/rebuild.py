@@ -19,7 +19,7 @@ from semviz.runs.writer import write_run
 from semviz.workspace import localize
 from semviz.workspace.localizability import options_of
 from semviz.workspace.observations import Observe, observe_labels, read_detections
-from semviz.workspace.pose_review import with_used_poses
+from semviz.workspace.pose_review import pose_errors, with_used_poses
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import rebuild_map, uses_detections
 from semviz_core.base.elements import Elements2D
@@ -52,6 +52,7 @@ def rebuild_run(
         workspace.source,
         on_progress,
         read_detections(workspace, ()) if detected else None,
+        pose_errors(workspace),
     )
     semantic_map = with_used_poses(semantic_map, workspace)
     info = _info(run, path, workspace)

@@ -12,6 +12,7 @@ from semviz_annotation.mapping.placement.bundle_adjustment import (
     Unknowns,
     VisibilityGraph,
     bundle_adjust,
+    with_pose_errors,
 )
 from semviz_annotation.mapping.placement.observations import ViewArray
 from semviz_annotation.mapping.placement.triangulation import (
@@ -20,6 +21,7 @@ from semviz_annotation.mapping.placement.triangulation import (
     triangulate_landmarks,
 )
 from semviz_core.common.errors import SemvizError
+from semviz_core.pose_checks.refinement import PoseInformation
 
 POSES = (0.03, float(np.deg2rad(0.05)))
 OPTIONS = RefineOptions(PlaceOptions(), pose_sigma_m=0.03, pose_sigma_deg=0.05)
@@ -99,6 +101,31 @@ def test_covariances_know_that_poses_are_uncertain():
     assert np.mean(blind) > 3.0
     assert 0.8 < np.mean(ratios[True]) < 1.3
     assert 0.8 < np.mean(ratios[False]) < 1.3
+
+
+def test_covariances_include_the_errors_of_poses_that_stay():
+    """Without them a map claims to be several times better than it is."""
+    blind, told = [], []
+    for seed in range(4):
+        world = drive(25, landmarks=80, seed=seed, sigma_px=1.0, pose_sigma=POSES)
+        placed = triangulate_landmarks(world.views, world.observations)
+        frames = np.unique(world.views.frame_index)
+        information = np.diag(np.repeat(POSES, 3) ** -2.0)
+        poses = PoseInformation(
+            frames, np.tile(information, (len(frames), 1, 1)), np.zeros((len(frames) - 1, 6, 6))
+        )
+        with_poses = with_pose_errors(
+            world.views, world.observations, placed, PlaceOptions(), poses
+        )
+        assert np.array_equal(with_poses.anchor_m, placed.anchor_m, equal_nan=True)
+        for answer, into in ((placed, blind), (with_poses, told)):
+            landmarks = placed.ok & ~world.is_line
+            error = (answer.anchor_m - world.anchor_m)[landmarks]
+            covariance = answer.covariance_m2[landmarks, :3, :3]
+            weighed = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+            into.append((error * weighed).sum() / error.size)
+    assert np.mean(blind) > 3.0
+    assert 0.8 < np.mean(told) < 1.3
 
 
 def test_the_same_comes_out_each_time_and_the_input_stays():

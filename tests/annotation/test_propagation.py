@@ -22,6 +22,7 @@ from semviz_annotation.assist import (
     find_correspondence,
     propagate,
 )
+from semviz_annotation.assist.appearance import visible_rows
 from semviz_annotation.assist.score import LabelledView, Track, growth, look_again, size
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.labels.views import PosedView, rig_view
@@ -283,3 +284,32 @@ def test_an_offset_of_the_first_drawing_does_not_grow_unseen(edges: bool) -> Non
         labelled.append((shot, found.mark))  # what is not sure, somebody looks at and takes
     assert (sure >= 3) is edges
     assert (error_px(labelled[-1][1], ahead[-1][1]) < 1.0) is edges
+
+
+def test_a_pole_labelled_by_half_is_offered_whole_in_a_nearer_frame_and_never_sure() -> None:
+    x, z, top = 1.5, 14.0, -2.0
+    wall = (upright(0.0, 60.0, 160.0, -60.0, 60.0), (150, 170, 190))
+    boxes = [wall, (upright(x, z, 0.16, top, 1.2), (60, 64, 70))]
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0), moved_by(0.1, 4.0)]
+    shots = [shot_of(RECTIFIED, pose, [(in_map(c), k) for c, k in boxes]) for pose in poses]
+    for labelled_top, is_whole in ((top, True), (-0.4, False)):
+        ends = in_map(np.array([[x, labelled_top, z], [x, 1.2, z]]))
+        marks = [Mark(*map(tuple, shot.view.project(ends).tolist())) for shot in shots[:2]]
+        sight = ReferenceView(shots[2], shots[0], marks[0])
+        (found,) = propagate([sight], mapped(shots[:2], marks), DEFAULT_CLASSES[POLE])
+        assert found is not None
+        peak = shots[2].view.project(in_map(np.array([[x, top, z]])))[0]
+        assert found.mark.anchor_px == pytest.approx(tuple(peak), abs=2.0)
+        assert found.mark.anchor_known
+        assert found.sure == is_whole
+
+
+def test_other_fringes_of_colour_hide_no_part_of_a_thin_pole_but_another_colour_does() -> None:
+    fringe = 40.0 * np.cos(np.pi * np.arange(11))[None, :, None] * np.array([1.0, -1.0, 0.5])
+    patch = np.full((24, 11, 3), 200.0) + fringe
+    other = np.full((24, 11, 3), 200.0) - fringe
+    assert visible_rows(patch.astype(np.float32), other.astype(np.float32)) == (0.0, 1.0)
+    other[12:] = 60.0
+    assert visible_rows(patch.astype(np.float32), other.astype(np.float32)) == (0.0, 0.5)
+    other[3:] = 60.0
+    assert visible_rows(patch.astype(np.float32), other.astype(np.float32)) == (0.0, 1.0)

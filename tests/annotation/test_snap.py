@@ -150,6 +150,16 @@ def test_one_edge_alone_is_no_pole(off: float) -> None:
     assert snap(MarkedImage.of(VIEW, picture), mark, DEFAULT_CLASSES[POLE]) is None
 
 
+@pytest.mark.parametrize("fringe", [(20, 0, 0), (0, 0, 20), (18, -6, -18)])
+def test_an_edge_with_fringes_of_colour_is_no_thin_pole(fringe: tuple[int, int, int]) -> None:
+    """As beside a sunlit pole: the sensor's colour filter colours the edge."""
+    image = plain(30, 30, 30).astype(np.int64)
+    image[:, 80:] = 160
+    image[:, 79:81] = 95 + np.array(fringe)
+    shot = MarkedImage(image.astype(np.uint8), VIEW)
+    assert snap(shot, Mark((80.0, 20.0), (80.5, 160.0)), DEFAULT_CLASSES[POLE]) is None
+
+
 @pytest.mark.parametrize("class_id", [TRIANGULAR, RECTANGULAR, ROUNDED])
 def test_a_signs_middle_is_found_from_a_click_on_its_face(class_id: int) -> None:
     """Signs of many sizes with a border, whose inner edge has the same shape, seen aslant."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from annotator_page import SIDES
 from drawn_marks import BOTTOM, PEAK, do, draw, pixel, pole, sign
 from pydantic import ValidationError
 from streets import street_workspace
@@ -357,3 +358,59 @@ def test_labels_put_back_with_other_triangles_must_be_reopened(
     again = LabelSession(session.workspace, "tester")
     draw(again, edit)
     again.close()
+
+
+@pytest.mark.parametrize("off_px", [2.5, -2.5])
+def test_labels_of_far_frames_are_aligned_to_the_nearest_view_in_one_operation(
+    session: LabelSession, off_px: float
+) -> None:
+    """An offset that was followed from the first drawing; and a pole labelled by half."""
+    street, frames = session.workspace.street, (0, 1, 5)
+    seen = {(frame, side): street.labels(frame, side) for frame in frames for side in SIDES}
+    element = _whole_pole_in_all(seen)
+    ids: dict[tuple[int, str], str] = {}
+    element_id = None
+    for (frame, side), (marks, numbers) in seen.items():
+        (row,) = np.flatnonzero(numbers == element)
+        peak, bottom = marks.anchor_px[row].copy(), marks.end_px[row].copy()
+        if frame < 5:
+            peak += 0.5 * (bottom - peak) + [off_px, 0.0]
+            bottom += [off_px, 0.0]
+        edit = pole(session, frame, side, anchor_px=peak.tolist(), end_px=bottom.tolist())
+        edit |= {"selected_id": element_id, "is_chosen": element_id is not None}
+        element_id = draw(session, edit)
+        ids[frame, side] = edit["observation_id"]
+    preview = session.preview(DraftState(5, selected_id=element_id))
+    assert preview.card is not None
+    assert preview.card.smaller_views == 4
+    before = dict(session.labels.observations)
+    edit = {"kind": "align labels", "element_id": element_id, "frame_index": 5}
+    saved = do(session, edit)
+    assert saved.note.startswith("Aligned 4 labels to this view")
+    for (frame, side), id_ in ids.items():
+        marks, numbers = seen[frame, side]
+        (row,) = np.flatnonzero(numbers == element)
+        label = session.labels.observations[id_]
+        off = np.abs(
+            np.array([label.anchor_px, label.end_px]) - [marks.anchor_px[row], marks.end_px[row]]
+        )
+        assert off[:, 0].max() < 1.0, (frame, side)
+        assert off[:, 1].max() < 3.0, (frame, side)
+    with pytest.raises(SemvizError, match="no label moves"):
+        do(session, edit)
+    with pytest.raises(SemvizError, match="label it in this frame first"):
+        do(session, edit | {"frame_index": 3})
+    do(session, {"kind": "undo"})
+    assert session.labels.observations == before
+
+
+def _whole_pole_in_all(seen: dict[tuple[int, str], Any]) -> int:
+    """The pole with both ends in all images that is longest in the last."""
+    whole = [
+        set(ids[marks.is_line & marks.anchor_known & marks.end_known].tolist())
+        for marks, ids in seen.values()
+    ]
+    marks, ids = list(seen.values())[-1]
+    lengths = np.linalg.norm(marks.end_px - marks.anchor_px, axis=1)
+    common = set.intersection(*whole)
+    return max(common, key=lambda id_: lengths[ids.tolist().index(id_)])

@@ -1,9 +1,11 @@
 """The command line: what people get wrong costs them one line, and nothing else."""
 
+import csv
 import json
 import socket
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -196,10 +198,20 @@ def test_a_run_from_street_to_numbers(run: Call, street: Path, tmp_path: Path) -
     assert numbers["frames"] == sum(numbers["status"].values()) == 6
     assert set(numbers["rte_m"]) == set(numbers["rre_deg"]) == {"mean", "q1", "q2", "q3"}
     assert {"share_below_1m", "share_below_1deg", "time_ms"} <= set(numbers)
-    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 7
+    assert sum(numbers["diagnoses"].values()) == 6
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert Counter(row["diagnosis"] for row in rows) == numbers["diagnoses"]
+    for row, frame in zip(rows, load_run(first).frames, strict=True):
+        pose = frame.localization.T_camera_map
+        assert (pose is None) == (row["x_m"] == "")
+        if pose is not None:
+            center = [float(row[name]) for name in ("x_m", "y_m", "z_m")]
+            assert center == pytest.approx(pose.inverse().translation.tolist())
     status, output, _ = run("evaluate", first)
     assert status == 0
     assert "RTE" in output
+    assert "diagnoses: " in output
 
 
 def test_the_same_seed_gives_the_same_run(run: Call, street: Path) -> None:

@@ -183,6 +183,7 @@ def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
     assert told["failed"] == ["broken > 2"]
     assert told["metrics"]["coverage"]["base"] == pytest.approx(4 / 6)
     assert told["metrics"].keys() == metrics_of(small_run()).keys()
+    assert told["diagnoses"]["healthy"] == {"base": 4, "other": 2}
     assert [frame["frame"] for frame in told["each"]] == list(FRAMES)
 
 
@@ -192,6 +193,8 @@ def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
         ("median_rte_m > 1.05*base", 1),
         ("median_rte_m > 1000*base", 0),
         ("broken > 2", 1),
+        ("diagnosed_healthy < base", 1),
+        ("diagnosed_time_offset > 0", 0),
         ("broken > 3", 0),
         ("coverage < base", 0),  # four of six in both
         ("coverage <= base", 1),

@@ -27,7 +27,7 @@ from support.point_tracks import (
 
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp
-from semviz_core.pose_checks.faults import PoseCheck, check_drive, refined_frames
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_information, refined_frames
 from semviz_core.pose_checks.image_motions import (
     ImageMotions,
     load_motions,
@@ -147,6 +147,33 @@ def test_healthy_drives_are_not_accused(seed: int, sigmas: tuple[float, float]) 
     check = check_drive(noisy(frames, *sigmas, np.random.default_rng(seed)), motions, stereo_rig())
     assert not check.faults, [fault.text for fault in check.faults]
     assert worst_deg(frames, refined_frames(check)) < max(MOST_DEG, 2.0 * sigmas[1])
+
+
+@pytest.mark.parametrize("first", [0, 14])
+def test_errors_of_refined_poses_are_correlated_and_grow_away_from_the_given_ones(
+    first: int,
+) -> None:
+    frames, _, motions = healthy_drive(3)
+    refined = range(first, first + 10)
+    information = pose_information(check_drive(frames, motions, stereo_rig()), refined)
+    rows = np.array([0, 5, first + 4, first + 5, 30])
+    n = len(frames)
+    whole = np.zeros((6 * n, 6 * n))
+    for row in range(n):
+        whole[6 * row : 6 * row + 6, 6 * row : 6 * row + 6] = information.diagonal[row]
+    for row, block in enumerate(information.upper):
+        here, after = slice(6 * row, 6 * row + 6), slice(6 * row + 6, 6 * row + 12)
+        whole[here, after], whole[after, here] = block, block.T
+    chosen = (6 * rows[:, None] + np.arange(6)).ravel()
+    expected = np.linalg.inv(whole)[np.ix_(chosen, chosen)]
+    assert np.allclose(information.covariance(rows), expected, rtol=1e-6, atol=1e-12)
+    sigma = np.array([np.sqrt(np.diag(information.covariance(np.array([k])))) for k in range(n)])
+    given = np.delete(sigma, [*refined, first - 1, first + 10], axis=0)
+    assert np.ptp(given, axis=0).max() < 1e-9
+    farthest = first if first == 0 else first + 4
+    assert (sigma[farthest] > 1.5 * sigma[first + 9]).all()
+    both = information.covariance(np.array([first + 4, first + 5]))
+    assert both[0, 6] > 0.5 * both[0, 0]
 
 
 def test_a_jump_that_stays_moves_the_shorter_side_as_a_whole() -> None:

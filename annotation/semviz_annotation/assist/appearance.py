@@ -20,6 +20,8 @@ _BESIDE_PX = 1.5
 _SIGN = 13
 _HIDDEN_ROWS = 2
 """Fewer dissimilar rows at a pole's end may be due to a shadow."""
+_VISIBLE_ROWS = 6
+"""If fewer rows are similar, the pole looks different as a whole: nothing tells what hides it."""
 _LEVELS = 20.0
 """Mean difference of colours at which a row counts less than half."""
 SIMILARITY_WEIGHTS: FloatArray = np.array([1.0, 1.0, -0.3])
@@ -69,7 +71,8 @@ def visible_rows(patch: Samples, other: Samples) -> tuple[float, float]:
     rows, while the other rows are similar.
     """
     middle = slice(patch.shape[1] // 3, patch.shape[1] - patch.shape[1] // 3)
-    difference = np.abs(other[:, middle] - patch[:, middle]).mean(axis=(1, 2))
+    # means across the pole: a thin one has other fringes of colour in each image
+    difference = np.abs(other[:, middle].mean(axis=1) - patch[:, middle].mean(axis=1)).mean(axis=1)
     alike = 1.0 / (1.0 + (difference / _LEVELS) ** 2) - 0.5
     return _unlike(alike) / len(patch), 1.0 - _unlike(alike[::-1]) / len(patch)
 
@@ -79,7 +82,8 @@ def _unlike(alike: FloatArray) -> int:
     split = np.concatenate([[0.0], -np.cumsum(alike)])  # evidence that the first n are hidden
     count = int(np.argmax(split))
     rest = alike[count:]
-    return count if count >= _HIDDEN_ROWS and len(rest) and rest.mean() > 0.15 else 0
+    is_hidden = count >= _HIDDEN_ROWS and len(rest) >= _VISIBLE_ROWS and rest.mean() > 0.15
+    return count if is_hidden else 0
 
 
 def pole_width(image: MarkedImage, ends_px: FloatArray) -> float:

@@ -42,6 +42,8 @@ class PropagatedMark:
     what: str
     """Whether the image shows its edges, or it only follows another; see ``score``."""
     evidence: FloatArray
+    is_longer: bool = False
+    """Whether the image shows more of a pole than is labelled: somebody must look."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,8 @@ class RefinedMark:
     """See ``PropagatedMark``."""
     offset: FloatArray
     evidence: FloatArray
+    is_longer: bool = False
+    """See ``PropagatedMark``."""
 
 
 @dataclass(frozen=True, eq=False)

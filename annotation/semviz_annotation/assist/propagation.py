@@ -121,6 +121,7 @@ def _search_jointly(
             result.mark,
             result.what,
             np.array([*result.evidence, _apart_px(result, refined_marks), *moment]),
+            result.is_longer,
         )
         for k, result in zip(by_view, refined_marks, strict=True)
     }

@@ -237,4 +237,4 @@ def score_of(view: PropagatedMark, track: Track, element: Triangulated) -> float
     """Return the score of a propagated mark, which bounds that of one to look at again."""
     score = probability(view.what, view.evidence)
     must_look = view.what.startswith("followed") and track.growth >= look_again(element)
-    return min(score, LOOK_SCORE) if must_look else score
+    return min(score, LOOK_SCORE) if must_look or view.is_longer else score

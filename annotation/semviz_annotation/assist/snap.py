@@ -21,7 +21,13 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ElementClass
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.subpixel.pole_axis import Axis, across, edge_support, find_axes, stripe
-from semviz_core.subpixel.pole_ends import WEIGHTS, end_by_rows, row_evidence, visible_end
+from semviz_core.subpixel.pole_ends import (
+    WEIGHTS,
+    end_by_rows,
+    grown_end,
+    row_evidence,
+    visible_end,
+)
 from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sampling import Samples
 from semviz_core.subpixel.sign_outline import find_outlines
@@ -32,6 +38,8 @@ _ROUND_PX = 6.0
 _APART_PX = 1.0
 """Largest difference between the displacements of both ends."""
 _BESIDE_PX = 2.0
+_ASIDE, _ASIDE_PX = 0.02, 1.0
+"""A pole is followed past its end with a line that is off by so much per px, and at its end."""
 _CLEAR = 0.1
 """The best position must exceed the similarity of all that are not next to it by this much."""
 
@@ -125,6 +133,33 @@ def _end_points(
     return np.asarray(ends_px[k] + rows * along + columns * across(ends_px))
 
 
+_LEAST_LONGER = (8.0, 0.15)
+"""A pole goes on beyond an end by so many px, and by this share of its length, or not at all."""
+_LEAST_GAIN, _MOST_FALL = 15.0, -1.5
+"""Log-odds of the rows beyond the end, and those of a row after the new end."""
+
+
+def longer(image: MarkedImage, mark: Mark, width_px: float) -> Mark:
+    """Return a pole's mark with the ends beyond which the image shows more of it moved there.
+
+    Of 440 visible ends of KITTI 02 and streets none is moved; of poles cut in half 45 to 77 % get
+    their end.
+    """
+    ends = mark.ends_px
+    along = (ends[1] - ends[0]) / _length_px(ends)
+    aside = min(_ASIDE, _ASIDE_PX / _length_px(ends))
+    known = [mark.anchor_known, mark.end_known]
+    moved = ends.copy()
+    for k, direction in enumerate((-along, along)):
+        beyond = grown_end(image, ends[1 - k], ends[k], width_px, aside)
+        least = max(_LEAST_LONGER[0], _LEAST_LONGER[1] * _length_px(ends))
+        clear = beyond.gain > _LEAST_GAIN and beyond.fall < _MOST_FALL
+        if clear and beyond.off_px > least:
+            moved[k] = ends[k] + beyond.off_px * direction
+            known[k] = True
+    return Mark(pixel(moved[0]), pixel(moved[1]), known[0], known[1])
+
+
 _UNSTATED_PX = 4.0
 """Default sigma along a pole, for detectors that state none."""
 _ROWS_PX = 4.0
@@ -158,6 +193,8 @@ CLEAR = 0.6
 _SHORTEST_PX = 8.0
 _THIN_PX, _DIFFERS = 4.0, 0.35
 """A thinner line must differ from both sides in this share of its rows."""
+_AXES = 3
+"""Candidates for a pole's axis that are tried, the likeliest first, until one is clear."""
 _LARGEST_SHIFT = 0.75
 """Largest distance of a sign's centre from the click, in half sizes of the sign."""
 
@@ -226,18 +263,34 @@ def _pole(image: MarkedImage, mark: Mark, reach_px: float) -> Snap | None:
     marked = mark.ends_px
     if np.linalg.norm(marked[1] - marked[0]) < _SHORTEST_PX:
         return None
-    axes = find_axes(image, marked, reach_px, 2)
-    if not axes:
-        return None
-    axis = refine_axis(image, axes[0])
+    best: Snap | None = None
+    most = 0.0
+    axes = find_axes(image, marked, reach_px, _AXES + 1)
+    for axis in axes[:_AXES]:
+        others = [other.score for other in axes if other is not axis]
+        found = _on_axis(image, mark, axis, max(others, default=axis.score - 5.0), reach_px)
+        clear = 0.0 if found is None else probability("snap pole", found.evidence)
+        if clear > most:
+            best, most = found, clear
+        if most >= CLEAR:
+            break
+    return best
+
+
+def _on_axis(
+    image: MarkedImage, mark: Mark, found: Axis, next_score: float, reach_px: float
+) -> Snap | None:
+    """Return a pole on a candidate for its axis; None if it is too far, or only one edge."""
+    marked = mark.ends_px
+    axis = refine_axis(image, found)
     moved = np.linalg.norm(axis.ends_px - marked, axis=1)
     if moved.max() > reach_px + 1.0:
         return None
     differs = stripe(image, axis.ends_px, axis.width_px)
     if axis.width_px < _THIN_PX and differs < _DIFFERS:
         return None
-    margin = axes[0].score - axes[1].score if len(axes) > 1 else 5.0
-    drift = np.abs(axis.ends_px - axes[0].ends_px).max()
+    margin = found.score - next_score
+    drift = np.abs(axis.ends_px - found.ends_px).max()
     evidence = np.array(
         [
             *edge_support(image, axis.ends_px, axis.width_px), differs, np.clip(margin, 0.0, 3.0),

@@ -32,7 +32,7 @@ from semviz_annotation.mapping.association.tracks import (
 )
 from semviz_annotation.mapping.decisions import decisions_of
 from semviz_annotation.mapping.paper_baseline import PaperOptions, paper_tracks
-from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions
+from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions, with_pose_errors
 from semviz_annotation.mapping.placement.observations import LabelObservations, collect_observations
 from semviz_annotation.mapping.placement.reprojection import PlaceOptions
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
@@ -41,6 +41,7 @@ from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.pose_checks.refinement import PoseInformation
 
 PART_ID = 1_000_000
 """A landmark split off a label element has the id ``PART_ID`` * part + number."""
@@ -305,13 +306,15 @@ def build_map(
     on_progress: OnProgress = lambda what, done, of: None,
     detections: Proposals | None = None,
     tracking: TrackOptions = DEFAULT_TRACKING,
+    poses: PoseInformation | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of elements labelled in two or more images of ``frames`` (None: all).
 
     ``PaperOptions`` build the paper's map. With ``detections``, the landmarks that they show and
-    nobody has labelled are added. Triangular signs follow ``labels``. ``on_progress`` gets the
-    stage, the count that is done, and the total. Raise SemvizError if a labelled frame is not in
-    the source or has no pose, or if nothing can be triangulated.
+    nobody has labelled are added. With ``poses``, covariances include the errors of the poses;
+    otherwise poses count as exact, unless they are refined. Triangular signs follow ``labels``.
+    ``on_progress`` gets the stage, the count that is done, and the total. Raise SemvizError if a
+    labelled frame is not in the source or has no pose, or if nothing can be triangulated.
     """
     joined = None
     if detections is not None:
@@ -322,8 +325,12 @@ def build_map(
         tracks = paper_tracks(gathered, options)
     else:
         linking = LinkOptions(options.place, options.pose_sigma_m, options.min_frames)
-        poses = options.refine and replace(options.refine, place=options.place)
-        tracks = find_tracks(labels, gathered, linking, poses, on_progress)
+        prior = options.refine and replace(options.refine, place=options.place)
+        tracks = find_tracks(labels, gathered, linking, prior, on_progress)
+        if poses is not None and prior is None:
+            views, observations = tracks.gathered.views, tracks.observations
+            placed = with_pose_errors(views, observations, tracks.placed, options.place, poses)
+            tracks = replace(tracks, placed=placed)
     if joined is not None:
         tracks = finish_detected(tracks, joined.log_odds.keys(), tracking.min_frames)
     decisions = decisions_of(tracks)
@@ -385,8 +392,9 @@ def rebuild_map(
     source: Dataset,
     on_progress: OnProgress = lambda what, done, of: None,
     detections: Proposals | None = None,
+    poses: PoseInformation | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
-    """Return the map of the present labels, built like ``old``.
+    """Return the map of the present labels, built like ``old``; ``poses`` as in ``build_map``.
 
     Only a map of detections uses ``detections``, and needs them. Raise SemvizError like
     ``build_map``, and if ``old`` was not built from labels or detections.
@@ -405,4 +413,5 @@ def rebuild_map(
         on_progress,
         detections,
         tracking or DEFAULT_TRACKING,
+        poses,
     )

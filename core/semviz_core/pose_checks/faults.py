@@ -5,7 +5,7 @@ What remains are stretches of frames that refining moves. A fault is named only 
 enough to matter and many times its sigma.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal, TypeAlias
 
@@ -25,7 +25,7 @@ from semviz_core.pose_checks.comparison import (
     rows_of_runs,
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
-from semviz_core.pose_checks.refinement import PoseRefinement, refine, stretches
+from semviz_core.pose_checks.refinement import PoseInformation, PoseRefinement, refine, stretches
 
 FaultKind: TypeAlias = Literal[
     "axes", "time", "heights", "baseline", "right image", "frozen", "turned", "shifted"
@@ -325,6 +325,13 @@ def suspicions(frames: Sequence[Frame]) -> tuple[str, ...]:
                 f"frames {frames[first].index}-{frames[last + 1].index} have exactly one pose"
             )
     return tuple(found)
+
+
+def pose_information(check: PoseCheck, refined: Collection[int]) -> PoseInformation:
+    """Return what is known of the errors of poses if the frames ``refined`` have refined ones."""
+    index = np.array([frame.index for frame in check.frames], dtype=np.int64)
+    is_refined = np.isin(index, list(refined))
+    return PoseInformation.of(index, is_refined, check.refinement.poses, check.comparison)
 
 
 def refined_frames(check: PoseCheck) -> tuple[Frame, ...]:

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 
 from semviz_core.base.frame import adjoint
 from semviz_core.base.pose import Pose, so3_exp
-from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.pose_checks.comparison import (
     MAD_TO_SIGMA,
     DrivePoses,
@@ -307,13 +307,69 @@ def _sigmas(
     return np.asarray(np.sqrt(np.maximum(np.column_stack([position, turn]), 0.0)))
 
 
+@dataclass(frozen=True, eq=False)
+class PoseInformation:
+    """Information matrix of the errors of n poses: block tridiagonal, as neighbours are correlated.
+
+    Errors are right perturbations of T_map_camera, in camera axes: m, then rad.
+    """
+
+    frame_index: IntArray
+    """(n,) ascending"""
+    diagonal: FloatArray
+    """(n, 6, 6)"""
+    upper: FloatArray
+    """(n - 1, 6, 6)"""
+
+    @classmethod
+    def of(
+        cls, frame_index: IntArray, refined: BoolArray, at: DrivePoses, comparison: PoseComparison
+    ) -> "PoseInformation":
+        """Return that of poses of which those in ``refined`` (n,) follow from images alone.
+
+        Errors of the others are independent, as large as a comparison with the images shows.
+        """
+        n = len(at)
+        given_sigma = comparison.pose_sigma / np.sqrt(2.0)  # a pair has the errors of two poses
+        diagonal = np.tile(1e-6 * np.eye(6), (n, 1, 1))
+        diagonal[~refined] += np.diag(given_sigma**-2.0)
+        upper = np.zeros((max(n - 1, 0), 6, 6))
+        R, t = at.motions()
+        for row in np.flatnonzero(comparison.compared & (refined[:-1] | refined[1:])).tolist():
+            A, J = comparison.information[row], adjoint(Pose(R[row], t[row]))
+            diagonal[row] += J.T @ A @ J
+            diagonal[row + 1] += A
+            upper[row] -= J.T @ A
+        return cls(frame_index, diagonal, upper)
+
+    def covariance(self, rows: IntArray) -> FloatArray:
+        """Return the covariance (6 m, 6 m) of the poses in rows (m,)."""
+        run = np.concatenate([[0], np.cumsum(~self.upper.any(axis=(1, 2)))])  # correlated frames
+        near = np.flatnonzero(np.isin(run, run[rows]))
+        upper = self.upper[near[:-1]] * (np.diff(near) == 1)[:, None, None]
+        columns = np.zeros((6 * len(near), 6 * len(rows)))
+        chosen = (6 * np.searchsorted(near, rows)[:, None] + np.arange(6)).ravel()
+        columns[chosen, np.arange(len(chosen))] = 1.0
+        factors = splu(_matrix(self.diagonal[near], upper).tocsc())
+        return np.asarray(factors.solve(columns)[chosen])
+
+
 def stretches(
     refinement: PoseRefinement, least_m: float, least_rad: float
 ) -> list[tuple[int, int]]:
-    """Return first and last row of each stretch of frames that refining moves by more."""
+    """Return first and last row of each stretch of frames that refining moves by more.
+
+    Its neighbours that clearly move too, by a quarter of that, belong to it.
+    """
+    strong, weak = (_moved(refinement, part * least_m, part * least_rad) for part in (1.0, 0.25))
+    runs = rows_of_runs(weak | strong)
+    return [(first, last) for first, last in runs if strong[first : last + 1].any()]
+
+
+def _moved(refinement: PoseRefinement, least_m: float, least_rad: float) -> BoolArray:
+    """Return (n,) which frames refining moves by more, and by many sigmas."""
     shift = np.linalg.norm(refinement.shift_m, axis=1)
     turn = np.linalg.norm(refinement.turn_rad, axis=1)
-    moved = (shift > np.maximum(least_m, 4.0 * refinement.sigma_m)) | (
-        turn > np.maximum(least_rad, 4.0 * refinement.sigma_rad)
-    )
-    return rows_of_runs(moved & refinement.poses.known)
+    far = shift > np.maximum(least_m, 4.0 * refinement.sigma_m)
+    turned = turn > np.maximum(least_rad, 4.0 * refinement.sigma_rad)
+    return np.asarray((far | turned) & refinement.poses.known)

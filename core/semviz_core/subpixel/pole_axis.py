@@ -22,6 +22,8 @@ _ROWS = (12, 24)
 """Least and largest number of rows along a pole; rows of longer poles are means."""
 _EDGE = 6.0
 """Slope in grey levels per px, above that around it, at which an edge has half a vote."""
+_FRINGE = 0.15
+"""A step has fringes of other colours by this share of it, from the sensor's colour filter."""
 _WINDOW = 24
 """Columns beside a pole in which edges count as clutter."""
 _EXAMINED = 40
@@ -384,5 +386,5 @@ def _stripe(image: ByteImage, ends_px: FloatArray, width_px: float) -> float:
         share, square = min(max(product / length, 0.0), 1.0), 0.0
         for channel in range(3):
             square += (inner[channel] - share * step[channel]) ** 2 / 3.0
-        differs += square / (square + _EDGE**2)
+        differs += square / (square + _EDGE**2 + _FRINGE**2 * length / 3.0)
     return differs / len(strip)

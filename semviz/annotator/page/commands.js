@@ -63,6 +63,7 @@ export function commands(state, images, tools, actions) {
     { key: "o", group: "Draw", title: "Bottom hidden; proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or visible again", run: () => edit.flag("anchor_known") },
     { key: "r", group: "Draw", title: "Swap peak and bottom", run: edit.swap },
+    { key: "r", shift: true, group: "Draw", title: "Align its other labels to this view", words: "snap track again whole", run: edit.align },
     ...nudge("ArrowLeft", -1, 0), ...nudge("ArrowRight", 1, 0),
     ...nudge("ArrowUp", 0, -1), ...nudge("ArrowDown", 0, 1),
     { key: "+", group: "Draw", title: "Show the cursor; again: set a point", run: () => cursor.setPoint() },
@@ -152,6 +153,10 @@ export function editing(state, actions) {
     unlink() {
       const observation = state.selectedObservation;
       if (observation) actions.submit({ kind: "unlink", observation_ids: [observation.id], new_element_id: uuid7() });
+    },
+    align() {
+      const { selectedElement: element, frame } = state;
+      if (element && frame !== null) actions.submit({ kind: "align labels", element_id: element.id, frame_index: frame });
     },
     /** @param {"anchor_known" | "end_known"} end */
     flag(end) {

@@ -49,11 +49,13 @@ function forReview({ answers }) {
  */
 function forProposal(state, proposal) {
   const confident = state.confidentProposals.length;
+  const found = state.foundProposals.length;
   if (proposal.track) return forTrack(state, proposal, proposal.track);
   const second = proposal.marks.left?.runner_up ?? proposal.marks.right?.runner_up;
   return [
     hint(`accept ${proposal.name}`, "Space"),
     ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint("and next frame", "Ctrl Enter")] : []),
+    ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G")] : []),
     hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
     hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
   ];
@@ -95,6 +97,7 @@ function forElement(state, element, { side }) {
   const here = element.observations[side];
   const isLine = state.classOf(element.class_id).kind === "line";
   const confident = state.confidentProposals.length;
+  const found = state.foundProposals.length;
   const missing = state.hasRight && SIDES.find((other) => !element.observations[other]);
   return [
     ...(confident ? [hint(`accept ${confident} confident`, "Shift Space")] : []),

@@ -153,7 +153,17 @@ export class Panels {
     const count = card?.views ?? element?.views;
     const views = count ? el("span", { class: "push chip", text: counted(count, "view") }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? this.#nearest(card) ?? warning(card), this.#buttons(element)];
+  }
+
+  /** That no other view shows the element larger, so that its labels there may follow this one.
+   *
+   * @param {annotator.Card | null} card
+   */
+  #nearest(card) {
+    if (!card?.smaller_views || this.state.drawing) return null;
+    const text = `Align ${counted(card.smaller_views, "label")} farther away`;
+    return el("p", { class: "about-card" }, el("button", { class: "small", onclick: this.edit.align }, text, badge(this.keys, "Shift R")));
   }
 
   /** Why the card lacks numbers, while the server cannot be asked. */

@@ -27,6 +27,7 @@ export function proposalCommands(state, actions, nextFrame) {
       actions.markReviewed();
       nextFrame();
     } },
+    { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", words: "all looked", run: proposal.acceptFound },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
     { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
@@ -54,6 +55,9 @@ export function proposing(state, actions) {
     },
     acceptSure() {
       accepted(state.confidentProposals);
+    },
+    acceptFound() {
+      accepted(state.foundProposals);
     },
     /** Accepts all sure tracks of the drive, once the user has been told how many. */
     acceptSureTracks() {

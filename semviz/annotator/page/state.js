@@ -5,6 +5,8 @@
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
+const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
+
 /** The default of the aid `bright`. */
 export const PLAIN_LIGHT = { brightness: 1.7, contrast: 1.15 };
 
@@ -223,6 +225,12 @@ export class State {
   /** Proposals whose marks are all confident. */
   get confidentProposals() {
     return this.aids.proposals ? this.proposals.filter((proposal) => proposal.is_confident) : [];
+  }
+
+  /** Proposals that one look at the frame can accept together: found in the images, and of known elements if weak. */
+  get foundProposals() {
+    const isFound = (/** @type {Proposal} */ { origin, score }) => origin !== "detector" && (score ?? 0) >= LEAST_SCORE;
+    return this.aids.proposals ? this.proposals.filter((proposal) => proposal.is_confident || isFound(proposal)) : [];
   }
 
   /** Numbers of all frames, in order of time. */

@@ -58,6 +58,13 @@ export interface AddObservation {
   kind: "add";
 }
 
+/** Move the labels of an element to where its labels in the frame on screen put them. */
+export interface AlignLabelsEdit {
+  kind: "align labels";
+  element_id: string;
+  frame_index: number;
+}
+
 /** A possible review decision, and its edit. */
 export interface AnswerView {
   name: string;
@@ -69,7 +76,7 @@ export interface AnswerView {
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
   base?: EditBase | null;
 }
 
@@ -100,6 +107,7 @@ export interface Card {
   height_sigma_m: number | null;
   length_px: Partial<Record<"left" | "right", number>>;
   epipolar_px: number | null;
+  smaller_views: number;
 }
 
 /** Choose what to do with the poses of a stretch; its ``id`` is stored, so a request that is sent twice is applied once. */

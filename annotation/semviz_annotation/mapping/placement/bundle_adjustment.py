@@ -22,6 +22,7 @@ from semviz_annotation.mapping.placement.landmarks import Landmarks, measure_lan
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.pose_checks.refinement import PoseInformation
 
 _AT_ONCE = 32
 """Number of landmarks whose covariances are computed together."""
@@ -301,6 +302,7 @@ class BundleProblem:
             views.frame_index, return_index=True, return_inverse=True
         )
         self._frame_of_view = frame
+        self.first_view = first
         self._center_m = views.center_m[first]
         self._visibility = VisibilityGraph.of(observations, frame[observations.view], len(first))
         sigmas = [options.pose_sigma_m] * 3 + [float(np.deg2rad(options.pose_sigma_deg))] * 3
@@ -375,6 +377,39 @@ class BundleProblem:
             result[:, :, :3] -= J
             result[:, :, 3:] += np.cross(J, away[:, None])
         return result
+
+
+def with_pose_errors(
+    views: ViewArray,
+    observations: ObservationArray,
+    placed: Landmarks,
+    options: reprojection.PlaceOptions,
+    poses: PoseInformation,
+) -> Landmarks:
+    """Return the landmarks, where they are, with covariances that include errors of the poses.
+
+    Each landmark follows the poses of the frames that see it. Frames that are not in ``poses`` are
+    exact.
+    """
+    chosen = observations.only(placed.ok)
+    problem = BundleProblem(views, chosen, RefineOptions(options))
+    normal = problem.at(problem.start(placed)).normal
+    visibility = normal.visibility
+    Y = np.linalg.inv(normal.landmarks)[visibility.landmark] @ normal.between
+    axes = np.kron(np.eye(2), views.R[problem.first_view].transpose(0, 2, 1))  # camera to map
+    Y = Y @ axes[visibility.frame]
+    frame_index = problem.frame_index[visibility.frame]
+    known = np.isin(frame_index, poses.frame_index)
+    covariance = placed.covariance_m2.copy()
+    for landmark, place in enumerate(np.flatnonzero(placed.ok).tolist()):
+        pairs = slice(visibility.first[landmark], visibility.first[landmark + 1])
+        seen = frame_index[pairs][known[pairs]]
+        follow = Y[pairs][known[pairs]].transpose(1, 0, 2).reshape(6, -1)
+        spread = poses.covariance(np.searchsorted(poses.frame_index, seen))
+        covariance[place] += follow @ spread @ follow.T
+    is_point = ~observations.of(observations.is_line)
+    covariance[is_point, 3:] = covariance[is_point, :, 3:] = 0.0
+    return replace(placed, covariance_m2=covariance)
 
 
 def _rows_times_values(rows: FloatArray, values: FloatArray) -> FloatArray:

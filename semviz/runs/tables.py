@@ -1,0 +1,72 @@
+"""Tables of runs: one row per frame, and the number of frames of each diagnosis."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name
+from semviz.runs.metrics import DIAGNOSED, Metrics
+from semviz.runs.run import FrameRecord, Run
+from semviz_core.base.pose import Pose
+from semviz_core.common.files import csv_text, replacing
+from semviz_core.diagnosis.fault import FaultKind
+from semviz_core.metrics.pose_errors import pose_error
+
+Row = dict[str, str | int | float | None]
+
+
+def frame_row(run: Run, record: FrameRecord) -> Row:
+    """Return the figures of a frame; errors are None without a pose or a true one.
+
+    The pose is that of the camera in the map frame, as in TUM files: its centre and quaternion.
+    """
+    result, truth = record.localization, record.frame.T_map_camera
+    rte_m = rre_deg = None
+    if result.T_camera_map is not None and truth is not None:
+        rte_m, rre_deg = pose_error(result.T_camera_map, truth.inverse())
+    return {
+        "run": run.info.name,
+        "frame": record.frame.index,
+        "time_s": record.frame.time_s,
+        "status": result.status,
+        "rte_m": rte_m,
+        "rre_deg": rre_deg,
+        "seen": len(result.observed),
+        "mapped": len(result.submap),
+        "matched": int(result.refinement.inlier.sum()) if result.refinement else 0,
+        "time_ms": sum(result.time_ms.values()),
+        "reason": result.reason,
+        "diagnosis": diagnosis_name(run, record),
+        **_pose_columns(result.T_camera_map),
+    }
+
+
+def _pose_columns(T_camera_map: Pose | None) -> Row:
+    names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+    if T_camera_map is None:
+        return dict.fromkeys(names)
+    pose = T_camera_map.inverse()
+    values = (*pose.translation.tolist(), *pose.as_quaternion())
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def write_csv(runs: Sequence[Run], path: Path) -> None:
+    """Write one row per frame of every run, below a header."""
+    rows = [frame_row(run, record) for run in runs for record in run.frames]
+    header = list(rows[0]) if rows else ["run", "frame"]
+    table = csv_text([header, *(list(row.values()) for row in rows)], line_end="\r\n")
+    with replacing(path) as temporary:
+        temporary.write_text(table, encoding="utf-8", newline="")
+
+
+def found_diagnoses(run: Run) -> dict[str, int]:
+    """Return the diagnoses of a run with the number of frames of each, most frequent first."""
+    counts = Counter(diagnosis_name(run, record) for record in run.frames)
+    return dict(counts.most_common())
+
+
+def diagnosis_counts(run: Run) -> Metrics:
+    """Return the number of frames of each diagnosis as metrics, 0 for those that none has."""
+    found, kinds = found_diagnoses(run), (*get_args(FaultKind), STARTING_OR_LOST)
+    return {f"{DIAGNOSED}{kind.replace(' ', '_')}": float(found.get(kind, 0)) for kind in kinds}
