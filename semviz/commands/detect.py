@@ -144,6 +144,9 @@ class DetectEvaluateCommand:
     """left: left images only; both: right ones too."""
     reach_m: float = 40.0
     """Ignore elements farther away than this."""
+    ignore: Annotated[tuple[int, ...], arg(metavar="NUMBER ...")] = ()
+    """Numbers of labelled elements that are neither to be found nor false if they are, such as
+    advert boards among traffic signs."""
     least_score: parsing.OptionalFloat = None
     """Minimum score; default: the lowest with at most 0.2 false detections per frame."""
     out: parsing.OptionalPath = None
@@ -177,6 +180,8 @@ class DetectEvaluateCommand:
         is_stored = self.stored or all(image.stored is not None for image in images)
         detector = None if is_stored else load_detector(self.model, measurement(self.measuring))
         settings = {"reach": f"{self.reach_m:g} m"}
+        if self.ignore:
+            settings["ignored elements"] = ", ".join(map(str, self.ignore))
         if self.workspaces:
             settings["detections"] = "stored by 'semviz detect'" if is_stored else "made now"
         evaluation = evaluate(detector, self.measuring, images, self.least_score, settings)
@@ -203,6 +208,8 @@ class DetectEvaluateCommand:
             raise SemvizError(f"--least-score {self.least_score:g}: give a number from 0 to 1")
         if self.frames is not None and not self.workspaces:
             raise SemvizError("--frames needs a workspace; for streets use --frames-a-street")
+        if self.ignore and len(self.workspaces) != 1:
+            raise SemvizError("--ignore names elements of one workspace: give one")
         if self.stored and not self.workspaces:
             raise SemvizError("--stored needs a workspace, with detections of 'semviz detect'")
         if self.stored and self.model is not None:
@@ -223,7 +230,7 @@ class DetectEvaluateCommand:
             image
             for workspace in workspaces
             for image in with_stored(
-                labelled_images(workspace, frames, sides, self.reach_m),
+                labelled_images(workspace, frames, sides, self.reach_m, self.ignore),
                 stored_detections(workspace, options),
             )
         ]

@@ -261,6 +261,8 @@ class MapLocalizabilityCommand:
     """Name of the map."""
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: along these frames."""
+    camera: parsing.OptionalText = None
+    """Of a rig: the camera that is to localize; default: the first."""
     plot: parsing.OptionalPath = None
     """Also write a plot along the route to this PNG file."""
     force: parsing.Force = False
@@ -278,7 +280,7 @@ class MapLocalizabilityCommand:
         workspace = parsing.open_workspace(self.workspace)
         semantic_map, source = workspace.read_map(self.map), workspace.source
         localize.check_map_frame(semantic_map, source)
-        frames = localize.select_frames(source, parsing.parse_frames(self.frames))
+        frames = localize.select_frames(source, parsing.parse_frames(self.frames), self.camera)
         conditions = _conditions(workspace, semantic_map, frames)
         announce_compiling()
         poses = localizability.positions(frames, semantic_map)

@@ -192,9 +192,24 @@ class NewCommand:
                 raise SemvizError(f"--{name.replace('_', '-')} needs --images FOLDER")
 
     def _from_images(self, images: Path) -> None:
-        """Make a workspace of an own drive; what was taken for granted is printed."""
-        from semviz.commands.own_drive import print_left_out, rectify_all, write_row_picture
+        """Make a workspace of an own drive; what was taken for granted is printed.
 
+        The command that made it, stopped while it rectified images, goes on.
+        """
+        from semviz.reports.drive_import import (
+            print_left_out,
+            rectify_all,
+            stopped_workspace,
+            write_row_picture,
+        )
+        from semviz.workspace.outputs import check_empty
+
+        command = parsing.command_text(self)
+        if self.rectify and (stopped := stopped_workspace(self.folder, command)) is not None:
+            rectify_all(stopped)
+            print(f"{self.folder}: the rest of the images is rectified")
+            return
+        check_empty(self.folder)
         parent = self.folder.resolve().parent
         with tempfile.TemporaryDirectory(
             prefix=f".{self.folder.name}-", dir=parent if parent.is_dir() else None
@@ -212,14 +227,14 @@ class NewCommand:
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
         """Return the new workspace and the number of warnings; a bag's images go through
         ``extracted``."""
-        from semviz.commands.own_drive import (
+        from semviz.presentation.terminal import Steps
+        from semviz.reports.drive_import import (
             check_against_images,
             print_topic,
             print_warning,
             write_refined,
         )
-        from semviz.presentation.terminal import Steps
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, save_checks
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, PoseSteps, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -229,7 +244,7 @@ class NewCommand:
             drive = read_drive(files)
         for topic, text in drive.statements:
             print_topic(topic, text)
-        drive, checks = check_against_images(drive, self.refine_extrinsics)
+        drive, found = check_against_images(drive, self.refine_extrinsics)
         others = list(drive.warnings)
         if where := unusual_motion(drive.first_frames):
             others.append(
@@ -240,7 +255,7 @@ class NewCommand:
             check.model_copy(update={"remedy": self._again_with(check.option)})
             if check.option
             else check
-            for check in checks
+            for check in found.checks
         ]
         failed = [check for check in checks if check.passed is False]
         for text in others:
@@ -251,7 +266,12 @@ class NewCommand:
         if count and self.strict:
             raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")
         workspace = Workspace.create_images(self.folder, drive, self.trust_poses, extracted)
-        stored = DriveChecks(checks=tuple(checks), warnings=tuple(others))
+        stored = DriveChecks(
+            checks=tuple(checks),
+            warnings=tuple(others),
+            steps=None if found.motions is None else PoseSteps.of(found.motions),
+            command=parsing.command_text(self),
+        )
         save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from semviz.workspace import drive_file
+from semviz.workspace.outputs import check_empty
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
@@ -49,7 +50,7 @@ from semviz.workspace.settings import (
     settings_content,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, NEW, ClassSet, TriangleCenter
+from semviz_core.base.classes import DEFAULT_CLASSES, NEW_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
@@ -205,8 +206,7 @@ class Workspace:
         """Make the folder, ``fill`` it, and write its settings: a folder without is no workspace,
         so one that was interrupted is never taken for a whole one."""
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
-            raise SemvizError(f"{path}: exists and is not empty; choose another name")
+        check_empty(path)
         content = settings_content(settings, path)
         for name in ("maps", "runs"):
             (path / name).mkdir(parents=True, exist_ok=True)
@@ -331,7 +331,7 @@ class Workspace:
         from semviz_annotation.storage.store import LabelStore
 
         rig = self.source.rig
-        center = NEW if self.labels_path.exists() else self._center_of_proposals
+        center = NEW_CENTER if self.labels_path.exists() else self._center_of_proposals
         store = LabelStore.open(self.labels_path, self.classes, rig, center)
         if self.settings.calibration is None:
             self._keep_calibration(rig)

@@ -23,7 +23,7 @@ from semviz_annotation.label_formats.reading import (
 )
 from semviz_annotation.label_formats.shapes import DrawnShape, axis, centroid
 from semviz_annotation.labels.rows import Observation, Pixel, Rules, is_id
-from semviz_core.base.classes import OLDER, TRIANGULAR, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, TRIANGULAR, TriangleCenter
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_files import ImageFolder
@@ -125,7 +125,7 @@ class LabelImportContext:
     """Side of images whose names do not state it."""
     class_map: Mapping[str, str] = field(default_factory=dict)
     """Class name in the file -> semviz class name, or ``ignore``; ``*`` is every other name."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the labels of triangular signs mark in the workspace."""
     recorded: ImageNames | None = None
     """Recorded images, which files may name instead of frames."""

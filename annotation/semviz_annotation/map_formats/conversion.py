@@ -25,7 +25,7 @@ from semviz_annotation.label_formats.reading import (
 )
 from semviz_annotation.map_formats.georeference import Georeference
 from semviz_annotation.map_formats.sign_codes import OSM_TAGS, osm_codes, sign_class
-from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, ClassSet, TriangleCenter
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, float_array
@@ -190,7 +190,7 @@ class ParsedMap:
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     georeference: Georeference | None = None
     """Position of the map on Earth, if reading the file needed it."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the points of triangular signs are."""
     tally: ConversionTally = field(default_factory=ConversionTally)
 
