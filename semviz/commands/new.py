@@ -31,7 +31,8 @@ class RelinkCommand:
     root: parsing.OptionalPath = None
     """KITTI's folder, which holds sequences."""
     images: parsing.OptionalPath = None
-    """Folder of the left, or the only, camera's images."""
+    """Folder of the left, or the only, camera's images; of a rig: the folder that holds the folders
+    of all its cameras."""
     right: parsing.OptionalPath = None
     """Folder of the right camera's images."""
     poses: parsing.OptionalPath = None

@@ -240,8 +240,11 @@ def places_of(source: Source) -> dict[str, str]:
     return {name: path for name, path in given.items() if path is not None}
 
 
-def find_place(workspace: Path, name: str, relative: str) -> Path:
-    """Return the folder or file of a setting. Raise SemvizError if it is at neither place."""
+def find_place(workspace: Path, name: str, relative: str, *, is_camera: bool = False) -> Path:
+    """Return the folder or file of a setting. Raise SemvizError if it is at neither place.
+
+    ``is_camera``: the folder of a camera of a rig.
+    """
     near = (workspace.resolve() / relative).resolve()
     if near.exists():
         return near
@@ -250,9 +253,10 @@ def find_place(workspace: Path, name: str, relative: str) -> Path:
     if isinstance(far, str) and Path(far).exists():
         return Path(far)
     also = f", nor at {far}" if isinstance(far, str) and Path(far) != near else ""
+    option = "--images PLACE, the folder of all cameras" if is_camera else f"--{name} PLACE"
     raise SemvizError(
         f"{near}: '{name}' of the workspace not found there{also}; say where it is: "
-        f"semviz relink {workspace} --{name} PLACE"
+        f"semviz relink {workspace} {option}"
     )
 
 
@@ -268,13 +272,14 @@ def keep_places(workspace: Path, settings: Settings) -> None:
             temporary.write_text(_HEADER + tomli_w.dumps(places), "utf-8")
 
 
-def relink(workspace: "Workspace", given: Mapping[str, Path]) -> "Workspace":
+def relink(workspace: "Workspace", given: dict[str, Path]) -> "Workspace":
     """Say where images and poses are now, and return the workspace with them.
 
     Settings and ``places.toml`` change only if the workspace opens with the new places: with the
     calibration of its labels, and all of its images' files. Raise SemvizError if not.
     """
     known = places_of(workspace.settings.source)
+    given = cameras_within(workspace.settings.source, given) | given
     for name in given:
         if name not in known:
             has = ", ".join(f"--{one}" for one in known) or "none: it is a simulated street"
@@ -296,6 +301,22 @@ def relink(workspace: "Workspace", given: Mapping[str, Path]) -> "Workspace":
     _rewrite(workspace.path / SETTINGS, relative)
     keep_places(workspace.path, settings)
     return changed
+
+
+def cameras_within(source: Source, given: dict[str, Path]) -> dict[str, Path]:
+    """Return the folders of a rig's cameras within the one given as ``images``, if it has all.
+
+    ``given`` loses it then. Cameras given one by one are not looked for.
+    """
+    if not isinstance(source, ImagesSettings) or not source.cameras or "images" not in given:
+        return {}
+    places = {"images": source.images, **source.cameras}
+    within = {name: given["images"] / Path(path).name for name, path in places.items()}
+    wanted = (place for name, place in within.items() if name == "images" or name not in given)
+    if not all(place.is_dir() for place in wanted):
+        return {}
+    del given["images"]
+    return within
 
 
 def _moved(source: Source, relative: Mapping[str, str]) -> Source:

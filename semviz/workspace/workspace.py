@@ -25,7 +25,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -394,10 +394,11 @@ class Workspace:
 
     def _open_images(self, settings: ImagesSettings) -> Dataset:
         cameras = settings.cameras or {}
+        place = partial(find_place, self.path, is_camera=bool(cameras))
         folders = drive_file.ImageFolders(
-            find_place(self.path, "images", settings.images),
-            None if settings.right is None else find_place(self.path, "right", settings.right),
-            {name: find_place(self.path, name, kept) for name, kept in cameras.items()},
+            place("images", settings.images),
+            None if settings.right is None else place("right", settings.right),
+            {name: place(name, kept) for name, kept in cameras.items()},
         )
         return drive_file.open_drive(
             self.path / drive_file.DRIVE_FILE, folders, self.path / drive_file.RECTIFIED

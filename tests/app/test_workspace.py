@@ -9,7 +9,7 @@ import pytest
 from command_line import call
 
 from semviz.commands.tools import find_runs
-from semviz.workspace.settings import PLACES, SETTINGS
+from semviz.workspace.settings import PLACES, SETTINGS, ImagesSettings, cameras_within, find_place
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements3D
@@ -377,3 +377,17 @@ def test_a_sequence_that_is_a_path_is_refused(tmp_path: Path, kitti: Path) -> No
     with pytest.raises(SemvizError, match=r"town: source\.kitti\.sequence"):
         Workspace.create_kitti(tmp_path / "town", kitti, "../sequences/05")
     assert not (tmp_path / "town").exists()
+
+
+def test_a_folder_of_all_cameras_of_a_rig_is_enough(tmp_path: Path) -> None:
+    kept = {name: f"../old/{name}" for name in ("front", "right")}
+    rig = ImagesSettings(images="../old/front", cameras=kept)
+    given = {"images": tmp_path}
+    assert cameras_within(rig, given) == {}
+    assert given == {"images": tmp_path}  # the first camera's own folder
+    for name in kept:
+        (tmp_path / name).mkdir()
+    places = {"front": tmp_path / "front", "right": tmp_path / "right"}
+    assert cameras_within(rig, given) == places | {"images": tmp_path / "front"}
+    with pytest.raises(SemvizError, match="--images PLACE, the folder of all cameras"):
+        find_place(tmp_path, "right", "../nowhere", is_camera=True)
