@@ -69,7 +69,7 @@ def test_a_changed_key_works_is_shown_everywhere_and_stays(
     driver.settle()
     assert aid.locator("kbd").inner_text() == "Shift L"
     page.keyboard.press("?")
-    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "G"]
+    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "L"]
     page.click("text=Change keys…")
     page.click("text=Reset to defaults")
     page.keyboard.press("Escape")
