@@ -88,7 +88,7 @@ class PoseServices(Protocol):
         ...
 
 
-class PoseSteps:
+class PoseUndo:
     """Undo and redo of choices of poses, in one order with the edits of labels."""
 
     def __init__(self) -> None:

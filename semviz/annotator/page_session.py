@@ -10,7 +10,7 @@ import numpy as np
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
 from semviz.annotator.draft import LabelledFrameView
-from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseSteps
+from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseUndo
 from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
@@ -40,7 +40,7 @@ class AnnotatorServices(Protocol):
     def pose_work(self) -> PoseWork: ...
 
     @property
-    def pose_steps(self) -> PoseSteps: ...
+    def pose_steps(self) -> PoseUndo: ...
 
     def use_chosen_poses(self) -> None:
         """Open the session again with the poses that are chosen now, and tell all pages."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from aiohttp import web
 
-from semviz.annotator.drive_requests import PoseSteps
+from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
@@ -51,7 +51,7 @@ class Annotator:
         self._sent_health: Health | None = None
         self.session.map_work.refresh()
         self.pose_work = PoseWork(workspace, lambda: self.session.labels)
-        self.pose_steps = PoseSteps()
+        self.pose_steps = PoseUndo()
         self._sent_poses = self.pose_work.version
         self.pose_work.look_up()
         self._poller = threading.Thread(target=self._poll, name="semviz-updates", daemon=True)

@@ -58,18 +58,18 @@ def test_a_changed_key_works_is_shown_everywhere_and_stays(
     driver: LabelDriver, served: Served
 ) -> None:
     page = driver.page
-    assert change_key(page, "Loupe", "Shift+G") == "“Loupe” is now Shift G."
+    assert change_key(page, "Loupe", "Shift+L") == "“Loupe” is now Shift L."
     aid = page.locator('#aids .row:has-text("Loupe")')
-    for press, state in (("l", "true"), ("Shift+G", "false")):
+    for press, state in (("l", "true"), ("Shift+L", "false")):
         page.keyboard.press(press)
         driver.settle()
         assert aid.get_attribute("aria-checked") == state
     page.reload()
     page.wait_for_selector("#saved.saved")
     driver.settle()
-    assert aid.locator("kbd").inner_text() == "Shift G"
+    assert aid.locator("kbd").inner_text() == "Shift L"
     page.keyboard.press("?")
-    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "G"]
+    assert help_row(page, "Loupe").locator("kbd").all_inner_texts() == ["Shift", "L"]
     page.click("text=Change keys…")
     page.click("text=Reset to defaults")
     page.keyboard.press("Escape")

@@ -34,6 +34,7 @@ CUT_OFF = """() => {
             (one.closest(".panel") ?? one.closest(".topbar")).getBoundingClientRect()])
         .filter(([, box, panel]) => box.right > panel.right + 0.5 || box.bottom > panel.bottom + 0.5
             || box.left < panel.left - 0.5 || box.top < panel.top - 0.5)
+        .filter(([one, box, panel]) => !one.closest("#hints") || box.top < panel.bottom)
         .map(([one]) => one.textContent || one.id);
 }"""
 

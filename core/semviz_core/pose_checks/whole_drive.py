@@ -10,7 +10,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.pose_checks.comparison import (
     LIMIT,
     DrivePoses,
@@ -22,6 +22,9 @@ from semviz_core.pose_checks.image_motions import ImageMotions
 
 GAIN, TIME_GAIN = 40.0, 15.0
 """Least drop of twice the negative log-likelihood by other axes, and by another time."""
+TIME_LOSS = 0.1
+"""Largest share of that by which one half of the drive may fit worse: a turned stretch, which one
+offset seems to explain, is in one of them."""
 MOST_LATE, LEAST_LATE = 3.0, 0.3
 """Time offsets that are tried and named, in frames."""
 MIN_PAIRS = 8
@@ -118,10 +121,10 @@ def corrected_time(poses: DrivePoses, motions: ImageMotions) -> Correction | Non
     shared[int(MOST_LATE) : len(motions) - int(MOST_LATE)] = True  # the same for all offsets
     driven = _chained(motions)
 
-    def cost(late: float) -> float:
+    def cost(late: float, part: BoolArray = shared) -> float:
         there = shifted_in_time(driven, -late)
         R, t = there.motions()
-        points = np.where(shared & there.pair_known, motions.points, 0.0)
+        points = np.where(part & there.pair_known, motions.points, 0.0)
         return compare(poses, replace(motions, rotation=R, translation_m=t, points=points)).cost
 
     offsets = np.arange(-MOST_LATE, MOST_LATE + 0.1, 0.5)
@@ -131,7 +134,9 @@ def corrected_time(poses: DrivePoses, motions: ImageMotions) -> Correction | Non
         return None
     for step in (0.25, 0.1, 0.05):
         late = min((late - step, late, late + step), key=cost)
-    if abs(late) < LEAST_LATE:
+    middle = np.arange(len(shared)) < len(shared) // 2
+    gains = [cost(0.0, half) - cost(late, half) for half in (shared & middle, shared & ~middle)]
+    if abs(late) < LEAST_LATE or min(gains) < -TIME_LOSS * sum(gains):
         return None
     return Correction(_completed(shifted_in_time(poses, late), poses, motions), late)
 

@@ -21,13 +21,13 @@ export function proposalCommands(state, actions, nextFrame) {
   const group = "Proposals";
   return [
     { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
-    { key: " ", shift: true, group, title: "Accept all confident proposals", run: proposal.acceptSure },
+    { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: proposal.acceptSure },
     { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", run: () => {
       proposal.acceptSure();
       actions.markReviewed();
       nextFrame();
     } },
-    { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", words: "all looked", run: proposal.acceptFound },
+    { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: proposal.acceptFound },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
     { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
