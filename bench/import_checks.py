@@ -41,7 +41,10 @@ class Images:
     rig: Rig
     paths: Sequence[Path]
     change: Change
-    map_frame: MapFrame = MapFrame("bench")
+
+    @property
+    def map_frame(self) -> MapFrame:
+        return MapFrame("bench")
 
     @property
     def frames(self) -> tuple[Frame, ...]:
