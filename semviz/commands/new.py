@@ -63,7 +63,10 @@ class RelinkCommand:
 
 @dataclass(frozen=True)
 class NewCommand:
-    """Create a workspace from your own images, KITTI odometry data or a simulated street."""
+    """Create a workspace from your own images, KITTI odometry data or a simulated street.
+
+    Examples: 'semviz new town --kitti /data/kitti --frames 0:20'; 'semviz new drive --images left
+    --right right --calibration rig.yaml --poses poses.tum'."""
 
     folder: Positional[Path]
     """Folder to create."""
@@ -131,8 +134,19 @@ class NewCommand:
     check_poses: bool = False
     """Also check the poses against the images, as 'semviz poses check' does: seconds per hundred
     frames."""
+    json: parsing.Json = False
 
     def run(self) -> int:
+        with parsing.text_aside(self.json):
+            self._make()
+        if self.json:
+            source = parsing.open_workspace(self.folder).source
+            said = {"path": str(self.folder), "frames": len(source.frames)}
+            has_right = source.rig.right is not None
+            print(json.dumps(said | {"map_frame": source.map_frame.name, "stereo": has_right}))
+        return 0
+
+    def _make(self) -> None:
         from semviz.workspace.outputs import check_new_folder
 
         check_new_folder(self.folder)
@@ -141,10 +155,11 @@ class NewCommand:
                 "give --images FOLDER, --kitti ROOT or --simulate SEED: the source of images"
             )
         if self.images is not None:
-            return self._from_images(self.images)
-        return self._from_known()
+            self._from_images(self.images)
+        else:
+            self._from_known()
 
-    def _from_known(self) -> int:
+    def _from_known(self) -> None:
         """Make a workspace of KITTI or a simulated street."""
         from semviz.workspace.workspace import Workspace
 
@@ -170,14 +185,13 @@ class NewCommand:
         print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
         self._warn_of_poses(workspace)
         print(f"next: semviz annotate {self.folder}")
-        return 0
 
     def _refuse_options_of_images(self) -> None:
         for name in ("right", "calibration", "right_calibration", "times", "extrinsic", "scale"):
             if getattr(self, name) is not None:
                 raise SemvizError(f"--{name.replace('_', '-')} needs --images FOLDER")
 
-    def _from_images(self, images: Path) -> int:
+    def _from_images(self, images: Path) -> None:
         """Make a workspace of an own drive; what was taken for granted is printed.
 
         The command that made it, stopped while it rectified images, goes on.
@@ -194,7 +208,7 @@ class NewCommand:
         if self.rectify and (stopped := stopped_workspace(self.folder, command)) is not None:
             rectify_all(stopped)
             print(f"{self.folder}: the rest of the images is rectified")
-            return 0
+            return
         check_empty(self.folder)
         parent = self.folder.resolve().parent
         with tempfile.TemporaryDirectory(
@@ -209,7 +223,6 @@ class NewCommand:
             rectify_all(workspace)
         self._warn_of_poses(workspace)
         print(f"next: semviz annotate {self.folder}   (F9 there shows these checks as pictures)")
-        return 0
 
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
         """Return the new workspace and the number of warnings; a bag's images go through

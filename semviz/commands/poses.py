@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class PosesCheckCommand:
     """Check poses and stereo calibration against the images, and name what is wrong. Changes
-    nothing. Poses are checked as they are used, with the choices of 'poses choose'."""
+    nothing. Poses are checked as they are used, with the choices of 'poses choose'.
+
+    Example: 'semviz poses check town'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -63,7 +65,9 @@ class PosesCheckCommand:
 @dataclass(frozen=True)
 class PosesRefineCommand:
     """Write poses refined by the images to a file for 'semviz new --poses'. The workspace does not
-    change."""
+    change.
+
+    Example: 'semviz poses refine town --out refined.txt'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -115,7 +119,9 @@ _STEPS: "dict[str, Literal[-1, 1]]" = {"undo": -1, "redo": 1}
 @dataclass(frozen=True)
 class PosesChooseCommand:
     """Choose what to do with wrong poses: everything after it (annotate, map build, localize) then
-    uses refined poses, or leaves those frames out. The drive's own file is never changed."""
+    uses refined poses, or leaves those frames out. The drive's own file is never changed.
+
+    Example: 'semviz poses choose town refine'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""

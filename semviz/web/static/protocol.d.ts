@@ -1348,6 +1348,7 @@ export interface FrameRow {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;
@@ -1360,6 +1361,7 @@ export interface FrameView {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;
