@@ -253,7 +253,7 @@ def kalibr_chain(recording: Path) -> Path:
         lines.append(
             f"cam{number}:\n"
             "  camera_model: pinhole\n"
-            f"  intrinsics: {[lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2]]}\n"
+            f"  intrinsics: {lens.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}\n"
             f"  distortion_model: {model}\n"
             f"  distortion_coeffs: {lens.distortion.tolist()}\n"
             f"  resolution: {[lens.width, lens.height]}\n"
