@@ -234,7 +234,7 @@ class NewCommand:
             print_warning,
             write_refined,
         )
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, PoseSteps, save_checks
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, StepErrors, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -269,7 +269,7 @@ class NewCommand:
         stored = DriveChecks(
             checks=tuple(checks),
             warnings=tuple(others),
-            steps=None if found.motions is None else PoseSteps.of(found.motions),
+            steps=None if found.motions is None else StepErrors.of(found.motions),
             command=parsing.command_text(self),
         )
         save_checks(stored, workspace.path / CHECKS)
