@@ -204,7 +204,7 @@ class NewCommand:
         )
         from semviz.workspace.outputs import check_empty
 
-        command = parsing.command_text(self)
+        command = self._command()
         if self.rectify and (stopped := stopped_workspace(self.folder, command)) is not None:
             rectify_all(stopped)
             print(f"{self.folder}: the rest of the images is rectified")
@@ -270,12 +270,16 @@ class NewCommand:
             checks=tuple(checks),
             warnings=tuple(others),
             steps=None if found.motions is None else StepErrors.of(found.motions),
-            command=parsing.command_text(self),
+            command=self._command(),
         )
         save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)
         return workspace, count
+
+    def _command(self) -> str:
+        """Return this command as text that a file can hold, whatever its names are."""
+        return parsing.command_text(self).encode("ascii", "backslashreplace").decode()
 
     def _again_with(self, option: str) -> str:
         """Return this command with another option, for another folder: this one will exist."""
