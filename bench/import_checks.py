@@ -10,7 +10,7 @@ second table plants faults in the poses of KITTI's frames, whose images' motions
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,10 @@ class Images:
     rig: Rig
     paths: Sequence[Path]
     change: Change
-    map_frame: MapFrame = field(default_factory=lambda: MapFrame("bench"))
+
+    @property
+    def map_frame(self) -> MapFrame:
+        return MapFrame("bench")
 
     @property
     def frames(self) -> tuple[Frame, ...]:

@@ -1,12 +1,16 @@
 """Map and localize simulated drives through lenses, and by a rig, and compare with a pinhole pair.
 
-    python bench/own_drive_simulated.py [--frames 20] [--seeds 3,5]
+    python bench/own_drive_simulated.py [--frames 20] [--seeds 3,5] [--browser]
 
 Each street is recorded by a stereo pair without distortion, with Brown-Conrady and with
 Kannala-Brandt lenses, and by a rig of four cameras with both, whose images are up to 41 ms apart.
 The files are imported as a user would, everything visible is labelled 0.5 px off, a map is built,
-and the (left, or front) camera is localized in it. Prints the errors of map and poses, over all
-streets, and how many times those of the pinhole pair they are.
+and every camera is localized in it. Prints the errors of map and poses, over all streets, and how
+many times those of the pinhole pair they are. A camera that looks aside sees few elements; frames
+with fewer than four cannot be localized alone and are counted apart.
+
+With ``--browser``, each label of the pairs is drawn in Chromium, by mouse and keys; how far the
+labels are from what was meant is printed to stderr. Take two frames: a label takes seconds.
 """
 
 import argparse
@@ -18,16 +22,18 @@ from typing import NamedTuple
 
 import numpy as np
 import tests_support  # noqa: F401
-from labelled_rig import SIGMA_PX, label
+from labelled_rig import SIGMA_PX, labels_of
 
 from semviz.workspace.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.edits import AddMany, AddObservation
 from semviz_annotation.mapping.build import build_map
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.map_file import save_map
 from semviz_core.common.arrays import FloatArray
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.rig_cameras import camera_names
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
@@ -44,12 +50,16 @@ DRIVES: dict[str, dict[str, MountedCamera]] = {
     "pinhole pair": stereo_pair("pinhole"),
     "Brown-Conrady pair": stereo_pair("brown-conrady"),
     "Kannala-Brandt pair": stereo_pair("fisheye"),
-    "rig of four, front": four_cameras(),
+    "rig of four,": four_cameras(),
 }
 
 
+LEAST_SEEN = 4
+"""Elements that a frame needs."""
+
+
 class Errors(NamedTuple):
-    """Of one drive."""
+    """Of one camera, or stereo pair, on one street."""
 
     labels: int
     map_m: FloatArray
@@ -58,21 +68,36 @@ class Errors(NamedTuple):
     rre_deg: FloatArray
     """(n,) of frames that are ok."""
     frames: int
-    import_s: float
+    """With at least four elements."""
+    few: int
+    """Frames with fewer."""
 
 
-def measure(street: Street, cameras: dict[str, MountedCamera], frames: int, folder: Path) -> Errors:
-    """Record, import, label, map and localize one drive."""
+def measure(
+    street: Street, cameras: dict[str, MountedCamera], frames: int, folder: Path, browser: bool
+) -> dict[str, Errors]:
+    """Record, import, label, map and localize one drive; return the errors of each camera."""
     record_rig(folder / "drive", street, cameras, range(frames))
     start = time.process_time()
     drive = read_drive(_files(folder / "drive", cameras))
     workspace = Workspace.create_images(folder / "town", drive)
     workspace.source.image(workspace.source.frames[0].index, "left")
-    seconds = time.process_time() - start
-    labels = label(workspace, street, cameras, SIGMA_PX)
+    print(f"import {time.process_time() - start:.1f} s CPU", file=sys.stderr)
+    meant = labels_of(workspace, street, cameras, SIGMA_PX)
+    if browser:
+        _draw(workspace, meant)
+    else:
+        with workspace.open_labels() as store:
+            store.apply(AddMany(tuple(meant)), "ann")
     built, _ = build_map(workspace.read_labels(), workspace.source)
     save_map(built, workspace.map_path("main"))
-    records = list(localize_workspace(workspace, "main", LocalizeOptions()))
+    map_m = _map_errors(built.elements, street)
+    names = camera_names(workspace.source)
+    return {name: _localized(workspace, name or None, len(meant), map_m) for name in names or ("",)}
+
+
+def _localized(workspace: Workspace, camera: str | None, labels: int, map_m: FloatArray) -> Errors:
+    records = list(localize_workspace(workspace, "main", LocalizeOptions(), camera=camera))
     errors = [
         pose_error(record.localization.T_camera_map, record.frame.T_map_camera.inverse())
         for record in records
@@ -81,7 +106,38 @@ def measure(street: Street, cameras: dict[str, MountedCamera], frames: int, fold
         and record.frame.T_map_camera is not None
     ]
     rte_m, rre_deg = np.array(errors).reshape(-1, 2).T
-    return Errors(labels, _map_errors(built.elements, street), rte_m, rre_deg, frames, seconds)
+    few = sum(len(record.localization.observed) < LEAST_SEEN for record in records)
+    return Errors(labels, map_m, rte_m, rre_deg, len(records) - few, few)
+
+
+def _draw(workspace: Workspace, meant: list[AddObservation]) -> None:
+    """Draw labels in Chromium, and print how far they are from what was meant."""
+    from annotator_page import annotating
+    from journeys.driver import LabelDriver
+    from playwright.sync_api import sync_playwright
+
+    names: dict[str, str] = {}
+    classes = {row.element_id: row.class_id for row in meant if row.class_id is not None}
+    off_px = []
+    with annotating(workspace) as served, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium")
+        driver = LabelDriver(browser.new_page(viewport={"width": 1600, "height": 950}))
+        driver.open(served.url)
+        for row in meant:
+            if driver.frame != row.frame_index:
+                driver.goto(row.frame_index)
+            name = names.get(row.element_id)
+            if row.end_px is None:
+                done = driver.draw_sign(row.side, row.anchor_px, classes[row.element_id], name)
+            else:
+                done = driver.draw_pole(
+                    row.side, row.anchor_px, row.end_px, name, row.anchor_known, row.end_known
+                )
+            names.setdefault(row.element_id, done)
+            drawn = served.observations[-1]
+            off_px.append(float(np.hypot(*np.subtract(drawn.anchor_px, row.anchor_px))))
+        browser.close()
+    print(f"{len(off_px)} labels drawn, at most {max(off_px):.3f} px off", file=sys.stderr)
 
 
 def _files(folder: Path, cameras: dict[str, MountedCamera]) -> DriveFiles:
@@ -111,30 +167,48 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--seeds", default="3,5")
+    parser.add_argument("--browser", action="store_true")
     args = parser.parse_args()
     first: list[float] | None = None
-    head = "drive | labels | elements | map, median (m) | ok | RTE, median (m) | RRE (deg) | times"
-    print(f"| {head} |")
-    print("|---|--:|--:|--:|--:|--:|--:|--:|")
+    head = "drive | labels | elements | map, median (m) | ok | fewer than four | RTE, median (m) | "
+    print(f"| {head}RRE (deg) | times |")
+    print("|---|--:|--:|--:|--:|--:|--:|--:|--:|")
     for name, cameras in DRIVES.items():
-        found = []
+        if args.browser and len(cameras) > 2:
+            continue
+        found: dict[str, list[Errors]] = {}
         for seed in map(int, args.seeds.split(",")):
             street = Street(seed, StreetOptions(args.frames + 2))
             with tempfile.TemporaryDirectory() as folder:
-                found.append(measure(street, cameras, args.frames, Path(folder)))
-            print(f"{name}, street {seed}: import {found[-1].import_s:.1f} s CPU", file=sys.stderr)
-        map_m, rte_m, rre_deg = (
-            np.concatenate([getattr(one, field) for one in found])
-            for field in ("map_m", "rte_m", "rre_deg")
-        )
-        medians = [float(np.median(values)) for values in (map_m, rte_m, rre_deg)]
-        first = medians if first is None else first
-        times = " / ".join(f"{now / then:.2f}" for now, then in zip(medians, first, strict=True))
-        labels, frames = sum(one.labels for one in found), sum(one.frames for one in found)
-        print(
-            f"| {name} | {labels} | {len(map_m)} | {medians[0]:.3f} | {len(rte_m)} of {frames} | "
-            f"{medians[1]:.4f} | {medians[2]:.4f} | {times} |"
-        )
+                measured = measure(street, cameras, args.frames, Path(folder), args.browser)
+            for camera, errors in measured.items():
+                found.setdefault(camera, []).append(errors)
+        for camera, all_errors in found.items():
+            medians = _print_row(f"{name} {camera}".strip(), all_errors, first)
+            first = medians if first is None else first
+
+
+def _print_row(name: str, found: list[Errors], first: list[float] | None) -> list[float]:
+    map_m, rte_m, rre_deg = (
+        np.concatenate([getattr(one, field) for one in found])
+        for field in ("map_m", "rte_m", "rre_deg")
+    )
+    medians = [
+        float(np.median(values)) if len(values) else float("nan")
+        for values in (map_m, rte_m, rre_deg)
+    ]
+    times = " / ".join(
+        f"{now / then:.2f}" for now, then in zip(medians, first or medians, strict=True)
+    )
+    labels, frames, few = (
+        sum(getattr(one, field) for one in found) for field in ("labels", "frames", "few")
+    )
+    print(
+        f"| {name} | {labels} | {len(map_m)} | {medians[0]:.3f} | {len(rte_m)} of {frames} | {few} "
+        f"| {medians[1]:.4f} | {medians[2]:.4f} | {times} |",
+        flush=True,
+    )
+    return medians
 
 
 if __name__ == "__main__":

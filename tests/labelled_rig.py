@@ -28,7 +28,18 @@ def true_pose(street: Street, frame: Frame, camera: MountedCamera) -> Pose:
 def label(
     workspace: Workspace, street: Street, cameras: dict[str, MountedCamera], sigma_px: float
 ) -> int:
-    """Label everything that is visible, ``sigma_px`` off; return the number of labels.
+    """Label everything that is visible, ``sigma_px`` off; return the number of labels."""
+    added = labels_of(workspace, street, cameras, sigma_px)
+    with workspace.open_labels() as store:
+        store.apply(AddMany(tuple(added)), "ann")
+    return len(added)
+
+
+def labels_of(
+    workspace: Workspace, street: Street, cameras: dict[str, MountedCamera], sigma_px: float
+) -> list[AddObservation]:
+    """Return labels of everything that is visible, ``sigma_px`` off; the first of an element has
+    its class.
 
     ``cameras`` are those of the rig by name, or left and right.
     """
@@ -61,9 +72,7 @@ def label(
                         class_id=int(seen.class_id[row]) if is_new else None,
                     )
                 )
-    with workspace.open_labels() as store:
-        store.apply(AddMany(tuple(added)), "ann")
-    return len(added)
+    return added
 
 
 def _clipped(pixel: FloatArray, width: int, height: int) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from semviz.workspace.drive_checks import (
     CHECKS,
     DriveCheck,
     DriveChecks,
-    PoseSteps,
+    StepErrors,
     read_checks,
 )
 from semviz.workspace.pose_review import known_check
@@ -59,7 +59,7 @@ class DriveView(Part):
     places_m: list[tuple[float, float]]
     """East and north, or x and y, of each."""
     without_pose: int
-    motion: PoseSteps | None
+    motion: StepErrors | None
     """Of the poses, against the images: all of them if they were measured, else the import's."""
     file: str
     """That keeps the checks; empty if there is none."""
@@ -127,7 +127,7 @@ def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
         frames=[frame.index for frame in posed],
         places_m=[(round(x, 2), round(y, 2)) for x, y in places[:, :2].tolist()],
         without_pose=len(frames) - len(posed),
-        motion=stored.steps if measured is None else PoseSteps.of(measured),
+        motion=stored.steps if measured is None else StepErrors.of(measured),
         file=str(path) if path.is_file() else "",
     )
 

@@ -205,7 +205,7 @@ class NewCommand:
         )
         from semviz.workspace.outputs import check_empty
 
-        command = parsing.command_text(self)
+        command = self._command()
         if self.rectify and (stopped := stopped_workspace(self.folder, command)) is not None:
             rectify_all(stopped)
             print(f"{self.folder}: the rest of the images is rectified")
@@ -235,7 +235,7 @@ class NewCommand:
             print_warning,
             write_refined,
         )
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, PoseSteps, save_checks
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, StepErrors, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -270,13 +270,17 @@ class NewCommand:
         stored = DriveChecks(
             checks=tuple(checks),
             warnings=tuple(others),
-            steps=None if found.motions is None else PoseSteps.of(found.motions),
-            command=parsing.command_text(self),
+            steps=None if found.motions is None else StepErrors.of(found.motions),
+            command=self._command(),
         )
         save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)
         return workspace, count
+
+    def _command(self) -> str:
+        """Return this command as text that a file can hold, whatever its names are."""
+        return parsing.command_text(self).encode("ascii", "backslashreplace").decode()
 
     def _again_with(self, option: str) -> str:
         """Return this command with another option, for another folder: this one will exist."""

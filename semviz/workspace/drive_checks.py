@@ -80,7 +80,7 @@ class DriveCheck(_Model):
     """Where to look."""
 
 
-class PoseSteps(_Model):
+class StepErrors(_Model):
     """How far the steps of n poses are from those of the images."""
 
     frames: tuple[int, ...]
@@ -93,7 +93,7 @@ class PoseSteps(_Model):
     """One standard deviation of good steps: deg and m."""
 
     @classmethod
-    def of(cls, check: PoseCheck) -> "PoseSteps":
+    def of(cls, check: PoseCheck) -> "StepErrors":
         compared = check.comparison.compared
         rows, sigma = np.flatnonzero(compared), check.comparison.pose_sigma
         innovation = check.comparison.innovation[rows]
@@ -114,7 +114,7 @@ class DriveChecks(_Model):
     checks: tuple[DriveCheck, ...]
     warnings: tuple[str, ...] = ()
     """Others than those of checks."""
-    steps: PoseSteps | None = None
+    steps: StepErrors | None = None
     """Of the first camera, where they were measured."""
     command: str = ""
     """That made the workspace: given once more, it goes on where it was stopped."""
@@ -378,7 +378,7 @@ def _time(found: PoseCheck, fault: PoseFault | None, camera: str) -> DriveCheck:
 
 
 def _steps(found: PoseCheck, camera: str) -> DriveCheck:
-    steps = PoseSteps.of(found)
+    steps = StepErrors.of(found)
     name, of = _of(camera)
     local = [fault for fault in found.faults if fault.kind in LOCAL_KINDS]
     return DriveCheck(

@@ -235,7 +235,7 @@ def test_motions_of_real_images_tell_scale_time_and_a_turned_camera(
     """KITTI's right camera is known to be turned by 0.03 deg against its calibration."""
     rig = KittiSequence(kitti_root, "02", (2, 3), range(1)).rig
     found = check_drive(planted(measured), measured.motions, rig)
-    checks = {check.kind: check for check in motion_checks(found, rig, "")}
+    checks = {str(check.kind): check for check in motion_checks(found, rig, "")}
     wrong = {name for name, check in checks.items() if check.passed is False}
     assert wrong == {"extrinsics", kind} - {""}
     assert checks["extrinsics"].value.startswith("0.02")

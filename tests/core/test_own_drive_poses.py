@@ -28,6 +28,7 @@ from drive_formats import (
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_files import LeftOutImage, list_images
+from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times, why_without_pose
 from semviz_core.datasets.trajectory import T_MAP_WORLD
@@ -327,3 +328,25 @@ def test_a_folder_of_models_stands_for_its_first(
     (tmp_path / "models").mkdir()
     write(tmp_path).rename(tmp_path / "models" / "0")
     check_poses(read_drive(replace(drive, poses=tmp_path / "models", metric=True)))
+
+
+def test_poses_of_tum_vi_have_eight_numbers_in_the_order_of_euroc(tmp_path: Path) -> None:
+    """Its header tells; those of TUM have the scalar last."""
+    path = tmp_path / "data.csv"
+    header = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], "
+    path.write_text(f"{header}q_RS_y [], q_RS_z []\n1520530308199447626,1.0,2.0,3.0,1.0,0,0,0\n")
+    found = read_poses(path, None, None)
+    assert (found.format, found.of_body, found.quaternion) == ("EuRoC", True, "wxyz")
+    np.testing.assert_array_equal(found.matrices[0, :, :3], np.eye(3))
+
+
+def test_what_holds_no_images_says_where_there_are_some(tmp_path: Path) -> None:
+    images = tmp_path / "mav0" / "cam0" / "data"
+    images.mkdir(parents=True)
+    cv2.imwrite(str(images / "1.png"), np.zeros((8, 8), np.uint8))
+    with pytest.raises(SemvizError, match=r"there are some in .*mav0/cam0/data: name that one"):
+        list_images(tmp_path, None)
+    film = tmp_path / "drive.mp4"
+    film.write_bytes(b"ftyp")
+    with pytest.raises(SemvizError, match="a video; write its images first"):
+        list_images(film, None)

@@ -22,7 +22,10 @@ from semviz.cli import main
 from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
+from semviz_core.base.pose import Pose
 from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times
 from semviz_core.datasets.rig_cameras import frames_by_camera
 from semviz_core.simulation.street import Street
 from semviz_core.simulation.street_rig import (
@@ -236,3 +239,90 @@ def test_a_pole_is_labelled_in_two_cameras_in_the_browser(
     assert np.linalg.norm(truth - position.anchor_m, axis=1).min() < 0.3
     page.keyboard.press("Shift+C")
     page.wait_for_selector('#left-image h2:has-text("left")')
+
+
+def kalibr_chain(recording: Path) -> Path:
+    """The cameras as Kalibr writes them: each with the IMU's pose in it, a metre ahead of it."""
+    path = recording / "camchain.yaml"
+    T_imu_body = Pose(np.eye(3), np.array([0.0, 0.3, -1.0]))
+    lines = []
+    for number, mount in enumerate(CAMERAS.values()):
+        lens = mount.lens
+        T_cam_imu = (T_imu_body @ mount.T_body_camera).inverse().as_matrix().tolist()
+        model = {"brown-conrady": "radtan", "fisheye": "equidistant"}[lens.model]
+        lines.append(
+            f"cam{number}:\n"
+            "  camera_model: pinhole\n"
+            f"  intrinsics: {lens.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}\n"
+            f"  distortion_model: {model}\n"
+            f"  distortion_coeffs: {lens.distortion.tolist()}\n"
+            f"  resolution: {[lens.width, lens.height]}\n"
+            f"  T_cam_imu: {T_cam_imu}\n"
+        )
+    path.write_text("".join(lines))
+    return path
+
+
+def colmap_model(recording: Path, town: Workspace, source: Street) -> Path:
+    """A model of the rig's images; COLMAP counts pixels from the corner."""
+    path = recording / "sparse"
+    path.mkdir()
+    cameras, images = [], []
+    dataset = town.source
+    assert isinstance(dataset, ImageFolder)
+    for number, (name, mount) in enumerate(CAMERAS.items(), 1):
+        K, lens = mount.lens.K, mount.lens
+        model = {"brown-conrady": "OPENCV", "fisheye": "OPENCV_FISHEYE"}[lens.model]
+        terms = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, *lens.distortion]
+        cameras.append(f"{number} {model} {lens.width} {lens.height} {' '.join(map(str, terms))}")
+        for frame in frames_by_camera(dataset)[name]:
+            pose = true_pose(source, frame, mount).inverse()
+            x, y, z, w = pose.as_quaternion()
+            words = [len(images) + 1, w, x, y, z, *pose.translation, number]
+            file = dataset.original_path(frame.index, "left").name
+            images.append(f"{' '.join(map(str, words))} {name}/{file}\n")
+    (path / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    (path / "images.txt").write_text("\n".join(images) + "\n")
+    (path / "points3D.txt").write_text("")
+    return path
+
+
+@pytest.mark.parametrize("source_of_cameras", ["Kalibr", "COLMAP"])
+def test_a_rig_of_kalibr_or_colmap_is_the_same(
+    recording: Path, town: Workspace, source: Street, source_of_cameras: str
+) -> None:
+    if source_of_cameras == "Kalibr":
+        files = DriveFiles(
+            recording,
+            rig=tuple(CAMERAS),
+            calibration=kalibr_chain(recording),
+            poses=recording / POSES,
+        )
+    else:
+        model = colmap_model(recording, town, source)
+        files = DriveFiles(recording, rig=tuple(CAMERAS), poses=model, metric=True)
+    drive = read_drive(files)
+    known = {frame.index: frame for frame in town.source.frames}
+    assert {frame.index for frame in drive.frames} == set(known)
+    assert drive.axes is not None
+    assert drive.axes.up == "z"
+    for frame in drive.frames:
+        pose = known[frame.index].T_map_camera
+        assert frame.T_map_camera is not None
+        assert pose is not None
+        np.testing.assert_allclose(frame.T_map_camera.as_matrix(), pose.as_matrix(), atol=2e-4)
+
+
+def test_poses_refined_by_another_camera_are_those_of_the_first(
+    town: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "refined.tum"
+    assert call(capsys, "poses", "refine", town.path, "--camera", "back", "--out", out)[0] == 0
+    rows = np.loadtxt(out)
+    first = frames_by_camera(town.source)["front"]
+    times = [frame.time_s for frame in frames_by_camera(town.source)["back"]]
+    poses = [frame.T_map_camera for frame in first if frame.T_map_camera is not None]
+    there = poses_at_times(poses, np.array([one.time_s for one in first]), np.array(times), 1.0)
+    for row, pose in zip(rows, there, strict=True):
+        if pose is not None:  # the last image is later than the front camera's last
+            np.testing.assert_allclose(row[1:4], pose.translation, atol=0.05)

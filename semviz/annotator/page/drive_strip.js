@@ -10,7 +10,7 @@ const SIGMAS = 3; // of good steps: the dashed line
 export class DriveStrip {
   /** @param {(frame: number) => void} go */
   constructor(go) {
-    /** @type {annotator.PoseSteps | null} */
+    /** @type {annotator.StepErrors | null} */
     this.steps = null;
     /** @type {number | null} */
     this.frame = null;
@@ -93,7 +93,7 @@ export class DriveStrip {
    * @param {CanvasRenderingContext2D} context
    * @param {number} width
    * @param {number} height
-   * @param {annotator.PoseSteps} steps
+   * @param {annotator.StepErrors} steps
    */
   #axis(context, width, height, { frames }) {
     const step = (width - LEFT - RIGHT) / Math.max(frames.length, 1);

@@ -330,7 +330,7 @@ export interface DriveView {
   frames: Array<number>;
   places_m: Array<[number, number]>;
   without_pose: number;
-  motion: PoseSteps | null;
+  motion: StepErrors | null;
   file: string;
 }
 
@@ -665,15 +665,6 @@ export interface PoseMark {
   after_px: number | null;
 }
 
-/** How far the steps of n poses are from those of the images. */
-export interface PoseSteps {
-  frames: Array<number>;
-  turn_deg: Array<number>;
-  shift_m: Array<number>;
-  wrong: Array<boolean>;
-  usual: [number, number];
-}
-
 /** A choice for poses is on disk; the workspace is sent again with the chosen poses. */
 export interface PosesChosenEvent {
   type: "poses_chosen";
@@ -923,6 +914,15 @@ export interface SnappedMark {
   anchor_known: boolean;
   end_known: boolean;
   by_px: number;
+}
+
+/** How far the steps of n poses are from those of the images. */
+export interface StepErrors {
+  frames: Array<number>;
+  turn_deg: Array<number>;
+  shift_m: Array<number>;
+  wrong: Array<boolean>;
+  usual: [number, number];
 }
 
 /** Cancel the map build. */

@@ -409,6 +409,11 @@ def _opencv(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     """Read what OpenCV's samples write; such a file does not name its lens model."""
     where = str(path)
     if not any(name in content for name in _OPENCV_K):
+        if "P0" in content:
+            raise SemvizError(
+                f"{path}: a calibration of KITTI odometry: use --kitti ROOT instead of --images, "
+                "or write its numbers into a TOML file (docs/own-drive.md)"
+            )
         raise SemvizError(
             f"{path}: no calibration that is read: Kalibr's camchain, ROS's camera_info, EuRoC's "
             "sensor.yaml, OpenCV's camera_matrix, or semviz's TOML"

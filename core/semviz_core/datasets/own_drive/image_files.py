@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -24,6 +25,8 @@ from semviz_core.common.files import replacing
 from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
 from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
+_VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
+_MOST_LOOKED_AT = 2000
 SUFFIXES = (".png", ".jpg", ".jpeg")
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
 _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -69,6 +72,15 @@ class ImageNames:
 def folder_of(path: Path) -> Path:
     """Return the folder of images that a user names: itself, or ``folder/*_left.png``."""
     return path.parent if "*" in path.name else path
+
+
+def _images_below(folder: Path) -> Path | None:
+    """Return the first folder with images within a folder, not deep and not for long."""
+    for depth in ("*", "*/*", "*/*/*", "*/*/*/*"):
+        for path in islice(folder.glob(depth), _MOST_LOOKED_AT):
+            if path.suffix.lower() in SUFFIXES:
+                return path.parent
+    return None
 
 
 def list_images(left: Path, right: Path | None) -> ImageNames:
@@ -164,6 +176,11 @@ def pairs_by_time(
 def _names(path: Path) -> list[str]:
     folder, pattern = folder_of(path), path.name if "*" in path.name else "*"
     if not folder.is_dir():
+        if folder.suffix.lower() in _VIDEOS:
+            raise SemvizError(
+                f"{folder}: a video; write its images first, all of them: ffmpeg -i {folder.name} "
+                "images/%06d.png"
+            )
         raise SemvizError(f"{folder}: no such folder of images; name another")
     if pattern.count("*") > 1:
         raise SemvizError(f"{path}: give one star, for what differs between images of a camera")
@@ -178,7 +195,9 @@ def _names(path: Path) -> list[str]:
         and file.name.endswith(tail)
     ]
     if not found:
-        raise SemvizError(f"{path}: a folder without images; expected .png or .jpg")
+        below = _images_below(folder)
+        there = "" if below is None else f"; there are some in {below}: name that one"
+        raise SemvizError(f"{path}: a folder without images; expected .png or .jpg{there}")
     wrong = next((name for name in found if _UNUSUAL.search(name)), None)
     if wrong is not None:
         raise SemvizError(

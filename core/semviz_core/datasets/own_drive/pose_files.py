@@ -44,6 +44,10 @@ _TIME_UNITS: tuple[TimeUnit, ...] = ("s", "ms", "us", "ns")
 _UNIT = r"_?(deg|rad|m|s|ms|us|ns)?"
 
 
+_HEAD = 1000
+"""Characters of a file in which columns are named."""
+
+
 def is_gnss(columns: Sequence[str]) -> bool:
     """Whether the names of a table's columns include latitude and longitude."""
     known = _columns(columns)
@@ -161,9 +165,10 @@ def read_poses(
     """
     if not path.is_file():
         raise SemvizError(f"{path}: no such file of poses; name another with --poses")
+    text = read_text(path)
     lines = [
         (number, re.split(r"[\s,;]+", line.strip().strip(",;")))
-        for number, line in enumerate(read_text(path).splitlines(), 1)
+        for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     columns: list[str] = []
@@ -177,6 +182,8 @@ def read_poses(
         return read_gnss(path, columns, [row for _, row in lines], unit)
     words = [row for _, row in lines]
     values = _line_numbers(path, lines, width)
+    if width == 8 and "q_RS_w" in text[:_HEAD]:  # TUM-VI's, without the velocities of EuRoC's
+        return _timed(path, "EuRoC", words, values, quaternion or "wxyz", unit, of_body=True)
     if width == 8:
         return _timed(path, "TUM", words, values, quaternion or "xyzw", unit)
     if width in (11, 17) and path.suffix == ".csv":

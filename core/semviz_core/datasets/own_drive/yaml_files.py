@@ -64,7 +64,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         where = "" if line is None else f", line {line + 1}"
         raise SemvizError(f"{path}{where}: not readable as YAML ({fault}); repair it") from None
     if not isinstance(content, dict):
-        raise SemvizError(f"{path}: holds no YAML mapping; name a calibration file")
+        raise SemvizError(
+            f"{path}: no calibration that is read; write its numbers into a TOML file, as "
+            "docs/own-drive.md shows"
+        )
     return {str(key): value for key, value in content.items()}
 
 
