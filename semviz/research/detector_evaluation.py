@@ -21,7 +21,7 @@ from semviz_annotation.labels.labels import Labels, Observation, proposal_id
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.mapping.quality.label_links import observe
-from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, TriangleCenter, converted
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, TriangleCenter, with_center
 from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.base.frame import Side
@@ -50,7 +50,7 @@ class EvaluationImage:
     """Whether the ground truth is believed to hold all elements."""
     stored: "StoredDetections | None" = None
     """What ``semviz detect`` found in the image before, if it did."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the points of triangular signs are, in the truth and the stored detections."""
 
     @property
@@ -311,7 +311,7 @@ def evaluate_image(
     except SemvizError as error:
         raise SemvizError(f"{image.name}: {error}") from None
     seconds = process_time() - start_s
-    detections = converted(detections, detector.triangle_center, image.triangle_center)
+    detections = with_center(detections, detector.triangle_center, image.triangle_center)
     return detection_summary.ImageEvaluation(detections, truth, seconds)
 
 
