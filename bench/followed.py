@@ -23,10 +23,10 @@ from semviz_annotation.assist.propagation import search_views
 from semviz_annotation.assist.score import (
     LabelledView,
     Track,
+    apparent_size,
     growth,
     look_again,
     score_of,
-    size,
     view_to_follow,
     views_beside,
 )
@@ -142,12 +142,12 @@ class Follower:
         self, frame: int, place: Triangulated, rows: list[Label], views: dict[Side, MarkedImage]
     ) -> tuple[list[ReferenceView], Track]:
         """As the page chooses them."""
-        sizes = np.array([size(place, row.image.view) for row in rows])
+        sizes = np.array([apparent_size(place, row.image.view) for row in rows])
         moments = np.abs(np.array([row.frame for row in rows]) - frame)
         followed = []
         for side in SIDES:
             other = np.array([row.side != side for row in rows])
-            now = size(place, views[side].view)
+            now = apparent_size(place, views[side].view)
             followed.append(view_to_follow(sizes, moments, other, now))
         references = [
             ReferenceView(views[side], rows[row].image, rows[row].mark)
@@ -156,7 +156,7 @@ class Follower:
         beside = tuple(
             LabelledView(rows[row].image, rows[row].mark) for row in views_beside(moments, followed)
         )
-        now = max(size(place, view.view) for view in views.values())
+        now = max(apparent_size(place, view.view) for view in views.values())
         return references, Track(beside, growth(sizes, now, look_again(place)))
 
     def _opened(self, frame: int, side: Side) -> MarkedImage:

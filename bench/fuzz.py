@@ -72,6 +72,8 @@ class Options:
     """A folder that keeps the inputs that reached new code; a later call goes on from them."""
     alone: bool = False
     """Fuzz one reader in this process."""
+    unguided: int = 0
+    """Only so many inputs of each reader, without guidance by coverage, all in this process."""
 
 
 def main(options: Options) -> int:
@@ -81,10 +83,21 @@ def main(options: Options) -> int:
         return 2
     if options.alone:
         return fuzz(options.readers[0], 60.0 * options.minutes, options.seed, options.grown)
+    if options.unguided:
+        return _unguided(options)
     if find_spec("atheris") is None:
         print("atheris is not installed: the corpus is changed without guidance by coverage")
     results = [_in_process(name, options) for name in options.readers or NAMES]
     return int(any(results))
+
+
+def _unguided(options: Options) -> int:
+    """Fuzz the readers in this process; an error ends it."""
+    for name in options.readers or NAMES:
+        with tempfile.TemporaryDirectory() as folder:
+            corpus, attack = _corpus(name, Path(folder, "corpus")), _attack(name, Path(folder))
+            _without_guidance(corpus, attack, options.seed, lambda count: count < options.unguided)
+    return 0
 
 
 def _in_process(name: str, options: Options) -> int:
@@ -114,7 +127,10 @@ def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int
         folder = Path(folder_name)
         kept = folder / "corpus" if grown is None else grown / name
         if find_spec("atheris") is None:
-            return _without_guidance(_corpus(name, kept), _attack(name, folder), seconds, seed)
+            stop = time.monotonic() + seconds
+            return _without_guidance(
+                _corpus(name, kept), _attack(name, folder), seed, lambda _: time.monotonic() < stop
+            )
         import atheris
 
         with atheris.instrument_imports(include=INSTRUMENTED, exclude=_compiled_modules()):
@@ -186,11 +202,12 @@ def _attack(name: str, folder: Path) -> Callable[[bytes], None]:
 
 
 def _without_guidance(
-    corpus: Path, attack: Callable[[bytes], None], seconds: float, seed: int
+    corpus: Path, attack: Callable[[bytes], None], seed: int, goes_on: Callable[[int], bool]
 ) -> int:
+    """Change the corpus as long as ``goes_on`` says of the number of inputs."""
     rng, seeds = random.Random(seed), [path.read_bytes() for path in sorted(corpus.iterdir())]
-    count, stop = 0, time.monotonic() + seconds
-    while time.monotonic() < stop:
+    count = 0
+    while goes_on(count):
         data = mutated(rng.choice(seeds), rng)
         started = time.monotonic()
         try:

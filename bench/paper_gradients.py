@@ -18,9 +18,9 @@ from torch import Tensor
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.localization.correspondences.candidate_pairs import Sample, SampleTarget
-from semviz_core.research.paper import graph_torch, training
-from semviz_core.research.paper.graph_torch import sinkhorn, sinkhorn_with_dustbins
+from semviz_core.research.paper import matcher_torch, training
 from semviz_core.research.paper.matcher import MU
+from semviz_core.research.paper.matcher_torch import sinkhorn, sinkhorn_with_dustbins
 from semviz_core.research.paper.training import (
     POSE_FROM,
     PaperTask,
@@ -70,7 +70,7 @@ def main(options: Options) -> None:
 
 def tell_gradients(batch: Batch) -> None:
     print("Gradients against central differences in float64, error relative to the largest slope")
-    tolerance, graph_torch.TOLERANCE = graph_torch.TOLERANCE, EXACT
+    tolerance, matcher_torch.TOLERANCE = matcher_torch.TOLERANCE, EXACT
     pairs, possible = truths(batch).pairs, batch.same_class
     noise, weight = torch.rand(2, *possible.shape, dtype=torch.float64)
     cost = torch.where(pairs, 0.3, 0.6) + 0.3 * noise
@@ -93,7 +93,7 @@ def tell_gradients(batch: Batch) -> None:
     for name, (layer, at) in layers.items():
         error = slope_errors(layer, at, possible, 1e-6)
         print(f"  {name:20s} median {np.median(error):.1e}, most {error.max():.1e}")
-    graph_torch.TOLERANCE = tolerance
+    matcher_torch.TOLERANCE = tolerance
 
 
 def slope_errors(layer: Layer, at: Tensor, possible: Tensor, step: float) -> FloatArray:
@@ -120,9 +120,9 @@ def tell_unrolling() -> None:
         for contrast in (0.3, 1.0, 3.0):
             cost, weight = contrast * torch.cdist(f, g) / 4.0, torch.rand(BATCH, m, n).double()
             possible = torch.ones(BATCH, m, n, dtype=torch.bool)
-            tolerance, graph_torch.TOLERANCE = graph_torch.TOLERANCE, EXACT
+            tolerance, matcher_torch.TOLERANCE = matcher_torch.TOLERANCE, EXACT
             exact, _ = timed_gradient(lambda x, p=possible: sinkhorn(x, p), cost, weight)
-            graph_torch.TOLERANCE = tolerance
+            matcher_torch.TOLERANCE = tolerance
             told = []
             ways: dict[str, Layer] = {"implicit": lambda x, p=possible: sinkhorn(x, p)}
             ways |= {f"{k} unrolled": lambda x, k=k: unrolled(x, k) for k in UNROLLED}

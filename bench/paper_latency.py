@@ -97,8 +97,8 @@ def _in_numpy(weights: Path) -> Run:
 def _in_torch(weights: Path) -> Run:
     import torch
 
-    from semviz_core.research.paper.graph_torch import GraphMatcher
     from semviz_core.research.paper.matcher import MODELS
+    from semviz_core.research.paper.matcher_torch import GraphMatcher
 
     torch.set_num_threads(1)
     stream = GraphMatcher(MODELS["paper"], 4).eval().seen

@@ -27,7 +27,7 @@ from semviz_annotation.storage.backup import backup_labels, check_labels, restor
 from semviz_annotation.storage.database import make
 from semviz_annotation.storage.operations import CHANGES, sealed
 from semviz_annotation.storage.store import LabelStore
-from semviz_core.base.classes import NEW, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 
@@ -429,7 +429,7 @@ def test_a_restoring_that_fails_changes_nothing(file, tmp_path, monkeypatch):
     edits(file, 1)
     before = check_labels(file)
 
-    def full(connection: sqlite3.Connection, center: TriangleCenter = NEW) -> None:
+    def full(connection: sqlite3.Connection, center: TriangleCenter = NEW_CENTER) -> None:
         if connection.execute("PRAGMA database_list").fetchone()[2]:  # a file, not in memory
             connection.execute("SELECT raise_it()")
         make(connection, center)

@@ -23,7 +23,7 @@ from semviz_annotation.assist import (
     propagate,
 )
 from semviz_annotation.assist.appearance import visible_rows
-from semviz_annotation.assist.score import LabelledView, Track, growth, look_again, size
+from semviz_annotation.assist.score import LabelledView, Track, apparent_size, growth, look_again
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_annotation.mapping.placement.triangulation import Triangulated, triangulate
@@ -273,8 +273,8 @@ def test_an_offset_of_the_first_drawing_does_not_grow_unseen(edges: bool) -> Non
     sure = 0
     for shot, truth in ahead:
         element = mapped([image for image, _ in labelled], [mark for _, mark in labelled])
-        sizes = [size(element, image.view) for image, _ in labelled]
-        grown = growth(sizes, size(element, shot.view), look_again(element))
+        sizes = [apparent_size(element, image.view) for image, _ in labelled]
+        grown = growth(sizes, apparent_size(element, shot.view), look_again(element))
         source, mark = labelled[-1]
         track = Track(tuple(LabelledView(*view) for view in labelled[:-1][-4:]), grown)
         (found,) = propagate([ReferenceView(shot, source, mark)], element, kind, track=track)

@@ -4,7 +4,6 @@
 """
 
 import os
-import re
 import resource
 import runpy
 import struct
@@ -263,15 +262,14 @@ def test_a_workspace_s_proposals_may_be_no_pipe(tmp_path: Path) -> None:
 
 
 def test_every_reader_survives_some_broken_files(tmp_path: Path) -> None:
-    """The bench without guidance, a moment for each reader."""
-    command = [sys.executable, str(REPOSITORY / "bench" / "fuzz.py"), "--minutes", "0.01"]
+    """The bench without guidance, some inputs for each reader."""
+    bench = str(REPOSITORY / "bench" / "fuzz.py")
+    command = [sys.executable, bench, "--unguided", "30"]
     names = ["calibration", "csv", "geojson", "map", "model", "opendrive", "settings", "weights"]
     names += ["camera-yaml", "drive-file"]
     done = subprocess.run([*command, *names], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
-    tried = re.findall(r"(\d+) inputs .* nothing else raised", done.stdout)
-    assert len(tried) == len(names)
-    assert min(map(int, tried)) > 5
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("Done 30 inputs") == len(names)
 
 
 def test_a_log_of_empty_lines_takes_little_memory(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Code is compiled by one process at a time, under names that no other process gives."""
+"""A function is compiled by one process at a time, under names that no other process gives."""
 
 import os
 import shutil
@@ -14,17 +14,18 @@ from semviz_core.common import jit, linalg
 HOLD = """
 import sys
 from semviz_core.common import jit, linalg
-with jit._compile_lock:
+with jit._CompileLock("held"), jit._CompileLock("also held"):
     print("held", flush=True)
     sys.stdin.read()
 """
 
 
-def test_two_processes_take_turns() -> None:
+def test_two_processes_take_turns_with_a_function_and_with_none_else() -> None:
     taken = Event()
 
     def take() -> None:
-        with jit._compile_lock, jit._compile_lock:  # who has it may take it again
+        lock = jit._CompileLock("held")
+        with jit._CompileLock("free"), lock, lock:  # who has it may take it again
             taken.set()
 
     other = subprocess.Popen(
@@ -32,6 +33,8 @@ def test_two_processes_take_turns() -> None:
     )
     assert other.stdout is not None
     assert other.stdout.readline() == "held\n"
+    with jit._CompileLock("free"):
+        pass
     waiting = Thread(target=take)
     waiting.start()
     assert not taken.wait(0.3)

@@ -20,7 +20,7 @@ from semviz_core.localizability.expected_error import (
     LOST_M,
     PositionInformation,
     expected_error,
-    suggest,
+    suggest_elements,
 )
 from semviz_core.localizability.predict import Localizability, predict, simulate_localization
 from semviz_core.localizability.route import (
@@ -181,7 +181,7 @@ def test_no_place_is_suggested_twice(street: SemanticMap, predicted: Localizabil
     best = replace(predicted.suggested[0].element, id=[10_000])
     found = position_informations(street)
     along_m = np.arange(len(found)) * 12.0
-    assert len(suggest(found, along_m, best, CAMERA, CONDITIONS, 3)) == 1
+    assert len(suggest_elements(found, along_m, best, CAMERA, CONDITIONS, 3)) == 1
 
 
 def test_the_critical_element_is_the_one_that_hurts_most(

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from semviz_core.research.paper.graph_torch import (
+from semviz_core.research.paper.matcher_torch import (
     GraphNetwork,
     RealRows,
     context_norm,

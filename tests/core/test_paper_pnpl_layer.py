@@ -13,7 +13,7 @@ from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.p3p_ransac import Objective, paper_pnpl
 from semviz_core.research.evaluation.problems import LocalizationProblem, make_problem
-from semviz_core.research.paper.graph_torch import sinkhorn
+from semviz_core.research.paper.matcher_torch import sinkhorn
 from semviz_core.research.paper.training import (
     StartPoses,
     correspondence_loss,

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from semviz_core.localization.association import sinkhorn_with_dustbin
-from semviz_core.research.paper import graph_torch
-from semviz_core.research.paper.graph_torch import sinkhorn, sinkhorn_with_dustbins
+from semviz_core.research.paper import matcher_torch
 from semviz_core.research.paper.matcher import uniform_transport
+from semviz_core.research.paper.matcher_torch import sinkhorn, sinkhorn_with_dustbins
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -114,7 +114,7 @@ def test_an_element_without_a_pair_is_in_its_dustbin_for_certain() -> None:
 @pytest.fixture
 def converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Further than it pays off, since finite differences need the digits."""
-    monkeypatch.setattr(graph_torch, "TOLERANCE", 1e-12)
+    monkeypatch.setattr(matcher_torch, "TOLERANCE", 1e-12)
 
 
 @pytest.mark.usefixtures("converged")

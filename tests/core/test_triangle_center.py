@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import ROUNDED, TRIANGULAR, TriangleCenter, converted
+from semviz_core.base.classes import ROUNDED, TRIANGULAR, TriangleCenter, with_center
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
@@ -87,7 +87,7 @@ def test_it_is_measured_upright_and_upside_down(
         image = drawn(background(rng), outline, (190, 30, 40))
         region = region_of(outline, image.shape[:2], masked)
         found = measure(SampledImage(image), [region], way)
-        moved = converted(found, "box", "centroid")
+        moved = with_center(found, "box", "centroid")
         off.append(np.linalg.norm(moved.anchor_px[0] - outline.mean(axis=0)))
         assert abs(found.to_centroid_px[0]) == pytest.approx(half / 3.0, abs=1.0)
         assert np.sign(found.to_centroid_px[0]) == (1.0 if plate is UPRIGHT else -1.0)
@@ -121,24 +121,24 @@ def signs(shift_px: list[float]) -> Elements2D:
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=6))
 def test_there_and_back_is_the_same(shift_px: list[float]) -> None:
     seen = joined(signs(shift_px), Elements2D.from_ends([[1, 2]], [[np.nan] * 2], [ROUNDED]))
-    moved = converted(seen, "box", "centroid")
+    moved = with_center(seen, "box", "centroid")
     np.testing.assert_allclose(
         moved.anchor_px[:-1, 1] - seen.anchor_px[:-1, 1], shift_px, atol=1e-9
     )
     assert (moved.sigma_px[:-1] > seen.sigma_px[:-1]).all()
     assert moved.anchor_px[-1].tolist() == [1.0, 2.0]
-    back = converted(moved, "centroid", "box")
+    back = with_center(moved, "centroid", "box")
     np.testing.assert_allclose(back.anchor_px, seen.anchor_px, atol=1e-12)
     np.testing.assert_allclose(back.sigma_px, seen.sigma_px, rtol=1e-12)
 
 
 def test_a_triangle_of_unknown_height_is_never_taken_for_another_point() -> None:
     unknown = signs([np.nan])
-    assert converted(unknown, "box", "box") is unknown
+    assert with_center(unknown, "box", "box") is unknown
     with pytest.raises(SemvizError, match="its height is not known"):
-        converted(unknown, "box", "centroid")
+        with_center(unknown, "box", "centroid")
     sign = Elements2D.from_ends([[1, 2]], [[np.nan] * 2], [ROUNDED])
-    assert converted(sign, "box", "centroid") is sign
+    assert with_center(sign, "box", "centroid") is sign
 
 
 def town(center: TriangleCenter) -> SemanticMap:
@@ -199,7 +199,7 @@ def test_a_streets_truth_follows_either(street: Street) -> None:
         for row in np.flatnonzero(labels.class_id == TRIANGULAR):
             other = np.flatnonzero(box_ids == ids[row])
             if len(other):
-                one = converted(boxes[other], "box", "centroid")
+                one = with_center(boxes[other], "box", "centroid")
                 off_px = np.abs(one.anchor_px[0] - labels.anchor_px[row])
                 assert (off_px < [0.3, 1e-6]).all()  # a rolled camera also moves it sideways
                 seen += 1
@@ -213,7 +213,7 @@ def errors_m(street: Street, of_map: TriangleCenter, seen_by: TriangleCenter) ->
     errors = []
     for frame in street.frames[::6]:
         assert frame.T_map_camera is not None
-        observed = converted(detector.detect(frame.index).observed, seen_by, of_map)
+        observed = with_center(detector.detect(frame.index).observed, seen_by, of_map)
         prior = simulate_prior(frame.T_map_camera, PriorOptions(), (7, frame.index))
         submap = semantic_map.crop(prior.position_m, 60.0)
         result = Localizer().localize(observed, submap, street.rig.left, prior)

@@ -22,7 +22,7 @@ from semviz_annotation.assist.image_search import (
     RefinedMark,
 )
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, clip_to_image, pixel
-from semviz_annotation.assist.score import LabelledView, Track, probability, score_of, size
+from semviz_annotation.assist.score import LabelledView, Track, apparent_size, probability, score_of
 from semviz_annotation.assist.snap import CLEAR, align_ends, best_snap, longer
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
@@ -130,7 +130,7 @@ def with_outlines(
 def _outline_views(
     views: Sequence[LabelledView], element: Triangulated, element_class: ElementClass, track: Track
 ) -> list[OutlineView]:
-    sizes = [size(element, view.image.view) for view in views]
+    sizes = [apparent_size(element, view.image.view) for view in views]
     look = sizes[0] / max(track.growth, 1.0)
     return [
         OutlineView(

@@ -14,7 +14,7 @@ import numpy as np
 from semviz_annotation.labels.labels import Observation, Pixel
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import OLDER, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import ByteImage, FloatArray
@@ -31,7 +31,7 @@ class MarkedImage(SampledImage):
     """One image with its camera and pose."""
 
     view: PosedView
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What marks of triangular signs are."""
     sizes: dict[Mark, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """Cache of measured widths and sizes, as one mark is propagated to many frames."""
@@ -42,7 +42,7 @@ class MarkedImage(SampledImage):
 
     @classmethod
     def of(
-        cls, view: PosedView, rgb: ByteImage, triangle_center: TriangleCenter = OLDER
+        cls, view: PosedView, rgb: ByteImage, triangle_center: TriangleCenter = OLDER_CENTER
     ) -> MarkedImage:
         """Return ``rgb`` with its view. Raise SemvizError if it has not the camera's size."""
         expected = (view.camera.height, view.camera.width, 3)

@@ -173,7 +173,7 @@ class Track:
 NO_TRACK = Track()
 
 
-def size(element: Triangulated, view: PosedView) -> float:
+def apparent_size(element: Triangulated, view: PosedView) -> float:
     """Return the size of an element in an image, px per metre; 0 behind the camera."""
     depth_m = float(view.depth_m(element.anchor_m[None])[0])
     return float(view.camera.K[0, 0]) / depth_m if depth_m > 0.0 else 0.0

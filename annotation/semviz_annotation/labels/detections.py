@@ -12,7 +12,7 @@ from semviz_annotation.labels.proposal import Proposal, proposal_content_id
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.labels.rows import MIN_LENGTH_PX
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import OLDER, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Side
@@ -25,7 +25,7 @@ def as_proposals(
     elements: Elements2D,
     camera: Camera,
     detector: str,
-    triangle_center: TriangleCenter = OLDER,
+    triangle_center: TriangleCenter = OLDER_CENTER,
 ) -> tuple[Proposal, ...]:
     """Return the detections of ``detector`` in an image as proposals, without duplicates.
 

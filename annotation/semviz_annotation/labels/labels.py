@@ -28,7 +28,7 @@ from semviz_annotation.labels.rows import (
     row_elements,
     row_key,
 )
-from semviz_core.base.classes import OLDER, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
@@ -81,7 +81,7 @@ class Labels:
     """Number of the next new element. It never decreases, not even by undo."""
     operation: int = field(default=0, compare=False)
     """Number of the last durable operation in this state; 0 outside a store."""
-    triangle_center: TriangleCenter = field(default=OLDER, compare=False)
+    triangle_center: TriangleCenter = field(default=OLDER_CENTER, compare=False)
     """What the point of a triangular sign is."""
     _numbered: Mapping[int, str] = field(default_factory=SharedDict, compare=False)
     _in_frame: Mapping[int, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
@@ -96,7 +96,7 @@ class Labels:
         rows: Iterable[Row],
         next_number: int = 1,
         operation: int = 0,
-        triangle_center: TriangleCenter = OLDER,
+        triangle_center: TriangleCenter = OLDER_CENTER,
     ) -> "Labels":
         """Return the state of ``rows``, in any order. Raise SemvizError if inconsistent."""
         empty = cls(next_number=next_number, operation=operation, triangle_center=triangle_center)

@@ -9,7 +9,13 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from semviz_annotation.labels.rows import Index, Pixel, derived_id
-from semviz_core.base.classes import OLDER, SIGMA_RATIO, TRIANGULAR, TriangleCenter, describe
+from semviz_core.base.classes import (
+    OLDER_CENTER,
+    SIGMA_RATIO,
+    TRIANGULAR,
+    TriangleCenter,
+    describe_center,
+)
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
@@ -39,7 +45,7 @@ class Proposal:
     """Standard deviation of a pole's ends along it; None if unknown, and for signs."""
     detector: str = ""
     """Name of the detector, if known."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the point of a triangular sign is."""
     to_centroid_px: float | None = None
     """As in ``Elements2D``; None if unknown."""
@@ -54,8 +60,9 @@ class Proposal:
         if self.to_centroid_px is None:
             raise SemvizError(
                 f"frame {self.frame_index}, {self.side}: a proposed triangular sign is "
-                f"{describe(self.triangle_center)} and its height is not known, but "
-                f"{describe(triangle_center)} is needed; give to_centroid_px, or detect again"
+                f"{describe_center(self.triangle_center)} and its height is not known, but "
+                f"{describe_center(triangle_center)} is needed; give to_centroid_px, or "
+                "detect again"
             )
         to = 1.0 if triangle_center == "centroid" else -1.0
         return replace(

@@ -24,8 +24,8 @@ from semviz_annotation.labels.rows import MIN_LENGTH_PX, Id, Index, Pixel
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
     DEFAULT_CLASSES,
-    NEW,
-    OLDER,
+    NEW_CENTER,
+    OLDER_CENTER,
     TRIANGULAR,
     ClassSet,
     TriangleCenter,
@@ -167,7 +167,7 @@ class Proposals:
     def triangle_center(self) -> TriangleCenter:
         """What all of them can follow: the box if a triangle there has no known height."""
         fixed = (self.class_id == TRIANGULAR) & np.isnan(self.to_centroid_px) & ~self.is_centroid
-        return "box" if fixed.any() else NEW
+        return "box" if fixed.any() else NEW_CENTER
 
     @property
     def detections(self) -> tuple[Proposal, ...]:
@@ -193,7 +193,7 @@ class _Row(BaseModel):
     sigma_along_px: Annotated[float, Field(gt=0, le=1000)] | None = None
     detector: Annotated[str, Field(max_length=100)] = ""
     id: Id | None = None
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     to_centroid_px: Annotated[float, Field(ge=-1e4, le=1e4)] | None = None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, number, quoted, read_bytes
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, drop_history
-from semviz_core.base.classes import OLDER, parse_triangle_center
+from semviz_core.base.classes import OLDER_CENTER, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
@@ -72,7 +72,7 @@ def read_csv(path: Path, context: conversion.MapImportContext) -> conversion.Par
                 centers.add(parse_triangle_center(row.get(CENTER) or None))
         if len(centers) > 1:
             raise SemvizError(f"box and centroid in one map; give one {CENTER} in all rows")
-        parsed.triangle_center = next(iter(centers), OLDER)
+        parsed.triangle_center = next(iter(centers), OLDER_CENTER)
     except (UnicodeDecodeError, csv.Error) as error:
         raise SemvizError(f"not a CSV table ({error})") from None
     for name in header:

@@ -30,7 +30,7 @@ from semviz_annotation.storage.integrity import (
 from semviz_annotation.storage.label_file import LabelFileError
 from semviz_annotation.storage.operations import NO_HASH, BrokenOperationError, Operation, sealed
 from semviz_annotation.storage.store import LabelStore
-from semviz_core.base.classes import NEW, OLDER, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import read_limited
@@ -227,7 +227,7 @@ def export_operations(store: LabelStore, path: Path) -> None:
     operations, center = store.operations(), store.labels.triangle_center
     header = {
         "format": FORMAT,
-        "version": OLDER_VERSION if center == OLDER else VERSION,
+        "version": OLDER_VERSION if center == OLDER_CENTER else VERSION,
         "triangle_center": center,
         "operations": len(operations),
         "hash": operations[-1].hash if operations else NO_HASH,
@@ -324,7 +324,7 @@ class _Header:
     @property
     def center(self) -> TriangleCenter:
         """What the labels of triangular signs mark, by the version."""
-        return OLDER if self.version <= OLDER_VERSION else NEW
+        return OLDER_CENTER if self.version <= OLDER_VERSION else NEW_CENTER
 
 
 _HEADER = TypeAdapter(_Header)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from semviz_annotation.labels.edits import first_fault
 from semviz_annotation.storage import tables
 from semviz_annotation.storage.operations import NO_HASH, sealed
-from semviz_core.base.classes import NEW, OLDER, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import new_file
 
@@ -93,7 +93,7 @@ CREATE INDEX judgements_of_other ON judgements (other_id);
 """
 
 
-def make(connection: sqlite3.Connection, center: TriangleCenter = NEW) -> None:
+def make(connection: sqlite3.Connection, center: TriangleCenter = NEW_CENTER) -> None:
     """Create the tables in an empty file, within the open transaction."""
     _run(connection, _STATE + _SINCE_2 + _SINCE_3)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -103,7 +103,7 @@ def make(connection: sqlite3.Connection, center: TriangleCenter = NEW) -> None:
 def define_triangles(connection: sqlite3.Connection, center: TriangleCenter) -> None:
     """Store what the labels of triangular signs mark, within the open transaction."""
     tables.write_triangle_center(connection, center)
-    version = OLDER_VERSION if center == OLDER else VERSION
+    version = OLDER_VERSION if center == OLDER_CENTER else VERSION
     connection.execute(f"PRAGMA user_version = {version}")
 
 
@@ -153,7 +153,7 @@ WAIT_S = 10.0
 """How long to wait while another program writes."""
 
 
-def connect(path: Path, center: TriangleCenter = NEW) -> sqlite3.Connection:
+def connect(path: Path, center: TriangleCenter = NEW_CENTER) -> sqlite3.Connection:
     """Open or create a label file; upgrade an older version. ``center`` is for a new file.
 
     Raise SemvizError if ``path`` is another file, empty, damaged, of a newer version, locked or not

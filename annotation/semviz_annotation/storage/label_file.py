@@ -17,7 +17,7 @@ from semviz_annotation.storage import database, integrity, tables
 from semviz_annotation.storage.database import DamagedError
 from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.operations import NO_HASH, Operation
-from semviz_core.base.classes import NEW, TriangleCenter, describe
+from semviz_core.base.classes import NEW_CENTER, TriangleCenter, describe_center
 from semviz_core.common.errors import SemvizError
 
 _Identity: TypeAlias = tuple[int, int]
@@ -96,7 +96,7 @@ class LabelFile:
     Raise LabelFileError if the file cannot be opened, or is damaged.
     """
 
-    def __init__(self, path: Path, center: TriangleCenter = NEW) -> None:
+    def __init__(self, path: Path, center: TriangleCenter = NEW_CENTER) -> None:
         self.path = path
         self.labels = Labels()
         self.hash = NO_HASH
@@ -238,8 +238,8 @@ class LabelFile:
             return self.labels
         if self.labels.operation:
             raise SemvizError(
-                f"it marks triangular signs at {describe(center)}, but {self.path} at "
-                f"{describe(present)}"
+                f"it marks triangular signs at {describe_center(center)}, but {self.path} at "
+                f"{describe_center(present)}"
             )
         database.define_triangles(self.connection, center)
         return replace(self.labels, triangle_center=center)

@@ -31,7 +31,13 @@ from semviz_annotation.storage.operations import (
     sealed,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, NEW, ClassSet, TriangleCenter, describe
+from semviz_core.base.classes import (
+    DEFAULT_CLASSES,
+    NEW_CENTER,
+    ClassSet,
+    TriangleCenter,
+    describe_center,
+)
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -67,7 +73,7 @@ class LabelStore:
         path: Path,
         classes: ClassSet = DEFAULT_CLASSES,
         rig: Rig | None = None,
-        triangle_center: TriangleCenter = NEW,
+        triangle_center: TriangleCenter = NEW_CENTER,
     ) -> "LabelStore":
         """Open or create ``path``; points must be inside the images of ``rig``.
 
@@ -142,8 +148,8 @@ class LabelStore:
         """
         if self.labels.triangle_center != center:
             raise LabelFileError(
-                f"{self.path.name} no longer marks triangular signs at {describe(center)}; close "
-                "it and reopen it"
+                f"{self.path.name} no longer marks triangular signs at {describe_center(center)}; "
+                "close it and reopen it"
             )
 
     def operations(
@@ -319,7 +325,7 @@ class LabelStore:
         return self._commit(operation, "name", author, request_id)
 
     def extend(
-        self, operations: Iterable[Operation], triangle_center: TriangleCenter = NEW
+        self, operations: Iterable[Operation], triangle_center: TriangleCenter = NEW_CENTER
     ) -> None:
         """Append operations of another log, which follows ``triangle_center``, all or none.
 

@@ -22,7 +22,7 @@ from semviz_annotation.labels.rows import (
     row_key,
 )
 from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Writer
-from semviz_core.base.classes import OLDER, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
 
@@ -139,13 +139,13 @@ def read_triangle_center(connection: sqlite3.Connection) -> TriangleCenter:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if is_centroid != (version == CENTROID_VERSION):
         raise SemvizError("what its labels of triangular signs mark contradicts its version")
-    return "centroid" if is_centroid else OLDER
+    return "centroid" if is_centroid else OLDER_CENTER
 
 
 def write_triangle_center(connection: sqlite3.Connection, center: TriangleCenter) -> None:
     """Store what the labels of triangular signs mark."""
     connection.execute("DELETE FROM counters WHERE name = ?", (_CENTROID,))
-    if center != OLDER:
+    if center != OLDER_CENTER:
         connection.execute("INSERT INTO counters VALUES (?, 1)", (_CENTROID,))
 
 

@@ -90,9 +90,9 @@ DEFAULT_CLASSES = ClassSet(
 
 
 TriangleCenter: TypeAlias = Literal["box", "centroid"]
-OLDER: Final[TriangleCenter] = "box"
+OLDER_CENTER: Final[TriangleCenter] = "box"
 """What values and files follow that do not say it."""
-NEW: Final[TriangleCenter] = "centroid"
+NEW_CENTER: Final[TriangleCenter] = "centroid"
 """What new workspaces and simulated streets follow."""
 SIGMA_RATIO = float(np.sqrt(10.0 / 9.0))
 """Sigma of the centroid's row over that of the box's. With independent errors s of the upper and
@@ -105,19 +105,19 @@ def parse_triangle_center(value: Any) -> TriangleCenter:
     Raise SemvizError for any other value.
     """
     if value is None:
-        return OLDER
+        return OLDER_CENTER
     if value not in get_args(TriangleCenter):
         raise SemvizError(f"triangle_center is {str(value)[:40]!r}; known are box and centroid")
     known: TriangleCenter = value
     return known
 
 
-def describe(center: TriangleCenter) -> str:
+def describe_center(center: TriangleCenter) -> str:
     """Return the definition in words, for people."""
     return "the middle of its box" if center == "box" else "the centroid of its corners"
 
 
-def converted(elements: Elements2D, source: TriangleCenter, target: TriangleCenter) -> Elements2D:
+def with_center(elements: Elements2D, source: TriangleCenter, target: TriangleCenter) -> Elements2D:
     """Return observed elements (m) that follow ``source`` as they are in ``target``.
 
     Only triangular signs move. Raise SemvizError if the height of one is not known.
@@ -128,8 +128,8 @@ def converted(elements: Elements2D, source: TriangleCenter, target: TriangleCent
     shift = elements.to_centroid_px[rows]
     if np.isnan(shift).any():
         raise SemvizError(
-            f"a triangular sign is {describe(source)}, but {describe(target)} is needed and its "
-            "height is not known; use labels, detections and maps of one definition"
+            f"a triangular sign is {describe_center(source)}, but {describe_center(target)} is "
+            "needed and its height is not known; use labels, detections and maps of one definition"
         )
     to = 1.0 if target == "centroid" else -1.0
     anchor_px, sigma_px = elements.anchor_px.copy(), elements.sigma_px.copy()

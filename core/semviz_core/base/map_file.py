@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from semviz_core.base.classes import OLDER, ClassSet, ElementClass, parse_triangle_center
+from semviz_core.base.classes import OLDER_CENTER, ClassSet, ElementClass, parse_triangle_center
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray
@@ -175,7 +175,7 @@ def _metadata(semantic_map: SemanticMap) -> dict[str, Any]:
     center = semantic_map.triangle_center
     return {
         "format": FORMAT,
-        "version": OLDER_VERSION if center == OLDER else VERSION,
+        "version": OLDER_VERSION if center == OLDER_CENTER else VERSION,
         "units": "m, z up, right-handed",
         "frame": asdict(semantic_map.frame),
         "classes": [asdict(class_) for class_ in semantic_map.classes],

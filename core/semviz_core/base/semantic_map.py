@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from semviz_core.base.classes import DEFAULT_CLASSES, OLDER, ClassSet, TriangleCenter
+from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
 from semviz_core.common.arrays import FloatArray, IntArray, float_array
 from semviz_core.common.errors import SemvizError
@@ -101,7 +101,7 @@ class SemanticMap:
     """The settings as JSON values, to build the map again; empty if semviz did not build it."""
     operation: int = 0
     """Number of the last label operation in the map; 0 without labels."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the anchor of a triangular sign is."""
 
     def __post_init__(self) -> None:
@@ -181,7 +181,7 @@ class SemanticMap:
         hasher = hashlib.sha256(self.frame.name.encode())
         for column in fields(Elements3D):
             hasher.update(np.ascontiguousarray(getattr(self.elements, column.name)).tobytes())
-        if self.triangle_center != OLDER:  # maps of earlier versions keep their digest
+        if self.triangle_center != OLDER_CENTER:  # maps of earlier versions keep their digest
             hasher.update(self.triangle_center.encode())
         return hasher.hexdigest()
 

@@ -54,7 +54,8 @@ if hasattr(os, "register_at_fork"):  # a fork inherits the count
 def compiled(function: Function) -> Function:
     """Return ``function``, compiled on its first call with new types, without Python's lock."""
     dispatcher: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    dispatcher.compile = _one_process_at_a_time(dispatcher.compile)  # type: ignore[attr-defined]
+    locked = _in_one_process(dispatcher.compile, function)  # type: ignore[attr-defined]
+    dispatcher.compile = locked  # type: ignore[attr-defined]
     return dispatcher
 
 
@@ -90,36 +91,43 @@ class _SourcesLocator(_CacheLocator):  # type: ignore[misc]  # numba's types are
 CacheImpl._locator_classes = [_SourcesLocator, *CacheImpl._locator_classes]
 
 
-def _one_process_at_a_time(compile_: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``compile_`` (load from disk, or compile and save) under a lock between processes.
+def _in_one_process(compile_: Callable[..., Any], function: Function) -> Callable[..., Any]:
+    """Return ``compile_`` (load from disk, or compile and save) under the function's lock.
 
-    Numba names code by the order in which its process compiled it. Two processes that compile at
-    the same time into one folder can load each other's code and crash (numba #10128). With the
-    lock, the second process loads what the first one compiled.
+    Numba does not expect two processes that compile one function into one folder at the same time
+    (numba #10128). With the lock, the second process loads what the first one compiled.
     """
+    lock = _CompileLock(f"{function.__qualname__}.lock", Path(function.__module__))
 
     def compile_locked(*arguments: Any) -> Any:
-        with _compile_lock:
+        with lock:
             return compile_(*arguments)
 
     return compile_locked
 
 
 class _CompileLock(AbstractContextManager[None]):
-    """A re-entrant lock between processes and threads."""
+    """A re-entrant lock of one function between processes; threads compile one at a time.
 
-    def __init__(self) -> None:
-        self._thread = RLock()
+    Processes may compile different functions at once. They take the locks in the order of calls,
+    so none waits for another that waits for it.
+    """
+
+    _thread = RLock()
+
+    def __init__(self, name: str, folder: Path = Path()) -> None:
+        self._name, self._folder = name, folder
         self._depth = 0
         self._file: IO[str] | None = None
 
     def __enter__(self) -> None:
         self._thread.acquire()
         self._depth += 1
-        folder = _cache_folder()
-        if self._depth == 1 and fcntl is not None and folder:
+        if self._depth == 1 and fcntl is not None and _cache_folder():
+            folder = Path(_cache_folder(), self._folder)
             with suppress(OSError):  # a read-only folder needs no lock
-                self._file = (Path(folder) / "lock").open("w")
+                folder.mkdir(exist_ok=True)
+                self._file = (folder / self._name).open("w")
                 fcntl.flock(self._file, fcntl.LOCK_EX)
 
     def __exit__(self, *_: object) -> None:
@@ -128,9 +136,6 @@ class _CompileLock(AbstractContextManager[None]):
             self._file.close()  # releases the lock
             self._file = None
         self._thread.release()
-
-
-_compile_lock = _CompileLock()
 
 
 def notify_before_compiling(notify: Callable[[], None]) -> None:

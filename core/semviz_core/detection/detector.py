@@ -12,11 +12,11 @@ from typing import Protocol, TypeAlias
 
 from semviz_core.base.classes import (
     DEFAULT_CLASSES,
-    OLDER,
+    OLDER_CENTER,
     POLE,
     ClassSet,
     TriangleCenter,
-    converted,
+    with_center,
 )
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import ByteImage
@@ -129,7 +129,7 @@ class Detector:
     model: RegionModel
     measure: MeasureRegion = by_edges
     """Measures one region."""
-    triangle_center: TriangleCenter = OLDER
+    triangle_center: TriangleCenter = OLDER_CENTER
     """What the point of a triangular sign is; give that of the map to localize in."""
     time_ms: dict[str, list[float]] = field(default_factory=dict)
     """Wall time of each image so far, by stage."""
@@ -141,7 +141,7 @@ class Detector:
         found = watch.time("measuring", lambda: measure(SampledImage(image), regions, self.measure))
         for stage, milliseconds in watch.time_ms.items():
             self.time_ms.setdefault(stage, []).append(milliseconds)
-        return converted(found, "box", self.triangle_center)
+        return with_center(found, "box", self.triangle_center)
 
 
 _KINDS = (

@@ -234,7 +234,7 @@ class Effect:
     """Its change, integrated over the whole route."""
 
 
-def suggest(
+def suggest_elements(
     informations: Sequence[PositionInformation],
     along_m: FloatArray,
     candidates: Elements3D,
@@ -272,7 +272,7 @@ def suggest(
     return tuple(chosen)
 
 
-def critical(
+def critical_elements(
     positions: Sequence[PositionInformation], along_m: FloatArray, elements: Elements3D, count: int
 ) -> tuple[Effect, ...]:
     """Return the up to ``count`` mapped elements whose loss, each alone, costs most."""

@@ -22,9 +22,9 @@ from semviz_core.datasets.priors import simulate_prior
 from semviz_core.localizability.expected_error import (
     LOST_M,
     Effect,
-    critical,
+    critical_elements,
     expected_error,
-    suggest,
+    suggest_elements,
 )
 from semviz_core.localizability.route import Conditions, candidates_beside, detect, distance_along
 from semviz_core.localization.localizer import Localizer
@@ -207,8 +207,8 @@ def predict(
         expected_m=_mean_nearby(along_m, np.array([position.expected_m for position in positions])),
         lost=_mean_nearby(along_m, np.array([position.lost for position in positions])),
         ambiguous=_mean_nearby(along_m, shares[:, 1]),
-        suggested=suggest(positions, along_m, candidates, camera, conditions, EFFECTS),
-        critical=critical(positions, along_m, elements, EFFECTS),
+        suggested=suggest_elements(positions, along_m, candidates, camera, conditions, EFFECTS),
+        critical=critical_elements(positions, along_m, elements, EFFECTS),
     )
 
 

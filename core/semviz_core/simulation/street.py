@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.classes import NEW, POLE, TRIANGULAR, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, POLE, TRIANGULAR, TriangleCenter
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
@@ -261,7 +261,7 @@ class Street:
         self,
         seed: int,
         options: StreetOptions | None = None,
-        triangle_center: TriangleCenter = NEW,
+        triangle_center: TriangleCenter = NEW_CENTER,
     ) -> None:
         self.seed = seed
         self.options = options or StreetOptions()

@@ -27,7 +27,7 @@ from semviz_annotation.mapping.placement.triangulation import PlaceOptions, tria
 from semviz_annotation.mapping.quality import label_links
 from semviz_annotation.mapping.quality.lint import SEVERITIES, Finding, lint
 from semviz_annotation.mapping.quality.lint_context import LintContext
-from semviz_core.base.classes import describe
+from semviz_core.base.classes import describe_center
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import Provenance, SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray
@@ -344,7 +344,7 @@ class Check:
 
     def as_text(self) -> str:
         """Return the table, the worst labels and the findings."""
-        center = f"a triangular sign is {describe(self.semantic_map.triangle_center)}"
+        center = f"a triangular sign is {describe_center(self.semantic_map.triangle_center)}"
         if not self.semantic_map.provenance:
             unknown = "the map was not made from labels: only rules apply"
             return "\n".join([unknown, center, *self._lint()])

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from semviz_core.base.classes import OLDER, TRIANGULAR, TriangleCenter, describe
+from semviz_core.base.classes import OLDER_CENTER, TRIANGULAR, TriangleCenter, describe_center
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -193,7 +193,7 @@ class MapDiff:
     """Elements at the same position, but of other label elements or ids."""
     operations: tuple[int, int]
     """Last label operation of base and other; 0 without labels."""
-    triangle_centers: tuple[TriangleCenter, TriangleCenter] = (OLDER, OLDER)
+    triangle_centers: tuple[TriangleCenter, TriangleCenter] = (OLDER_CENTER, OLDER_CENTER)
     """What the points of triangular signs are in base and other."""
     redefined: int = 0
     """Triangular signs whose points differ by definition; not compared, unless a metre apart."""
@@ -207,7 +207,7 @@ class MapDiff:
         base, other = self.operations
         lines = [f"labels known up to operation: {base}, {other}", f"unchanged: {self.unchanged}"]
         if self.redefined:
-            was, is_ = map(describe, self.triangle_centers)
+            was, is_ = map(describe_center, self.triangle_centers)
             lines.append(f"triangular signs, not compared: {self.redefined}; at {was}, now {is_}")
         lines.append(f"moved by more than {MOVED_M * 100:g} cm: {len(self.moved)}")
         for move in self.moved[:MOVES_LISTED]:

@@ -19,7 +19,7 @@ from semviz_annotation.mapping.placement.observations import (
     ViewArray,
     collect_observations,
 )
-from semviz_core.base.classes import TRIANGULAR, converted, describe
+from semviz_core.base.classes import TRIANGULAR, describe_center, with_center
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import SemanticMap
@@ -119,8 +119,9 @@ def check_triangles(semantic_map: SemanticMap, labels: Labels) -> None:
     triangular = any(row.class_id == TRIANGULAR for row in labels.elements.values())
     if triangular and labels.triangle_center != semantic_map.triangle_center:
         raise SemvizError(
-            f"the map has triangular signs at {describe(semantic_map.triangle_center)}, the labels "
-            f"at {describe(labels.triangle_center)}; build the map from these labels"
+            f"the map has triangular signs at {describe_center(semantic_map.triangle_center)}, "
+            f"the labels at {describe_center(labels.triangle_center)}; "
+            "build the map from these labels"
         )
 
 
@@ -157,7 +158,7 @@ def observe(
     )
     if semantic_map is not None:
         center = semantic_map.triangle_center
-        elements = converted(elements, labels.triangle_center, center)
+        elements = with_center(elements, labels.triangle_center, center)
     return elements, _map_ids(rows, semantic_map)
 
 

@@ -33,7 +33,7 @@ from semviz_core.localization.residuals import (
     whiten_by_factor,
 )
 from semviz_core.research.pair_matcher.network import ConsensusNetwork, Prepared
-from semviz_core.research.paper.graph_torch import sinkhorn_with_dustbins
+from semviz_core.research.paper.matcher_torch import sinkhorn_with_dustbins
 from semviz_core.research.paper.training import by_perturbation
 from semviz_core.research.training.batch import Batch, Progress, SampleSource, cosine
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION

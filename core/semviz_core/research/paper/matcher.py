@@ -12,7 +12,7 @@ for batches with gradients. Differences from the paper, and why:
 - Features have length 1, as in Campbell et al. 2020, whose transport and mu these are. Costs
   are then at most 2, and mu = 0.1 means the same for every frame. The paper does not specify
   this.
-- Features are normalized over the elements of a frame only (`graph_torch`).
+- Features are normalized over the elements of a frame only (`matcher_torch`).
 - The correspondence loss counts pairs, not mass (`training`).
 - The learning rate falls to 0 at the end: after a few thousand samples, half the rate learns
   more.

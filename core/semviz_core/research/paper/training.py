@@ -21,8 +21,8 @@ from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.p3p_ransac import SAMPLE, Points, most_inliers
 from semviz_core.research.paper import weighted_pnpl
-from semviz_core.research.paper.graph_torch import GraphMatcher
 from semviz_core.research.paper.matcher import MODELS, options_of, split_lines
+from semviz_core.research.paper.matcher_torch import GraphMatcher
 from semviz_core.research.training.batch import Batch, BatchTruth, Progress, SampleSource, cosine
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
 
