@@ -95,7 +95,7 @@ def test_the_benchmark_has_a_row_of_it(tmp_path: Path, capsys: pytest.CaptureFix
     rows = {row["method"]: row for row in json.loads(out)["rows"] if row["stratum"] == "all"}
     assert set(rows) == {"correspondences", "true matches"}
     row = rows["correspondences"]
-    assert list(row["stages_ms"]) == ["match", "search", "refine"]
+    assert list(row["stages_ms"]) == ["match", "search", "verify", "refine"]
     assert 0.5 < row["share_below_1m"] <= 1.0
     assert row["coverage"] + row["ambiguous"] + row["cannot"] == pytest.approx(1.0)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from problem_frames import NOISY, frames, signs_on_one_ray
 
-from semviz_core.base.classes import RECTANGULAR
+from semviz_core.base.classes import POLE, RECTANGULAR
 from semviz_core.base.detector_model import DetectorModel
-from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
@@ -19,6 +19,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import Localizer
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
+from semviz_core.localization.status import pairs_by_chance
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import (
     CAMERA,
@@ -218,6 +219,33 @@ def test_a_row_of_equal_poles_is_ambiguous() -> None:
         min(pose_error(candidate, pose)[0] for candidate in candidates if candidate is not None)
         < 0.2
     )
+
+
+def crowded(problem: LocalizationProblem, count: int) -> LocalizationProblem:
+    """Add signs and poles of no one frame, evenly within 60 m of the fix."""
+    rng = np.random.default_rng(0)
+    place = problem.prior.position_m + rng.uniform(-60.0, 60.0, (count, 3)) * [1.0, 1.0, 0.0]
+    bottom = place - [0.0, 0.0, 1.65]
+    class_id = rng.choice(problem.observed.class_id, count)
+    pole = (class_id == POLE)[:, None]
+    height = np.where(pole, rng.uniform(2.0, 7.0, (count, 1)), rng.uniform(1.8, 3.0, (count, 1)))
+    peak = bottom + height * [0.0, 0.0, 1.0]
+    ids = 100_000 + np.arange(count)
+    others = Elements3D.from_ends(ids, peak, np.where(pole, bottom, np.nan), class_id)
+    return replace(problem, submap=joined(problem.submap, others))
+
+
+def test_a_map_in_which_chance_fits_is_never_sure() -> None:
+    sure = [frame for frame in frames(6) if localized(frame).status == "ok"][:2]
+    assert sure
+    for problem in sure:
+        dense = crowded(problem, 5000)
+        few, many = (
+            PoseProblem.of(p.camera, p.observed, p.submap, DETECTOR) for p in (problem, dense)
+        )
+        assert pairs_by_chance(few, problem.T_camera_map) == 0.0
+        assert pairs_by_chance(many, problem.T_camera_map) > 0.15 * len(problem.observed)
+        assert localized(dense).status != "ok"
 
 
 def test_a_prior_far_off_is_never_confidently_wrong() -> None:

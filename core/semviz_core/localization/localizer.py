@@ -35,7 +35,12 @@ from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, W
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.request import check_request, example_request
 from semviz_core.localization.search import Modes, Propose, mode_near, most_voted, search
-from semviz_core.localization.status import StatusDecision, decide_status, is_likely
+from semviz_core.localization.status import (
+    StatusDecision,
+    decide_status,
+    is_likely,
+    pairs_by_chance,
+)
 from semviz_core.localization.upright import assumed_upright
 
 if TYPE_CHECKING:
@@ -258,7 +263,8 @@ class Localizer:
             return replace(work, reason=estimate.reason)
 
         # 4 status: ok, ambiguous or cannot
-        decision = decide_status(modes, estimate, observed, submap, prior, probability)
+        by_chance = pairs_by_chance(problem, estimate.T_camera_map)
+        decision = decide_status(modes, estimate, observed, submap, prior, probability, by_chance)
         if violated := pairing.violated(estimate.refinement, submap):
             decision = StatusDecision("cannot", violated)
         return _completed(work, found, estimate, decision)

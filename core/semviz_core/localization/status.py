@@ -16,7 +16,10 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Refinement, Status
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
+from semviz_core.localization.association import associate
+from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
+from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import Modes, pose_distances
 
 AMBIGUOUS_NATS = 14.0
@@ -36,6 +39,11 @@ LEAST_SHARE = 0.5
 explains a few by chance, seldom half."""
 SURE_SIGMA_M = 1.0
 """A pose whose position is less certain than this is ambiguous."""
+CROWDED_MAP = 1000
+"""In maps with fewer elements, chance fits too few to matter."""
+CHANCE_SHARE = 0.15
+"""A pose is ambiguous if chance fits more than this share of its pairs (right ones: up to 0.11)."""
+_TURNS = 8
 CONTRADICTING_SIGMAS = 4.0
 """A pose further than this from a component of the prior contradicts it."""
 
@@ -54,11 +62,12 @@ def decide_status(
     submap: Elements3D,
     prior: Prior,
     probability: FloatArray | None = None,
+    by_chance: float = 0.0,
 ) -> StatusDecision:
     """Return the status of ``estimate``, the refined first of ``modes``, with its reason.
 
-    ``probability`` (b,) of the modes comes from a verifier, if any. The first doubt that applies
-    makes the pose ambiguous.
+    ``probability`` (b,) of the modes comes from a verifier, if any, ``by_chance`` from
+    ``pairs_by_chance``. The first doubt that applies makes the pose ambiguous.
     """
     fit = estimate.refinement
     fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
@@ -76,12 +85,28 @@ def decide_status(
         else _low_probability(probability),
         *_contradictions(estimate.T_camera_map, prior),
         _few_pairs(fitting, max(SURE_PAIRS, half), of_all),
+        _crowded(fitting, by_chance),
         _dependence(fit, submap),
         _uncertain(sigma_m),
     )
     for doubt in filter(None, doubts):
         return StatusDecision("ambiguous", doubt)
     return StatusDecision("ok", f"{of_all} fit, {sigma_m:.2f} m{_margin(modes, probability)}.")
+
+
+def pairs_by_chance(problem: PoseProblem, T_camera_map: Pose) -> float:
+    """Return how many observed elements fit on average if the camera is turned away; 0 in a map
+    with few elements, where it is not counted."""
+    if len(problem.mapped) < CROWDED_MAP:
+        return 0.0
+    center = T_camera_map.inverse().translation
+    fitting = []
+    for turn in 2.0 * np.pi * np.arange(1, _TURNS + 1) / (_TURNS + 1):
+        c, s = np.cos(turn), np.sin(turn)
+        R = T_camera_map.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        match, _ = associate(problem, R, -R @ center, EXACT_POSE)
+        fitting.append((match >= 0).sum())
+    return float(np.mean(fitting))
 
 
 def is_likely(probability: FloatArray | None) -> bool:
@@ -149,6 +174,15 @@ def _contradiction(piece: str, off: float, sigma: float, text: str) -> str:
 
 def _few_pairs(fitting: int, needed: int, of_all: str) -> str:
     return "" if fitting >= needed else f"Only {of_all} fit; {needed} are needed to be sure."
+
+
+def _crowded(fitting: int, by_chance: float) -> str:
+    if by_chance <= CHANCE_SHARE * fitting:
+        return ""
+    return (
+        f"The map is so dense that {by_chance:.1f} elements fit on average wherever the camera "
+        f"looks: the {fitting} that fit may do so by chance."
+    )
 
 
 def critical_pair(fit: Refinement) -> int | None:
