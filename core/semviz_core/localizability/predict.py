@@ -120,7 +120,7 @@ class Localizability:
     """(k,) share of frames with status ``ambiguous``, or ``ok`` and LOST_M off or more."""
     suggested: tuple[Effect, ...]
     """New elements that would help most, each given the previous ones."""
-    critical_elements: tuple[Effect, ...]
+    critical: tuple[Effect, ...]
     """Mapped elements whose loss would cost most."""
 
     def stretches(self) -> "tuple[Stretch, ...]":
