@@ -3,11 +3,12 @@
     OMP_NUM_THREADS=1 python bench/correspondences.py --kitti-poses DIR --pole-maps DIR
         [--report] [--frames 1000] [--sets low,paper]
 
-Methods: `search`; `correspondences`; the same with P of the true pairs; `search` with the poses
-of the couples among its candidates; the same with as many more candidates of its own. Frames
-are KITTI's 00, 02, 05, 06, 08 with seeds from 200 on (for tuning), or with --report 09 and 10
-from seed 1000 on. The set `submap` is the paper's protocol: a fix within 5 m, elements up to
-20 m, a submap of 20 m, no false positives. Times are processor time of whole frames.
+Methods: `search`; `learned`; `correspondences`; the same with P of the true pairs; `search` with
+the poses of the couples among its candidates; the same with as many more candidates of its own.
+--ways takes some of them. Frames are KITTI's 00, 02, 05, 06, 08 with seeds from 200 on (for
+tuning), or with --report 09 and 10 from seed 1000 on. The set `submap` is the paper's protocol: a
+fix within 5 m, elements up to 20 m, a submap of 20 m, no false positives. Times are processor time
+of whole frames.
 """
 
 from collections.abc import Iterator
@@ -27,7 +28,6 @@ from semviz_core.common.jit import Stopwatch
 from semviz_core.localization.association import PairConstraints
 from semviz_core.localization.correspondences.matcher import (
     CoupleHypotheses,
-    LearnedCorrespondences,
     load_pair_matcher,
 )
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT, Effort
@@ -67,18 +67,20 @@ class Options:
     report: bool = False
     frames: int = 200
     sets: str = ",".join(SETS)
+    ways: str | None = None
 
 
 def main(options: Options) -> None:
     names = REPORTING if options.report else TUNING
     roads = [_road(options, name) for name in names]
+    ways = {way: WAYS[way] for way in (options.ways or ",".join(WAYS)).split(",")}
     seed = REPORTING_SEED if options.report else TUNING_SEED
     for name in options.sets.split(","):
-        measured: dict[str, list[tuple[str, float, float]]] = {way: [] for way in WAYS}
+        measured: dict[str, list[tuple[str, float, float]]] = {way: [] for way in ways}
         frames = problems(name, roads, seed)
         for number in range(1, options.frames + 1):
             problem = next(frames)
-            for way, localize in WAYS.items():
+            for way, localize in ways.items():
                 measured[way].append(_measured(localize, problem))
             if number % 250 == 0 or number == options.frames:
                 for way, outcomes in measured.items():
@@ -132,13 +134,13 @@ class TrueP(Localizer):
 
     def _correspondences(
         self, work: Localization, problem: PoseProblem, pairing: PairConstraints, watch: Stopwatch
-    ) -> LearnedCorrespondences:
+    ) -> Match:
         learned = super()._correspondences(work, problem, pairing, watch)
-        P = np.zeros_like(learned.match.probability)
+        P = np.zeros_like(learned.probability)
         P[tuple(self.pairs.T)] = 1.0
         P[:-1] /= np.maximum(P[:-1].sum(axis=1, keepdims=True), 1.0)  # mapped twice
         P[:-1, -1] = 1.0 - P[:-1, :-1].sum(axis=1)
-        return replace(learned, match=Match(learned.match.cost, P, self.pairs))
+        return Match(learned.cost, P, self.pairs)
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ class WithCouples(Localizer):
         if self.couples:
             frame = work.observed, work.submap, work.camera, work.prior
             learned = load_pair_matcher(None, DEFAULT_CLASSES).match(*frame)
-            propose = Both(CoupleHypotheses.of(learned))
+            propose = Both(CoupleHypotheses(learned))
         return search(problem, prior, WITH_MORE, propose), None
 
 
@@ -184,15 +186,16 @@ def asked(problem: LocalizationProblem) -> tuple:
 
 _LOCALIZERS = {
     "search": Localizer("search", detector=DETECTOR),
+    "learned": Localizer("learned", detector=DETECTOR),
     "correspondences": Localizer("correspondences", detector=DETECTOR),
     "search + couples": WithCouples("search", detector=DETECTOR),
-    "search, as many more": WithCouples("search", detector=DETECTOR, couples=False),
+    "search + as many more": WithCouples("search", detector=DETECTOR, couples=False),
 }
 _TRUE_P = TrueP("correspondences", detector=DETECTOR)
 WAYS = {
     name: (lambda problem, localizer=localizer: localizer.localize(*asked(problem)))
     for name, localizer in _LOCALIZERS.items()
-} | {"correspondences, true P": _TRUE_P.answered}
+} | {"true P": _TRUE_P.answered}
 
 
 def _measured(localize, problem: LocalizationProblem) -> tuple[str, float, float]:

@@ -22,14 +22,17 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
+from semviz_core.base.localization import Match
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.localization.correspondences.matcher import (
-    CoupleHypotheses,
-    LearnedCorrespondences,
     PairMatcher,
+    couple_poses,
     load_pair_matcher,
 )
+from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.upright import assumed_upright, likely_ups, upright_view
 from semviz_core.research.evaluation.problems import (
+    DETECTOR,
     HARD_SETS,
     Difficulty,
     LocalizationProblem,
@@ -99,9 +102,9 @@ def measured(matcher: PairMatcher, problems: list[LocalizationProblem]) -> list[
         found = matcher.match(*asked(problem))
         time_ms.append((process_time() - start) * 1e3)
         pairs = problem.pairs
-        true = found.match.probability[pairs[:, 0], pairs[:, 1]]
-        ranks.append((found.match.probability[pairs[:, 0], :-1] > true[:, None]).sum(axis=1))
-        alone.append(found.match.probability[:-1, -1])
+        true = found.probability[pairs[:, 0], pairs[:, 1]]
+        ranks.append((found.probability[pairs[:, 0], :-1] > true[:, None]).sum(axis=1))
+        alone.append(found.probability[:-1, -1])
         paired.append(np.isin(np.arange(len(problem.observed)), pairs[:, 0]))
         near.append(bool((distances(found, problem) < NEAR_M).any()))
     rank = np.concatenate(ranks)
@@ -115,10 +118,14 @@ def asked(problem: LocalizationProblem) -> tuple[Elements2D, Elements3D, Camera,
     return problem.observed, problem.submap, problem.camera, problem.prior
 
 
-def distances(found: LearnedCorrespondences, problem: LocalizationProblem) -> FloatArray:
+def distances(found: Match, problem: LocalizationProblem) -> FloatArray:
     """(h,) of the couples' poses from the camera, on the ground (m)."""
-    camera = problem.T_camera_map.inverse().translation
-    off = CoupleHypotheses.of(found).pose[:, :2] - camera[:2]
+    scene = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+    prior = PriorRecord.of(assumed_upright(problem.prior))
+    ups, up_sigma_rad = likely_ups(scene, prior)
+    view = upright_view(scene, ups[0], up_sigma_rad)
+    pose, _ = couple_poses(scene, view, prior, found.order, found.probability)
+    off = pose[:, :2] - problem.T_camera_map.inverse().translation[:2]
     return np.asarray(np.hypot(off[:, 0], off[:, 1]))
 
 

@@ -24,7 +24,6 @@ from semviz.workspace.detect import DetectOptions, detect_images, images_of
 from semviz.workspace.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
-from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import (
     Proposals,
@@ -32,7 +31,6 @@ from semviz_annotation.labels.proposals import (
     read_proposals,
     save_proposals,
 )
-from semviz_annotation.labels.rows import review_decision
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildReport, build_map
 from semviz_annotation.storage.backup import import_operations
@@ -147,18 +145,14 @@ def print_detector(workspace: Workspace, detections: Proposals, labels: Path) ->
     judged = Workspace.open(workspace.path)
     with judged.open_labels() as store:
         import_operations(labels, store)
-        if labels == LABELS:
-            elements = store.labels.elements.values()
-            boards = (element.id for element in elements if element.number in BOARDS)
-            ignored = tuple(review_decision(element_id, "leave out") for element_id in boards)
-            store.apply(DecideElements(ignored), "bench")
+    ignored = BOARDS if labels == LABELS else ()
     images = [
         ImageEvaluation(
             as_elements(detections.in_frame(image.frame_index, image.side), image.triangle_center),
             image.truth(),
             0.0,
         )
-        for image in labelled_images(judged, None, SIDES)
+        for image in labelled_images(judged, None, SIDES, ignored=ignored)
     ]
     judged.labels_path.unlink()
     figures = detection_figures(images, workspace.classes, 0.0)

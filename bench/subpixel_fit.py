@@ -19,7 +19,6 @@ from semviz_core.detection.pole_ends import (
     end_evidence,
     first_end,
     first_ends,
-    midpoint_and_direction,
     within_image,
 )
 from semviz_core.detection.regions import Region
@@ -107,7 +106,7 @@ def _pole_samples(shown: Shown, region: Region, row: int, signs: list[Region]) -
             yield Sample(line.kind, line.evidence, float(off))
     best = best_line(shown.picture, region)
     assert best is not None
-    middle, course_along = midpoint_and_direction(best)
+    middle, course_along = best.middle_px, best.along
     for which, known in enumerate((truth.anchor_known[row], truth.end_known[row])):
         if known:
             place = float((true[which] - middle) @ course_along)
@@ -161,7 +160,7 @@ def _row_weights(images: Regions) -> tuple[float, ...]:
             line = best_line(image.picture, region) if is_pole(region) else None
             for which in range(2 if line is not None else 0):
                 assert line is not None
-                middle, along = midpoint_and_direction(line)
+                middle, along = line.middle_px, line.along
                 first = first_end(region, line, which)
                 end, other = middle + first.place_px * along, line.ends_px[1 - which]
                 truth = image.whole.elements
@@ -193,7 +192,7 @@ def _known_weights(images: Regions) -> tuple[float, ...]:
             if line is None:
                 continue
             ends = [best_end(image.picture, region, line, signs, which) for which in range(2)]
-            middle, along = midpoint_and_direction(line)
+            middle, along = line.middle_px, line.along
             ends_px = middle + np.array([[end.place_px] for end in ends]) * along
             ends_px, cut = within_image(image.picture, ends_px)
             truth = image.whole.elements

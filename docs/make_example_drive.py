@@ -1,7 +1,8 @@
-"""Make a small drive as a car would record it: ``python docs/make_example_drive.py FOLDER``.
+"""Make a small drive as a car records it: ``python docs/make_example_drive.py FOLDER [--rig]``.
 
 A simulated street seen by two cameras with a distorting lens: images in ``left`` and ``right``, a
-Kalibr calibration ``rig.yaml``, poses of the left camera ``poses.txt`` (TUM).
+Kalibr calibration ``rig.yaml``, poses of the left camera ``poses.txt`` (TUM). With ``--rig`` seen
+by four cameras: ``front``, ``left``, ``right`` and ``back``, a calibration ``rig.toml``.
 """
 
 import sys
@@ -15,6 +16,7 @@ from semviz_core.common.arrays import ByteImage
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
+from semviz_core.simulation.street_rig import four_cameras, record_rig
 
 FRAMES = 6
 START_S = 1_700_000_000
@@ -60,4 +62,8 @@ def through_the_lens(image: ByteImage, street: Street) -> ByteImage:
 
 
 if __name__ == "__main__":
-    record(Path(sys.argv[1]))
+    if "--rig" in sys.argv:
+        street = Street(3, StreetOptions(FRAMES + 2))
+        record_rig(Path(sys.argv[1]), street, four_cameras(), range(FRAMES))
+    else:
+        record(Path(sys.argv[1]))

@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-from semviz.commands import labels, maps, runs
+from semviz.commands import labels, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
@@ -33,8 +33,8 @@ MapCommands = Annotated[
     | Annotated[maps.MapCheckCommand, subcommand("check")]
     | Annotated[maps.MapDiffCommand, subcommand("diff")]
     | Annotated[maps.MapLocalizabilityCommand, subcommand("localizability")]
-    | Annotated[maps.MapExportCommand, subcommand("export")]
-    | Annotated[maps.MapImportCommand, subcommand("import")]
+    | Annotated[map_files.MapExportCommand, subcommand("export")]
+    | Annotated[map_files.MapImportCommand, subcommand("import")]
     | Annotated[MapBackdropCommand, subcommand("backdrop")],
     subcommand(
         "map", description="Build maps from labels; check, compare, import and export them."

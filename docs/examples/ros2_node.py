@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from vision_msgs.msg import Detection2DArray
 
-from semviz import Camera, Elements2D, Odometry, Pose, Prior, Tracker, load_map
+from semviz import Camera, Elements2D, Localizer, Odometry, Pose, Prior, Tracker, load_map
 
 
 def pose_of(message) -> Pose:
@@ -35,6 +35,7 @@ class SemvizNode(Node):
     def __init__(self, map_path: str) -> None:
         super().__init__("semviz")
         self.map = load_map(map_path)
+        Localizer(classes=self.map.classes).warmup()  # compiles, before a message waits for it
         self.tracker = self.prior = self.now = self.before = None
         self.create_subscription(CameraInfo, "camera_info", self.on_camera, 1)
         self.create_subscription(OdometryMessage, "odometry", self.on_odometry, 10)

@@ -9,7 +9,7 @@ from concurrent.futures import Executor
 from typing import Protocol
 
 from semviz.annotator import messages, pose_views
-from semviz.annotator.drive_view import drive_matches, drive_view
+from semviz.annotator.drive_view import DrivePair, drive_pair, drive_view
 from semviz.annotator.messages import PageEdit
 from semviz.annotator.pose_views import PoseWork, pose_marks
 from semviz.annotator.session import LabelSession
@@ -65,11 +65,10 @@ class DriveRequests:
         if index != self._wanted:
             return
         try:
-            second, matches = drive_matches(self._shared.session.source, index)
-            note = ""
+            pair = drive_pair(self._shared.session.source, index)
         except SemvizError as error:
-            second, matches, note = index, [], str(error)
-        self._send(messages.DriveFrameEvent(frame=index, second=second, matches=matches, note=note))
+            pair = DrivePair(frame=index, second=index, matches=[], edges=([], []), note=str(error))
+        self._send(messages.DriveFrameEvent(pair=pair))
 
 
 class PoseServices(Protocol):

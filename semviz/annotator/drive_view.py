@@ -6,16 +6,25 @@ from typing import Literal
 import numpy as np
 
 from semviz.web.protocol import Part
-from semviz.workspace.drive_checks import CHECKS, DriveCheck, DriveChecks, read_checks
+from semviz.workspace.drive_checks import (
+    CHECKS,
+    DriveCheck,
+    DriveChecks,
+    PoseSteps,
+    read_checks,
+)
+from semviz.workspace.pose_review import known_check
 from semviz.workspace.workspace import Workspace
+from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Dataset, Frame
-from semviz_core.common.arrays import FloatArray
-from semviz_core.common.errors import SemvizError
+from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.datasets.own_drive import match_checks
+from semviz_core.datasets.own_drive.line_checks import bent_edges
 from semviz_core.datasets.rig_cameras import camera_names, cameras_by_frame, frames_of_camera
 
 MOST_MATCHES = 400
 """Drawn in a picture."""
+MOST_DEPTH_M = 300.0
 _REACH_PX = 20.0
 """Matches farther off their line are wrong matches."""
 
@@ -50,6 +59,8 @@ class DriveView(Part):
     places_m: list[tuple[float, float]]
     """East and north, or x and y, of each."""
     without_pose: int
+    motion: PoseSteps | None
+    """Of the poses, against the images: all of them if they were measured, else the import's."""
     file: str
     """That keeps the checks; empty if there is none."""
 
@@ -60,6 +71,29 @@ class DriveMatch(Part):
     here: tuple[float, float]
     there: tuple[float, float]
     off_px: float
+    depth_m: float | None
+    """In the first image; None beyond what can be measured."""
+
+
+class DriveEdge(Part):
+    """A long edge in an image, and how far its middle is from the line between its ends."""
+
+    first: tuple[float, float]
+    middle: tuple[float, float]
+    last: tuple[float, float]
+    bend_px: float
+
+
+class DrivePair(Part):
+    """Two images of a drive, and what was measured in them."""
+
+    frame: int
+    second: int
+    """Frame of the second image."""
+    matches: list[DriveMatch]
+    edges: tuple[list[DriveEdge], list[DriveEdge]]
+    note: str = ""
+    """Why there are no matches."""
 
 
 def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
@@ -69,6 +103,7 @@ def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
     """
     path = workspace.path / CHECKS
     stored = read_checks(path) or DriveChecks(checks=())
+    measured = known_check(workspace)
     frames = frames_of_camera(source, None)
     posed = [frame for frame in frames if frame.T_map_camera is not None]
     failed = [check for check in stored.checks if check.passed is False]
@@ -92,6 +127,7 @@ def drive_view(workspace: Workspace, source: Dataset) -> DriveView:
         frames=[frame.index for frame in posed],
         places_m=[(round(x, 2), round(y, 2)) for x, y in places[:, :2].tolist()],
         without_pose=len(frames) - len(posed),
+        motion=stored.steps if measured is None else PoseSteps.of(measured),
         file=str(path) if path.is_file() else "",
     )
 
@@ -129,8 +165,14 @@ def _facts(source: Dataset, frames: tuple[Frame, ...], places: FloatArray) -> li
 
 _REPAIRS = {
     "sides": "Exchange left and right",
+    "lines": "Correct the distortion",
     "rows": "Refine the extrinsics",
     "poses": "Correct the poses",
+    "mount": "Correct where the camera is",
+    "extrinsics": "Refine the extrinsics",
+    "scale": "Compare scale and baseline",
+    "time": "Correct the times",
+    "steps": "Refine poses, or leave them out",
     "gaps": "Look at the gap",
 }
 
@@ -140,7 +182,7 @@ def _repair(check: DriveCheck) -> DriveStep:
         title=_REPAIRS[check.kind],
         text=f"{check.warning[0].upper()}{check.warning[1:]}.",
         command=check.remedy,
-        view="poses" if check.kind == "poses" and not check.remedy else "",
+        view="poses" if check.kind in ("poses", "steps") and not check.remedy else "",
     )
 
 
@@ -167,34 +209,75 @@ def _usual_steps(path: Path, source: Dataset, has_poses: bool) -> list[DriveStep
     return steps
 
 
-def drive_matches(source: Dataset, index: int) -> tuple[int, list[DriveMatch]]:
-    """Return the frame of the second image, and matches between it and the left image of a frame.
+def drive_pair(source: Dataset, index: int) -> DrivePair:
+    """Return matches and edges of the left image of a frame and a second one.
 
     Of a pair the second is the right image, and lines are rows; else it is the next image of the
-    camera, and lines follow from the poses. Raise SemvizError if there is no such image.
+    camera, and lines follow from the poses.
     """
     if source.rig.right is not None:
-        left, right = source.image(index, "left"), source.image(index, "right")
-        places = match_checks.matches_near_rows(left, right)
-        return index, _thinned(places, match_checks.rows_apart(places))
+        return _stereo_pair(source, source.rig.right, index)
+    camera = source.rig.left
     frames = frames_of_camera(source, cameras_by_frame(source).get(index))
     rank = [frame.index for frame in frames].index(index)
     here, there = frames[rank], frames[min(rank + 1, len(frames) - 1)]
+    first = source.image(here.index, "left")
     if here is there or here.T_map_camera is None or there.T_map_camera is None:
-        raise SemvizError(f"frame {index}: no next image with a pose to compare it with")
-    images = source.image(here.index, "left"), source.image(there.index, "left")
-    places = match_checks.matched_pixels(*images)
+        note = f"frame {index}: no next image with a pose to compare it with"
+        edges = _edges(first, camera)
+        return DrivePair(frame=index, second=index, matches=[], edges=(edges, edges), note=note)
+    second = source.image(there.index, "left")
+    places = match_checks.matched_pixels(first, second)
     T_there_here = there.T_map_camera.inverse() @ here.T_map_camera
-    off_px = match_checks.off_epipolar_lines(source.rig.left, places, T_there_here)
+    off_px = match_checks.off_epipolar_lines(camera, places, T_there_here)
+    depth_m, _ = match_checks.depths_by_motion(camera, places, T_there_here)
     near = np.abs(off_px) < _REACH_PX
-    return there.index, _thinned(places[near], off_px[near])
+    return DrivePair(
+        frame=index,
+        second=there.index,
+        matches=_thinned(places[near], off_px[near], depth_m[near]),
+        edges=(_edges(first, camera), _edges(second, camera)),
+    )
 
 
-def _thinned(places: FloatArray, off_px: FloatArray) -> list[DriveMatch]:
+def _stereo_pair(source: Dataset, right: Camera, index: int) -> DrivePair:
+    first, second = source.image(index, "left"), source.image(index, "right")
+    places = match_checks.matches_near_rows(first, second)
+    rays = [
+        camera.normalize(places[:, side])[:, 0]
+        for side, camera in enumerate((source.rig.left, right))
+    ]
+    depth_m = source.rig.baseline_m / np.maximum(rays[0] - rays[1], 1e-9)
+    return DrivePair(
+        frame=index,
+        second=index,
+        matches=_thinned(places, match_checks.rows_apart(places), depth_m),
+        edges=(_edges(first, source.rig.left), _edges(second, right)),
+    )
+
+
+def _edges(image: ByteImage, camera: Camera) -> list[DriveEdge]:
+    return [
+        DriveEdge(
+            first=edge.first_px, middle=edge.middle_px, last=edge.last_px, bend_px=edge.bend_px
+        )
+        for edge in bent_edges(image, camera)
+    ]
+
+
+def _thinned(places: FloatArray, off_px: FloatArray, depth_m: FloatArray) -> list[DriveMatch]:
     step = max(1, len(places) // MOST_MATCHES)
     return [
-        DriveMatch(here=(here[0], here[1]), there=(there[0], there[1]), off_px=off)
-        for (here, there), off in zip(
-            places[::step].round(2).tolist(), off_px[::step].round(3).tolist(), strict=True
+        DriveMatch(
+            here=(here[0], here[1]),
+            there=(there[0], there[1]),
+            off_px=off,
+            depth_m=depth if 0.0 < depth < MOST_DEPTH_M else None,
+        )
+        for (here, there), off, depth in zip(
+            places[::step].round(2).tolist(),
+            off_px[::step].round(3).tolist(),
+            depth_m[::step].round(2).tolist(),
+            strict=True,
         )
     ]

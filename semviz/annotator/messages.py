@@ -12,7 +12,7 @@ from semviz.annotator.draft import (
     LabelledFrameView,
     PagePixel,
 )
-from semviz.annotator.drive_view import DriveMatch, DriveView
+from semviz.annotator.drive_view import DrivePair, DriveView
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
@@ -201,7 +201,7 @@ class ShowDriveRequest(protocol.Request):
 
 
 class ShowDriveFrameRequest(protocol.Request):
-    """Request matches between the images of a frame; a ``drive_frame`` event follows."""
+    """Request matches and edges of the images of a frame; a ``drive_frame`` event follows."""
 
     type: Literal["show_drive_frame"] = "show_drive_frame"
     frame: int
@@ -378,15 +378,10 @@ class DriveEvent(protocol.Event):
 
 
 class DriveFrameEvent(protocol.Event):
-    """Matches between the left image of a frame and its right one, or the next one."""
+    """Matches and edges of the left image of a frame and its right one, or the next one."""
 
     type: Literal["drive_frame"] = "drive_frame"
-    frame: int
-    second: int
-    """Frame of the second image."""
-    matches: list[DriveMatch]
-    note: str
-    """Why there are none."""
+    pair: DrivePair
 
 
 AnnotatorEvent: TypeAlias = (

@@ -21,7 +21,9 @@ CloudFormat: TypeAlias = Annotated[
 @dataclass(frozen=True)
 class MapBackdropCommand:
     """Make a dense coloured backdrop of a drive from its stereo images, shown behind the map in
-    both 3D panes; export it as a point cloud."""
+    both 3D panes; export it as a point cloud.
+
+    Example: 'semviz map backdrop town'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""

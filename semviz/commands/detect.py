@@ -39,7 +39,9 @@ class DetectCommand:
     """Detect poles and signs in the images of a workspace. Detections become proposals for
     labelling, and observations for 'semviz localize --observations detected'.
 
-    Run the same command again to resume. The word 'run' is optional."""
+    Run the same command again to resume. The word 'run' is optional.
+
+    Example: 'semviz detect town --frames 0:100'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -56,6 +58,7 @@ class DetectCommand:
     least_score: parsing.OptionalFloat = None
     """Minimum score; default: the model's own threshold. With weights of 'semviz detect train' it
     may be lower than that, which was chosen on rendered streets."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.presentation.terminal import announce_compiling
@@ -72,9 +75,14 @@ class DetectCommand:
         announce_compiling("measuring")
         start_s = perf_counter()
         proposals = detect_images(workspace, detector, options, images)
+        stages_ms = {stage: median(ms) for stage, ms in detector.time_ms.items()}
+        if self.json:
+            said = {"path": str(workspace.proposals_path), "proposals": len(proposals)}
+            print(json.dumps(said | {"images": len(images), "median_ms": stages_ms}))
+            return 0
         print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
-        if detector.time_ms:
-            stages = [f"{stage} {median(ms):.0f} ms" for stage, ms in detector.time_ms.items()]
+        if stages_ms:
+            stages = [f"{stage} {ms:.0f} ms" for stage, ms in stages_ms.items()]
             print(f"median time of an image: {', '.join(stages)}")
         print(
             f"{perf_counter() - start_s:.0f} s; next: semviz annotate {self.workspace}; "
@@ -116,7 +124,9 @@ REPORT = "report.html"
 @dataclass(frozen=True)
 class DetectEvaluateCommand:
     """Evaluate a detector: precision and recall per class, localization error, calibration of
-    sigma and runtime, on held-out rendered streets or on labels."""
+    sigma and runtime, on held-out rendered streets or on labels.
+
+    Example: 'semviz detect evaluate town --model trained/detector.safetensors'."""
 
     workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
     """Workspaces whose labels are the ground truth; default: rendered streets."""
@@ -134,6 +144,9 @@ class DetectEvaluateCommand:
     """left: left images only; both: right ones too."""
     reach_m: float = 40.0
     """Ignore elements farther away than this."""
+    ignore: Annotated[tuple[int, ...], arg(metavar="NUMBER ...")] = ()
+    """Numbers of labelled elements that are neither to be found nor false if they are, such as
+    advert boards among traffic signs."""
     least_score: parsing.OptionalFloat = None
     """Minimum score; default: the lowest with at most 0.2 false detections per frame."""
     out: parsing.OptionalPath = None
@@ -167,6 +180,8 @@ class DetectEvaluateCommand:
         is_stored = self.stored or all(image.stored is not None for image in images)
         detector = None if is_stored else load_detector(self.model, measurement(self.measuring))
         settings = {"reach": f"{self.reach_m:g} m"}
+        if self.ignore:
+            settings["ignored elements"] = ", ".join(map(str, self.ignore))
         if self.workspaces:
             settings["detections"] = "stored by 'semviz detect'" if is_stored else "made now"
         evaluation = evaluate(detector, self.measuring, images, self.least_score, settings)
@@ -193,6 +208,8 @@ class DetectEvaluateCommand:
             raise SemvizError(f"--least-score {self.least_score:g}: give a number from 0 to 1")
         if self.frames is not None and not self.workspaces:
             raise SemvizError("--frames needs a workspace; for streets use --frames-a-street")
+        if self.ignore and len(self.workspaces) != 1:
+            raise SemvizError("--ignore names elements of one workspace: give one")
         if self.stored and not self.workspaces:
             raise SemvizError("--stored needs a workspace, with detections of 'semviz detect'")
         if self.stored and self.model is not None:
@@ -213,7 +230,7 @@ class DetectEvaluateCommand:
             image
             for workspace in workspaces
             for image in with_stored(
-                labelled_images(workspace, frames, sides, self.reach_m),
+                labelled_images(workspace, frames, sides, self.reach_m, self.ignore),
                 stored_detections(workspace, options),
             )
         ]
@@ -230,7 +247,9 @@ class DetectTrainCommand:
     """Train the detector's network on rendered streets and on labels.
 
     Run the same command again to resume. A checkpoint is written every minute, at the end, on
-    ctrl-C and on SIGTERM."""
+    ctrl-C and on SIGTERM.
+
+    Example: 'semviz detect train town --from shipped --out trained'."""
 
     workspaces: Annotated[Positional[tuple[Path, ...]], arg(metavar="[WORKSPACE ...]")] = ()
     """Also train on the labels of these workspaces."""
@@ -266,13 +285,14 @@ class DetectTrainCommand:
     allow_loss: bool = False
     """Accept weights that find less on held-out streets than the initial ones."""
     force: parsing.Force = False
+    json: parsing.Json = False
 
     def run(self) -> int:
         require_extra("semviz detect train", "torch", "train")
         if self.workers < 1:
             raise SemvizError(f"--workers {self.workers}: give 1 or more")
 
-        from semviz.research.training_run import check_training_folder, train
+        from semviz.research.training_run import check_training_folder, train, training_summary
         from semviz_core.research.training.detector import make_detector
         from semviz_core.research.training.detector_images import ConcatImages
 
@@ -291,7 +311,11 @@ class DetectTrainCommand:
             f"semviz detect WORKSPACE --model {weights}",
         ]
         run_check = None if check is None else partial(check.run, task)
-        return train(task, self, HELD_OUT, next_commands, run_check)
+        with parsing.text_aside(self.json):
+            status = train(task, self, HELD_OUT, next_commands, run_check)
+        if self.json:
+            print(json.dumps(training_summary(self.out)))
+        return status
 
     def _check_of(self, start: Path, sources: "dict[str, LabelledImages]") -> "ForgettingCheck":
         """Return the check for what the initial weights found; streets are always part of it."""

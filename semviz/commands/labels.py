@@ -26,6 +26,10 @@ ImportFormat: TypeAlias = Annotated[
     Literal["log", "cvat", "labelme", "coco"] | None,
     arg(metavar="{log,cvat,labelme,coco}", help_behavior_hint=""),
 ]
+Pixels: TypeAlias = Annotated[
+    Literal["recorded", "rectified"] | None,
+    arg(metavar="{recorded,rectified}", help_behavior_hint=""),
+]
 _CVAT = (b"<annotations>\n  <version>1.1</version>\n  <meta>\n    <task>\n      <name>",)
 _MARKS = {
     "log": (b'{"format": "semviz-operations"',),
@@ -40,7 +44,9 @@ _BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco", ".csv
 
 @dataclass(frozen=True)
 class LabelsExportCommand:
-    """Export the labels of a workspace: the log of all operations, or another tool's format."""
+    """Export the labels of a workspace: the log of all operations, or another tool's format.
+
+    Examples: 'semviz labels export town labels.jsonl'; 'semviz labels export town town.xml'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -51,6 +57,9 @@ class LabelsExportCommand:
     recorded images, others the log with one operation per line."""
     side: OptionalSide = None
     """Images of one side only; default for cvat-video: left."""
+    start_frame: parsing.OptionalInt = None
+    """cvat-video: number of the workspace's first image in the CVAT task, the others follow one by
+    one; default: frame numbers of the workspace, for a task of the whole sequence."""
     force: parsing.Force = False
     json: bool = False
     """Print one JSON object instead of lines: counts, and losses of the format."""
@@ -64,15 +73,23 @@ class LabelsExportCommand:
         self._check_file(format_)
         if format_ is None or format_ == "log":
             return self._export_log(workspace)
+        source = workspace.source
+        frames = {frame.index for frame in source.frames}
         with workspace.open_labels() as store:
-            original = original_pixels(workspace.source) if format_ == "csv" else None
-            report = export_labels(store, self.file, format_, self.side, original)
+            original = original_pixels(source) if format_ == "csv" else None
+            report = export_labels(
+                store, self.file, format_, self.side, original, frames, self.start_frame
+            )
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
 
     def _check_file(self, format_: ExportFormat) -> None:
         from semviz.workspace import outputs
 
+        if self.start_frame is not None and format_ != "cvat-video":
+            raise SemvizError("--start-frame is for --format cvat-video; leave it out")
+        if self.start_frame is not None and not 0 <= self.start_frame < 2**30:
+            raise SemvizError(f"--start-frame {self.start_frame}: give 0 or more")
         if format_ == "labelme":
             outputs.check_new_folder(self.file, [self.workspace])
             return
@@ -93,7 +110,10 @@ class LabelsExportCommand:
 
 @dataclass(frozen=True)
 class LabelsImportCommand:
-    """Import labels of another tool, or fill a new workspace from a log of operations."""
+    """Import labels of another tool, or fill a new workspace from a log of operations.
+
+    Example: 'semviz labels import town theirs.json --class-map lamp=pole --class-map "*=ignore"'.
+    """
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -105,7 +125,11 @@ class LabelsImportCommand:
     side: OptionalSide = None
     """Side of images whose names do not tell it."""
     class_map: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name."""
+    """NAME=CLASS: class for a name in the file, or 'ignore'; one option per name. The NAME '*' is
+    all others."""
+    pixels: Pixels = None
+    """Images that were drawn in, for drives of your own: as recorded, or rectified by semviz.
+    Default: recorded if the file has their names, rectified for names such as left/000012.png."""
     author: parsing.OptionalText = None
     """Author in the history; default: your login name."""
     json: bool = False
@@ -115,6 +139,7 @@ class LabelsImportCommand:
         from semviz.workspace.settings import login_name
         from semviz.workspace.workspace import Workspace
         from semviz_annotation.label_formats.exchange import import_labels
+        from semviz_annotation.label_formats.import_context import ImageNames
         from semviz_annotation.label_formats.reading import parse_class_map
 
         workspace = Workspace.open(self.workspace)
@@ -123,9 +148,10 @@ class LabelsImportCommand:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
                 from semviz_annotation.storage.backup import import_operations, tells_its_length
 
-                if class_map or self.side is not None:
+                if class_map or self.side is not None or self.pixels is not None:
                     raise SemvizError(
-                        "--side and --class-map do not apply to a log of operations; leave them out"
+                        "--side, --class-map and --pixels do not apply to a log of operations; "
+                        "leave them out"
                     )
                 import_operations(self.file, store)
                 note = "" if tells_its_length(self.file) else UNCHECKED
@@ -139,6 +165,8 @@ class LabelsImportCommand:
                 frames={frame.index for frame in workspace.source.frames},
                 side=self.side,
                 class_map=class_map,
+                recorded=ImageNames.of(workspace.source),
+                pixels=self.pixels,
             )
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
@@ -146,7 +174,9 @@ class LabelsImportCommand:
 
 @dataclass(frozen=True)
 class LabelsProposeCommand:
-    """Import detections as proposals, to accept or reject while labelling."""
+    """Import detections as proposals, to accept or reject while labelling.
+
+    Example: 'semviz labels propose town detections.parquet'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -202,7 +232,8 @@ class LabelsCheckCommand:
     """Check that no label was lost or altered: the log is complete, and the labels follow from it.
 
     Otherwise, exit with status 2 and name the operation at which the log breaks.
-    """
+
+    Example: 'semviz labels check town'."""
 
     workspace: Positional[Path]
     """Workspace; others may use it meanwhile."""
@@ -226,12 +257,15 @@ class LabelsCheckCommand:
 
 @dataclass(frozen=True)
 class LabelsBackupCommand:
-    """Copy all labels and their history into one file, even while others label."""
+    """Copy all labels and their history into one file, even while others label.
+
+    Example: 'semviz labels backup town labels.db'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
     file: Positional[Path]
     """File to write (.db); it may replace only an earlier backup of the same labels."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.workspace.outputs import DATABASE, check_outputs
@@ -239,18 +273,24 @@ class LabelsBackupCommand:
 
         check_outputs(self.file, DATABASE, can_force=False, reads=[self.workspace])
         state = backup_labels(parsing.open_workspace(self.workspace).labels_path, self.file)
-        print(f"{self.file}: {state.operations} operations, checked")
+        if self.json:
+            print(json.dumps({"path": str(self.file), "operations": state.operations}))
+        else:
+            print(f"{self.file}: {state.operations} operations, checked")
         return 0
 
 
 @dataclass(frozen=True)
 class LabelsRestoreCommand:
-    """Restore the labels of a backup, even while others label; keep the replaced file beside it."""
+    """Restore the labels of a backup, even while others label; keep the replaced file beside it.
+
+    Example: 'semviz labels restore town labels.db'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
     file: Positional[Path]
     """Backup made by 'semviz labels backup'."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz_annotation.storage.backup import restore_labels
@@ -258,5 +298,9 @@ class LabelsRestoreCommand:
         path = parsing.open_workspace(self.workspace).labels_path
         state, replaced = restore_labels(path, self.file)
         kept = "" if replaced is None else f"; the replaced file is kept as {replaced}"
-        print(f"{path}: {state.operations} operations{kept}")
+        if self.json:
+            said = {"path": str(path), "operations": state.operations}
+            print(json.dumps(said | {"kept": None if replaced is None else str(replaced)}))
+        else:
+            print(f"{path}: {state.operations} operations{kept}")
         return 0

@@ -63,7 +63,10 @@ class RelinkCommand:
 
 @dataclass(frozen=True)
 class NewCommand:
-    """Create a workspace from your own images, KITTI odometry data or a simulated street."""
+    """Create a workspace from your own images, KITTI odometry data or a simulated street.
+
+    Examples: 'semviz new town --kitti /data/kitti --frames 0:20'; 'semviz new drive --images left
+    --right right --calibration rig.yaml --poses poses.tum'."""
 
     folder: Positional[Path]
     """Folder to create."""
@@ -131,8 +134,19 @@ class NewCommand:
     check_poses: bool = False
     """Also check the poses against the images, as 'semviz poses check' does: seconds per hundred
     frames."""
+    json: parsing.Json = False
 
     def run(self) -> int:
+        with parsing.text_aside(self.json):
+            self._make()
+        if self.json:
+            source = parsing.open_workspace(self.folder).source
+            said = {"path": str(self.folder), "frames": len(source.frames)}
+            has_right = source.rig.right is not None
+            print(json.dumps(said | {"map_frame": source.map_frame.name, "stereo": has_right}))
+        return 0
+
+    def _make(self) -> None:
         from semviz.workspace.outputs import check_new_folder
 
         check_new_folder(self.folder)
@@ -141,10 +155,11 @@ class NewCommand:
                 "give --images FOLDER, --kitti ROOT or --simulate SEED: the source of images"
             )
         if self.images is not None:
-            return self._from_images(self.images)
-        return self._from_known()
+            self._from_images(self.images)
+        else:
+            self._from_known()
 
-    def _from_known(self) -> int:
+    def _from_known(self) -> None:
         """Make a workspace of KITTI or a simulated street."""
         from semviz.workspace.workspace import Workspace
 
@@ -170,17 +185,31 @@ class NewCommand:
         print(f"{workspace.path}: {len(source.frames)} frames, {source.map_frame.name}")
         self._warn_of_poses(workspace)
         print(f"next: semviz annotate {self.folder}")
-        return 0
 
     def _refuse_options_of_images(self) -> None:
         for name in ("right", "calibration", "right_calibration", "times", "extrinsic", "scale"):
             if getattr(self, name) is not None:
                 raise SemvizError(f"--{name.replace('_', '-')} needs --images FOLDER")
 
-    def _from_images(self, images: Path) -> int:
-        """Make a workspace of an own drive; what was taken for granted is printed."""
-        from semviz.commands.own_drive import print_left_out, rectify_all, write_row_picture
+    def _from_images(self, images: Path) -> None:
+        """Make a workspace of an own drive; what was taken for granted is printed.
 
+        The command that made it, stopped while it rectified images, goes on.
+        """
+        from semviz.reports.drive_import import (
+            print_left_out,
+            rectify_all,
+            stopped_workspace,
+            write_row_picture,
+        )
+        from semviz.workspace.outputs import check_empty
+
+        command = parsing.command_text(self)
+        if self.rectify and (stopped := stopped_workspace(self.folder, command)) is not None:
+            rectify_all(stopped)
+            print(f"{self.folder}: the rest of the images is rectified")
+            return
+        check_empty(self.folder)
         parent = self.folder.resolve().parent
         with tempfile.TemporaryDirectory(
             prefix=f".{self.folder.name}-", dir=parent if parent.is_dir() else None
@@ -194,19 +223,18 @@ class NewCommand:
             rectify_all(workspace)
         self._warn_of_poses(workspace)
         print(f"next: semviz annotate {self.folder}   (F9 there shows these checks as pictures)")
-        return 0
 
     def _read_images(self, images: Path, extracted: Path) -> "tuple[Workspace, int]":
         """Return the new workspace and the number of warnings; a bag's images go through
         ``extracted``."""
-        from semviz.commands.own_drive import (
+        from semviz.presentation.terminal import Steps
+        from semviz.reports.drive_import import (
             check_against_images,
             print_topic,
             print_warning,
             write_refined,
         )
-        from semviz.presentation.terminal import Steps
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, save_checks
+        from semviz.workspace.drive_checks import CHECKS, DriveChecks, PoseSteps, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -216,7 +244,7 @@ class NewCommand:
             drive = read_drive(files)
         for topic, text in drive.statements:
             print_topic(topic, text)
-        drive, checks = check_against_images(drive, self.refine_extrinsics)
+        drive, found = check_against_images(drive, self.refine_extrinsics)
         others = list(drive.warnings)
         if where := unusual_motion(drive.first_frames):
             others.append(
@@ -227,7 +255,7 @@ class NewCommand:
             check.model_copy(update={"remedy": self._again_with(check.option)})
             if check.option
             else check
-            for check in checks
+            for check in found.checks
         ]
         failed = [check for check in checks if check.passed is False]
         for text in others:
@@ -238,7 +266,12 @@ class NewCommand:
         if count and self.strict:
             raise SemvizError(f"--strict: {count} warning{'s' * (count > 1)}; nothing was made")
         workspace = Workspace.create_images(self.folder, drive, self.trust_poses, extracted)
-        stored = DriveChecks(checks=tuple(checks), warnings=tuple(others))
+        stored = DriveChecks(
+            checks=tuple(checks),
+            warnings=tuple(others),
+            steps=None if found.motions is None else PoseSteps.of(found.motions),
+            command=parsing.command_text(self),
+        )
         save_checks(stored, workspace.path / CHECKS)
         if self.refine_extrinsics:
             write_refined(workspace, drive)

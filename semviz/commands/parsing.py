@@ -1,28 +1,25 @@
 """Types and parsers of options: workspaces, frame ranges, cameras, intervals, anchors, priors."""
 
+import math
 import shlex
 import sys
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
+    from semviz.workspace.measurements import MeasurementFiles
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
     from semviz_core.base.detector_model import DetectorCalibration
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from semviz.workspace.measurements import MeasurementFiles
-
-
+Json = Annotated[bool, arg(help="Print one JSON object; lines for people go to standard error.")]
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
@@ -226,3 +223,10 @@ class MeasurementOptions:
     def reads(self) -> list[Path]:
         """The files that are read."""
         return [path for path in (self.priors, self.odometry) if path is not None]
+
+
+@contextmanager
+def text_aside(as_json: bool) -> Iterator[None]:
+    """Send printed lines to standard error if standard output is for one JSON object."""
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        yield

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class PosesCheckCommand:
     """Check poses and stereo calibration against the images, and name what is wrong. Changes
-    nothing. Poses are checked as they are used, with the choices of 'poses choose'."""
+    nothing. Poses are checked as they are used, with the choices of 'poses choose'.
+
+    Example: 'semviz poses check town'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -63,7 +65,9 @@ class PosesCheckCommand:
 @dataclass(frozen=True)
 class PosesRefineCommand:
     """Write poses refined by the images to a file for 'semviz new --poses'. The workspace does not
-    change."""
+    change.
+
+    Example: 'semviz poses refine town --out refined.txt'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""
@@ -72,7 +76,8 @@ class PosesRefineCommand:
     frames: parsing.OptionalText = None
     """FIRST:END[:STEP]: only these frames."""
     camera: parsing.OptionalText = None
-    """Of a rig: the camera whose poses are refined; default: the first."""
+    """Of a rig: the camera whose images refine the poses; default: the first. The file holds those
+    of the first camera, as 'semviz new --poses' takes them."""
     format: Literal["tum", "kitti"] = "tum"
     """tum: time and pose, z up; kitti: one pose per line, in KITTI's axes, all frames needed."""
     plot: parsing.OptionalPath = None
@@ -84,6 +89,7 @@ class PosesRefineCommand:
     def run(self) -> int:
         from semviz.reports.pose_check import draw_check
         from semviz.workspace import outputs
+        from semviz_core.datasets.rig_cameras import in_first_camera
         from semviz_core.datasets.trajectory import save_trajectory
         from semviz_core.pose_checks.faults import refined_frames
 
@@ -92,7 +98,9 @@ class PosesRefineCommand:
         )
         _check_plot(self.plot, self.workspace, self.force)
         check = _checked(self.workspace, self.frames, self.camera)
-        save_trajectory(refined_frames(check), self.out, self.format)
+        source = parsing.open_workspace(self.workspace).given_source
+        refined = in_first_camera(source, refined_frames(check))
+        save_trajectory(refined, self.out, self.format)
         if self.plot is not None:
             draw_check(check, self.plot)
         moves = _moves(check)
@@ -111,7 +119,9 @@ _STEPS: "dict[str, Literal[-1, 1]]" = {"undo": -1, "redo": 1}
 @dataclass(frozen=True)
 class PosesChooseCommand:
     """Choose what to do with wrong poses: everything after it (annotate, map build, localize) then
-    uses refined poses, or leaves those frames out. The drive's own file is never changed."""
+    uses refined poses, or leaves those frames out. The drive's own file is never changed.
+
+    Example: 'semviz poses choose town refine'."""
 
     workspace: Positional[Path]
     """Folder of the workspace."""

@@ -34,7 +34,9 @@ class DetectChooseCommand:
     """Calibrate a detector and choose its minimum score, on labelled frames or on a map.
 
     Writes what scores and sigmas mean, and the detector's rates, into one file beside the model.
-    'semviz localize --observations detected' takes it from there."""
+    'semviz localize --observations detected' takes it from there.
+
+    Example: 'semviz detect choose town --most-false 1'."""
 
     workspace: Positional[Path]
     """Folder of the workspace. Its stored detections are used if the same model made them."""
@@ -56,11 +58,13 @@ class DetectChooseCommand:
     """File to write; default: NAME.calibration.toml beside the model, or
     detector.calibration.toml in the workspace if the model is the shipped one or of the hub."""
     force: parsing.Force = False
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.workspace.detect import DetectOptions, default_calibration_path
         from semviz.workspace.outputs import check_outputs, starts_with
         from semviz_core.base.detector_model import CALIBRATION_HEADER
+        from semviz_core.common.limits import read_toml
 
         if self.most_false is not None and not self.most_false > 0.0:
             raise SemvizError(f"--most-false {self.most_false:g}: give a number above 0")
@@ -70,8 +74,13 @@ class DetectChooseCommand:
         check_outputs(path, ours, force=self.force, reads=[self.workspace], purpose="calibration")
         choice = self._choose(workspace, DetectOptions(self.model, self.measuring))
         choice.calibration.save(path)
-        print(choice.as_text())
-        print(f"{path}: written; next: semviz localize {self.workspace} --observations detected")
+        with parsing.text_aside(self.json):
+            print(choice.as_text())
+            print(
+                f"{path}: written; next: semviz localize {self.workspace} --observations detected"
+            )
+        if self.json:
+            print(json.dumps({"path": str(path), "calibration": read_toml(path)}))
         return 0
 
     def _choose(self, workspace: "Workspace", options: "DetectOptions") -> "DetectorChoice":
@@ -130,7 +139,9 @@ _STARTS = {
 
 @dataclass(frozen=True)
 class BenchmarkCommand:
-    """Compare methods on the same problems: error, lower bound, calibration and runtime."""
+    """Compare methods on the same problems: error, lower bound, calibration and runtime.
+
+    Example: 'semviz benchmark --methods search,direct --frames 100'."""
 
     methods: parsing.OptionalText = None
     """Comma-separated, for example search,direct; default: all available methods, or those of the
@@ -216,7 +227,9 @@ class TrainCommand:
 
     Run the same command again to resume. A checkpoint is written every minute, at the end, on
     ctrl-C and on SIGTERM. Several processes: torchrun --nproc-per-node 2 --no-python semviz
-    train ..."""
+    train ...
+
+    Example: 'semviz train verifier --out trained'."""
 
     model: Annotated[Positional[str], arg(metavar="MODEL")]
     """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher or verifier."""
@@ -243,16 +256,26 @@ class TrainCommand:
     stop_after_s: parsing.OptionalFloat = None
     """Save and stop after this many seconds."""
     force: parsing.Force = False
+    json: parsing.Json = False
 
     def run(self) -> int:
         require_extra("semviz train", "torch", "train")
         from semviz.presentation.terminal import announce_compiling
-        from semviz.research.training_run import check_training_folder, make_training_task, train
+        from semviz.research.training_run import (
+            check_training_folder,
+            make_training_task,
+            train,
+            training_summary,
+        )
 
         check_training_folder(self.out, self.force, self.workspace)
         announce_compiling()
         task = make_training_task(self.model, self._source(), self.seed)
-        return train(task, self, self.held_out, [f"semviz weights {self.out} --out FOLDER"])
+        with parsing.text_aside(self.json):
+            status = train(task, self, self.held_out, [f"semviz weights {self.out} --out FOLDER"])
+        if self.json:
+            print(json.dumps(training_summary(self.out)))
+        return status
 
     def _source(self) -> "SampleSource":
         """Return the task's simulated samples, on KITTI's roads if given, or labelled ones."""
@@ -277,18 +300,25 @@ class TrainCommand:
 @dataclass(frozen=True)
 class WeightsCommand:
     """Export the weights of a training with a model card, for 'semviz localize --weights' and
-    'semviz detect --model'."""
+    'semviz detect --model'.
+
+    Example: 'semviz weights trained --out weights'."""
 
     training: Annotated[Positional[Path], arg(metavar="TRAINING")]
     """Folder given as --out to 'semviz train' or 'semviz detect train'."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for MODEL.safetensors and the model card, MODEL.json."""
     force: parsing.Force = False
+    json: parsing.Json = False
 
     def run(self) -> int:
         require_extra("semviz weights", "torch", "train")
         from semviz.research.training_run import write_weights
 
         path = write_weights(self.training, self.out, force=self.force)
-        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, card {path.with_suffix('.json')}")
+        size, card = path.stat().st_size, path.with_suffix(".json")
+        if self.json:
+            print(json.dumps({"path": str(path), "bytes": size, "card": str(card)}))
+        else:
+            print(f"{path}: {size / 1e6:.1f} MB, card {card}")
         return 0

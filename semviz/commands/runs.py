@@ -244,7 +244,9 @@ FORMATS: dict[str, Format] = {".html": "html", ".htm": "html", ".md": "md", ".te
 @dataclass(frozen=True)
 class ReportCommand:
     """Write a report of runs: settings, metrics, diagnoses and worst frames, as one page without
-    network requests, or as tables."""
+    network requests, or as tables.
+
+    Example: 'semviz report town/runs/search.rrd town/runs/wide.rrd --out report.html'."""
 
     runs: Positional[tuple[Path, ...]]
     """Runs (.rrd), side by side; the first is the reference."""
@@ -255,6 +257,7 @@ class ReportCommand:
     pictures: int = 6
     """Maximum number of frame images per run: the worst frame of each diagnosis."""
     force: parsing.Force = False
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.reports.run_plots import load_reports
@@ -276,7 +279,11 @@ class ReportCommand:
             text = as_markdown(reports) if kind == "md" else as_latex(reports)
         with replacing(self.out) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-        print(f"{self.out}: {len(text.encode()) / 1000:.0f} kB")
+        size = len(text.encode())
+        if self.json:
+            print(json.dumps({"path": str(self.out), "format": kind, "bytes": size}))
+        else:
+            print(f"{self.out}: {size / 1000:.0f} kB")
         return 0
 
     def _format(self) -> Format:
@@ -293,7 +300,9 @@ class ReportCommand:
 class RepairCommand:
     """Write a new file from the sound frames of a run that was killed, copied in part, or damaged.
 
-    Every frame is compared with its checksum."""
+    Every frame is compared with its checksum.
+
+    Example: 'semviz repair town/runs/search.partial.rrd --out town/runs/search.rrd'."""
 
     run_file: Positional[Path]
     """Run (.rrd)."""
@@ -320,7 +329,9 @@ class RepairCommand:
 
 @dataclass(frozen=True)
 class TrajectoryCommand:
-    """Export the poses of a run or a workspace in a format that evo reads."""
+    """Export the poses of a run or a workspace in a format that evo reads.
+
+    Example: 'semviz trajectory town/runs/search.rrd estimate.tum'."""
 
     source: Positional[Path]
     """Run (.rrd): its estimates; or workspace: its true poses."""

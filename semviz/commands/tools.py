@@ -21,7 +21,9 @@ TOKEN_VARIABLE = "SEMVIZ_TOKEN"
 
 @dataclass(frozen=True)
 class AnnotateCommand:
-    """Label poles and signs in the left and right images of a workspace, in the browser."""
+    """Label poles and signs in the left and right images of a workspace, in the browser.
+
+    Example: 'semviz annotate town'."""
 
     workspace: Positional[parsing.OptionalPath] = None
     """Workspace; default: the built-in demo."""
@@ -59,7 +61,9 @@ class AnnotateCommand:
 
 @dataclass(frozen=True)
 class ServeCommand:
-    """Inspect runs in the browser: map, cameras, images, correspondences, errors and diagnosis."""
+    """Inspect runs in the browser: map, cameras, images, correspondences, errors and diagnosis.
+
+    Examples: 'semviz serve' (the demo); 'semviz serve town'."""
 
     paths: Positional[tuple[Path, ...]] = ()
     """Workspaces or runs (.rrd); default: the built-in demo."""
@@ -121,7 +125,9 @@ def _serve(tool: "Tool", command: AnnotateCommand | ServeCommand) -> None:
 
 @dataclass(frozen=True)
 class OpenRunCommand:
-    """Open a run in rerun's viewer."""
+    """Open a run in rerun's viewer.
+
+    Example: 'semviz open town/runs/search.rrd'."""
 
     run_file: Positional[Path]
     """Run (.rrd)."""

@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from semviz.inspector.state import ImageMode, MapColors, State, View
-from semviz.runs.diagnosis import DiagnosisCard, detection_errors, diagnosis_card, diagnosis_name
+from semviz.runs.diagnosis import (
+    DiagnosisCard,
+    detection_errors,
+    diagnosis_card,
+    diagnosis_name,
+    noticed_faults,
+)
 from semviz.runs.images import Projected, offsets, project_elements
 from semviz.runs.metrics import errors_of, is_overconfident
 from semviz.runs.run import FrameRecord, Run
@@ -57,6 +63,8 @@ class FrameRow(Part):
     diagnosis: str
     overconfident: bool
     """Status ok, but more than 1 m off."""
+    noticed: str
+    """Faults that did no harm, by element or detection."""
     error_m: float | None
     error_deg: float | None
     ms: float
@@ -260,6 +268,7 @@ def _row(run: Run, record: FrameRecord) -> dict[str, Any]:
         "reason": localization.reason,
         "diagnosis": diagnosis_name(run, record),
         "overconfident": is_overconfident(localization, errors),
+        "noticed": noticed_faults(run, record),
         "error_m": None if errors is None else errors.distance_m,
         "error_deg": None if errors is None else errors.angle_deg,
         "ms": sum(localization.time_ms.values()),

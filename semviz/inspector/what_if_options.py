@@ -194,6 +194,10 @@ def _mapped(record: FrameRecord) -> tuple[MappedElement, ...]:
     )
 
 
+_PRIOR = "Prior and submap"
+_NO_PRIOR = f"{_PRIOR} (no fix: one at the pose assumed)"
+
+
 def what_if_options(run: Run, state: State) -> tuple[WhatIfGroup, ...]:
     """Return the changes to the selection, then those that need no selection."""
     record = run.frames[state.position]
@@ -201,7 +205,7 @@ def what_if_options(run: Run, state: State) -> tuple[WhatIfGroup, ...]:
     groups = [
         *_selected_element(run, request, state.selection.element),
         *_selected_detection(run, request, state.selection.observed, state.selection.element),
-        ("Prior and submap", list(_prior_and_submap(request))),
+        (_PRIOR if record.localization.prior else _NO_PRIOR, list(_prior_and_submap(request))),
         ("Detections", list(_detections(request))),
         ("Solver", list(_solver(request))),
     ]

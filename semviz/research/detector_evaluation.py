@@ -4,7 +4,7 @@ Images are rendered streets, labelled workspaces or mapped ones, made or read on
 ones that nothing was trained or tuned on.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from time import process_time
@@ -115,13 +115,15 @@ def labelled_images(
     frames: range | None,
     sides: Sequence[Side],
     reach_m: float = REACH_M,
+    ignored: Collection[int] = (),
 ) -> tuple[EvaluationImage, ...]:
     """Return the images of a workspace that people labelled or reviewed.
 
     Unlabelled elements that should be visible do not count, unless a person dismissed them; nor do
-    elements to be left out of maps. Raise SemvizError if there are no images.
+    elements to be left out of maps, and those with ``ignored`` numbers. Raise SemvizError if there
+    are no images, or an ignored element is not labelled.
     """
-    labelled = _LabelledWorkspace(workspace, reach_m)
+    labelled = _LabelledWorkspace(workspace, reach_m, frozenset(ignored))
     images = tuple(labelled.images(frames, sides))
     if not images:
         selection = "" if frames is None else f" in frames {frames.start}:{frames.stop}"
@@ -135,10 +137,16 @@ def labelled_images(
 class _LabelledWorkspace:
     """The labels of a workspace with the positions of their elements."""
 
-    def __init__(self, workspace: Workspace, reach_m: float) -> None:
-        self._reach_m = reach_m
+    def __init__(self, workspace: Workspace, reach_m: float, ignored: frozenset[int]) -> None:
+        self._reach_m, self._ignored = reach_m, ignored
         self._name, self._source = workspace.name, workspace.source
         self._labels: Labels = workspace.read_labels()
+        known = {element.number for element in self._labels.elements.values()}
+        if not ignored <= known:
+            missing = ", ".join(map(str, sorted(ignored - known)))
+            raise SemvizError(
+                f"{workspace.path}: no element {missing} to ignore; name labelled ones"
+            )
         self._cameras = Cameras(self._source.rig, self._source.frames)
         self._places = element_positions.ElementPositions(self._cameras)
 
@@ -179,6 +187,8 @@ class _LabelledWorkspace:
         )
 
     def _is_left_out(self, row: Observation) -> bool:
+        if self._labels.elements[row.element_id].number in self._ignored:
+            return True
         decisions = self._labels.decisions_of(row.element_id)
         return any(decision.verdict == "leave out" for decision in decisions)
 

@@ -260,6 +260,15 @@ def train(
     return status
 
 
+def training_summary(folder: Path) -> dict[str, object]:
+    """Return a training's folder and its last losses, for scripts."""
+    from semviz_core.research.training.checkpoint import read_history
+    from semviz_core.research.training.trainer import HISTORY
+
+    history = read_history(folder / HISTORY)
+    return {"path": str(folder), "last": history[-1] if history else None}
+
+
 def _options(arguments: TrainArguments, held_out: int) -> "TrainingOptions":
     from semviz_core.research.training.trainer import TrainingOptions
 

@@ -15,10 +15,17 @@ from semviz.runs.run import KNOWN_DIAGNOSES, TRACK, FrameRecord, Run, assumed_de
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis.element_statistics import ElementRecord, element_records
-from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID, FrameDiagnosis, GroundTruth
+from semviz_core.diagnosis.fault import (
+    FALSE_POSITIVE,
+    UNKNOWN_ID,
+    Fault,
+    FrameDiagnosis,
+    GroundTruth,
+)
 from semviz_core.diagnosis.frame import diagnose_frame
 from semviz_core.diagnosis.run import RunDiagnosis, diagnose_run
 from semviz_core.localization.residuals import pair_residuals
@@ -158,7 +165,7 @@ def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) ->
     result, diagnosis = record.localization, frame_diagnosis(run, record)
     estimate, errors = result.T_camera_map, errors_of(record)
     rows = [
-        ("Also found", _secondary_faults(diagnosis)),
+        ("Also found", noticed_faults(run, record)),
         *_detection_rows(run, detection),
         *_rows(record, errors, run.semantic_map.classes),
     ]
@@ -186,10 +193,21 @@ def _adds_to_status(run: Run, record: FrameRecord) -> bool:
     return _finds_fault(run, record) and frame_diagnosis(run, record).kind != "ambiguous geometry"
 
 
-def _secondary_faults(diagnosis: FrameDiagnosis) -> str:
-    """Return the faults of a frame that is healthy all the same."""
-    kinds = [fault.kind for fault in diagnosis.secondary_faults if diagnosis.kind == "healthy"]
-    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+def noticed_faults(run: Run, record: FrameRecord) -> str:
+    """Return the faults that did no harm to a healthy frame, as far as its diagnosis is known."""
+    diagnosis = KNOWN_DIAGNOSES.get(record)
+    if diagnosis is None or diagnosis.kind != "healthy":
+        return ""
+    return ", ".join(_noticed(run.semantic_map, fault) for fault in diagnosis.secondary_faults)
+
+
+def _noticed(semantic_map: SemanticMap, fault: Fault) -> str:
+    """Return a fault with its element or detection, and by how much it is off."""
+    mapped = set(semantic_map.elements.id.tolist())
+    named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
+    subject = " and ".join(named or [f"#{row}" for row in fault.rows])
+    off = next((f", {item.value:.0f} px" for item in fault.evidence if item.unit == "px"), "")
+    return f"{subject} {fault.kind}{off}".strip()
 
 
 def _detection_rows(run: Run, detection: DetectionErrors) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from semviz.presentation.plots import ALTERNATIVE, ESTIMATE, PRIOR, STATUS, TRUTH, Tone, rgba
 from semviz.runs.columns import Columns
-from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, frame_diagnosis
+from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, frame_diagnosis, noticed_faults
 from semviz.runs.run import FrameRecord, Run, RunInfo
 from semviz_core.base.localization import Localization, Status
 from semviz_core.base.semantic_map import SemanticMap
@@ -48,16 +48,22 @@ Yellow: the place itself. Red: the method.
 
 
 def frame_text(
-    record: FrameRecord, errors: tuple[float, float] | None, diagnosis: FrameDiagnosis | None
+    record: FrameRecord,
+    errors: tuple[float, float] | None,
+    diagnosis: FrameDiagnosis | None,
+    noticed: str,
 ) -> str:
     """Return Markdown with status, reason and figures.
 
-    ``errors`` are RTE (m) and RRE (deg); ``diagnosis`` is None for a healthy frame.
+    ``errors`` are RTE (m) and RRE (deg); ``diagnosis`` is None for a healthy frame, of which
+    ``noticed`` names faults that did no harm.
     """
     result = record.localization
     rows = [_error_row(result, errors), ("Elements", _elements(record))]
     if diagnosis is not None:
         rows += [("Evidence", ", ".join(map(_evidence, diagnosis.evidence)))]
+    if noticed:
+        rows += [("Also found", noticed)]
     if result.refinement is not None:
         rows += [("Pairs", _pairs(result))]
     if result.covariance is not None:
@@ -196,10 +202,13 @@ def _add_texts(
     columns: Columns, run: Run, record: FrameRecord, errors: tuple[float, float] | None
 ) -> None:
     result, name = record.localization, diagnosis_name(run, record)
-    diagnosis = None if name in ("healthy", STARTING_OR_LOST) else frame_diagnosis(run, record)
+    found = None if name == STARTING_OR_LOST else frame_diagnosis(run, record)
+    diagnosis = None if name == "healthy" else found
     columns.text(STATUSES, "StateChange:state", result.status)
     columns.text(DIAGNOSES, "StateChange:state", name)
-    columns.text(WHY, "TextDocument:text", frame_text(record, errors, diagnosis))
+    columns.text(
+        WHY, "TextDocument:text", frame_text(record, errors, diagnosis, noticed_faults(run, record))
+    )
     line = result.reason if diagnosis is None else f"{diagnosis.kind}: {diagnosis.sentence}"
     columns.text(WHY, "TextLog:text", line)
     columns.text(WHY, "TextLog:level", LEVELS[result.status], "TextLogLevel")

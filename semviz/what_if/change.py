@@ -16,7 +16,7 @@ import numpy as np
 
 from semviz.runs.diagnosis import detector_of
 from semviz.runs.run import FrameRecord, Run
-from semviz.workspace.localize import ROAD_RADIUS_M
+from semviz.workspace.localize import CROP_RADIUS_M, ROAD_RADIUS_M
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
@@ -59,11 +59,10 @@ class FrameRequest:
     def of(cls, run: Run, record: FrameRecord) -> "FrameRequest":
         """The recorded request. A frame of a tracked run becomes a request without its history."""
         recorded, info = record.localization, run.info
-        if recorded.prior is None:
-            raise SemvizError(
-                f"frame {record.frame.index} has no prior, so there is no place to search: what-if "
-                "needs one; localize or record the run with --priors"
-            )
+        prior = recorded.prior or _assumed_prior(record)
+        radius_m = float(info.options.get("crop_radius_m") or _extent_m(recorded.submap, prior))
+        is_given = recorded.prior is not None
+        submap = recorded.submap if is_given else run.semantic_map.crop(prior.position_m, radius_m)
         is_single = info.method in known_methods()
         method = info.method if is_single else "search"
         weights = info.options.get("weights") if is_single else None
@@ -80,9 +79,9 @@ class FrameRequest:
             recorded.observed,
             np.arange(len(recorded.observed)),
             record.element_id,
-            recorded.submap,
-            float(info.options.get("crop_radius_m") or _extent_m(recorded.submap, recorded.prior)),
-            recorded.prior,
+            submap,
+            radius_m,
+            prior,
             localizer,
         )
 
@@ -122,8 +121,28 @@ class FrameRequest:
         )
 
 
+def _assumed_prior(record: FrameRecord) -> Prior:
+    """Return a fix, as common as any, where a frame without one is: by its true pose, or estimate.
+
+    Raise SemvizError without either.
+    """
+    estimate = record.localization.T_camera_map
+    pose = record.frame.T_map_camera or (None if estimate is None else estimate.inverse())
+    if pose is None:
+        raise SemvizError(
+            f"frame {record.frame.index} has no prior, true pose or estimate, so there is no place "
+            "to search: what-if needs one; localize or record the run with --priors"
+        )
+    return Prior(pose.translation)
+
+
 def _extent_m(submap: Elements3D, prior: Prior) -> float:
-    """Horizontal distance from the prior to the farthest element of the submap."""
+    """Horizontal distance from the prior to the farthest element of the submap.
+
+    Without a submap, as far as labels are taken.
+    """
+    if not len(submap):
+        return CROP_RADIUS_M["labels"]
     offset_m = submap.anchor_m[:, :2] - prior.position_m[:2]
     return float(np.linalg.norm(offset_m, axis=1).max(initial=1.0))
 

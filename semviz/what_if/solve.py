@@ -64,6 +64,8 @@ KINDS: dict[str, type[WhatIfChange]] = {
     "method": request_changes.UseMethod,
     "start at truth": request_changes.StartAtTruth,
 }
+_WARM: set[str] = set()
+"""Methods that have solved a frame in this process."""
 _NAMES = {kind: name for name, kind in KINDS.items()}
 
 
@@ -191,6 +193,9 @@ def solve_with_changes(
         if change.affects(request):
             request = change.applied(request)
     solve = _localize if request.matched is None else solve_recorded_matches
+    if request.method not in _WARM:  # the first solution compiles or loads, which is no time of it
+        solve(request)
+        _WARM.add(request.method)
     return replace(record, localization=solve(request), element_id=request.element_id)
 
 

@@ -59,11 +59,17 @@ def check_outputs(
 def check_new_folder(path: Path, reads: Iterable[Path] = ()) -> None:
     """Check a folder that a command will make: it is no folder of a workspace.
 
-    That it is empty is checked when it is made.
+    That it is empty is checked by ``check_empty``.
     """
     _check_own(path, tuple(reads), "")
     if path.exists() and not path.is_dir():
         raise SemvizError(f"{path}: exists and is not a folder; choose another name")
+
+
+def check_empty(path: Path) -> None:
+    """Raise SemvizError if there is something at ``path`` other than an empty folder."""
+    if path.is_file() or (path.is_dir() and any(path.iterdir())):
+        raise SemvizError(f"{path}: exists and is not empty; choose another name")
 
 
 def starts_with(*starts: bytes) -> IsOurs:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common import limits
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -97,6 +98,32 @@ class StreetSettings(_Model):
     sections: tuple[SectionSettings, ...] = ()
 
 
+class GeoreferenceSettings(_Model):
+    """Where the origin of the map frame is on Earth (WGS84), and where its x axis points."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: float = Field(ge=-180.0, le=180.0)
+    height_m: float = 0.0
+    x_heading_deg: float = Field(default=90.0, ge=-360.0, le=360.0)
+
+    @classmethod
+    def of(cls, frame: MapFrame) -> "GeoreferenceSettings | None":
+        if frame.origin is None:
+            return None
+        latitude, longitude, height_m = frame.origin
+        return cls(
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            height_m=height_m,
+            x_heading_deg=frame.x_heading_deg,
+        )
+
+    def applied(self, frame: MapFrame) -> MapFrame:
+        """Return a map frame with this place."""
+        origin = (self.latitude_deg, self.longitude_deg, self.height_m)
+        return MapFrame(frame.name, origin, self.x_heading_deg)
+
+
 class Settings(_Model):
     """The content of ``semviz.toml``."""
 
@@ -105,6 +132,8 @@ class Settings(_Model):
     trust_poses: bool = False
     """Accept poses that jump or go backwards."""
     source: Annotated[KittiSettings | StreetSettings | ImagesSettings, Field(discriminator="kind")]
+    georeference: GeoreferenceSettings | None = None
+    """Of sources that do not know it themselves."""
     calibration: Calibration | None = None
     """Calibration of the labels; None in a workspace of an older version."""
 
@@ -149,6 +178,14 @@ def settings_content(settings: Settings, path: Path) -> bytes:
         raise SemvizError(
             f"{limits.shown(path)}: its name, or that of its images, is no text (UTF-8); rename it"
         ) from None
+
+
+def append_table(path: Path, name: str, table: Mapping[str, object]) -> None:
+    """Add a table to ``semviz.toml`` of the workspace ``path``, and keep people's edits."""
+    file = path / SETTINGS
+    text = file.read_text(encoding="utf-8").rstrip()
+    with replacing(file) as temporary:
+        temporary.write_text(f"{text}\n\n{tomli_w.dumps({name: table})}", encoding="utf-8")
 
 
 def _checksum(settings: Settings) -> str:

@@ -29,19 +29,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import tomli_w
-
 from semviz.workspace import drive_file
+from semviz.workspace.outputs import check_empty
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,
     FrameRange,
+    GeoreferenceSettings,
     ImagesSettings,
     KittiSettings,
     Settings,
     StreetSettings,
+    append_table,
     find_place,
     keep_places,
     new_settings,
@@ -52,7 +53,7 @@ from semviz_core.base.camera import Rig
 from semviz_core.base.classes import DEFAULT_CLASSES, NEW_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
-from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.datasets.validation import Calibration
@@ -205,8 +206,7 @@ class Workspace:
         """Make the folder, ``fill`` it, and write its settings: a folder without is no workspace,
         so one that was interrupted is never taken for a whole one."""
         settings = settings.model_copy(update={"calibration": Calibration.of(rig)})
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
-            raise SemvizError(f"{path}: exists and is not empty; choose another name")
+        check_empty(path)
         content = settings_content(settings, path)
         for name in ("maps", "runs"):
             (path / name).mkdir(parents=True, exist_ok=True)
@@ -302,7 +302,29 @@ class Workspace:
                 f"{path}: no such map; "
                 + (f"choose from {names}" if names else f"run 'semviz map build {self.path}'")
             )
-        return load_map(path)
+        semantic_map = load_map(path)
+        return replace(semantic_map, frame=self._on_earth(semantic_map.frame))
+
+    @property
+    def map_frame(self) -> MapFrame:
+        """The frame of poses and maps; its place on Earth is the source's or as imports told it."""
+        return self._on_earth(self.source.map_frame)
+
+    def _on_earth(self, frame: MapFrame) -> MapFrame:
+        place = self.settings.georeference
+        return frame if place is None or frame.origin is not None else place.applied(frame)
+
+    def keep_georeference(self, frame: MapFrame) -> bool:
+        """Keep where a map of this workspace is on Earth, if nothing has told that before.
+
+        Return whether it is new.
+        """
+        place = GeoreferenceSettings.of(frame)
+        if place is None or self.map_frame.origin is not None:
+            return False
+        append_table(self.path, "georeference", place.model_dump())
+        self.settings = self.settings.model_copy(update={"georeference": place})
+        return True
 
     def open_labels(self) -> "LabelStore":
         """Open the label file; create it if it is missing. Close it, or use ``with``."""
@@ -352,11 +374,9 @@ class Workspace:
     def _keep_calibration(self, rig: Rig) -> None:
         """Append the calibration to settings of an older version, and keep people's edits."""
         calibration = Calibration.of(rig)
-        file = self.path / SETTINGS
-        text = file.read_text(encoding="utf-8").rstrip()
-        table = {name: value for name, value in asdict(calibration).items() if value is not None}
-        with replacing(file) as temporary:
-            temporary.write_text(f"{text}\n\n{tomli_w.dumps({'calibration': table})}", "utf-8")
+        values = asdict(calibration).items()
+        table = {name: value for name, value in values if value is not None}
+        append_table(self.path, "calibration", table)
         self.settings = self.settings.model_copy(update={"calibration": calibration})
 
     def _open_recorded(self, settings: KittiSettings | ImagesSettings) -> Dataset:

@@ -9,7 +9,8 @@ from label_files import FRAMES, RULES
 
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.exchange import plan_import
-from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.reading import ParsedLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_core.common.errors import SemvizError
 
@@ -54,8 +55,8 @@ def test_annotations(tmp_path: Path) -> None:
     assert (sign.anchor_px, sign.end_px) == ((7.5, 8.5), None)
     assert (boxed.class_id, boxed.anchor_px) == (1, (20.0, 40.0))
     assert found.dropped == {
-        "'segmentation': not known here": 1,
-        "annotations of category 'person': ignored, as asked": 1,
+        "'segmentation': the keypoints count": 1,
+        "shapes of class 'person': ignored, as asked": 1,
         "width and height of boxes: a sign is its middle": 1,
     }
 

@@ -9,7 +9,8 @@ from label_files import FRAMES, RIG, RULES, labels_of, pole
 
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
 from semviz_annotation.label_formats.exchange import plan_import
-from semviz_annotation.label_formats.reading import MOST_XML_BYTES, LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.reading import MOST_XML_BYTES, ParsedLabels
 from semviz_annotation.label_formats.writing import LabelExportContext
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -100,7 +101,7 @@ def test_a_track_is_ended_where_nothing_follows(tmp_path: Path) -> None:
     ends = (10.0, 20.0), (11.0, 99.0)
     labels = labels_of(*(pole(1, frame, "left", *ends) for frame in (2, 3, 7)))
     write_cvat_video(
-        LabelExportContext.of(labels, DEFAULT_CLASSES, RIG, "left"), tmp_path / "a.xml"
+        LabelExportContext.of(labels, DEFAULT_CLASSES, RIG, "left", FRAMES), tmp_path / "a.xml"
     )
     text = (tmp_path / "a.xml").read_text()
     frames = [(f'frame="{n}" outside="{o}"' in text) for n, o in ((2, 0), (3, 0), (4, 1), (8, 1))]
@@ -164,9 +165,9 @@ def test_other_shapes_and_ignored_classes_are_dropped_by_name(tmp_path: Path) ->
     found = read(
         tmp_path, image(others + POLE), LabelImportContext(RULES, class_map={"car": "ignore"})
     )
-    assert len(found.observations) == 1
-    assert sum(found.dropped.values()) == 7
-    assert "polygon: neither line, point nor box" in found.dropped
+    assert len(found.observations) == 2
+    assert sum(found.dropped.values()) == 6
+    assert "cuboid: neither line, point, box nor polygon" in found.dropped
     assert "shapes of class 'car': ignored, as asked" in found.dropped
 
 

@@ -16,8 +16,9 @@ from semviz_annotation.label_formats.exchange import (
     export_labels,
     plan_import,
 )
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.labelme import read_labelme
-from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.reading import ParsedLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposals, read_proposals, save_proposals
 from semviz_core.common.errors import SemvizError

@@ -16,8 +16,8 @@ from semviz_annotation.label_formats.exchange import (
     import_labels,
     plan_import,
 )
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.reading import (
-    LabelImportContext,
     ParsedObservation,
     parse_class_map,
 )
@@ -208,10 +208,13 @@ def test_what_is_in_a_file_tells_its_format(
         ("frame_12_left.png", (12, "left")),
         ("right-000012-1.png", (12, "right")),
         ("left.7/8", (8, "left")),
+        ("right/000012_png.rf.8d24f3a1b2c3d4e5f60718293a4b5c6d.jpg", (12, "right")),  # Roboflow
+        ("images/3fa85f64-left_000012.png", (12, "left")),  # Label Studio
     ],
 )
 def test_names_of_images(name: str, expected: tuple[int, str]) -> None:
-    assert LabelImportContext(RULES).image(name) == expected
+    place = LabelImportContext(RULES).image((name,), None)
+    assert (place.frame_index, place.side) == expected
 
 
 def test_a_class_map_is_name_and_class() -> None:
@@ -264,7 +267,7 @@ def test_the_commands(workspace: Path, tmp_path: Path, capsys: pytest.CaptureFix
     status, out, err = semviz(capsys, "labels", "import", workspace, file, *mapped)
     assert (status, err) == (0, "")
     assert "1 labels of 1 new elements from 1 images (cvat)" in out
-    assert "dropped: 1 x tag: neither line, point nor box" in out
+    assert "dropped: 1 x tag: neither line, point, box nor polygon" in out
 
     status, out, err = semviz(capsys, "labels", "import", workspace, file, *mapped, "--json")
     assert json.loads(out)["already"] == 1

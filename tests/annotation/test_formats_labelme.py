@@ -8,8 +8,9 @@ import pytest
 from label_files import FRAMES, RULES, said, store_of, street
 
 from semviz_annotation.label_formats.exchange import KEPT, export_labels, import_labels
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.labelme import read_labelme
-from semviz_annotation.label_formats.reading import LabelImportContext, ParsedLabels
+from semviz_annotation.label_formats.reading import ParsedLabels
 from semviz_annotation.labels.edits import MoveObservation
 from semviz_annotation.labels.labels import Labels
 from semviz_core.common.errors import SemvizError
@@ -48,7 +49,7 @@ def test_shapes(tmp_path: Path) -> None:
         shape("linestrip", "lamp post", [1, 2], [3, 4], [5, 99], group_id=7),
         shape("point", "round", [7.5, 8.5], flags={"anchor_known": False}),
         shape("rectangle", "triangular sign", [30.5, 60.5], [10.5, 20.5], group_id=None),
-        shape("circle", "whatever", [1, 2], [3, 4]), shape("polygon", "car", [1, 2], [3, 4]),
+        shape("mask", "whatever", [1, 2], [3, 4]),
         imageData="aGVsbG8=",
     )  # fmt: skip
     pole, lamp, sign, triangle = found.observations
@@ -58,10 +59,9 @@ def test_shapes(tmp_path: Path) -> None:
     assert (sign.class_id, sign.anchor_px, sign.anchor_known) == (3, (7.0, 8.0), False)
     assert (triangle.class_id, triangle.anchor_px) == (1, (20.0, 40.0))
     assert sorted(found.dropped) == [
-        "circle: neither line, point nor rectangle",
         "imageData: the images stay where they are",
         "inner points of lines: a pole is its peak and its bottom",
-        "polygon: neither line, point nor rectangle",
+        "mask: neither line, point, box nor polygon",
         "width and height of boxes: a sign is its middle",
     ]
 

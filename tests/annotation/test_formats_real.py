@@ -11,6 +11,7 @@ from semviz_core.common.errors import SemvizError
 
 pytestmark = pytest.mark.realdata
 
+POLES_OF_BOXES = "boxes of class pole: their axis is the pole; check its ends"
 FILES = {
     "cvat": "cvat11_images_allshapes.xml",
     "labelme": "labelme5_primitives.json",
@@ -35,9 +36,12 @@ def store(tmp_path: Path) -> LabelStore:
 @pytest.mark.parametrize(
     ("format_", "words"),
     [
-        ("cvat", r"allshapes.xml, item 1: class 'label1' is not known; say --class-map label1=CL"),
-        ("labelme", r"primitives.json, item 1: class 'rectangle' is not known"),
-        ("coco", r"keypoints.json, item 1: class 'female' is not known"),
+        (
+            "cvat",
+            r"allshapes.xml: 3 classes are not known; say --class-map label1=CLASS --cl",
+        ),
+        ("labelme", r"primitives.json: 6 classes are not known; .*line_strip=CLASS, CLASS being"),
+        ("coco", r"keypoints.json: 2 classes are not known; .*-class-map female=CLASS"),
     ],
 )
 def test_classes_that_are_none_of_ours(
@@ -53,24 +57,29 @@ def test_classes_that_are_none_of_ours(
 def test_cvat(annotations: Path, store: LabelStore) -> None:
     mapped = {"label1": "triangular sign", "label2": "rounded sign", "": "pole"}
     report = import_labels(annotations / FILES["cvat"], store, "ann", side="left", class_map=mapped)
-    assert (report.images, report.observations, report.elements) == (2, 2, 2)
+    assert (report.images, report.observations, report.elements) == (2, 3, 3)
     sign, pole = sorted(store.labels.in_frame(0), key=lambda row: row.end_px is not None)
     # The box from (0, 2) to (4, 4), from the corner; a triangle's centroid is a sixth lower.
     assert sign.anchor_px == pytest.approx((1.5, 2.5 + 2.0 / 6.0))
     assert (pole.anchor_px, pole.end_px) == ((0.5, 1.5), (6.5, 7.5))
-    assert report.dropped["skeleton: neither line, point nor box"] == 2
-    assert report.dropped["points of class rounded sign: a sign is one point, or a box"] == 1
+    (drawn,) = store.labels.in_frame(1)  # a polygon
+    assert drawn.end_px is not None
+    assert report.assumed == {"polygons of class pole: their axis is the pole; check its ends": 1}
+    assert report.dropped["skeleton: neither line, point, box nor polygon"] == 2
+    assert report.dropped["points of class rounded sign: a sign is one point, a box or a polygon"]
 
 
 def test_labelme(annotations: Path, store: LabelStore) -> None:
     mapped = {"rectangle": "rectangular sign", "point": "round", "line": "pole"}
-    report = labelme(annotations, store, mapped | {"line_strip": "pole"})
-    assert (report.observations, report.elements) == (5, 5)
+    mapped |= {"line_strip": "pole", "circle": "round", "polygon": "rectangular sign"}
+    report = labelme(annotations, store, mapped)
+    assert (report.observations, report.elements) == (7, 7)
     drawn = {row.anchor_px: row.end_px for row in store.labels.observations.values()}
     assert drawn[187.5, 177.5] == (159.5, 223.5)
     assert drawn[344.5, 173.5] is None
     assert drawn[81.5, 84.5] is None
-    assert report.dropped["mask: neither line, point nor rectangle"] == 1
+    assert drawn[194.5, 83.5] is None
+    assert report.dropped["mask: neither line, point, box nor polygon"] == 1
 
 
 def labelme(annotations: Path, store: LabelStore, mapped: dict[str, str]) -> ImportReport:
@@ -97,5 +106,5 @@ def test_coco(annotations: Path, store: LabelStore) -> None:
         annotations / FILES["coco"], store, "ann", side="right",
         class_map={"male": "pole", "female": "ignore"},
     )  # fmt: skip
-    assert as_poles.observations == 0
-    assert as_poles.dropped["poles without the keypoints peak and bottom: a pole needs both"] > 0
+    assert as_poles.observations == as_poles.assumed[POLES_OF_BOXES] == 2
+    assert as_poles.dropped["boxes of class pole: not slender, so they have no axis"] == 2

@@ -16,9 +16,9 @@ from semviz_annotation.label_formats.exchange import (
     import_labels,
     plan_import,
 )
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.labelme import read_labelme, write_labelme
 from semviz_annotation.label_formats.reading import (
-    LabelImportContext,
     ParsedLabels,
     from_corner,
     to_corner,

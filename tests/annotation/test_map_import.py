@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,7 +166,7 @@ def test_other_reference_systems_and_frames(tmp_path: Path) -> None:
         (OSM.replace('"8.0001"', '"NaN"'), "way 9: 'NaN' is not a number"),
         (OSM.replace('"8.0001"', '"1e400"'), "is too large"),
         (OSM.replace('lat="49.0" lon="8.0001"', 'lon="8.0001"'), "a node without 'lat'"),
-        (OSM.replace('<nd ref="2"/>', ""), "a line with less than 2 nodes"),
+        (re.sub("<nd [^>]*>", "", OSM), "a line without nodes"),
         (OSM.replace("49.0", "98.0"), "are no degrees of WGS84"),
         ('<osm semviz_frame="moon"/>', "a map of the frame 'moon'"),
         ('<osm semviz_frame="town"/>', "without 'semviz_anchor_latitude'"),

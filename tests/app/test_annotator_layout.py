@@ -45,7 +45,7 @@ NAMELESS = """() => [...document.querySelectorAll("button, input, canvas.marks, 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    folder = tmp_path_factory.mktemp("layout") / "street"
+    folder = tmp_path_factory.mktemp("layout") / "a drive through town with a long name"
     workspace = street_workspace(folder, 7, 30)
     draw_signs(workspace, [(0, 100.0 * place) for place in range(1, 11)], "tester")
     with annotating(workspace) as served:

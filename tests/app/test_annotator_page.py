@@ -306,7 +306,7 @@ def test_the_new_element_appears_in_the_map(served: Served, page: "Page") -> Non
     left, right = stereo_pole(left=560.0, disparity=40.0)
     driver.draw_pair(POLE, left, right)
     driver.clear_selection()
-    page.wait_for_selector("#map-about:has-text('1 element')")
+    page.wait_for_selector("#map-about[title='1 element']")
     scene = page.locator("#scene")
     assert scene.is_hidden()
     page.keyboard.press("f")

@@ -111,6 +111,29 @@ def test_one_key_takes_the_sure_ones_and_goes_on(driver: LabelDriver, served: Se
     assert served.labels.review(0) == "reviewed"
 
 
+def test_one_key_accepts_weak_ones_too_and_the_nearest_view_offers_to_align_the_others(
+    driver: LabelDriver, served: Served
+) -> None:
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Shift+G")
+    assert len(served.labels.in_frame(0, "right")) == 1
+    driver.goto(3)
+    wait_for_score(driver, "P-01")
+    page = driver.page
+    driver.settle()
+    weak = page.evaluate("semviz.state.foundProposals.length")
+    assert weak >= 1
+    before = driver.operation
+    driver.press_and_save("Shift+G")
+    assert driver.operation == before + 1
+    page.locator('#elements .row:has-text("P-01")').first.click()
+    page.wait_for_selector('#card button:has-text("Align 2 labels farther away")')
+    page.keyboard.press("Shift+R")
+    message = "document.querySelector('#message').textContent"
+    page.wait_for_function(f"() => /Aligned . label|no label moves/i.test({message})")
+
+
 def test_a_mapped_element_is_followed_into_the_next_frame(
     driver: LabelDriver, served: Served
 ) -> None:

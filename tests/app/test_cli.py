@@ -2,18 +2,22 @@
 
 import csv
 import json
+import re
 import socket
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from command_line import Call, call
 
+from semviz import cli
 from semviz.cli import main
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord
@@ -292,3 +296,35 @@ def test_a_full_disk_ends_a_run_and_keeps_its_frames(street: Path) -> None:
     partial = load_run(first.with_name("first.partial.rrd"))
     assert 0 < len(partial.frames) < 6
     Path(first.with_name("first.partial.rrd")).unlink()
+
+
+def commands(kind: Any = cli.Command, name: str = "") -> Iterator[tuple[str, Any]]:
+    """All commands with their classes."""
+    if hasattr(kind, "__metadata__"):
+        names = [part.name for part in kind.__metadata__ if hasattr(part, "name")]
+        yield from commands(get_args(kind)[0], f"{name} {' '.join(names)}".strip())
+    elif get_args(kind):
+        for part in get_args(kind):
+            yield from commands(part, name)
+    else:
+        yield name, kind
+
+
+@pytest.mark.parametrize(("name", "kind"), commands(), ids=[name for name, _ in commands()])
+def test_help_has_an_example_and_scripts_have_json(name: str, kind: Any) -> None:
+    example = re.search(r"Examples?: '(semviz [^']*)'", " ".join(kind.__doc__.split()))
+    assert example is not None
+    assert example[1].startswith(f"semviz {name}".removesuffix(" run"))
+    if name not in ("serve", "annotate", "open"):
+        assert "json" in {field.name for field in fields(kind)}
+
+
+def test_json_of_commands_that_make_files(run: Call, tmp_path: Path) -> None:
+    town, copy = tmp_path / "town", tmp_path / "copy.db"
+    made = json.loads(run("new", town, "--simulate", 3, "--frames", "0:2", "--json")[1])
+    assert made == {"path": str(town), "frames": 2, "map_frame": "street-3", "stereo": True}
+    Workspace.open(town).open_labels().close()
+    backup = json.loads(run("labels", "backup", town, copy, "--json")[1])
+    assert backup["path"] == str(copy)
+    restored = json.loads(run("labels", "restore", town, copy, "--json")[1])
+    assert restored["operations"] == backup["operations"]

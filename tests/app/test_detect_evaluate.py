@@ -201,10 +201,14 @@ def test_what_is_left_out_of_maps_does_not_count(labelled: Path, tmp_path: Path)
     element_id = labels.in_frame(LABELLED[0], "left")[row].element_id
     with workspace.open_labels() as store:
         store.apply(DecideElements((review_decision(element_id, "leave out"),)), "tester")
-    after = labelled_images(workspace, None, ("left",))[0].truth()
-    assert before.counts[row]
-    assert not after.counts[row]
-    assert after.counts.sum() == before.counts.sum() - 1
+    number = labels.elements[element_id].number
+    ignoring = labelled_images(Workspace.open(labelled), None, ("left",), ignored=(number,))
+    for after in (labelled_images(workspace, None, ("left",))[0], ignoring[0]):
+        assert before.counts[row]
+        assert not after.truth().counts[row]
+        assert after.truth().counts.sum() == before.counts.sum() - 1
+    with pytest.raises(SemvizError, match="no element 9999 to ignore"):
+        labelled_images(workspace, None, ("left",), ignored=(9999,))
 
 
 def test_what_is_mapped_and_not_labelled_does_not_count(labelled: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from annotator_page import Served, annotating
 from recorded_streets import LENSES, record
 from streets import street, street_workspace
 
-from semviz.annotator.drive_view import drive_matches, drive_view
+from semviz.annotator.drive_view import drive_pair, drive_view
 from semviz.cli import main
 from semviz.workspace.drive_checks import CHECKS
 from semviz.workspace.workspace import Workspace
@@ -58,17 +58,29 @@ def test_what_failed_comes_first_with_the_command_that_repairs_it(town: Workspac
 
 
 def test_matches_show_how_far_they_are_off_their_row_or_epipolar_line(town: Workspace) -> None:
-    second, matches = drive_matches(town.source, 0)
-    assert second == 0
-    assert np.median([match.off_px for match in matches]) == pytest.approx(2.1, abs=0.3)
+    pair = drive_pair(town.source, 0)
+    assert pair.second == 0
+    assert np.median([match.off_px for match in pair.matches]) == pytest.approx(2.1, abs=0.3)
+    assert all(pair.edges)
     source = town.source
     assert isinstance(source, ImageFolder)
     alone = replace(source, rectified=replace(source.rectified, rig=Rig(source.rig.left)))
-    with pytest.raises(SemvizError, match="no next image"):
-        drive_matches(alone, 1)
-    second, matches = drive_matches(alone, 0)
-    assert second == 1
-    assert np.median(np.abs([match.off_px for match in matches])) < 0.5
+    last = drive_pair(alone, 1)
+    assert "no next image" in last.note
+    assert not last.matches
+    by_poses = drive_pair(alone, 0)
+    assert by_poses.second == 1
+    assert np.median(np.abs([match.off_px for match in by_poses.matches])) < 0.5
+    near = [  # the same corners, by rows and by poses
+        (one.depth_m, other.depth_m)
+        for one in pair.matches
+        for other in by_poses.matches
+        if np.hypot(*np.subtract(one.here, other.here)) < 0.1
+        and one.depth_m is not None and other.depth_m is not None and one.depth_m < 15.0
+    ]  # fmt: skip
+    assert len(near) > 20
+    by_rows_m, by_poses_m = np.array(near).T
+    assert np.median(np.abs(by_rows_m / by_poses_m - 1.0)) < 0.2
 
 
 def test_a_drive_without_checks_says_so_and_a_damaged_file_is_named(tmp_path: Path) -> None:
@@ -93,6 +105,16 @@ def test_the_page_shows_the_worst_check_first(served: Served, page: "Page") -> N
     page.wait_for_selector('#drive-head h2:has-text("One step first")')
     assert "Rows agree" in page.inner_text("#drive-checks .row.chosen")
     page.wait_for_selector('#drive-about:has-text("px off their row")')
+    page.keyboard.press("2")
+    page.wait_for_selector('#drive-about:has-text("long edges, median bend")')
+    page.keyboard.press("3")
+    page.wait_for_selector('#drive-about:has-text("depth of")')
+    page.click('#drive-kinds button:has-text("Rows")')
+    page.wait_for_selector('#drive-about:has-text("px off their row")')
+    page.keyboard.press(",")
+    page.wait_for_selector('#drive-about:has-text("frame 0 left and right")')
+    page.keyboard.press("j")
+    page.wait_for_selector('#drive-about:has-text("frame 1 left and right")')
     page.keyboard.press("F2")
     page.wait_for_selector("#left-image canvas.marks")
     assert not page.is_visible("#drive")

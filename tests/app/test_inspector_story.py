@@ -16,6 +16,7 @@ from small_runs import off_by, run_with_a_moved_pole, saved, small_run, spoiled,
 
 from semviz.inspector.server import Inspector
 from semviz.inspector.story import story_view
+from semviz.inspector.views import run_view
 from semviz.runs import diagnosis
 from semviz.runs.diagnosis import (
     DetectionErrors,
@@ -132,6 +133,20 @@ def test_a_run_read_again_has_its_diagnoses_unless_they_are_damaged_or_of_anothe
         row["structure"][0] = row["structure"][0].replace("kind", "kinb")
     damaged = assemble(path, rows, damaged=False)
     assert [diagnosis_name(damaged, record) for record in damaged.frames] == names
+
+
+def test_what_a_healthy_frame_shows_is_named_with_its_element_and_by_how_much(
+    tmp_path: Path,
+) -> None:
+    run, pole = run_with_a_moved_pole()
+    run = replace(run, info=replace(run.info, version=version("semviz")))
+    read = load_run(saved(run, tmp_path / "moved.rrd"))
+    noticed = [row.noticed for row in run_view("moved", read).frames if row.diagnosis == "healthy"]
+    name = run.semantic_map.name_of(pole)
+    assert len(noticed) == 5
+    assert all(text.startswith(f"{name} moved in the map, ") for text in noticed)
+    assert all(int(text.split()[-2]) > 25 and text.endswith(" px") for text in noticed)
+    assert {row.noticed for row in run_view("first", small_run()).frames} == {""}
 
 
 def _refuse(*_: object) -> None:

@@ -1,5 +1,6 @@
 """``semviz localize --priors FILE --odometry FILE``: measured priors and odometry in a run."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from semviz.runs.diagnosis import frame_diagnosis
 from semviz.runs.reader import load_run
 from semviz.runs.run import Run
 from semviz.what_if.change import FrameRequest
+from semviz.what_if.solve import solve_with_changes
 from semviz.workspace.localize import NO_PRIOR
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.frame import Frame
@@ -107,8 +109,14 @@ def test_a_frame_without_fix_is_recorded_as_such(
     said = frame_diagnosis(run, record)
     assert said.fault.kind == "not in the submap"
     assert "no prior" in said.fault.sentence
+    tried = solve_with_changes(run, record).localization  # with a fix where it truly was
+    assert tried.status == "ok"
+    assert sum(tried.time_ms.values()) < 2000.0  # without compiling
+    lost = replace(record, frame=replace(record.frame, T_map_camera=None))
+    with pytest.raises(SemvizError, match="has no prior, true pose or estimate"):
+        FrameRequest.of(run, lost)
     with pytest.raises(SemvizError, match="has no prior"):
-        FrameRequest.of(run, record)
+        _ = record.localization.given_prior
 
 
 def test_the_tracker_follows_the_odometry_of_the_file(

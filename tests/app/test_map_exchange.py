@@ -1,6 +1,7 @@
 """Maps and trajectories out and in by commands; what is wrong costs one line, nothing else."""
 
 import json
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from semviz.cli import main
 from semviz.runs.reader import load_run
 from semviz.runs.writer import RunWriter
 from semviz.workspace.workspace import TRUTH, Workspace
+from semviz_annotation.map_formats.georeference import Georeference
 
 ANCHOR = "--anchor=-33.8,151.2,12"
 
@@ -47,6 +49,7 @@ def refused(result: tuple[int, str, str], *words: str) -> None:
 
 
 def test_a_map_goes_out_and_comes_back(run: Call, made: Path, tmp_path: Path) -> None:
+    made = Path(shutil.copytree(made, tmp_path / "town"))  # an import keeps the place
     workspace, file = Workspace.open(made), tmp_path / "back.geojson"
     status, output, _ = run(
         "map", "export", made, file, "--map", TRUTH, ANCHOR, "--anchor-heading", 33, "--json"
@@ -68,6 +71,44 @@ def test_a_map_goes_out_and_comes_back(run: Call, made: Path, tmp_path: Path) ->
     refused(run("map", "import", made, file), "exists already", "--replace")
     assert workspace.map_path("back").read_bytes() == before
     assert run("map", "import", made, file, "--replace", "--json")[0] == 0
+
+
+LAMP = """{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {},
+ "geometry": {"type": "Point", "coordinates": [151.2001, -33.8001]}}]}"""
+
+
+@pytest.mark.parametrize("ending", ["geojson", "osm"])
+def test_a_workspace_keeps_where_it_is_on_earth(
+    run: Call, made: Path, tmp_path: Path, ending: str
+) -> None:
+    """One import tells it; exports of all maps, also of older ones, and priors follow."""
+    first, second = (Path(shutil.copytree(made, tmp_path / name)) for name in ("first", "second"))
+    lamps, file = tmp_path / "lamps.geojson", tmp_path / f"town.{ending}"
+    lamps.write_text(LAMP)
+    refused(run("map", "export", first, file, "--map", TRUTH), "say --anchor")
+    settings = first / "semviz.toml"
+    settings.write_text(f"# mine\n{settings.read_text()}")
+    pole = ("--all-of-class", "pole", "--pole-height", 6)
+    imported = run("map", "import", first, lamps, *pole, ANCHOR, "--anchor-heading", 33)
+    assert "keeps where its origin is on Earth" in imported[1]
+    assert settings.read_text().startswith("# mine\n")
+    again = run("map", "import", first, lamps, *pole, "--anchor=-33.8,151.3", "--name", "other")
+    assert "keeps where" not in again[1]
+
+    place = Georeference(-33.8, 151.2, 12.0, 33.0)
+    assert Georeference.of(Workspace.open(first).map_frame) == place
+    assert run("map", "export", first, file, "--map", TRUTH)[0] == 0
+    truth = Workspace.open(first).read_map(TRUTH)
+    assert Georeference.of(truth.frame) == place
+    longitude, latitude, _ = place.to_wgs84(truth.elements.anchor_m)[truth.elements.is_line][0]
+    assert f"{latitude:.11f}"[:-4] in file.read_text()
+    assert f"{longitude:.11f}"[:-4] in file.read_text()
+    assert run("map", "import", second, file)[0] == 0  # the file tells its place
+    back = Workspace.open(second).read_map("town")
+    np.testing.assert_allclose(
+        place.to_wgs84(back.elements.anchor_m), place.to_wgs84(truth.elements.anchor_m), atol=1e-4
+    )
+    assert Georeference.of(Workspace.open(second).map_frame) == place
 
 
 @pytest.mark.parametrize("ending", ["osm", "ply", "glb", "csv"])

@@ -61,7 +61,7 @@ def test_a_person_says_two_and_the_next_map_has_two_until_that_is_undone(
 ) -> None:
     driver = LabelDriver(page)
     driver.open(killable.start())
-    page.wait_for_selector('#jumps .row:has-text("Map decisions"):has-text("no map yet")')
+    page.wait_for_selector('#jumps .row:has-text("Map decisions"):has-text("no map")')
     build(page, 1)
     assert mapped(workspace) == {1}
     open_question(page)

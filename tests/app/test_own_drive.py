@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +29,12 @@ from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.simulation.street import Street
 
 FRAMES = 9
+KEYPOINTS = {
+    "pole": ["peak", "bottom"],
+    "triangular sign": ["middle"],
+    "rectangular sign": ["middle"],
+    "rounded sign": ["middle"],
+}
 SIGMA_PX = 0.5
 SIDES: tuple[Side, Side] = ("left", "right")
 TURNED = so3_exp(np.deg2rad([0.8, -1.2, 0.6]))
@@ -182,6 +189,61 @@ def test_labels_are_exported_in_recorded_pixels_too(
             lens = rectified.rectified.of(side).original
             theirs = through(lens, ray)
             np.testing.assert_allclose(there, theirs, atol=1e-6)
+
+
+def test_labels_drawn_in_recorded_images_are_rectified(
+    town: Workspace, recording: Recording, tmp_path: Path, semviz: Semviz
+) -> None:
+    """Another tool's file names the recorded images, here at twice their size."""
+    semviz("labels", "export", town.path, tmp_path / "labels.csv")
+    rows = list(csv.DictReader((tmp_path / "labels.csv").open()))
+    source = town.source
+    assert isinstance(source, ImageFolder)
+    lens = source.rectified.of("left").original
+    names = sorted({(row["side"], row["image"]) for row in rows})
+    document = {
+        "images": [
+            {"id": number, "file_name": f"{side}/{name}", "width": 2 * lens.width,
+             "height": 2 * lens.height}
+            for number, (side, name) in enumerate(names)
+        ],
+        "categories": [
+            {"id": number, "name": name, "keypoints": points}
+            for number, (name, points) in enumerate(KEYPOINTS.items())
+        ],
+        "annotations": [
+            {"id": number, "image_id": names.index((row["side"], row["image"])),
+             "category_id": list(KEYPOINTS).index(row["class"]),
+             "keypoints": doubled(row)}
+            for number, row in enumerate(rows)
+        ],
+    }  # fmt: skip
+    (tmp_path / "theirs.json").write_text(json.dumps(document))
+    kept = shutil.ignore_patterns("labels.db*", "maps", "runs")
+    other = Workspace.open(shutil.copytree(town.path, tmp_path / "other", ignore=kept))
+    words = ("labels", "import", other.path, tmp_path / "theirs.json", "--pixels", "recorded")
+    report = json.loads(semviz(*words, "--json"))
+    assert report["observations"] == len(rows)
+    assert report["assumed"]["labels of images of another size: scaled to that of the workspace"]
+    semviz("labels", "export", town.path, tmp_path / "ours", "--format", "labelme")
+    report = json.loads(semviz("labels", "import", town.path, tmp_path / "ours", "--json"))
+    both = "images named like recorded and rectified ones: rectified (--pixels)"
+    assert report["already"] == len(rows)
+    assert report["assumed"].get(both, len(rows)) == len(rows)  # a pinhole's are the same
+
+    def drawn(workspace: Workspace) -> list[list[float]]:
+        marks = workspace.read_labels().observations.values()
+        return sorted([*row.anchor_px, *(row.end_px or row.anchor_px)] for row in marks)
+
+    np.testing.assert_allclose(drawn(other), drawn(town), atol=1e-5)
+
+
+def doubled(row: dict[str, str]) -> list[float]:
+    """Keypoints of a line of the table, in the recorded image at twice its size."""
+    ends = ("anchor", "end")[: len(KEYPOINTS[row["class"]])]
+    cells = [row[f"{end}_{axis}_original_px"] for end in ends for axis in "uv"]
+    pixels = np.array(cells, dtype=np.float64).reshape(-1, 2)
+    return [value for u, v in (2.0 * pixels + 0.5).tolist() for value in (u, v, 2)]
 
 
 def through(lens: OriginalCamera, ray: FloatArray) -> FloatArray:

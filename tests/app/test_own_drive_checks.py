@@ -3,7 +3,9 @@
 import re
 import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -13,12 +15,19 @@ from command_line import call
 from recorded_streets import LENSES, Recording, kalibr, record
 from streets import street
 
-from semviz.workspace.drive_checks import CHECKS, read_checks
+from semviz.reports import drive_import
+from semviz.workspace.drive_checks import CHECKS, motion_checks, read_checks
 from semviz.workspace.workspace import Workspace
+from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp, so3_log
 from semviz_core.common.arrays import ByteImage
+from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.match_checks import draw_rows
+from semviz_core.pose_checks.comparison import DrivePoses
+from semviz_core.pose_checks.faults import PoseCheck, check_drive
+from semviz_core.pose_checks.image_motions import measure_motions
+from semviz_core.pose_checks.whole_drive import shifted_in_time
 from semviz_core.simulation.street import Street
 
 TURNED = so3_exp(np.deg2rad([0.8, -1.2, 0.6]))
@@ -71,7 +80,8 @@ def test_rows_that_disagree_are_measured_and_warned_about(
     assert (code, err) == (0, "")
     checks = read_checks(tmp_path / "town-2" / CHECKS)
     assert checks is not None
-    assert [check.passed for check in checks.checks][:2] == [True, True]
+    passed = {check.kind: check.passed for check in checks.checks}
+    assert (passed["sides"], passed["rows"]) == (True, True)
 
 
 def test_extrinsics_are_refined_from_images(tmp_path: Path, source: Street, semviz: Semviz) -> None:
@@ -175,3 +185,97 @@ def test_poses_are_compared_with_the_images(
         assert code == 2
         assert int(share[2]) < 50
         assert f"matches between images agree with the poses: {remedy}\n" in err
+
+
+@pytest.fixture(scope="module")
+def measured(kitti_root: Path) -> PoseCheck:
+    """Twenty real stereo frames, with the motions of their images."""
+    source = KittiSequence(kitti_root, "02", (2, 3), range(20))
+    return check_drive(source.frames, measure_motions(source, source.frames), source.rig)
+
+
+def moved(check: PoseCheck, change: Callable[[Pose], Pose]) -> tuple[Frame, ...]:
+    return tuple(
+        replace(frame, T_map_camera=change(frame.T_map_camera))
+        for frame in check.frames
+        if frame.T_map_camera is not None
+    )
+
+
+def late(check: PoseCheck, frames: float) -> tuple[Frame, ...]:
+    poses = shifted_in_time(DrivePoses.of(check.frames), -frames)
+    places = zip(check.frames, poses.rotation, poses.center_m, poses.known, strict=True)
+    return tuple(replace(frame, T_map_camera=Pose(R, c) if known else None)
+                 for frame, R, c, known in places)  # fmt: skip
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("planted", "kind", "value"),
+    [
+        (lambda check: check.frames, "", ""),
+        (lambda check: moved(check, lambda T: Pose(T.rotation, 1.04 * T.translation)), "scale", ""),
+        (lambda check: late(check, 1.0), "time", r"\+(9|10|11)\d ms"),
+        (
+            lambda check: moved(
+                check, lambda T: T @ Pose(so3_exp(np.deg2rad([0, 1.5, 0])), [0] * 3)
+            ),
+            "mount",
+            r"1\.[3-7]\d deg",
+        ),
+    ],
+)
+def test_motions_of_real_images_tell_scale_time_and_a_turned_camera(
+    measured: PoseCheck,
+    kitti_root: Path,
+    planted: Callable[..., tuple[Frame, ...]],
+    kind: str,
+    value: str,
+) -> None:
+    """KITTI's right camera is known to be turned by 0.03 deg against its calibration."""
+    rig = KittiSequence(kitti_root, "02", (2, 3), range(1)).rig
+    found = check_drive(planted(measured), measured.motions, rig)
+    checks = {check.kind: check for check in motion_checks(found, rig, "")}
+    wrong = {name for name, check in checks.items() if check.passed is False}
+    assert wrong == {"extrinsics", kind} - {""}
+    assert checks["extrinsics"].value.startswith("0.02")
+    if kind:
+        assert checks[kind].warning
+        assert re.match(value, checks[kind].value)
+
+
+def test_a_stopped_import_goes_on_by_the_same_command(
+    short: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Stopped while it checks, it leaves nothing; stopped at the third rectified image, those."""
+    words = (
+        "new", tmp_path / "town", "--images", short.left, "--right", short.right, "--calibration",
+        short.kalibr, "--rectify",
+    )  # fmt: skip
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as stopping:
+        stopping.setattr(drive_import, "check_drive_files", stop)
+        assert call(capsys, *words)[0] == 130
+        assert not list(tmp_path.iterdir())
+
+    def three(items: Iterable[object], *_: object) -> Iterator[object]:
+        yield from islice(items, 3)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as stopping:
+        stopping.setattr(drive_import, "track", three)
+        code, _, err = call(capsys, *words)
+        assert code == 130
+    assert re.search(r"[1-7] of 8 images are rectified; the same command goes on", err)
+    code, out, _ = call(capsys, *words)
+    assert (code, out) == (0, f"{tmp_path / 'town'}: the rest of the images is rectified\n")
+    assert len(list((tmp_path / "town" / "rectified").glob("*/*.png"))) == 8
+    code, _, err = call(capsys, *words)
+    assert code == 2
+    assert "exists and is not empty" in err

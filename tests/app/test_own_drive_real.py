@@ -37,6 +37,43 @@ def test_five_imports_of_a_real_drive_agree_with_colmap(drives: Path) -> None:
     assert all(float(row[3]) < 0.1 for row in rows)
 
 
+@pytest.mark.parametrize(
+    ("planted", "warning"),
+    [
+        ("", ""),
+        ("no distortion", "as in a barrel: the calibration's distortion is too weak"),
+        ("rectified before", "as in a cushion"),
+    ],
+)
+def test_lines_of_a_real_drive_tell_a_wrong_distortion(
+    drives: Path, tmp_path: Path, planted: str, warning: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """UTBM's lens bends lines by tens of pixels; its own calibration leaves nothing."""
+    root = drives / "utbm_stereo"
+    own = tmp_path / "bb2_left.yaml"
+    shutil.copy(root / own.name, own)
+    lens = read_calibration(own).cameras[0]
+    coefficients = re.search(r"distortion_coefficients:.*?data: (\[.*?\])", own.read_text(), re.S)
+    assert coefficients is not None
+    weaker = lens.distortion * (0.0 if planted == "no distortion" else 1.0)
+    own.write_text(own.read_text().replace(coefficients[1], str([*weaker.tolist(), 0.0][:5])))
+    images = root / "bb2_left"
+    if planted == "rectified before":
+        images = tmp_path / "images"
+        images.mkdir()
+        for path in (root / "bb2_left").iterdir():
+            image = cv2.imread(str(path))
+            straight = cv2.undistort(image, lens.K, lens.distortion)  # type: ignore[arg-type]
+            cv2.imwrite(str(images / path.name), straight)
+    code, out, err = call(
+        capsys, "new", tmp_path / "town", "--images", images, "--calibration", own
+    )  # fmt: skip
+    assert code == 0
+    assert "distortion removed" in out
+    assert warning in err
+    assert bool(warning) == ("straight edges bend by" in err)
+
+
 def test_a_real_stereo_pair_of_euroc_is_rectified(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

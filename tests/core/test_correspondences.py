@@ -26,9 +26,9 @@ from semviz_core.localization.correspondences.couples import FrameGeometry
 from semviz_core.localization.correspondences.matcher import (
     SUREST_PER_SEEN,
     CoupleHypotheses,
-    LearnedCorrespondences,
     PairMatcher,
     consensus,
+    couple_poses,
     load_pair_matcher,
 )
 from semviz_core.localization.correspondences.network import LEAST_ODDS, fit_poses
@@ -160,7 +160,7 @@ def test_a_compass_tells_the_two_halves_of_a_symmetric_scene_apart(matcher: Pair
     ahead, behind = np.arange(4), np.arange(4, 8)
 
     def matched(prior: Prior) -> np.ndarray:
-        return matcher.match(observed, submap, CAMERA, prior).match.probability
+        return matcher.match(observed, submap, CAMERA, prior).probability
 
     unknown = matched(prior)
     assert np.allclose(unknown[ahead, ahead], unknown[ahead, behind], atol=0.02)
@@ -174,13 +174,13 @@ def test_rows_and_columns_sum_to_one_and_pairs_are_prioritized(matcher: PairMatc
     problem = problems(1)[0]
     found, again = matcher.match(*asked(problem)), matcher.match(*asked(problem))
     for field in fields(Match):
-        values = (getattr(one.match, field.name) for one in (found, again))
+        values = (getattr(one, field.name) for one in (found, again))
         assert np.array_equal(*values)
-    P, order = found.match.probability, found.match.order
+    P, order = found.probability, found.order
     assert np.allclose(P[:-1].sum(axis=1), 1.0, atol=1e-5)
     assert np.allclose(P[:, :-1].sum(axis=0), 1.0, atol=1e-5)
     same = problem.observed.class_id[:, None] == problem.submap.class_id
-    assert np.array_equal(np.isfinite(found.match.cost), same)
+    assert np.array_equal(np.isfinite(found.cost), same)
     assert same[tuple(order.T)].all()
     assert len(order) <= SUREST_PER_SEEN * len(problem.observed)
     assert (np.diff(P[tuple(order.T)]) <= 0.0).all()
@@ -190,10 +190,10 @@ def test_the_order_of_elements_does_not_matter(matcher: PairMatcher) -> None:
     """But for a couple's pose, which is measured from its first pair: centimetres."""
     rng = np.random.default_rng(1)
     for problem in problems(5, pairs=6):
-        P = matcher.match(*asked(problem)).match.probability
+        P = matcher.match(*asked(problem)).probability
         seen, mapped = (rng.permutation(len(side)) for side in (problem.observed, problem.submap))
         other = replace(problem, observed=problem.observed[seen], submap=problem.submap[mapped])
-        turned = matcher.match(*asked(other)).match.probability
+        turned = matcher.match(*asked(other)).probability
         rows, columns = np.append(seen, len(seen)), np.append(mapped, len(mapped))
         assert np.abs(P[np.ix_(rows, columns)] - turned).mean() < 3e-3
         assert np.abs(P - turned).mean() > 1e-2  # planted: orders that do not agree
@@ -206,22 +206,21 @@ def test_nothing_that_may_be_a_pair_is_an_answer_too(matcher: PairMatcher) -> No
     observed, submap, _ = symmetric_scene()
     far = Prior(np.array([500.0, 0.0, 1.65]))
     found = matcher.match(observed, submap, CAMERA, far)
-    assert found.match.cost.min() == -LEAST_ODDS
-    assert len(found.pose) == 0
+    assert found.cost.min() == -LEAST_ODDS
     of_two_classes = matcher.match(observed[:1], submap[[1]], CAMERA, far)
-    assert np.isinf(of_two_classes.match.cost).all()
-    assert len(of_two_classes.match.order) == 0
+    assert np.isinf(of_two_classes.cost).all()
+    assert len(of_two_classes.order) == 0
 
 
 def test_the_shipped_weights_match(matcher: PairMatcher) -> None:
     first, near, of = 0, 0, 0
     for problem in problems(15):
         found = matcher.match(*asked(problem))
-        likely = found.match.probability[problem.pairs[:, 0], :-1].argmax(axis=1)
+        likely = found.probability[problem.pairs[:, 0], :-1].argmax(axis=1)
         first += int((likely == problem.pairs[:, 1]).sum())
         of += len(problem.pairs)
         center = problem.T_camera_map.inverse().translation
-        pose = CoupleHypotheses.of(found).pose
+        pose = poses_of_couples(problem, found)
         near += bool((np.linalg.norm(pose[:, :2] - center[:2], axis=1) < 2.5).any())
     assert first > 0.8 * of
     assert near >= 13
@@ -241,40 +240,74 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 # --- poses ---
 
 
-def with_pairs(found: LearnedCorrespondences, pairs: np.ndarray) -> LearnedCorrespondences:
+def with_pairs(found: Match, pairs: np.ndarray) -> Match:
     """Return P that holds only ``pairs`` (k, 2), each for certain."""
-    P = np.zeros_like(found.match.probability)
+    P = np.zeros_like(found.probability)
     P[:-1, -1] = P[-1, :-1] = 1.0
     i, j = pairs.T
     P[i, -1], P[-1, j] = 0.0, 0.0
     P[i, j] = 1.0
-    return replace(found, match=Match(found.match.cost, P, pairs))
+    return Match(found.cost, P, pairs)
 
 
-def first_pose(problem: LocalizationProblem, found: LearnedCorrespondences) -> Pose | None:
+def first_pose(problem: LocalizationProblem, found: Match) -> Pose | None:
     scene = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
-    modes = search(scene, problem.prior, OF_COUPLES, CoupleHypotheses.of(found))
+    modes = search(scene, problem.prior, OF_COUPLES, CoupleHypotheses(found))
     return Pose(modes.rotation[0], modes.translation[0]) if len(modes.score) else None
 
 
+def poses_of_couples(problem: LocalizationProblem, found: Match) -> np.ndarray:
+    scene = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+    record = PriorRecord.of(problem.prior)
+    ups, sigma = likely_ups(scene, record)
+    view = upright_view(scene, ups[0], sigma)
+    return couple_poses(scene, view, record, found.order, found.probability)[0]
+
+
+@pytest.mark.parametrize("level", [PRECISE, replace(PRECISE, gps_distance_m=(25.0, 30.0))])
+def test_a_couple_of_true_pairs_proposes_the_true_pose(
+    matcher: PairMatcher, level: Difficulty
+) -> None:
+    off = []
+    for problem in problems(12, level):
+        found = matcher.match(*asked(problem))
+        center = problem.T_camera_map.inverse().translation
+        poses = poses_of_couples(problem, with_pairs(found, problem.pairs))
+        off.append(np.linalg.norm(poses[:, :2] - center[:2], axis=1).min(initial=np.inf))
+        heading = np.hypot(poses[:, 3], poses[:, 4])
+        assert np.allclose(heading, 1.0)
+        # planted: pairs that are turned round among the mapped elements
+        turned = np.column_stack([problem.pairs[:, 0], np.roll(problem.pairs[:, 1], 1)])
+        poses = poses_of_couples(problem, with_pairs(found, turned))
+        assert len(poses) < len(turned) ** 2
+    assert np.median(off) < 1.5
+    assert np.mean(np.array(off) < 2.5) > 0.8
+
+
+def test_a_compass_limits_the_poses_of_couples(matcher: PairMatcher) -> None:
+    problem = problems(1, pairs=6)[0]
+    turn = true_pose(problem)[1]
+    told = replace(problem.prior, heading_rad=float(np.angle(turn)), heading_sigma_rad=0.05)
+    found = matcher.match(*asked(problem))
+    free, bound = (
+        poses_of_couples(replace(problem, prior=prior), found) for prior in (problem.prior, told)
+    )
+    assert 0 < len(bound) < len(free)
+    assert (bound[:, 3] * turn.real + bound[:, 4] * turn.imag > np.cos(0.2)).all()
+
+
 def test_true_pairs_alone_give_the_true_pose_and_false_ones_do_not(matcher: PairMatcher) -> None:
-    """Wherever the prior leaves a couple of true pairs; it does not on a bridge, for example."""
-    possible = misled = 0
+    near = misled = 0
     chosen = problems(12, PRECISE, pairs=6)
     for problem in chosen:
         found = matcher.match(*asked(problem))
-        i, j = found.couple[..., 0], found.couple[..., 1]
-        true = are_true(problem, i, j)
-        if true.all(axis=1).any():
-            possible += 1
-            pose = first_pose(problem, with_pairs(found, problem.pairs))
-            assert pose is not None
-            assert pose_error(pose, problem.T_camera_map)[0] < 0.3
-        false = ~true.any(axis=1)  # planted: only pairs that are false
-        if false.any():
-            planted = first_pose(problem, with_pairs(found, found.couple[np.argmax(false)]))
-            misled += planted is None or pose_error(planted, problem.T_camera_map)[0] > 1.0
-    assert possible >= 10
+        pose = first_pose(problem, with_pairs(found, problem.pairs))
+        near += pose is not None and pose_error(pose, problem.T_camera_map)[0] < 0.3
+        # planted: only pairs that are false
+        false = found.order[~are_true(problem, *found.order.T)][:2]
+        planted = first_pose(problem, with_pairs(found, false))
+        misled += planted is None or pose_error(planted, problem.T_camera_map)[0] > 1.0
+    assert near >= 11
     assert misled > 0.5 * len(chosen)
 
 
@@ -287,7 +320,7 @@ def test_consensus_prefers_the_true_pose(matcher: PairMatcher) -> None:
     center, turn = problem.T_camera_map.inverse().translation, true_pose(problem)[1]
     true = np.array([*center, turn.real, turn.imag, 0.0])
     shifted = true + np.array([3.0, -3.0, 0.0, 0.0, 0.0, 0.0])
-    P = with_pairs(matcher.match(*asked(problem)), problem.pairs).match.probability
+    P = with_pairs(matcher.match(*asked(problem)), problem.pairs).probability
     nats = consensus(scene, view, np.array([true, shifted]), P)
     assert nats[0] > nats[1] + 5.0
     nothing = np.zeros_like(P)
@@ -311,7 +344,7 @@ def test_it_localizes_and_says_how_well() -> None:
         found, again = answered(problem), answered(problem)
         assert (found.status, found.reason) == (again.status, again.reason)
         assert found.match is not None
-        assert list(found.time_ms) == ["match", "search", "refine"]
+        assert list(found.time_ms) == ["match", "search", "verify", "refine"]
         if found.T_camera_map is None or again.T_camera_map is None:
             continue
         assert np.array_equal(found.T_camera_map.rotation, again.T_camera_map.rotation)

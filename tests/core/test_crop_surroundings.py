@@ -1,4 +1,4 @@
-"""Other surroundings of crops: elements stay, posts are labelled where they are painted."""
+"""Other surroundings of crops: elements stay; added posts and signs are labelled as painted."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from semviz_core.base.classes import POLE, RECTANGULAR
 from semviz_core.base.elements import Elements2D
+from semviz_core.research.training.crop_elements import with_more_elements
 from semviz_core.research.training.crop_light import as_taken, fractal, with_shade
 from semviz_core.research.training.crop_surroundings import in_other_surroundings
 from semviz_core.research.training.detector_images import IGNORED, Crop
@@ -25,9 +26,14 @@ def a_crop() -> Crop:
     return Crop(image, elements, rows, has_masks=True)
 
 
+def in_another_place(crop: Crop, seed: int) -> Crop:
+    rng = np.random.default_rng(seed)
+    return with_more_elements(in_other_surroundings(crop, rng), rng)
+
+
 @pytest.fixture(scope="module")
 def changed() -> list[Crop]:
-    return [in_other_surroundings(a_crop(), np.random.default_rng(seed)) for seed in range(30)]
+    return [in_another_place(a_crop(), seed) for seed in range(30)]
 
 
 def test_elements_keep_their_place_and_unknown_pixels_their_colour(changed: list[Crop]) -> None:
@@ -44,7 +50,7 @@ def test_elements_keep_their_place_and_unknown_pixels_their_colour(changed: list
 def test_added_posts_are_labelled_where_they_are_painted(changed: list[Crop]) -> None:
     added = 0
     for crop in changed:
-        for row in range(2, len(crop.elements)):
+        for row in added_rows(crop, is_line=True):
             added += 1
             ends = np.stack([crop.elements.anchor_px[row], crop.elements.end_px[row]])
             v, u = np.nonzero(crop.rows == row + 1)
@@ -53,6 +59,25 @@ def test_added_posts_are_labelled_where_they_are_painted(changed: list[Crop]) ->
             assert abs(across.mean()) < 1.0 or _is_cut(crop, row)
             assert crop.elements.class_id[row] == POLE
     assert added > 20
+
+
+def added_rows(crop: Crop, is_line: bool) -> list[int]:
+    return [row for row in range(2, len(crop.elements)) if crop.elements.is_line[row] == is_line]
+
+
+def test_added_signs_are_labelled_at_the_middle_of_their_box(changed: list[Crop]) -> None:
+    off, classes = [], set()
+    for crop in changed:
+        for row in added_rows(crop, is_line=False):
+            v, u = np.nonzero(crop.rows == row + 1)
+            box = np.array([[u.min(), v.min()], [u.max(), v.max()]])
+            if not _is_cut(crop, row):
+                off.append(np.abs(box.mean(axis=0) - crop.elements.anchor_px[row]).max())
+            classes.add(int(crop.elements.class_id[row]))
+    assert len(off) > 5
+    assert len(classes) == 3
+    assert np.median(off) < 0.7
+    assert max(off) < 3.0
 
 
 def _is_cut(crop: Crop, row: int) -> bool:
@@ -66,7 +91,7 @@ def _is_cut(crop: Crop, row: int) -> bool:
 def test_posts_differ_from_what_is_beside_them(changed: list[Crop]) -> None:
     contrast = []
     for crop in changed:
-        for row in range(2, len(crop.elements)):
+        for row in added_rows(crop, is_line=True):
             mine = crop.rows == row + 1
             near = np.zeros_like(mine)
             v, u = np.nonzero(mine)
@@ -77,7 +102,7 @@ def test_posts_differ_from_what_is_beside_them(changed: list[Crop]) -> None:
 
 
 def test_the_same_numbers_give_the_same_crop() -> None:
-    first, second = (in_other_surroundings(a_crop(), np.random.default_rng(3)) for _ in range(2))
+    first, second = (in_another_place(a_crop(), 3) for _ in range(2))
     np.testing.assert_array_equal(first.image, second.image)
     np.testing.assert_array_equal(first.rows, second.rows)
 
@@ -98,8 +123,8 @@ def test_texture_has_unit_scale() -> None:
     assert abs(np.mean([texture.mean() for texture in textures])) < 0.2
 
 
-def test_a_crop_full_of_elements_gets_no_post_over_them() -> None:
+def test_a_crop_full_of_elements_gets_nothing_over_them() -> None:
     crop = a_crop()
     full = replace(crop, rows=np.where(crop.rows == 0, IGNORED, crop.rows).astype(np.uint8))
     for seed in range(8):
-        assert len(in_other_surroundings(full, np.random.default_rng(seed)).elements) == 2
+        assert len(in_another_place(full, seed).elements) == 2

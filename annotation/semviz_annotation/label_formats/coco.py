@@ -1,7 +1,8 @@
-"""COCO keypoints in and out: one JSON file.
+"""COCO keypoints in and out, COCO instances in: one JSON file.
 
-A pole has the keypoints ``peak`` and ``bottom``, a sign the keypoint ``box_center`` (or, in foreign
-files, the centre of its ``bbox``). Visibility 2 is a known end, 1 an unknown one, 0 none.
+A pole has the keypoints ``peak`` and ``bottom``, a sign the keypoint ``middle``. Visibility 2 is a
+known end, 1 an unknown one, 0 none. Without keypoints, the polygons of ``segmentation`` or else the
+``bbox`` are read.
 
 COCO's keypoints are pixel indices, so (0, 0) is the CENTRE of the top-left pixel, as here; its
 boxes count from the image corner. Facebook's detectron2 does the same: it adds 0.5 to keypoints
@@ -11,10 +12,12 @@ only.
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from semviz_annotation.label_formats import reading
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.reading import from_corner, json_number, number, quoted
+from semviz_annotation.label_formats.shapes import DrawnShape
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.base.classes import Kind
@@ -23,12 +26,13 @@ from semviz_core.common.files import replacing
 
 KEYPOINTS: Mapping[Kind, tuple[str, ...]] = {"line": ("peak", "bottom"), "point": ("middle",)}
 _DERIVED = frozenset(
-    {"id", "image_id", "category_id", "bbox", "area", "keypoints", "num_keypoints", "track_id"}
-)
+    {"id", "image_id", "category_id", "bbox", "area", "keypoints", "num_keypoints", "track_id",
+     "segmentation", "attributes", "element"}
+)  # fmt: skip
 """Keys that are read, or that follow from those that are read."""
 
 
-def read_coco(path: Path, context: reading.LabelImportContext) -> reading.ParsedLabels:
+def read_coco(path: Path, context: LabelImportContext) -> reading.ParsedLabels:
     """Return the poles and signs of a COCO file. Raise SemvizError, naming an invalid item."""
     with reading.at(path):
         document = reading.as_object(
@@ -42,6 +46,7 @@ def read_coco(path: Path, context: reading.LabelImportContext) -> reading.Parsed
         where = f"{path}, item {item}"
         with reading.at(where):
             _read(where, reading.as_object(annotation), images, categories, context, parsed)
+    context.refuse_unknown(parsed, path)
     return parsed
 
 
@@ -58,34 +63,37 @@ def _by_id(path: Path, what: str, rows: list[Any]) -> dict[int, dict[str, Any]]:
 
 def _read(
     where: str, annotation: dict[str, Any], images: Mapping[int, dict[str, Any]],
-    categories: Mapping[int, dict[str, Any]], context: reading.LabelImportContext,
+    categories: Mapping[int, dict[str, Any]], context: LabelImportContext,
     parsed: reading.ParsedLabels,
 ) -> None:  # fmt: skip
     category = _of(annotation, "category_id", categories)
     image = _of(annotation, "image_id", images)
     name = reading.as_text(category.get("name"), "the category's name")
-    class_id = context.class_id(name)
+    class_id = context.class_id(name, parsed, where)
     if class_id is None:
-        return parsed.drop(f"annotations of category {quoted(name)}: ignored, as asked")
+        return
     kind = context.rules.classes[class_id].kind
-    shape = _shape(annotation, category, kind, parsed)
-    if shape is None:
-        return None
-    form, points, known = shape
-    place = context.image(reading.as_text(image.get("file_name"), "file_name"))
-    context.check_size(place[1], image.get("width"), image.get("height"))
+    drawn = _keypoints(annotation, category, kind, parsed)
+    if drawn is None:
+        return
+    shape, known = drawn
+    place = context.image(
+        (reading.as_text(image.get("file_name"), "file_name"),),
+        (image.get("width"), image.get("height")),
+    )
     attributes = reading.as_object(annotation.get("attributes") or {})
-    _drop_others(annotation, attributes, parsed)
+    if kind == "line" and not known and attributes.get("occluded") is True:  # as CVAT has it
+        known = {"end_known": False}
+    _drop_others(annotation, attributes, kind, parsed)
     element = attributes.get("element", annotation.get("element"))
     context.add_observation(
-        parsed, where, place, class_id, form, points,
+        parsed, where, place, class_id, shape,
         name=None if element is None else reading.as_text(element, "element"),
         number=reading.as_number(
             attributes.get("track_id", annotation.get("track_id")), "track_id"
         ),
-        **dict(zip(("anchor_known", "end_known"), known, strict=False)),
+        **known,
     )  # fmt: skip
-    return None
 
 
 def _of(annotation: dict[str, Any], key: str, rows: Mapping[int, dict[str, Any]]) -> dict[str, Any]:
@@ -95,10 +103,14 @@ def _of(annotation: dict[str, Any], key: str, rows: Mapping[int, dict[str, Any]]
     return rows[id_]
 
 
-def _shape(
+_Drawn: TypeAlias = tuple[DrawnShape, dict[str, bool]]
+"""A shape, and which of its ends are known, as far as the file says."""
+
+
+def _keypoints(
     annotation: dict[str, Any], category: dict[str, Any], kind: Kind, parsed: reading.ParsedLabels
-) -> tuple[reading.Form, list[Pixel], list[bool]] | None:
-    """Return points and which of them are known; None if there is no pole or sign."""
+) -> _Drawn | None:
+    """Return the shape of an annotation; None if there is no pole or sign."""
     values = annotation.get("keypoints") or []
     if not isinstance(values, list) or len(values) % 3:
         raise SemvizError("keypoints are not a list of u, v, visibility")
@@ -106,21 +118,23 @@ def _shape(
     names = category.get("keypoints") or []
     if not isinstance(names, list) or (rows and len(rows) != len(names)):
         raise SemvizError(f"{len(rows)} keypoints, other than its category names")
-    if kind == "point" and len(rows) != 1:
-        if rows:
-            parsed.drop("keypoints of signs that have several: a sign is the middle of its bbox")
-        return _box(annotation, parsed)
     if kind == "line":
         by_name = dict(zip(map(str, names), rows, strict=False))
         rows = [by_name[name] for name in KEYPOINTS["line"] if name in by_name]
-        if len(rows) < 2:
-            parsed.drop("poles without the keypoints peak and bottom: a pole needs both")
-            return None
+    needed = len(KEYPOINTS[kind])
+    if len(rows) != needed:
+        if rows:
+            parsed.drop(f"keypoints other than {' and '.join(KEYPOINTS[kind])}")
+        return _outline(annotation, parsed)
     if any(visibility == 0 for _, visibility in rows):
         parsed.drop("keypoints that are not labelled (visibility 0): nothing is there")
         return None
-    form: reading.Form = "line" if kind == "line" else "points"
-    return form, [point for point, _ in rows], [visibility == 2 for _, visibility in rows]
+    if annotation.get("segmentation"):
+        parsed.drop("'segmentation': the keypoints count")
+    points = tuple(point for point, _ in rows)
+    known = (visibility == 2 for _, visibility in rows)
+    shape = DrawnShape("line" if kind == "line" else "points", points, is_peak_first=True)
+    return shape, dict(zip(("anchor_known", "end_known"), known, strict=False))
 
 
 def _keypoint(values: list[Any]) -> tuple[Pixel, int]:
@@ -131,12 +145,17 @@ def _keypoint(values: list[Any]) -> tuple[Pixel, int]:
     return (u, v), int(visibility)
 
 
-def _box(
-    annotation: dict[str, Any], parsed: reading.ParsedLabels
-) -> tuple[reading.Form, list[Pixel], list[bool]] | None:
+def _outline(annotation: dict[str, Any], parsed: reading.ParsedLabels) -> _Drawn | None:
+    """Return the polygons of an annotation as one, else its box; None if it has neither."""
+    rings = annotation.get("segmentation")
+    if isinstance(rings, list) and rings:
+        points = [point for ring in rings for point in _ring(ring)]
+        return DrawnShape("polygon", tuple(points)), {}
+    if rings:
+        parsed.drop("masks (run lengths) of 'segmentation': the bbox is taken")
     values = annotation.get("bbox")
     if values is None or values == []:
-        parsed.drop("signs with neither one keypoint nor a bbox: nothing tells their middle")
+        parsed.drop("annotations without keypoints, polygon or bbox that say where they are")
         return None
     if not isinstance(values, list) or len(values) != 4:
         raise SemvizError("bbox is not a list of u, v, width, height")
@@ -144,15 +163,23 @@ def _box(
     width, height = (number(json_number(value)) for value in values[2:])
     if width < 0 or height < 0:
         raise SemvizError("a bbox of negative size")
-    return "box", [(left, top), (left + width, top + height)], []
+    return DrawnShape("box", ((left, top), (left + width, top + height))), {}
+
+
+def _ring(ring: object) -> list[Pixel]:
+    """Return the points of a polygon, which count from the image corner as boxes do."""
+    if not isinstance(ring, list) or len(ring) % 2 or len(ring) < 6:
+        raise SemvizError("segmentation is not a list of polygons u, v, u, v, ...")
+    values = [from_corner(json_number(value)) for value in ring]
+    return list(zip(values[::2], values[1::2], strict=True))
 
 
 def _drop_others(
-    annotation: dict[str, Any], attributes: dict[str, Any], parsed: reading.ParsedLabels
+    annotation: dict[str, Any], attributes: dict[str, Any], kind: Kind, parsed: reading.ParsedLabels
 ) -> None:
     unused = [key for key, value in annotation.items() if key not in _DERIVED and value]
-    unused = [key for key in unused if key not in ("attributes", "element")]
-    unused += [key for key in attributes if key not in ("element", "track_id")]
+    read = {"element", "track_id"} | ({"occluded"} if kind == "line" else set())
+    unused += [key for key, value in attributes.items() if key not in read and value]
     for key in unused:
         parsed.drop(f"{quoted(key)}: not known here")
 

@@ -1,34 +1,89 @@
 """CVAT for images 1.1 and CVAT for video 1.1, in and out: one XML file.
 
-``image`` elements hold shapes; ``track`` elements hold one shape per frame. A polyline is a pole,
-peak first. A point is a sign, and so is the centre of a box. Source: CVAT's documentation, "XML
-annotation format". The reader streams: memory holds one shape at a time.
+``image`` elements hold shapes; ``track`` elements hold one shape per frame. Frames of tracks count
+as in the task: from its start frame, in its step, up to its stop frame. A polyline is a pole, peak
+first. A point is a sign. Source: CVAT's documentation, "XML annotation format". The reader streams:
+memory holds one shape at a time.
 """
 
+import math
 import re
-from collections.abc import Iterator, Mapping
-from itertools import groupby
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree  # for writing only; read with defusedxml
 
 from semviz_annotation.label_formats import reading
+from semviz_annotation.label_formats.import_context import (
+    ImagePlace,
+    LabelImportContext,
+    sides_of,
+)
 from semviz_annotation.label_formats.reading import from_corner, number, quoted, to_corner
+from semviz_annotation.label_formats.shapes import DrawnShape, Form
 from semviz_annotation.label_formats.writing import ATTRIBUTES, LabelExportContext, as_word
-from semviz_annotation.labels.rows import Observation, Pixel
+from semviz_annotation.labels.rows import Observation
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import parsing_xml
 
-_FORMS: Mapping[str, reading.Form] = {"polyline": "line", "points": "points", "box": "box"}
+_FORMS: Mapping[str, Form] = {
+    "polyline": "line",
+    "points": "points",
+    "box": "box",
+    "ellipse": "box",
+    "polygon": "polygon",
+}
+_TEXTS = ("attribute", "version")
 _MOST_ATTRIBUTES = 1000
 _MOST_ELEMENTS = 5 * reading.MOST_ITEMS
-_PLAIN = {"z_order": ("0",), "source": ("manual", "file"), "rotation": ("0", "0.0", "0.00")}
+_PLAIN = {"z_order": ("0",), "source": ("manual", "file")}
 """Values at which attributes of a shape carry no information."""
 
 
-def read_cvat(path: Path, context: reading.LabelImportContext) -> reading.ParsedLabels:
+@dataclass
+class _Task:
+    """What a file says of its task; None where it says nothing."""
+
+    start_frame: int = 0
+    stop_frame: int | None = None
+    step: int = 1
+    width: int | None = None
+    height: int | None = None
+
+    @property
+    def size(self) -> tuple[object, object] | None:
+        return None if self.width is None or self.height is None else (self.width, self.height)
+
+    def note(self, tag: str, text: str) -> None:
+        """Take a number of the task's description; CVAT leaves some of them empty."""
+        step = re.fullmatch(r"step=([1-9]\d{0,8})", text)
+        if tag == "frame_filter" and step is not None:
+            self.step = int(step[1])
+        elif tag in ("start_frame", "stop_frame", "width", "height") and re.fullmatch(
+            r"\d{1,9}", text, re.ASCII
+        ):
+            setattr(self, tag, int(text))
+
+    def places(self, frames: Collection[int] | None) -> Mapping[int, int]:
+        """Return the workspace's frame at each of the task's, if they are one another's in order.
+
+        So many images with other numbers are those of the workspace, uploaded without the rest of
+        their sequence. Empty if the numbers are the workspace's.
+        """
+        if frames is None or self.stop_frame is None:
+            return {}
+        numbers = range(self.start_frame, self.stop_frame + 1, self.step)
+        ordered = sorted(frames)
+        if len(numbers) != len(ordered) or list(numbers) == ordered:
+            return {}
+        return dict(zip(numbers, ordered, strict=True))
+
+
+def read_cvat(path: Path, context: LabelImportContext) -> reading.ParsedLabels:
     """Return the poles and signs of a CVAT 1.1 file. Raise SemvizError, naming an invalid item."""
     from defusedxml.ElementTree import DefusedXMLParser
 
@@ -40,13 +95,14 @@ def read_cvat(path: Path, context: reading.LabelImportContext) -> reading.Parsed
             parser.close()
         if not handler.is_cvat:
             raise SemvizError("no annotations of CVAT")
+    context.refuse_unknown(handler.parsed, path)
     return handler.parsed
 
 
 class _Handler:
     """Target of the XML parser; holds one shape at a time, whatever the file's size."""
 
-    def __init__(self, path: Path, context: reading.LabelImportContext) -> None:
+    def __init__(self, path: Path, context: LabelImportContext) -> None:
         self.parsed = reading.ParsedLabels()
         self.is_cvat = False
         self._path = path
@@ -60,6 +116,8 @@ class _Handler:
         self._attribute = ""
         self._text: list[str] = []
         self._task_side: Side | None = None
+        self._task = _Task()
+        self._frames: Mapping[int, int] | None = None  # the task's, once it is described
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         self._tags.append(tag)
@@ -84,7 +142,7 @@ class _Handler:
             self._attribute = attributes.get("name", "")
 
     def data(self, text: str) -> None:
-        if self._tags and self._tags[-1] in ("attribute", "version", "name", "source"):
+        if self._tags and (self._tags[1:2] == ["meta"] or self._tags[-1] in _TEXTS):
             self._text.append(text)
 
     def end(self, tag: str) -> None:
@@ -93,8 +151,12 @@ class _Handler:
         match len(self._tags), self._in_group:
             case 2, _ if tag == "version" and not re.match(r"1\.", text):
                 raise SemvizError(f"version {quoted(text)} of CVAT's format; 1.1 is understood")
-            case 4, False if self._tags[1:3] == ["meta", "task"] and tag in ("name", "source"):
+            case 4, False if self._in_task and tag in ("name", "source"):
                 self._note_side(text)
+            case 4, False if self._in_task:
+                self._task.note(tag, text)
+            case 5, False if self._in_task and self._tags[3] == "original_size":
+                self._task.note(tag, text)
             case 3, False if tag == "source":
                 self._note_side(text)
             case 4, True if tag == "attribute":
@@ -112,8 +174,12 @@ class _Handler:
     def _in_group(self) -> bool:
         return self._tags[1:2] in (["image"], ["track"])
 
+    @property
+    def _in_task(self) -> bool:
+        return self._tags[1:3] in (["meta", "task"], ["meta", "job"])
+
     def _note_side(self, text: str) -> None:
-        sides = reading.sides_of(text[:1000])
+        sides = sides_of(text[:1000])
         self._task_side = next(iter(sides)) if len(sides) == 1 else self._task_side
 
     def _take(self, tag: str) -> None:
@@ -121,57 +187,66 @@ class _Handler:
         with reading.at(where):
             in_track = self._tags[1] == "track"
             if tag not in _FORMS:
-                return self.parsed.drop(f"{quoted(tag)[1:-1]}: neither line, point nor box")
+                return self.parsed.drop(
+                    f"{quoted(tag)[1:-1]}: neither line, point, box nor polygon"
+                )
             if in_track and self._flag("outside"):
                 return None  # the end of a track: nothing is visible
             label = self._group.get("label") if in_track else self._shape.get("label")
-            class_id = self._context.class_id(label)
+            class_id = self._context.class_id(label, self.parsed, where)
             if class_id is None:
-                return self.parsed.drop(f"shapes of class {quoted(label)}: ignored, as asked")
-            points = self._points(tag)
-            place = self._frame_of_track() if in_track else self._image()
+                return None
+            shape = self._drawn(tag)
+            place = self._place_of_track() if in_track else self._image()
             is_sign = self._context.rules.classes[class_id].kind == "point"
             rest = self._rest(in_track, is_sign)
-            self._context.add_observation(
-                self.parsed, where, place, class_id, _FORMS[tag], points, **rest
-            )
+            self._context.add_observation(self.parsed, where, place, class_id, shape, **rest)
 
-    def _points(self, tag: str) -> list[Pixel]:
+    def _drawn(self, tag: str) -> DrawnShape:
+        turn_rad = math.radians(number(self._shape.get("rotation", "0")))
         if tag == "box":
             left, top, right, bottom = (
                 from_corner(self._needed(name)) for name in ("xtl", "ytl", "xbr", "ybr")
             )
             if right < left or bottom < top:
                 raise SemvizError("a box of negative size")
-            return [(left, top), (right, bottom)]
+            return DrawnShape("box", ((left, top), (right, bottom)), turn_rad)
+        if tag == "ellipse":
+            u, v = (from_corner(self._needed(name)) for name in ("cx", "cy"))
+            half_u, half_v = (abs(number(self._needed(name))) for name in ("rx", "ry"))
+            return DrawnShape("box", ((u - half_u, v - half_v), (u + half_u, v + half_v)), turn_rad)
         points = []
         for pair in self._needed("points").split(";"):
-            u, comma, v = pair.partition(",")
+            u_text, comma, v_text = pair.partition(",")
             if not comma:
                 raise SemvizError(f"{quoted(pair)} is not a point")
-            points.append((from_corner(u), from_corner(v)))
+            points.append((from_corner(u_text), from_corner(v_text)))
         if tag == "polyline" and len(points) < 2:
             raise SemvizError("a polyline with 1 point")
-        return points
+        return DrawnShape(_FORMS[tag], tuple(points))
 
-    def _image(self) -> tuple[int, Side]:
-        frame, side = self._context.image(self._of_group("name"))
+    def _image(self) -> ImagePlace:
+        name = self._of_group("name")
         width, height = (number(self._of_group(name)) for name in ("width", "height"))
         if width != int(width) or height != int(height):
             raise SemvizError(f"an image of {width} by {height} pixels")
-        self._context.check_size(side, int(width), int(height))
-        return frame, side
+        return self._context.image((name,), (int(width), int(height)))
 
-    def _frame_of_track(self) -> tuple[int, Side]:
+    def _place_of_track(self) -> ImagePlace:
         text = self._needed("frame")
         frame = number(text)
         if frame != int(frame) or not 0 <= frame < 2**31:
             raise SemvizError(f"frame {quoted(text)} is not a frame number")
-        frames = self._context.frames
-        if frames is not None and int(frame) not in frames:
-            raise SemvizError(f"frame {int(frame)} is not there")
-        side = self._task_side or self._context.side_or_refuse("a track")
-        return int(frame), side
+        context = self._context
+        if self._frames is None:
+            self._frames = self._task.places(context.frames)
+        if self._frames:
+            self.parsed.assume("frames of tracks: the task's images are the workspace's, in order")
+        frame = self._frames.get(int(frame), int(frame))
+        if context.frames is not None and frame not in context.frames:
+            raise SemvizError(f"frame {frame} is not there")
+        side = self._task_side or context.side_or_refuse("a track")
+        return context.place(frame, side, self._task.size, recorded=context.pixels == "recorded")
 
     def _rest(self, in_track: bool, is_sign: bool) -> dict[str, Any]:
         """Return name, number and known ends of a shape; count other attributes as dropped."""
@@ -245,11 +320,18 @@ def write_cvat(context: LabelExportContext, path: Path) -> None:
     _save(root, path)
 
 
-def write_cvat_video(context: LabelExportContext, path: Path) -> None:
-    """Write the images of one side as frames and elements as tracks, completely or not at all."""
+def write_cvat_video(
+    context: LabelExportContext, path: Path, start_frame: int | None = None
+) -> None:
+    """Write the images of one side as frames and elements as tracks, completely or not at all.
+
+    ``start_frame`` numbers the workspace's frames from there on, for a task that has their images
+    alone; None: they keep their numbers, for a task that has the whole sequence.
+    """
     if context.side is None:
         raise SemvizError("a file of tracks has one side; choose left or right")
-    root = _root(context, "interpolation", len(context.images), context.side)
+    task, number_of = _task_of(context.frames, start_frame)
+    root = _root(context, "interpolation", len(task), context.side, task)
     rows = [row for labelled in context.images for row in labelled.observations]
     rows.sort(key=lambda row: (context.labels.element(row.element_id).number, row.frame_index))
     for element_id, group in groupby(rows, key=lambda row: row.element_id):
@@ -258,11 +340,23 @@ def write_cvat_video(context: LabelExportContext, path: Path) -> None:
             root, "track", id=str(context.labels.element(element_id).number),
             label=context.class_name(observations[0]), source="manual",
         )  # fmt: skip
-        for row, following in zip(observations, [*observations[1:], None], strict=True):
-            _tracked(track, context, row, row.frame_index, outside=False)
-            if following is None or following.frame_index > row.frame_index + 1:
-                _tracked(track, context, row, row.frame_index + 1, outside=True)
+        numbers = {number_of[row.frame_index]: row for row in observations}
+        for frame, row in numbers.items():
+            _tracked(track, context, row, frame, outside=False)
+            after = frame + task.step
+            if after in task and after not in numbers:
+                _tracked(track, context, row, after, outside=True)
     _save(root, path)
+
+
+def _task_of(frames: Sequence[int], start_frame: int | None) -> tuple[range, Mapping[int, int]]:
+    """Return the frames of a task, and the number of each of ours: tracks must stay within."""
+    if start_frame is not None:
+        task = range(start_frame, start_frame + max(len(frames), 1))
+        return task, dict(zip(frames, task, strict=False))
+    step = math.gcd(*(after - before for before, after in pairwise(frames))) or 1
+    task = range(frames[0], frames[-1] + 1, step) if frames else range(0)
+    return task, {frame: frame for frame in frames}
 
 
 def _tracked(
@@ -302,12 +396,23 @@ def _attributes_of(context: LabelExportContext, row: Observation) -> Iterator[tu
         yield "end_known", as_word(row.end_known)
 
 
-def _root(context: LabelExportContext, mode: str, size: int, name: str) -> ElementTree.Element:
+def _root(
+    context: LabelExportContext, mode: str, size: int, name: str, frames: range | None = None
+) -> ElementTree.Element:
+    """Return the root with the description of a task; ``frames`` are those of a video."""
     root = ElementTree.Element("annotations")
     _leaf(root, "version", "1.1")
     task = ElementTree.SubElement(ElementTree.SubElement(root, "meta"), "task")
-    for tag, text in (("name", name), ("size", str(size)), ("mode", mode), ("z_order", "True")):
+    about = {"name": name, "size": str(size), "mode": mode, "z_order": "True"}
+    if frames:
+        about |= {"start_frame": str(frames[0]), "stop_frame": str(frames[-1])}
+        about["frame_filter"] = f"step={frames.step}" if frames.step > 1 else ""
+    for tag, text in about.items():
         _leaf(task, tag, text)
+    if frames is not None and context.images:
+        original_size = ElementTree.SubElement(task, "original_size")
+        _leaf(original_size, "width", str(context.images[0].width))
+        _leaf(original_size, "height", str(context.images[0].height))
     labels = ElementTree.SubElement(task, "labels")
     for class_ in context.classes:
         label = ElementTree.SubElement(labels, "label")

@@ -16,6 +16,11 @@ from typing import Any, Literal, TypeAlias
 from semviz_annotation.label_formats import reading, writing
 from semviz_annotation.label_formats.coco import read_coco, write_coco
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
+from semviz_annotation.label_formats.import_context import (
+    ImageNames,
+    LabelImportContext,
+    PixelsOf,
+)
 from semviz_annotation.label_formats.labelme import labelme_files, read_labelme, write_labelme
 from semviz_annotation.label_formats.reading import ParsedObservation, at, quoted
 from semviz_annotation.label_formats.writing import OriginalPixels, write_table
@@ -219,9 +224,7 @@ def _add_observation(
 ForeignFormat: TypeAlias = Literal["cvat", "labelme", "coco"]
 KEPT = "kept"
 """Folder next to the label file for keys that only other tools understand."""
-_READERS: Mapping[
-    ForeignFormat, Callable[[Path, reading.LabelImportContext], reading.ParsedLabels]
-] = {
+_READERS: Mapping[ForeignFormat, Callable[[Path, LabelImportContext], reading.ParsedLabels]] = {
     "cvat": read_cvat,
     "labelme": read_labelme,
     "coco": read_coco,
@@ -243,6 +246,8 @@ class ImportReport:
     """Number of observations that existed before."""
     dropped: Mapping[str, int] = field(default_factory=dict)
     """Count of dropped content, by what it was and why."""
+    assumed: Mapping[str, int] = field(default_factory=dict)
+    """Count of labels that were converted on an assumption."""
     upside_down: int = 0
     """Poles whose first point is below their second; the peak should come first."""
     triangle_points: int = 0
@@ -273,6 +278,7 @@ class ImportReport:
                 "move those of give-way signs"
             )
         lines += [f"  dropped: {count} x {what}" for what, count in sorted(self.dropped.items())]
+        lines += [f"  assumed: {count} x {what}" for what, count in sorted(self.assumed.items())]
         return "\n".join(lines)
 
 
@@ -285,18 +291,23 @@ def import_labels(
     frames: Collection[int] | None = None,
     side: Side | None = None,
     class_map: Mapping[str, str] | None = None,
+    recorded: ImageNames | None = None,
+    pixels: PixelsOf | None = None,
 ) -> ImportReport:
     """Add the labels of ``path`` to ``store``, as one operation of ``author``.
 
     ``path`` is a CVAT 1.1 .xml, a COCO .json, or a .json or folder of labelme; ``format_`` None
     recognizes it by content. ``frames`` are the existing frames; ``side`` is that of images whose
-    names do not state it; ``class_map`` maps class names of the file to semviz names or ``ignore``.
+    names do not state it; ``class_map`` maps class names of the file to semviz names or ``ignore``,
+    ``*`` all others. Files may name ``recorded`` images; ``pixels`` None: drawn in what they name.
     Points must be inside the images. Raise SemvizError, naming file and item, if something is
     invalid. Nothing is imported then.
     """
     format_ = format_ or guess_format(path)
     center = store.labels.triangle_center
-    context = reading.LabelImportContext(store.rules, frames, side, class_map or {}, center)
+    context = LabelImportContext(
+        store.rules, frames, side, class_map or {}, center, recorded, pixels
+    )
     parsed = _READERS[format_](path, context)
     return _commit(path, format_, parsed, store, author)
 
@@ -351,6 +362,7 @@ def _commit(
         elements=len(plan.elements),
         already=plan.already,
         dropped=dict(parsed.dropped),
+        assumed=dict(parsed.assumed),
         upside_down=upside_down,
         triangle_points=parsed.triangle_points,
         triangle_boxes=parsed.triangle_boxes,
@@ -387,23 +399,26 @@ def export_labels(
     format_: ExportFormat,
     side: Side | None = None,
     original: OriginalPixels | None = None,
+    frames: Collection[int] = (),
+    start_frame: int | None = None,
 ) -> ExportReport:
     """Write the labels of ``store``, opened with its rig, to ``path``.
 
     ``labelme`` creates the folder ``path``, the others one file. ``side`` writes the images of one
     side only; ``cvat-video`` always has one side, default: left. ``original`` is what ``csv``
-    needs. Raise SemvizError if ``path`` cannot be written. Nothing is written then.
+    needs. ``frames`` are those of the workspace, for ``cvat-video``; ``start_frame`` numbers them
+    from there on. Raise SemvizError if ``path`` cannot be written. Nothing is written then.
     """
     rig = store.rules.rig
     if rig is None:
         raise SemvizError(f"{store.path}: opened without its cameras, so image sizes are not known")
     if format_ == "cvat-video":
         side = side or "left"
-    context = writing.LabelExportContext.of(store.labels, store.rules.classes, rig, side)
+    context = writing.LabelExportContext.of(store.labels, store.rules.classes, rig, side, frames)
     if format_ == "cvat":
         write_cvat(context, path)
     elif format_ == "cvat-video":
-        write_cvat_video(context, path)
+        write_cvat_video(context, path, start_frame)
     elif format_ == "coco":
         write_coco(context, path)
     elif format_ == "csv":

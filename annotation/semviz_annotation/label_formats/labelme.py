@@ -1,27 +1,33 @@
 """labelme in and out: one JSON file per image.
 
-``line`` and ``linestrip`` are poles, peak first. ``point`` is a sign, and so is the centre of a
-``rectangle``. Unknown keys of files and shapes are kept and written again.
+``line`` and ``linestrip`` are poles, peak first; a ``point`` is a sign. ``rectangle``, ``circle``,
+``polygon`` and X-AnyLabeling's ``rotation`` are either. Unknown keys are kept and written again.
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from semviz_annotation.label_formats import reading
+from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.reading import from_corner, json_number, quoted, to_corner
+from semviz_annotation.label_formats.shapes import DrawnShape, Form
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext, Sidecar
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.common.errors import SemvizError
 
 VERSION = "5.5.0"
 """labelme version of files that were not imported from labelme."""
-_FORMS: Mapping[str, reading.Form] = {
+_FORMS: Mapping[str, Form] = {
     "line": "line",
     "linestrip": "line",
     "point": "points",
     "rectangle": "box",
+    "circle": "box",
+    "polygon": "polygon",
+    "rotation": "polygon",
 }
 _OURS = frozenset({"label", "points", "shape_type", "group_id", "flags", "element"})
 _OURS_ABOVE = frozenset({"shapes", "imagePath", "imageData", "imageHeight", "imageWidth"})
@@ -38,7 +44,7 @@ def labelme_files(path: Path) -> list[Path]:
     return files
 
 
-def read_labelme(path: Path, context: reading.LabelImportContext) -> reading.ParsedLabels:
+def read_labelme(path: Path, context: LabelImportContext) -> reading.ParsedLabels:
     """Return the poles and signs of a file or folder. Raise SemvizError, naming an invalid item."""
     parsed = reading.ParsedLabels()
     for file in labelme_files(path):
@@ -48,6 +54,7 @@ def read_labelme(path: Path, context: reading.LabelImportContext) -> reading.Par
                 reading.read_json(reading.read_bytes(file, reading.MOST_JSON_BYTES))
             )
             _read_image(file, beside, document, context, parsed)
+    context.refuse_unknown(parsed, path)
     return parsed
 
 
@@ -55,53 +62,49 @@ def _read_image(
     file: Path,
     beside: Path,
     document: dict[str, Any],
-    context: reading.LabelImportContext,
+    context: LabelImportContext,
     parsed: reading.ParsedLabels,
 ) -> None:
     shapes: list[dict[str, Any]] = []
     for number_, shape in enumerate(reading.listed(document, "shapes"), 1):
         where = f"{file}, item {number_}"
         with reading.at(where):
-            arguments = _read_shape(reading.as_object(shape), context, parsed)
+            arguments = _read_shape(reading.as_object(shape), where, context, parsed)
             shapes += [{"where": where, **arguments}] if arguments is not None else []
     parsed.images += 1
     if document.get("imageData"):
         parsed.drop("imageData: the images stay where they are")
     if not shapes:
         return
-    frame, side = context.image(
-        reading.as_text(document.get("imagePath"), "imagePath"), str(beside)
-    )
+    name = reading.as_text(document.get("imagePath"), "imagePath")
     size = document.get("imageWidth"), document.get("imageHeight")
-    if size != (None, None):
-        context.check_size(side, *size)
+    place = context.image((name, str(beside)), None if size == (None, None) else size)
+    frame, side = place.frame_index, place.side
     if (side, frame) in parsed.kept_images:
         raise SemvizError(f"a second file of the {side} image of frame {frame}")
     parsed.kept_images[side, frame] = _rest(document, _OURS_ABOVE)
     for arguments in shapes:
         with reading.at(arguments["where"]):
-            context.add_observation(parsed, place=(frame, side), **arguments)
+            context.add_observation(parsed, place=place, **arguments)
 
 
 def _read_shape(
-    shape: dict[str, Any], context: reading.LabelImportContext, parsed: reading.ParsedLabels
+    shape: dict[str, Any], where: str, context: LabelImportContext, parsed: reading.ParsedLabels
 ) -> dict[str, Any] | None:
     """Return arguments of ``LabelImportContext.add_observation``; None if the shape is dropped."""
     shape_type = reading.as_text(shape.get("shape_type", "polygon"), "shape_type")
     if shape_type not in _FORMS:
-        parsed.drop(f"{quoted(shape_type)[1:-1]}: neither line, point nor rectangle")
+        parsed.drop(f"{quoted(shape_type)[1:-1]}: neither line, point, box nor polygon")
         return None
-    class_id = context.class_id(shape.get("label"))
+    class_id = context.class_id(shape.get("label"), parsed, where)
     if class_id is None:
-        parsed.drop(f"shapes of class {quoted(shape['label'])}: ignored, as asked")
         return None
     flags = dict(reading.as_object(shape.get("flags") or {}))
     known = {name: reading.as_flag(flags.pop(name, True), f"flag {name}") for name in _FLAGS}
     name = shape.get("element")
     return {
         "class_id": class_id,
-        "form": _FORMS[shape_type],
-        "points": _points(shape, shape_type),
+        "shape": _drawn(shape_type, _points(shape, shape_type)),
         "name": None if name is None else reading.as_text(name, "element"),
         "number": reading.as_number(shape.get("group_id"), "group_id"),
         "kept": _rest(shape, _OURS) | ({"flags": _rest(flags, frozenset())} if flags else {}),
@@ -116,11 +119,23 @@ def _points(shape: dict[str, Any], shape_type: str) -> list[Pixel]:
             raise SemvizError(f"{quoted(point)} is not a point")
         u, v = (from_corner(json_number(part)) for part in point)
         points.append((u, v))
-    fits = {"line": (2,), "point": (1,), "rectangle": (2, 4)}.get(shape_type)
+    fits = {"line": (2,), "point": (1,), "rectangle": (2, 4), "circle": (2,)}.get(shape_type)
     if len(points) not in fits if fits else len(points) < 2:
         plural = "" if len(points) == 1 else "s"
         raise SemvizError(f"a {shape_type} with {len(points)} point{plural}")
     return points
+
+
+def _drawn(shape_type: str, points: list[Pixel]) -> DrawnShape:
+    """Return a shape; a circle, given by its middle and a point on it, as its box."""
+    if shape_type == "circle":
+        (u, v), on_it = points
+        radius = math.dist((u, v), on_it)
+        points = [(u - radius, v - radius), (u + radius, v + radius)]
+    if _FORMS[shape_type] == "box":
+        columns, rows = zip(*points, strict=True)
+        points = [(min(columns), min(rows)), (max(columns), max(rows))]
+    return DrawnShape(_FORMS[shape_type], tuple(points))
 
 
 def _rest(document: dict[str, Any], ours: frozenset[str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Helpers of the label readers: errors with file and item, limits, names of images and classes.
+"""Helpers of the label readers: errors with file and item, limits, numbers, names of classes.
 
 Numbers are read and written exactly, and converted between pixel origins: parsed coordinates are
 semviz pixels. CVAT and labelme put (0, 0) at the top-left CORNER of an image: in both, points run
@@ -8,25 +8,16 @@ centre of the top-left pixel, so their values are larger by 0.5.
 
 import json
 import re
-import shlex
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
-from semviz_annotation.labels.rows import Observation, Pixel, Rules
-from semviz_core.base.classes import (
-    OLDER_CENTER,
-    POLE,
-    RECTANGULAR,
-    ROUNDED,
-    TRIANGULAR,
-    ClassSet,
-    TriangleCenter,
-)
+from semviz_annotation.labels.rows import Pixel
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, ClassSet
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import LARGEST
 from semviz_core.common.errors import SemvizError
@@ -85,12 +76,6 @@ def json_number(value: object) -> str:
     return text
 
 
-def box_center(points: list[Pixel]) -> Pixel:
-    """Return the centre of the bounding box of ``points``."""
-    u, v = zip(*points, strict=True)
-    return ((min(u) + max(u)) / 2, (min(v) + max(v)) / 2)
-
-
 def quoted(value: object) -> str:
     """Return ``value`` as printable text on one line, shortened if it is long."""
     text = ascii(value) if not isinstance(value, int) or abs(value) <= LARGEST else "a huge number"
@@ -106,8 +91,6 @@ MOST_DEPTH = 32
 MOST_KINDS = 100
 """Largest number of different entries in the list of dropped content."""
 
-Form: TypeAlias = Literal["line", "points", "box"]
-
 SYNONYMS: Mapping[int, tuple[str, ...]] = {
     POLE: ("poles", "lamp post", "lamppost", "lamp pole", "light pole", "street light",
            "streetlight", "street lamp", "utility pole", "sign pole", "sign post", "post", "mast"),
@@ -117,12 +100,6 @@ SYNONYMS: Mapping[int, tuple[str, ...]] = {
               "rounded traffic sign", "round traffic sign"),
 }  # fmt: skip
 """Other names of the default classes; case, ``_`` and ``-`` do not matter."""
-
-_SIDES: Mapping[str, Side] = {
-    "left": "left", "image_0": "left", "image_2": "left", "image_00": "left", "image_02": "left",
-    "right": "right", "image_1": "right", "image_3": "right", "image_01": "right",
-    "image_03": "right",
-}  # fmt: skip
 
 
 class _PlacedError(SemvizError):
@@ -174,138 +151,21 @@ class ParsedLabels:
     triangle_boxes: int = 0
     """Triangular signs marked by a box, whose centroid is that of an upright triangle."""
     kept_images: dict[tuple[Side, int], dict[str, Any]] = field(default_factory=dict)
+    assumed: "Counter[str]" = field(default_factory=Counter)
+    """Count of labels that were converted on an assumption, by what it was."""
+    unknown: dict[str, str] = field(default_factory=dict)
+    """Where each class that is not known comes first, by its name."""
 
     def drop(self, what: str, count: int = 1) -> None:
-        known = what in self.dropped or len(self.dropped) < MOST_KINDS
-        self.dropped[what if known else "more kinds of things"] += count
+        _count(self.dropped, what, count)
+
+    def assume(self, what: str, count: int = 1) -> None:
+        _count(self.assumed, what, count)
 
 
-@dataclass(frozen=True)
-class LabelImportContext:
-    """The workspace and options that a file is checked against."""
-
-    rules: Rules
-    frames: Collection[int] | None = None
-    """The existing frames; None accepts every number."""
-    side: Side | None = None
-    """Side of images whose names do not state it."""
-    class_map: Mapping[str, str] = field(default_factory=dict)
-    """Class name in the file -> semviz class name, or ``ignore``."""
-    triangle_center: TriangleCenter = OLDER_CENTER
-    """What the labels of triangular signs mark in the workspace."""
-
-    def class_id(self, name: object) -> int | None:
-        """Return the class that the file calls ``name``; None if it is ignored."""
-        if not isinstance(name, str):
-            raise SemvizError(f"a class name is expected, not {quoted(name)}")
-        class_name = self.class_map.get(name, name)
-        if name in self.class_map and class_name == IGNORE:
-            return None
-        class_id = class_named(class_name, self.rules.classes)
-        if class_id is None:
-            names = ", ".join(class_.name for class_ in self.rules.classes)
-            problem = f"class {quoted(name)} is not known"
-            if name in self.class_map:
-                problem = (
-                    f"class {quoted(name)} is mapped to {quoted(class_name)}, which is not known"
-                )
-            shown = name if name.isprintable() and len(name) <= 50 else "NAME"
-            raise SemvizError(
-                f"{problem}; say --class-map {shlex.quote(f'{shown}=CLASS')}, CLASS being one of "
-                f"{names}, or {IGNORE}"
-            )
-        return class_id
-
-    def image(self, *names: str) -> tuple[int, Side]:
-        """Return frame and side of an image: the frame from its first name, the side from any.
-
-        The frame is the longest number in the file name, the last of equally long ones. The side is
-        a folder or word "left" or "right", or a folder of a KITTI camera (image_0, image_2: left;
-        image_1, image_3: right).
-        """
-        frame = _frame_of(names[0])
-        if self.frames is not None and frame not in self.frames:
-            raise SemvizError(f"image {quoted(names[0])} is of frame {frame}, which is not there")
-        sides = next(filter(None, map(sides_of, names)), None)
-        if sides is None:
-            return frame, self.side_or_refuse(f"image {quoted(names[0])}")
-        if len(sides) > 1:
-            raise SemvizError(f"image {quoted(names[0])} says both left and right")
-        return frame, next(iter(sides))
-
-    def side_or_refuse(self, what: str) -> Side:
-        """Return the default side. Raise SemvizError if there are two cameras and no default."""
-        if self.side is not None:
-            return self.side
-        if self.rules.rig is not None and self.rules.rig.right is None:
-            return "left"
-        raise SemvizError(
-            f"{what} does not say whether it is left or right; name it like "
-            "left/000012.png, or say --side left or --side right"
-        )
-
-    def check_size(self, side: Side, width: object, height: object) -> None:
-        """Raise SemvizError if an image's size differs from its camera's."""
-        for size in (width, height):
-            if not isinstance(size, int) or isinstance(size, bool) or not 0 < size < 2**31:
-                raise SemvizError(f"an image of {quoted(width)} by {quoted(height)} pixels")
-        rig = self.rules.rig
-        camera = None if rig is None else rig.left if side == "left" else rig.right
-        if camera is not None and (width, height) != (camera.width, camera.height):
-            raise SemvizError(
-                f"the image is {width}x{height}, but the {side} images of this workspace are "
-                f"{camera.width}x{camera.height}"
-            )
-
-    def add_observation(
-        self, parsed: ParsedLabels, where: str, place: tuple[int, Side], class_id: int,
-        form: Form, points: list[Pixel], **more: Any,
-    ) -> None:  # fmt: skip
-        """Add a shape to ``parsed``, as an observation or as dropped content."""
-        marked = self._mark(parsed, class_id, form, points)
-        if marked is None:
-            return
-        anchor_px, end_px = marked
-        observation = ParsedObservation(where, *place, class_id, anchor_px, end_px, **more)
-        self.rules.check(_observation(observation), class_id)
-        if len(parsed.observations) >= MOST_ITEMS:
-            raise SemvizError(f"more than {MOST_ITEMS} labels; split the file")
-        parsed.observations.append(observation)
-
-    def _mark(
-        self, parsed: ParsedLabels, class_id: int, form: Form, points: list[Pixel]
-    ) -> tuple[Pixel, Pixel | None] | None:
-        element_class = self.rules.classes[class_id]
-        if element_class.kind == "line":
-            if form != "line":
-                parsed.drop(
-                    f"{form} of class {element_class.name}: a pole is a line from peak to bottom"
-                )
-                return None
-            if len(points) > 2:
-                parsed.drop("inner points of lines: a pole is its peak and its bottom")
-            return points[0], points[-1]
-        if form == "box":
-            parsed.drop("width and height of boxes: a sign is its middle")
-            u, v = box_center(points)
-            if class_id == TRIANGULAR and self.triangle_center == "centroid":
-                parsed.triangle_boxes += 1
-                v += abs(points[1][1] - points[0][1]) / 6.0  # taken to stand upright
-            return (u, v), None
-        if form == "points" and len(points) == 1:
-            if class_id == TRIANGULAR and self.triangle_center == "centroid":
-                parsed.triangle_points += 1
-            return points[0], None
-        parsed.drop(f"{form} of class {element_class.name}: a sign is one point, or a box")
-        return None
-
-
-def _observation(parsed: ParsedObservation) -> Observation:
-    return Observation(
-        id="", element_id="", frame_index=parsed.frame_index, side=parsed.side,
-        anchor_px=parsed.anchor_px, end_px=parsed.end_px,
-        anchor_known=parsed.anchor_known, end_known=parsed.end_known,
-    )  # fmt: skip
+def _count(counter: "Counter[str]", what: str, count: int) -> None:
+    known = what in counter or len(counter) < MOST_KINDS
+    counter[what if known else "more kinds of things"] += count
 
 
 def class_named(name: str, classes: ClassSet) -> int | None:
@@ -328,29 +188,6 @@ def parse_class_map(words: Sequence[str]) -> dict[str, str]:
         if not equals or not class_name:
             raise SemvizError(f"--class-map {word}: write NAME=CLASS, such as lamp=pole")
     return {name: class_name for name, _, class_name in pairs}
-
-
-def _frame_of(name: str) -> int:
-    file = _parts(name)[-1].rpartition(".")
-    runs = re.findall(r"[0-9]+", file[0] or file[2])
-    digits = max(reversed(runs), key=len, default="")
-    if not digits or len(digits) > 18 or int(digits) >= 2**31:
-        raise SemvizError(
-            f"image {quoted(name)} has no frame number in its name; name it like left/000012.png"
-        )
-    return int(digits)
-
-
-def sides_of(name: str) -> set[Side]:
-    """Return the sides that the folders and words of a name state."""
-    words: set[str] = set()
-    for part in _parts(name.lower()):
-        words.update((part, *re.split(r"[^a-z]+", part)))
-    return {_SIDES[word] for word in words if word in _SIDES}
-
-
-def _parts(name: str) -> list[str]:
-    return name.replace("\\", "/").split("/")
 
 
 def read_bytes(path: Path, most: int, count: int | None = None) -> bytes:

@@ -13,7 +13,7 @@ deleted observation stay, and apply again if the deletion is undone.
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -69,12 +69,17 @@ class LabelExportContext:
     dropped: "Counter[str]"
     side: Side | None = None
     """The side to be written; None for both."""
+    frames: tuple[int, ...] = ()
+    """All frames of the workspace, in order, also those without a label."""
 
     @classmethod
     def of(
-        cls, labels: Labels, classes: ClassSet, rig: Rig, side: Side | None = None
-    ) -> "LabelExportContext":
+        cls, labels: Labels, classes: ClassSet, rig: Rig, side: Side | None = None,
+        frames: Collection[int] = (),
+    ) -> "LabelExportContext":  # fmt: skip
         """Return all images of frames with labels or a review; ``side`` None: both sides.
+
+        ``frames`` are those of the workspace; those with labels are, whatever it says.
 
         Elements that a person left out of maps are not written: another tool would take them for
         landmarks.
@@ -103,7 +108,8 @@ class LabelExportContext:
         dropped["labels of elements that a person left out of maps"] = len(
             labels.observations
         ) - len(kept.observations)
-        return cls(kept, classes, images, +dropped, side)
+        all_frames = sorted({*frames, *(labelled.frame_index for labelled in images)})
+        return cls(kept, classes, images, +dropped, side, tuple(all_frames))
 
     def class_name(self, row: Observation) -> str:
         return self.classes[self.labels.element(row.element_id).class_id].name

@@ -7,7 +7,7 @@ import json
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -24,7 +24,7 @@ from semviz_annotation.label_formats.reading import (
     read_bytes,
 )
 from semviz_annotation.map_formats.georeference import Georeference
-from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES, osm_codes
+from semviz_annotation.map_formats.sign_codes import OSM_TAGS, osm_codes, sign_class
 from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
@@ -156,6 +156,10 @@ def unseen_ends(semantic_map: SemanticMap) -> int:
     return int((~elements.anchor_known).sum() + (elements.is_line & ~elements.end_known).sum())
 
 
+MOST_HEIGHT_M = 200.0
+"""Height of a pole that is a mistake: a code, or millimetres."""
+_METRES = {"": 1.0, "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "cm": 0.01,
+           "mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048}  # fmt: skip
 ASSUMED_SIGMA_M = 0.1
 """Standard deviation of coordinates from a file that states none."""
 
@@ -211,6 +215,8 @@ class MapImportContext:
     """Property of GeoJSON that says what a feature is; None: ``class``, or OpenStreetMap's tags."""
     all_of_class: str | None = None
     """The class of everything in the file, whatever it says."""
+    height_property: str | None = None
+    """Property of GeoJSON with the height of a pole; None: ``height``."""
     pole_height_m: float | None = None
     """Of poles that are points without a height; None: such poles are dropped."""
     sign_height_m: float | None = None
@@ -245,21 +251,24 @@ class MapImportContext:
         if self.all_of_class is not None:
             return self.class_id(self.all_of_class)
         pairs = {f"{key}={value}": (key, value) for key, value in tags.items()}
-        codes = [*pairs, *osm_codes(tags)] if "traffic_sign" in tags else list(pairs)
         poles = {text: OSM_TAGS[pair] for text, pair in pairs.items() if pair in OSM_TAGS}
-        table = {**SIGN_CODES, **poles}
-        return self.class_of_code(codes, table)
+        pole = self.class_of_code(list(pairs), poles.get)
+        if pole is not None or "traffic_sign" not in tags:
+            return pole
+        return self.class_of_code(osm_codes(tags), sign_class)
 
-    def class_of_code(self, codes: Sequence[str], table: Mapping[str, int]) -> int | str | None:
-        """Return the class of the first of ``codes`` that the user mapped or ``table`` has.
+    def class_of_code(
+        self, codes: Sequence[str], find: Callable[[str], int | None]
+    ) -> int | str | None:
+        """Return the class of the first of ``codes`` that the user mapped or ``find`` knows.
 
         Return ``ignore`` if the user mapped it so, None if no code is known.
         """
         mapped = self._mapped(codes)
         if mapped is not None:
             return mapped
-        known = (table[code] for code in codes if table.get(code) in self.classes)
-        return next(known, None)
+        known = (class_id for code in codes if (class_id := find(code)) is not None)
+        return next((class_id for class_id in known if class_id in self.classes), None)
 
     def check_frame(self, name: object) -> None:
         """Raise SemvizError if a file names another map frame."""
@@ -378,12 +387,18 @@ def attribute(element: "Element", name: str, default: str | None = None) -> floa
 
 
 def parse_length_m(value: object) -> float:
-    """Return metres of ``8``, ``"8 m"``, ``"8,5"`` or ``"26 ft"``. Raise SemvizError if unclear."""
-    found = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*", str(value))
-    if found is None:
+    """Return metres of ``8``, ``"8 m"``, ``"8,5"``, ``"850 cm"``, ``"26 ft"`` or ``26'3"``.
+
+    Raise SemvizError if it is unclear.
+    """
+    text = str(value).strip().lower().removesuffix(".")
+    feet = re.fullmatch(r"(\d{1,6})\s*'\s*(?:(\d{1,2})\s*\")?", text)
+    if feet is not None:
+        return 0.3048 * (int(feet[1]) + int(feet[2] or 0) / 12.0)
+    found = re.fullmatch(r"(\d{1,9}(?:[.,]\d{1,9})?)\s*([a-z]*)", text)
+    if found is None or found[2] not in _METRES:
         raise SemvizError(f"{quoted(value)} is not a length; write metres, such as 8 or '8 m'")
-    metres = float(found[1].replace(",", "."))
-    return 0.3048 * metres if found[2] in ("ft", "'") else metres
+    return _METRES[found[2]] * float(found[1].replace(",", "."))
 
 
 def parse_integer(text: str | None) -> int | None:
@@ -396,8 +411,15 @@ def parse_integer(text: str | None) -> int | None:
 
 def height_of_pole(value: object, context: MapImportContext, parsed: ParsedMap) -> float | None:
     """Return the height of a pole that is a point: as stated, else the default, else None."""
-    if value is not None:
-        return parse_length_m(value)
+    if value is not None and str(value).strip():
+        try:
+            height_m = parse_length_m(value)
+        except SemvizError:
+            parsed.tally.drop(f"heights such as {quoted(value)}: no length, such as 8 or '8 m'")
+        else:
+            if 0.0 < height_m < MOST_HEIGHT_M:
+                return height_m
+            parsed.tally.drop(f"heights such as {height_m:g} m: no pole is that high")
     if context.pole_height_m is None:
         parsed.tally.drop("poles that are points without a height: say --pole-height METRES")
     else:

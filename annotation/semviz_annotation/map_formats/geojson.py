@@ -4,6 +4,7 @@ A pole is a LineString from its peak to its bottom, a sign a Point. The member `
 written file names the map frame and its origin.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,9 +38,12 @@ DIGITS_DEG, DIGITS_M = 10, 5
 """Decimals: 0.01 mm."""
 ROAD = "road"
 """Name of the feature that holds ``SemanticMap.trajectory_m``."""
+OTHER_TAGS = "other_tags"
+"""Property of GDAL's exports of OpenStreetMap with the tags that have no column."""
+_HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')
 _WGS84 = ("CRS84", "4326", "4979")
 _OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m2", "label_ids",
-                   "observation_ids", LOG_ODDS, "height"})  # fmt: skip
+                   "observation_ids", LOG_ODDS, "height", "@id", "osm_id", OTHER_TAGS})  # fmt: skip
 
 
 def write_geojson(
@@ -158,8 +162,11 @@ def _read_feature(
     context: conversion.MapImportContext,
 ) -> None:
     properties = as_object(feature.get("properties") or {})
+    properties |= {key: value for key, value in _tags(properties).items() if key not in properties}
     geometry = as_object(feature.get("geometry") or {})
     kind = geometry.get("type")
+    if kind == "MultiPoint" and len(listed(geometry, "coordinates")) == 1:
+        kind, geometry = "Point", {"coordinates": geometry["coordinates"][0]}
     if kind not in ("Point", "LineString"):
         return parsed.tally.drop(f"features that are {quoted(kind)}, neither Point nor LineString")
     place = parsed.georeference
@@ -172,7 +179,8 @@ def _read_feature(
     class_id = _class_id(properties, parsed, context)
     if class_id is None:
         return None
-    for name in sorted(properties.keys() - _OURS - {context.class_property}):
+    used = {context.class_property, context.height_property}
+    for name in sorted(properties.keys() - _OURS - used):
         parsed.tally.drop(f"properties {quoted(name)}")
     is_line = context.classes[class_id].kind == "line"
     ends = _ends(points, is_line, ours, properties, parsed, context)
@@ -211,7 +219,8 @@ def _ends(
             return None
         return conversion.raised(points[0], context, parsed) if not ours else points[0], None
     if len(points) == 1:
-        height = conversion.height_of_pole(properties.get("height"), context, parsed)
+        value = properties.get(context.height_property or "height")
+        height = conversion.height_of_pole(value, context, parsed)
         if height is None:
             return None
         return conversion.upper_first(points[0], points[0] + [0.0, 0.0, height])
@@ -254,8 +263,7 @@ def _class_id(
     elif "class" in properties:
         class_id = context.class_id(properties["class"])
     else:
-        texts = {name: value for name, value in properties.items() if isinstance(value, str)}
-        class_id = context.class_of_tags(texts)
+        class_id = context.class_of_tags(_tags(properties))
         if class_id is None:
             what = "features without 'class' or OpenStreetMap's tags: say --class-property NAME"
     if isinstance(class_id, int):
@@ -264,9 +272,19 @@ def _class_id(
     return None
 
 
+def _tags(properties: Mapping[str, Any]) -> dict[str, str]:
+    """Return the properties that are texts, and those within GDAL's ``other_tags`` (hstore)."""
+    others = _HSTORE.findall(str(properties.get(OTHER_TAGS) or ""))
+    texts = {name: value for name, value in properties.items() if isinstance(value, str)}
+    return dict(others) | texts
+
+
 def _id(feature: Mapping[str, Any], properties: Mapping[str, Any]) -> int | None:
-    id_ = feature.get("id", properties.get("id"))
-    return conversion.parse_integer(str(id_)) if isinstance(id_, int | str) else None
+    """Return the number of a feature, also of OpenStreetMap's ``node/123``."""
+    names = (properties.get(name) for name in ("id", "@id", "osm_id"))
+    id_ = next((name for name in (feature.get("id"), *names) if name is not None), None)
+    text = str(id_).removeprefix("node/") if isinstance(id_, int | str) else None
+    return conversion.parse_integer(text)
 
 
 def _covariance(

@@ -13,6 +13,8 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from pyproj import Transformer
 
+MOST_MISFIT_M = 0.5
+"""Disagreement of two coordinates of one point: a grid's scale errs by 0.4 m in a kilometre."""
 FURTHEST_M = 100_000.0
 """Largest extent of a map: farther points are misplaced, or have swapped coordinates."""
 
@@ -101,6 +103,29 @@ class Georeference:
             "+step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 "
             f"+lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
         )
+
+
+def fitted_georeference(points_m: FloatArray, places: FloatArray) -> Georeference | None:
+    """Return where a map is on Earth, from points (n, 3) in it and their places (n, 3).
+
+    None if they do not agree within ``MOST_MISFIT_M``: the map is in a projection, or far from its
+    origin.
+    """
+    if len(points_m) < 2:
+        return None
+    longitude, latitude, height = places[0].tolist()
+    found = Georeference(latitude, longitude, height)
+    middle = points_m.mean(axis=0)
+    for _ in range(3):  # the tangent plane moves with the origin
+        enu = Georeference(*found.origin).to_map(places)
+        across = (points_m - middle)[:, :2].T @ (enu - enu.mean(axis=0))[:, :2]
+        turn = float(np.arctan2(across[0, 1] - across[1, 0], np.trace(across)))
+        found = Georeference(*found.origin, float(np.rad2deg(np.pi / 2.0 - turn) % 360.0))
+        shift = enu.mean(axis=0) - found.rotation @ middle
+        longitude, latitude, height = Georeference(*found.origin).to_wgs84(shift[None])[0].tolist()
+        found = Georeference(latitude, longitude, height, found.x_heading_deg)
+    misfit_m = np.linalg.norm(found.to_map(places) - points_m, axis=1)
+    return found if misfit_m.max() <= MOST_MISFIT_M else None
 
 
 def require_georeference(georeference: Georeference | None, why: str) -> Georeference:

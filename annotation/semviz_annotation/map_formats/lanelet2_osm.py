@@ -9,6 +9,7 @@ allows new ones. Data that only semviz reads is in tags ``semviz:...`` and root 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree  # for writing only; read with defusedxml
 
@@ -16,8 +17,12 @@ import numpy as np
 
 from semviz_annotation.label_formats.reading import IGNORE, at, number, quoted
 from semviz_annotation.map_formats import conversion
-from semviz_annotation.map_formats.georeference import Georeference, require_georeference
-from semviz_annotation.map_formats.sign_codes import OSM_TAGS, SIGN_CODES
+from semviz_annotation.map_formats.georeference import (
+    Georeference,
+    fitted_georeference,
+    require_georeference,
+)
+from semviz_annotation.map_formats.sign_codes import OSM_TAGS, sign_class
 from semviz_core.base.classes import POLE, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
@@ -107,6 +112,42 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
     return tags
 
 
+@dataclass(frozen=True)
+class _Coordinates:
+    """Which coordinates of the nodes count: degrees, or the local ones if there is no place."""
+
+    place: Georeference | None
+    level_m: float
+    """Height of nodes without one."""
+
+    def points(
+        self, nodes: Sequence[ElementTree.Element], tally: conversion.ConversionTally
+    ) -> FloatArray:
+        """Return the points (k, 3) of nodes in the map."""
+        places = self.places(nodes, tally)
+        return places if self.place is None else self.place.to_map(places)
+
+    def places(
+        self, nodes: Sequence[ElementTree.Element], tally: conversion.ConversionTally
+    ) -> FloatArray:
+        """Return longitude, latitude and height (k, 3), or local coordinates."""
+        rows = []
+        for node in nodes:
+            tags = _tags_of(node)
+            if "ele" not in tags and self.level_m:
+                tally.assume("heights: that of the map's origin, as no node has an ele")
+            elif "ele" not in tags:
+                tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
+            height = number(tags["ele"]) if "ele" in tags else self.level_m
+            if self.place is None:
+                rows.append([number(tags["local_x"]), number(tags["local_y"]), height])
+            else:
+                rows.append(
+                    [*(conversion.attribute(node, name) for name in ("lon", "lat")), height]
+                )
+        return np.array(rows)
+
+
 def read_lanelet2(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:
     """Return the content of a file of semviz or another tool. Raise SemvizError if invalid."""
     root = conversion.read_xml(path, "osm")
@@ -114,23 +155,29 @@ def read_lanelet2(path: Path, context: conversion.MapImportContext) -> conversio
     context.check_frame(ours)
     nodes = {node.get("id", ""): node for node in root.iterfind("node")}
     place = context.georeference(_anchor(root))
-    is_local = place is None and _has_local_coordinates(nodes.values())
+    has_degrees = all(node.get("lat") and node.get("lon") for node in nodes.values())
+    is_local = _has_local_coordinates(nodes.values()) and not (place and has_degrees)
     if not is_local:
         require_georeference(place, "the file is in latitude and longitude")
+    elif place is None and has_degrees:
+        place = _fitted(list(nodes.values()))
     center = parse_triangle_center(root.get("semviz_triangle_center"))
     parsed = conversion.ParsedMap(georeference=place, triangle_center=center)
     if is_local:
         parsed.tally.assume("coordinates: local_x, local_y and ele of the nodes are the map's")
+    has_heights = any("ele" in _tags_of(node) for node in nodes.values())
+    level_m = 0.0 if has_heights or place is None else place.height_m
+    coordinates = _Coordinates(None if is_local else place, level_m)
     for way in root.iterfind("way"):
         with at(f"{path}, way {quoted(way.get('id', ''))[1:-1]}"):
             tags = _tags_of(way)
             class_id = _class_id(tags, parsed.tally, context)
             if class_id is not None:
-                points = _points(_nodes_of(way, nodes), place, parsed.tally)
+                points = coordinates.points(_nodes_of(way, nodes), parsed.tally)
                 _add(points, class_id, tags, way, parsed, context)
     for id_, node in nodes.items():
         with at(f"{path}, node {quoted(id_)[1:-1]}"):
-            _read_node(node, place, parsed, context)
+            _read_node(node, coordinates, parsed, context)
     parsed.tally.drop("relations (lanelets, areas, rules)", len(root.findall("relation")))
     return parsed
 
@@ -146,7 +193,7 @@ def _has_local_coordinates(nodes: Iterable[ElementTree.Element]) -> bool:
 
 def _read_node(
     node: ElementTree.Element,
-    place: Georeference | None,
+    coordinates: _Coordinates,
     parsed: conversion.ParsedMap,
     context: conversion.MapImportContext,
 ) -> None:
@@ -162,7 +209,7 @@ def _read_node(
         elif sign is not None:
             parsed.tally.drop(f"signs {quoted(sign)}: {conversion.how_to_map(sign)}")
         return None
-    [point_m] = _points([node], place, parsed.tally)
+    [point_m] = coordinates.points([node], parsed.tally)
     id_ = conversion.parse_integer(node.get("id"))
     if context.classes[class_id].kind != "line":
         middle_m = conversion.raised(point_m, context, parsed)
@@ -188,9 +235,9 @@ def _class_id(
         return context.class_id(tags[CLASS])
     kind, subtype = tags.get("type", ""), tags.get("subtype", "")
     if kind == SIGN_TYPE:
-        class_id = context.class_of_code(_codes(subtype), SIGN_CODES)
+        class_id = context.class_of_code([subtype], sign_class)
     else:
-        class_id = context.class_of_code([kind], {POLE_TYPE: POLE})
+        class_id = context.class_of_code([kind], {POLE_TYPE: POLE}.get)
     if isinstance(class_id, int):
         return class_id
     if class_id == IGNORE:
@@ -202,45 +249,26 @@ def _class_id(
     return None
 
 
-def _codes(subtype: str) -> list[str]:
-    """Return the code as in the file, and as in the table: ``de274_1`` is ``de274.1`` there."""
-    plain = subtype.lower().replace("_", ".")
-    return [subtype, plain, plain.partition("-")[0]]
-
-
 def _nodes_of(
     way: ElementTree.Element, nodes: Mapping[str, ElementTree.Element]
 ) -> list[ElementTree.Element]:
-    """Return the nodes of a way, two or more."""
+    """Return the nodes of a way, one or more."""
     found = []
     for reference in way.iterfind("nd"):
         node = nodes.get(reference.get("ref", ""))
         if node is None:
             raise SemvizError(f"node {quoted(reference.get('ref'))} is missing")
         found.append(node)
-    if len(found) < 2:
-        raise SemvizError("a line with less than 2 nodes")
+    if not found:
+        raise SemvizError("a line without nodes")
     return found
 
 
-def _points(
-    nodes: Sequence[ElementTree.Element],
-    place: Georeference | None,
-    tally: conversion.ConversionTally,
-) -> FloatArray:
-    """Return the points (k, 3) of nodes in the map; without a place by their local coordinates."""
-    rows = []
-    for node in nodes:
-        tags = _tags_of(node)
-        if "ele" not in tags:
-            tally.assume("heights: 0 where a node has no ele, as Lanelet2 has it")
-        height = number(tags.get("ele", "0"))
-        if place is None:
-            rows.append([number(tags["local_x"]), number(tags["local_y"]), height])
-        else:
-            longitude, latitude = (conversion.attribute(node, name) for name in ("lon", "lat"))
-            rows.append([longitude, latitude, height])
-    return np.array(rows) if place is None else place.to_map(np.array(rows))
+def _fitted(nodes: list[ElementTree.Element]) -> Georeference | None:
+    """Return where nodes with both coordinates are on Earth; None if the two do not agree."""
+    tally = conversion.ConversionTally()
+    places = _Coordinates(Georeference(0.0, 0.0), 0.0).places(nodes, tally)
+    return fitted_georeference(_Coordinates(None, 0.0).points(nodes, tally), places)
 
 
 def _add(
@@ -250,16 +278,19 @@ def _add(
     id_ = conversion.parse_integer(tags.get(ELEMENT, way.get("id")))
     anchor_known, end_known = (tags.get(name) != NO for name in (ANCHOR_KNOWN, END_KNOWN))
     if context.classes[class_id].kind == "line":
+        if len(points) < 2:
+            return parsed.tally.drop("poles that are ways of one node: a pole has two ends")
         peak, bottom = points[0], points[-1]
         if CLASS not in tags:  # other tools: in any order
             peak, bottom = conversion.upper_first(peak, bottom)
         parsed.add(
             conversion.ParsedElement(class_id, peak, bottom, id_, None, anchor_known, end_known)
         )
-        return
+        return None
     middle = 0.5 * (points[0] + points[-1])
     if "height" in tags:
         middle = middle + np.array([0.0, 0.0, 0.5 * number(tags["height"])])
     else:
         parsed.tally.assume("middles of signs: their lower edge where they have no height")
     parsed.add(conversion.ParsedElement(class_id, middle, None, id_, None, anchor_known))
+    return None

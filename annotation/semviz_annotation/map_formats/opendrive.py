@@ -4,7 +4,7 @@ ASAM OpenDRIVE 1.8, chapters 13 (objects) and 14 (signals): ``zOffset`` is the h
 signal's lower edge, and of an object's foot, above the road.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,13 @@ from semviz_annotation.label_formats.reading import IGNORE, MOST_ITEMS, at, quot
 from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.georeference import FURTHEST_M, Georeference
 from semviz_annotation.map_formats.reference_line import RoadLine, RoadPose
-from semviz_annotation.map_formats.sign_codes import SIGN_CODES, codes_of, is_like_germany
+from semviz_annotation.map_formats.sign_codes import (
+    VIENNA,
+    codes_of,
+    has_catalogue,
+    is_like_germany,
+    sign_class,
+)
 from semviz_core.base.classes import POLE
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
@@ -87,7 +93,7 @@ def _read_objects(
     for element in road.iterfind("objects/object"):
         kind, name = element.get("type", ""), element.get("name", "")
         what = f"objects of type {quoted(kind)}: neither pole nor sign"
-        class_id = _class_id([kind, kind.lower(), name], OBJECT_CLASSES, what, parsed, context)
+        class_id = _class_id([kind, kind.lower(), name], OBJECT_CLASSES.get, what, parsed, context)
         if class_id is not None:
             for s, t, z_offset_m, height_m in _copies(element, parsed):
                 standing = _standing(line.place(s, t), z_offset_m, height_m)
@@ -107,26 +113,30 @@ def _read_signals(
         if element.get("dynamic") == "yes":
             parsed.tally.drop("signals that change, such as traffic lights: no signs")
             continue
-        if is_like_germany(country) and codes[-1] in SIGN_CODES:
+        if is_like_germany(country) and sign_class(codes[-1]) is not None:
             parsed.tally.assume(
                 "numbers of signs without a country, or of OpenDRIVE: as in Germany"
             )
         shown = codes[-1] if kind not in ("", "-1") else element.get("name", "")
         what = f"signals {quoted(shown)}: {conversion.how_to_map(shown)}"
-        class_id = _class_id([*codes, element.get("name", "")], SIGN_CODES, what, parsed, context)
+        letters = [] if has_catalogue(country) else [f"{VIENNA}{kind}"]
+        names = [*codes, *letters, element.get("name", "")]
+        class_id = _class_id(names, sign_class, what, parsed, context)
+        if class_id is not None and class_id in map(sign_class, letters):
+            parsed.tally.assume(f"signs of {quoted(country)}: by the Vienna Convention's letters")
         if class_id is not None:
             _add(element, class_id, _standing_of_signal(element, line, lines), parsed, context)
 
 
 def _class_id(
     codes: list[str],
-    table: Mapping[str, int],
+    find: Callable[[str], int | None],
     what: str,
     parsed: conversion.ParsedMap,
     context: conversion.MapImportContext,
 ) -> int | None:
     """Return the class; None if it is unknown (counted as ``what``) or ignored."""
-    class_id = context.class_of_code(codes, table)
+    class_id = context.class_of_code(codes, find)
     if isinstance(class_id, int):
         return class_id
     parsed.tally.drop("things of a class that is ignored, as asked" if class_id == IGNORE else what)

@@ -1,63 +1,53 @@
 """The class of an element by its name in maps: signs by country and number, OpenStreetMap's tags.
 
-Classes of signs are shapes. Numbers follow each country's catalogue: Germany's StVO and VzKat
-(``de205``, ``de274.1``), Sweden's Vägmärkesförordning by groups (``sea``, ``seb-4``), the MUTCD of
-the USA by series (``usr1-1``). An octagon counts as rounded, a diamond as rectangular. Crosses and
-numbers with several shapes are left out.
+Classes of signs are shapes: T triangular, Q rectangular, O rounded, - none of these. An octagon
+counts as rounded, a diamond as rectangular. Numbers with several shapes are left out. Numbers
+follow each country's catalogue; a group stands for its numbers, and the longest entry that a number
+starts with counts. A country without a catalogue is read by the letters of the Vienna Convention on
+Road Signs (annex 1), which the report says.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 
-_GERMAN: tuple[tuple[range, int], ...] = (
-    (range(101, 152), TRIANGULAR),  # danger
-    (range(156, 163), RECTANGULAR),  # beacons before a level crossing
-    (range(205, 206), TRIANGULAR),  # give way
-    (range(206, 216), ROUNDED),  # stop (octagon), prescribed directions, roundabout
-    (range(220, 221), RECTANGULAR),  # one-way road
-    (range(222, 223), ROUNDED),
-    (range(223, 224), RECTANGULAR),
-    (range(224, 225), ROUNDED),  # stop of buses or trams
-    (range(229, 230), RECTANGULAR),
-    (range(237, 242), ROUNDED),
-    (range(242, 245), RECTANGULAR),  # zones
-    (range(245, 287), ROUNDED),  # bans, speed limits
-    (range(290, 291), RECTANGULAR),
-    (range(301, 302), TRIANGULAR),  # priority at the next crossing
-    (range(306, 460), RECTANGULAR),  # priority road (diamond), information, directions
-    (range(501, 552), RECTANGULAR),
-    (range(605, 606), RECTANGULAR),
-    (range(625, 627), RECTANGULAR),  # chevrons
-    (range(1000, 1100), RECTANGULAR),  # plates below signs
-)
-_GERMAN_ZONES = ("270.1", "270.2", "274.1", "274.2", "290.1", "290.2")
-"""Round signs on square plates."""
-_SWEDISH: Mapping[str, int] = {
-    "a": TRIANGULAR,
-    "b-1": TRIANGULAR,
-    "b-2": ROUNDED,
-    "b-3": RECTANGULAR,
-    "b-4": RECTANGULAR,
-    "c": ROUNDED,
-    "d": ROUNDED,
-    "e": RECTANGULAR,
-    "f": RECTANGULAR,
-    "g": RECTANGULAR,
-    "h": RECTANGULAR,
-    "i": RECTANGULAR,
+_SHAPES = {"T": TRIANGULAR, "Q": RECTANGULAR, "O": ROUNDED, "-": None}
+VIENNA = "vienna"
+_CATALOGUES: Mapping[str, str] = {
+    # Danger; beacons; give way; stop (octagon), directions; one-way road; stops of buses; zones;
+    # bans; priority; information, directions (340 to 342 are markings); chevrons; plates.
+    "de": "101-151:T 156-162:Q 205:T 206-215:O 220:Q 222:O 223:Q 224:O 229:Q 237-241:O 242-244:Q "
+    "245-286:O 290:Q 301:T 306-339:Q 350-459:Q 501-551:Q 605:Q 625-626:Q 1000-1099:Q "
+    "270.1:Q 270.2:Q 274.1:Q 274.2:Q 290.1:Q 290.2:Q",  # the last: round signs on square plates
+    "at": "50:T 52:O 52.11:Q 52.23:T 52.25:Q 53:Q 54:Q",
+    "be": "a:T b1:T b3:T b5:O b9:Q b11:Q b15:T b17:T b19:O b21:Q c:O d:O e1:O e3:O e5:O e7:O e9:Q "
+    "f:Q",
+    "br": "r:O r1:O r2:T a:Q",
+    "ca": "ra1:O ra2:T rb:Q w:Q",
+    "ch": "1:T 1.17:Q 1.22:- 2:O 2.59:Q 3.01:O 3.02:T 3.03:Q 3.04:Q 3.05:T 3.06:T 3.09:O "
+    "3.10:Q 4:Q 5:Q",
+    "cz": "a:T b:O c:O e:Q ip:Q is:Q iz:Q p1:T p2:Q p3:Q p4:T p6:O p7:O p8:Q",
+    "dk": "a:T b11:T b13:O b16:Q c:O d:O e:Q",
+    "es": "p:T r:O r1:T r2:O r3:Q r4:Q r6:Q s:Q",
+    "fi": "a:T b1:Q b2:Q b5:T b6:O c:O d:O e:Q f:Q g:Q h:Q",
+    "fr": "a:T ab1:T ab2:T ab3:T ab4:O ab6:Q ab7:Q ab25:T b:O b30:Q b51:Q c:Q d:Q e:Q",
+    "gb": "501-599:T 515:Q 601:O 602:T 606:O 609:O 610-629:O 632:O 636:O 642:O 652:Q "
+    "670:O 701-999:Q",
+    "jp": "201-215:Q 301-329:O 329:T 330:T",
+    "nl": "a:O a4:Q a5:Q b1:Q b2:Q b3:T b4:T b5:T b6:T b7:O c:O c3:Q c4:Q d:O e1:O e2:O e3:O e4:Q "
+    "j:T k:Q l:Q",
+    "no": "100-136:T 142-156:T 202:T 204:O 206:Q 208:Q 210:T 212:O 214:Q 302-365:O 366-368:Q "
+    "370-379:O 400-409:O 500-999:Q",
+    "pl": "a:T b:O c:O d:Q e:Q f:Q t:Q",
+    "ru": "1.1:T 1.2:T 1.5-1.33:T 2.1:Q 2.2:Q 2.3:T 2.4:T 2.5:O 2.6:O 2.7:Q 3:O 4:O 5:Q 6:Q "
+    "7:Q 8:Q",
+    "se": "a:T b1:T b2:O b3:Q b4:Q c:O d:O e:Q f:Q g:Q h:Q i:Q",
+    "ua": "2.1:T 2.2:O 2.3:Q 2.4:Q 3:O 4:O 5:Q 6:Q 7:Q",
+    "us": "r:Q r1-1:O r1-2:T w:Q d:Q i:Q m:Q s:Q",
+    VIENNA: "a:T b1:T b2:O b3:Q b4:Q c:O d:O e:Q f:Q g:Q h:Q",
 }
-
-_AMERICAN: Mapping[str, int] = {
-    "r1-1": ROUNDED,  # stop (octagon)
-    "r1-2": TRIANGULAR,  # yield
-    "r": RECTANGULAR,
-    "w": RECTANGULAR,  # warnings are diamonds
-    "d": RECTANGULAR,
-    "i": RECTANGULAR,
-    "m": RECTANGULAR,
-    "s": RECTANGULAR,
-}
+"""Shapes by country (ISO 3166, two letters): numbers, ranges of numbers, or groups."""
 _NAMED: Mapping[str, int] = {
     "stop": ROUNDED,
     "stop_sign": ROUNDED,
@@ -85,11 +75,28 @@ OSM_TAGS: Mapping[tuple[str, str], int] = {
 }
 """Tags of OpenStreetMap's nodes that are poles; ``traffic_sign`` has a code of its own."""
 _COUNTRIES = {
+    "at": "aut austria osterreich 040",
+    "be": "bel belgium belgie belgique 056",
+    "br": "bra brazil brasil 076",
+    "ca": "can canada 124",
+    "ch": "che switzerland schweiz suisse svizzera 756",
+    "cz": "cze czechia czech_republic 203",
     "de": "deu germany deutschland 276",
+    "dk": "dnk denmark danmark 208",
+    "es": "esp spain espana 724",
+    "fi": "fin finland suomi 246",
+    "fr": "fra france 250",
+    "gb": "gbr uk united_kingdom great_britain england 826",
+    "jp": "jpn japan 392",
+    "nl": "nld netherlands the_netherlands nederland 528",
+    "no": "nor norway norge 578",
+    "pl": "pol poland polska 616",
+    "ru": "rus russia russian_federation 643",
     "se": "swe sweden sverige 752",
+    "ua": "ukr ukraine 804",
     "us": "usa united_states united_states_of_america 840",
 }
-"""Countries with a catalogue, by ISO 3166's two letters: other codes and names of them."""
+"""Countries with a catalogue: other codes and names of them."""
 _LIKE_GERMANY = ("opendrive", "", "-1", "none", "unknown")
 """OpenDRIVE's own numbers, and those of files without a country, are the German ones."""
 
@@ -101,10 +108,18 @@ def is_like_germany(country: str) -> bool:
 
 def country_code(country: str) -> str:
     """Return the two letters of a country with a catalogue; any other name in small letters."""
-    plain = country.strip().lower().replace(" ", "_")
+    plain = country.strip().lower().replace(" ", "_").translate(_PLAIN)
     if is_like_germany(country):
         return "de"
     return next((two for two, names in _COUNTRIES.items() if plain in names.split()), plain)
+
+
+_PLAIN = str.maketrans("äöüéèñ", "aoueen")
+
+
+def has_catalogue(country: str) -> bool:
+    """Whether signs of a country are known by its own numbers."""
+    return country_code(country) in _CATALOGUES
 
 
 def osm_codes(tags: Mapping[str, str]) -> list[str]:
@@ -118,21 +133,51 @@ def osm_codes(tags: Mapping[str, str]) -> list[str]:
     if not colon:
         return [whole, first, first.lower()]
     plain = number.partition("[")[0].lower().replace("_", ".")
-    code = f"{country_code(country)}{plain}"
-    return [whole, first, code, code.partition("-")[0], code[:3]]
+    return [whole, first, f"{country_code(country)}{plain}"]
 
 
-def _entries() -> Iterator[tuple[str, int]]:
-    for numbers, class_id in _GERMAN:
-        yield from ((f"de{number}", class_id) for number in numbers)
-    yield from ((f"de{number}", RECTANGULAR) for number in _GERMAN_ZONES)
-    yield from ((f"se{group}", class_id) for group, class_id in _SWEDISH.items())
-    yield from ((f"us{series}", class_id) for series, class_id in _AMERICAN.items())
-    yield from _NAMED.items()
+def _entries() -> Iterator[tuple[str, int | None]]:
+    for country, text in _CATALOGUES.items():
+        for entry in text.split():
+            numbers, _, shape = entry.partition(":")
+            first, dash, last = numbers.partition("-")
+            if dash and first.isdigit() and last.isdigit():
+                names = [str(number) for number in range(int(first), int(last) + 1)]
+            elif dash and re.fullmatch(r"1\.\d+", first):  # a range within a chapter
+                names = [f"1.{number}" for number in range(int(first[2:]), int(last[2:]) + 1)]
+            else:
+                names = [numbers]
+            yield from ((_normal(country + name), _SHAPES[shape]) for name in names)
 
 
-SIGN_CODES: Mapping[str, int] = dict(_entries())
-"""Code -> class id."""
+def _normal(code: str) -> str:
+    """Return a code without dashes and zeros between letters and numbers: ``seb-4``, ``nlb06``.
+
+    Lanelet2 writes ``de274_1``, as ``.`` is rare in its tags.
+    """
+    return re.sub(r"(?<=[a-z])-?0*(?=\d)", "", code.lower().replace("_", "."))
+
+
+_SIGNS: Mapping[str, int | None] = dict(_entries())
+"""Code -> class id; None: of another shape."""
+
+
+def sign_class(code: str) -> int | None:
+    """Return the class of a sign by its name, or country and number; None if it is not known.
+
+    ``de274-50`` is found as ``de274``, ``sec-31`` as ``sec``.
+    """
+    if code in _NAMED:
+        return _NAMED[code]
+    plain = _normal(code)
+    starts = (plain[:end] for end in range(len(plain), 2, -1) if _is_whole(plain, end))
+    return next((_SIGNS[start] for start in starts if start in _SIGNS), None)
+
+
+def _is_whole(code: str, end: int) -> bool:
+    """Whether a code may be cut here: not within letters, nor within digits."""
+    before, after = code[end - 1], code[end : end + 1]
+    return not (before.isalpha() and after.isalpha()) and not (before.isdigit() and after.isdigit())
 
 
 def codes_of(country: str, kind: str, subtype: str) -> list[str]:

@@ -14,6 +14,7 @@ from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
 
 Status = Literal["ok", "ambiguous", "cannot"]
 
@@ -121,9 +122,9 @@ class Localization:
 
     @property
     def given_prior(self) -> Prior:
-        """The prior, for what needs one. Raise ValueError without one."""
+        """The prior, for methods that search around one. Raise SemvizError without one."""
         if self.prior is None:
-            raise ValueError("the frame has no prior")
+            raise SemvizError("the frame has no prior, so there is no place to search; give one")
         return self.prior
 
     @property

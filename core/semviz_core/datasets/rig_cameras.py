@@ -5,7 +5,7 @@ those of one camera.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 from semviz_core.base.camera import Rig
@@ -88,6 +88,28 @@ def frames_of_camera(
         raise SemvizError(f"no camera {shown(camera, 60)}; the drive has {text}")
     groups = frames_by_camera(source, frames)
     return groups.get(camera, ()) if camera is not None else next(iter(groups.values()), ())
+
+
+def in_first_camera(source: Dataset, frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    """Return frames of one camera with the poses that the first camera had at their times.
+
+    Raise SemvizError if the drive does not say where that camera is.
+    """
+    names = camera_names(source)
+    if not frames or not isinstance(source, RigDataset) or not names:
+        return tuple(frames)
+    camera = source.camera_of[frames[0].index]
+    if camera == names[0]:
+        return tuple(frames)
+    if camera not in source.mounts:
+        raise SemvizError(f"the drive does not say where camera {shown(camera, 60)} is")
+    T_camera_first = source.mounts[camera].inverse()
+    return tuple(
+        frame
+        if frame.T_map_camera is None
+        else replace(frame, T_map_camera=frame.T_map_camera @ T_camera_first)
+        for frame in frames
+    )
 
 
 def camera_names(source: Dataset) -> tuple[str, ...]:

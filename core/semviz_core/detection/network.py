@@ -2,7 +2,8 @@
 
 The network is a small residual network with a feature pyramid (Lin et al. 2017) and outputs at
 stride 4, as in CenterNet (Zhou et al., "Objects as Points", 2019). It must run on one CPU core, so
-it has few channels at high resolution. It takes 8-bit sRGB images.
+it has few channels at high resolution. It takes 8-bit sRGB images, whose contrast is equalized
+locally first: real streets have deep shade and glare, rendered ones do not.
 """
 
 from dataclasses import dataclass, replace
@@ -37,11 +38,16 @@ class HeatmapModel:
     threshold: FloatArray
     """(classes,) least heat of a region."""
     name: str = "semviz"
+    equalizes: bool = True
+    """Whether the network was trained on ``equalized`` images; older ones were not."""
 
     @classmethod
-    def of(cls, network: "DetectorNet", classes: ClassSet) -> "HeatmapModel":
+    def of(
+        cls, network: "DetectorNet", classes: ClassSet, equalizes: bool = True
+    ) -> "HeatmapModel":
         """Return the model of a trained network, which is changed for inference."""
-        return cls(network.eval().folded(), classes, network.threshold.double().numpy())
+        threshold = network.threshold.double().numpy()
+        return cls(network.eval().folded(), classes, threshold, equalizes=equalizes)
 
     def from_score(self, least: float) -> "HeatmapModel":
         """Return the model with one threshold, instead of those chosen in training."""
@@ -62,6 +68,8 @@ class HeatmapModel:
 
         if image.ndim != 3 or image.shape[2] != 3 or not image.size:
             raise SemvizError(f"an image of shape {image.shape}; give (height, width, 3)")
+        if self.equalizes:
+            image = equalized(image)
         height, width = image.shape[:2]
         below, beside = -height % SIDES, -width % SIDES
         padded = np.pad(image, ((0, below), (0, beside), (0, 0)), constant_values=BORDER)
@@ -84,7 +92,24 @@ def load_shipped_model(
 def _build(weights: NetworkWeights, classes: ClassSet, path: Path) -> HeatmapModel:
     network = DetectorNet(len(classes))
     weights.load_into(network, path)
-    return HeatmapModel.of(network, classes)
+    return HeatmapModel.of(network, classes, equalizes=EQUALIZED in weights.options)
+
+
+EQUALIZED = "equalized"
+"""Option of weights whose network was trained on equalized images: how they were made."""
+_TILE_PX, _MOST_CONTRAST = 128, 2.0
+
+
+def equalized(image: ByteImage) -> ByteImage:
+    """Return an image (height, width, 3) sRGB with the contrast of its lightness equalized in tiles
+    (CLAHE, Zuiderveld 1994); its colours stay."""
+    import cv2
+
+    height, width = image.shape[:2]
+    tiles = max(1, round(width / _TILE_PX)), max(1, round(height / _TILE_PX))
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
+    lab[..., 0] = cv2.createCLAHE(_MOST_CONTRAST, tiles).apply(lab[..., 0])
+    return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), np.uint8)
 
 
 WIDTHS = (16, 24, 48, 96, 128)

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray
+from semviz_core.common.jit import compiled
 from semviz_core.detection.regions import Region, predicted_sigma_px
 from semviz_core.subpixel import pole_axis
 from semviz_core.subpixel.pole_fit import refine_axis
@@ -42,6 +43,17 @@ class Line:
     def sigma_px(self) -> float:
         """Sigma across the line, at its ends."""
         return self.stretched * predicted_sigma_px(self.kind, self.evidence)
+
+    @cached_property
+    def middle_px(self) -> FloatArray:
+        """(2,)"""
+        return np.asarray((self.ends_px[0] + self.ends_px[1]) / 2.0)
+
+    @cached_property
+    def along(self) -> FloatArray:
+        """(2,) its direction, downwards."""
+        step = self.ends_px[1] - self.ends_px[0]
+        return np.asarray(step / np.hypot(*step))
 
 
 def best_line(image: SampledImage, region: Region) -> Line | None:
@@ -165,7 +177,7 @@ def _by_mask(region: Region) -> Line | None:
         along = along / np.linalg.norm(along)
     positions = (points - start) @ along
     extent = np.array([positions.min(), positions.max()])
-    width = float(np.median(widths))
+    width = float(pole_axis.median(widths))
     evidence = np.array(
         [np.log(extent[1] - extent[0] + 1.0), np.log(residual + 0.2), np.log(width)]
     )
@@ -180,34 +192,42 @@ def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle, along if along[1] > 0.0 else -along
 
 
+@compiled
 def _slices(
     points: FloatArray, start: FloatArray, along: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (k,) positions along a line, and the middles and widths of the points there."""
-    places = (points - start) @ along
-    offsets = (points - start) @ np.array([along[1], -along[0]])
-    slot = np.round(places - places.min()).astype(np.int64)
-    low, high = np.full(slot.max() + 1, np.inf), np.full(slot.max() + 1, -np.inf)
-    np.minimum.at(low, slot, offsets)
-    np.maximum.at(high, slot, offsets)
+    places, offsets = np.empty(len(points)), np.empty(len(points))
+    for k in range(len(points)):
+        u, v = points[k, 0] - start[0], points[k, 1] - start[1]
+        places[k], offsets[k] = u * along[0] + v * along[1], u * along[1] - v * along[0]
+    first = places.min()
+    count = int(np.rint(places.max() - first)) + 1
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    for k in range(len(points)):
+        slot = int(np.rint(places[k] - first))
+        low[slot], high[slot] = min(low[slot], offsets[k]), max(high[slot], offsets[k])
     rows = np.flatnonzero(low <= high)
     low, high = low[rows], high[rows]
-    return places.min() + rows.astype(np.float64), (low + high) / 2.0, high - low + 1.0
+    return first + rows.astype(np.float64), (low + high) / 2.0, high - low + 1.0
 
 
+@compiled
 def _robust_line(
     places: FloatArray, middles: FloatArray, widths: FloatArray
 ) -> tuple[float, float, float]:
     """Return offset, slope and residual of a line; outliers and wide slices get low weights."""
-    usual = np.minimum(1.0, np.median(widths) / widths)
-    weight = usual
+    usual = np.minimum(1.0, pole_axis.median(widths.copy()) / widths)
+    weight = usual.copy()
+    at = level = slope = scale = 0.0
     for _ in range(5):
-        total = float(weight.sum())
-        at, level = float(weight @ places) / total, float(weight @ middles) / total
+        total = weight.sum()
+        at, level = (weight * places).sum() / total, (weight * middles).sum() / total
         from_at = places - at
-        slope = float(weight @ (from_at * (middles - level))) / float(weight @ from_at**2)
+        across_at = (weight * from_at * (middles - level)).sum()
+        slope = across_at / (weight * from_at**2).sum()
         off = np.abs(middles - level - slope * from_at)
-        scale = max(1.48 * float(np.median(off)), 0.3)
+        scale = max(1.48 * pole_axis.median(off.copy()), 0.3)
         weight = usual / (1.0 + (off / (2.0 * scale)) ** 2)
     return level - slope * at, slope, scale
 
@@ -217,4 +237,4 @@ def _box_width_px(region: Region) -> float:
 
 
 def _length_px(ends_px: FloatArray) -> float:
-    return float(np.linalg.norm(ends_px[1] - ends_px[0]))
+    return float(np.hypot(*(ends_px[1] - ends_px[0])))

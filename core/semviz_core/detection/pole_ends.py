@@ -10,12 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.common.jit import compiled
 from semviz_core.detection.pole_axes import SHORTEST_PX, Line
 from semviz_core.detection.regions import Region, known, predicted_sigma_px
 from semviz_core.subpixel import pole_ends
 from semviz_core.subpixel.pole_axis import across
-from semviz_core.subpixel.sampling import SampledImage
+from semviz_core.subpixel.sampling import SampledImage, Samples
 
 _SHORTEST_PX = 6.0
 _MOST_PX = 12.0
@@ -76,7 +77,7 @@ def pole_extent(
     ``signs`` are the regions of all signs in the image.
     """
     ends = [best_end(image, region, line, signs, which) for which in range(2)]
-    middle, along = midpoint_and_direction(line)
+    middle, along = line.middle_px, line.along
     ends_px = middle + np.array([[end.place_px] for end in ends]) * along
     on_border, cut = within_image(image, ends_px)
     if (on_border[1] - on_border[0]) @ along < SHORTEST_PX:
@@ -144,7 +145,7 @@ def followed_end(image: SampledImage, region: Region, line: Line, first: End) ->
 def _beyond_end(image: SampledImage, line: Line, end: End) -> pole_ends.GrownEnd:
     """Return how a pole goes on beyond an end."""
     other, end_px = _start_and_end(line, end)
-    length = float(np.linalg.norm(end_px - other))
+    length = float(np.hypot(*(end_px - other)))
     if length < _SHORTEST_PX:
         return pole_ends.NOT_GROWN
     return pole_ends.grown_end(
@@ -154,7 +155,7 @@ def _beyond_end(image: SampledImage, line: Line, end: End) -> pole_ends.GrownEnd
 
 def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
     """Return the sign that hides the predicted peak of a pole; None without one."""
-    middle, along = midpoint_and_direction(line)
+    middle, along = line.middle_px, line.along
     peak_u, peak_v = middle + first.place_px * along
     for sign in signs:
         left, top, right, bottom = sign.box_px
@@ -166,7 +167,7 @@ def _sign_at(line: Line, signs: Sequence[Region], first: End) -> Region | None:
 
 def end_at_sign(image: SampledImage, line: Line, sign: Region) -> End:
     """Return a peak at the top of a sign, or further up if the pole continues above it."""
-    middle, along = midpoint_and_direction(line)
+    middle, along = line.middle_px, line.along
     _, top, _, bottom = sign.box_px
     place = float((top - middle[1]) * along[1])
     start, width = middle + place * along, line.width_px
@@ -179,9 +180,9 @@ def end_at_sign(image: SampledImage, line: Line, sign: Region) -> End:
 
 def first_ends(region: Region, line: Line, which: int) -> list[End]:
     """Return the model's candidates: by its ends and mask, or else by its box."""
-    middle, along = midpoint_and_direction(line)
+    middle, along = line.middle_px, line.along
     candidates: list[End] = []
-    length = np.log(float(np.linalg.norm(region.box_px[2:] - region.box_px[:2])) + 1.0)
+    length = np.log(float(np.hypot(*(region.box_px[2:] - region.box_px[:2]))) + 1.0)
     slack = np.log(line.sigma_px)
     if region.ends_px is not None:
         position = float((region.ends_px[which] - middle) @ along)
@@ -204,7 +205,7 @@ def first_ends(region: Region, line: Line, which: int) -> list[End]:
 def end_in_image(image: SampledImage, line: Line, first: End) -> End | None:
     """Return the end by the rows' evidence for the pole, near the model's end; None if unclear."""
     other, end = _start_and_end(line, first)
-    if np.linalg.norm(end - other) < _SHORTEST_PX:
+    if np.hypot(*(end - other)) < _SHORTEST_PX:
         return None
     sigma = min(2.0 * first.sigma_px, _MOST_PX)
     rows = pole_ends.end_by_rows(image, other, end, line.width_px, sigma)
@@ -223,7 +224,7 @@ def end_in_image(image: SampledImage, line: Line, first: End) -> End | None:
 def visible_end_near(image: SampledImage, line: Line, first: End, rows: End) -> list[End]:
     """Return the end where the pole's colour changes, near the end by rows; empty if unclear."""
     other, end = _start_and_end(line, rows)
-    if np.linalg.norm(end - other) < _SHORTEST_PX:
+    if np.hypot(*(end - other)) < _SHORTEST_PX:
         return []
     off = pole_ends.visible_end(image, other, end, line.width_px, _REACH_PX)
     if off is None:
@@ -238,7 +239,7 @@ def visible_end_near(image: SampledImage, line: Line, first: End, rows: End) -> 
 
 def _start_and_end(line: Line, end: End) -> tuple[FloatArray, FloatArray]:
     """Return the line's other end (2,) and this end (2,)."""
-    middle, along = midpoint_and_direction(line)
+    middle, along = line.middle_px, line.along
     return line.ends_px[1 - end.which], middle + end.place_px * along
 
 
@@ -296,18 +297,7 @@ def end_evidence(
 
 def crossing(image: SampledImage, ends_px: FloatArray, width_px: float, which: int) -> float:
     """Return the vote (0 to 1) for an occluding edge that continues on both sides of the pole."""
-    along = (ends_px[1] - ends_px[0]) / np.linalg.norm(ends_px[1] - ends_px[0])
-    rows = np.arange(-3.0, 3.5, 1.0)[:, None, None]
-    beside = width_px / 2.0 + np.array([2.0, 3.5, 5.0, 6.5])
-    normal = across(ends_px)
-    votes = []
-    for side in (-1.0, 1.0):
-        columns = (side * beside)[:, None]
-        colors = image.sample(ends_px[which] + rows * along + columns * normal)
-        step = colors[2:] - colors[:-2]
-        slope = np.sqrt((step.mean(axis=1) ** 2).mean(axis=1)).max() / 2.0
-        votes.append(slope**2 / (slope**2 + _STEP**2))
-    return float(min(votes))
+    return float(_crossing(image.image, ends_px, width_px, which))
 
 
 def background_change(
@@ -318,24 +308,62 @@ def background_change(
     The pole's own end has the same background before and after it; an occluder has not. First is
     a vote (0 to 1) for another mean colour, then the change of the logarithm of the texture.
     """
-    away = ends_px[which] - ends_px[1 - which]
-    away = away / np.linalg.norm(away)
-    rows = np.arange(2.0, 11.0) * np.array([[-1.0], [1.0]])  # before and after the end
-    beside = width_px / 2.0 + np.array([2.0, 3.5, 5.0, 6.5])
-    columns = np.stack([-beside, beside])
-    points = (
-        ends_px[which]
-        + rows[:, None, :, None, None] * away
-        + columns[:, None, :, None] * across(ends_px)
-    )  # (before or after, side, rows, columns, 2)
-    colors = image.sample(points.reshape(-1, len(beside), 2)).reshape(2, 2, -1, 3)
-    step = np.sqrt(((colors[1].mean(axis=1) - colors[0].mean(axis=1)) ** 2).mean(axis=1))
-    texture = np.log(colors.std(axis=2).mean(axis=2) + 3.0)
-    vote = step**2 / (step**2 + _STEP**2)
-    return float(vote.min()), float((texture[1] - texture[0]).min())
+    vote, texture = _background_change(image.image, ends_px, width_px, which)
+    return float(vote), float(texture)
 
 
-def midpoint_and_direction(line: Line) -> tuple[FloatArray, FloatArray]:
-    """Return a line's midpoint (2,) and its direction (2,), downwards."""
-    step = line.ends_px[1] - line.ends_px[0]
-    return line.ends_px.mean(axis=0), step / np.linalg.norm(step)
+_BESIDE_PX = np.array([2.0, 3.5, 5.0, 6.5])
+"""Distances from the pole's edge at which its background is sampled."""
+
+
+@compiled
+def _beside(
+    image: ByteImage,
+    ends_px: FloatArray,
+    width_px: float,
+    which: int,
+    side: float,
+    rows: FloatArray,
+) -> Samples:
+    """Return colours (rows, 4, 3) on one side of a pole, at ``rows`` px below one of its ends."""
+    normal, points = across(ends_px), np.empty((len(rows), 2))
+    for row in range(len(rows)):
+        points[row, 0] = ends_px[which, 0] - rows[row] * normal[1]
+        points[row, 1] = ends_px[which, 1] + rows[row] * normal[0]
+    return pole_ends.rows_across(image, points, normal, side * (width_px / 2.0 + _BESIDE_PX))
+
+
+@compiled
+def _crossing(image: ByteImage, ends_px: FloatArray, width_px: float, which: int) -> float:
+    least = 1.0
+    for side in (-1.0, 1.0):
+        colors = _beside(image, ends_px, width_px, which, side, np.arange(-3.0, 3.5, 1.0))
+        steepest = 0.0
+        for row in range(len(colors) - 2):
+            square = 0.0
+            for channel in range(3):
+                step = (colors[row + 2, :, channel] - colors[row, :, channel]).mean()
+                square += step**2 / 3.0
+            steepest = max(steepest, square / 4.0)
+        least = min(least, steepest / (steepest + _STEP**2))
+    return least
+
+
+@compiled
+def _background_change(
+    image: ByteImage, ends_px: FloatArray, width_px: float, which: int
+) -> tuple[float, float]:
+    down = 1.0 if which else -1.0
+    vote, change = 1.0, np.inf
+    for side in (-1.0, 1.0):
+        rows = np.arange(2.0, 11.0)
+        before = _beside(image, ends_px, width_px, which, side, -down * rows)
+        after = _beside(image, ends_px, width_px, which, side, down * rows)
+        square, spread = 0.0, np.zeros(2)
+        for channel in range(3):
+            square += (after[..., channel].mean() - before[..., channel].mean()) ** 2 / 3.0
+            spread[0] += before[..., channel].std() / 3.0
+            spread[1] += after[..., channel].std() / 3.0
+        vote = min(vote, square / (square + _STEP**2))
+        change = min(change, np.log(spread[1] + 3.0) - np.log(spread[0] + 3.0))
+    return vote, change

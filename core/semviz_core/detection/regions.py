@@ -19,6 +19,7 @@ import numpy as np
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, FloatArray, bool_array, float_array
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.jit import compiled
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +130,21 @@ def _same(first: MeasuredElement, second: MeasuredElement) -> bool:
     return _same_pole(first.points_px, second.points_px, _SAME_POLE_PX + size / 2.0)
 
 
+@compiled
 def _same_pole(first: FloatArray, second: FloatArray, beside_px: float) -> bool:
     """Whether two lines (2, 2) coincide over much of the shorter one."""
-    step = first[1] - first[0]
-    length = float(np.linalg.norm(step))
-    along = step / length
-    places = np.sort((second - first[0]) @ along)
-    overlap = min(places[1], length) - max(places[0], 0.0)
-    if overlap < _MIN_OVERLAP * min(length, float(np.linalg.norm(second[1] - second[0]))):
+    length = np.hypot(first[1, 0] - first[0, 0], first[1, 1] - first[0, 1])
+    other = np.hypot(second[1, 0] - second[0, 0], second[1, 1] - second[0, 1])
+    along_u, along_v = (first[1, 0] - first[0, 0]) / length, (first[1, 1] - first[0, 1]) / length
+    places, offsets = np.empty(2), np.empty(2)
+    for k in range(2):
+        u, v = second[k, 0] - first[0, 0], second[k, 1] - first[0, 1]
+        places[k], offsets[k] = u * along_u + v * along_v, u * along_v - v * along_u
+    overlap = min(places.max(), length) - max(places.min(), 0.0)
+    if overlap < _MIN_OVERLAP * min(length, other):
         return False
-    offsets = (second - first[0]) @ np.array([along[1], -along[0]])
-    return bool(abs(offsets.mean()) < beside_px and np.abs(offsets).max() < 3.0 * beside_px)
+    farthest = max(abs(offsets[0]), abs(offsets[1]))
+    return bool(abs(offsets.mean()) < beside_px and farthest < 3.0 * beside_px)
 
 
 _LEAST_PX, _MOST_PX = 0.1, 20.0

@@ -173,12 +173,12 @@ def centers_from_outline(
     for middle, half in about:
         stray_px = STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
         found = fit_outlines(image, middle, half, turned)
-        away = np.linalg.norm(_centers_px(found) - middle, axis=1)
+        away = np.hypot(*(_centers_px(found) - middle).T)
         fitted += [found[row] for row in np.flatnonzero(away <= stray_px).tolist()]
     centers = {}
     for class_, shape in zip(classes, shapes, strict=True):
         alike = [outline for outline in fitted if outline.is_of(shape)]
-        centers[class_] = [_by_outline(outline, model_center, alike) for outline in alike]
+        centers[class_] = _by_outlines(alike, model_center)
     return centers
 
 
@@ -186,20 +186,34 @@ def _centers_px(outlines: Sequence[Outline]) -> FloatArray:
     return np.array([outline.center_px for outline in outlines]).reshape(-1, 2)
 
 
-def _by_outline(outline: Outline, model_center: SignCenter, outlines: list[Outline]) -> SignCenter:
-    grown = np.abs(np.log(outline.half_px / model_center.half_px))
-    moved = np.abs(outline.center_px - model_center.center_px).max() / model_center.sigma_px
-    apart = np.linalg.norm(_centers_px(outlines) - outline.center_px, axis=1) > 1.0
-    others = [outline.score - outlines[row].score for row in np.flatnonzero(apart).tolist()]
-    evidence = np.array(
+def _by_outlines(outlines: Sequence[Outline], model_center: SignCenter) -> list[SignCenter]:
+    """Return the centres of outlines of one shape."""
+    if not outlines:
+        return []
+    centers, score = _centers_px(outlines), np.array([outline.score for outline in outlines])
+    half = np.array([outline.half_px for outline in outlines])
+    grown = np.abs(np.log(half / model_center.half_px))
+    moved = np.abs(centers - model_center.center_px).max(axis=1) / model_center.sigma_px
+    apart = np.hypot(*(centers[:, None] - centers).T) > 1.0
+    lead = np.where(apart, score[:, None] - score, np.inf).min(axis=1)
+    evidence = np.column_stack(
         [
-            *outline.evidence[1:], min([5.0, *others]), grown.mean(), grown.max(),
-            np.log(moved + 0.5), np.log(model_center.sigma_px),
+            np.array([outline.evidence[1:] for outline in outlines]),
+            np.minimum(lead, 5.0), grown.mean(axis=1), grown.max(axis=1),
+            np.log(moved + 0.5), np.full(len(outlines), np.log(model_center.sigma_px)),
         ]
     )  # fmt: skip
-    kind, polygon = "center by outline", outline_polygon(outline)
-    to_centroid_px = outline.to_centroid_px
-    return SignCenter(kind, outline.center_px, outline.half_px, evidence, polygon, to_centroid_px)
+    return [
+        SignCenter(
+            "center by outline",
+            outline.center_px,
+            outline.half_px,
+            row,
+            outline_polygon(outline),
+            outline.to_centroid_px,
+        )
+        for outline, row in zip(outlines, evidence, strict=True)
+    ]
 
 
 def shape_evidence(

@@ -8,8 +8,9 @@ pose near the true one but not at it. In one frame, the map, the true pose, its 
 mounting of the camera are equally suspect.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,7 +19,13 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
-from semviz_core.diagnosis.reference import FrameReference, pose_distance, whitened_rows
+from semviz_core.diagnosis.reference import (
+    FrameReference,
+    PairRows,
+    pair_rows,
+    pose_distance,
+    whitened_rows,
+)
 from semviz_core.localization.association import associate
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.refinement import Failure, PoseEstimate, refine_pose
@@ -71,7 +78,7 @@ def _sigma_scale(case: FrameReference, localization: Localization) -> tuple[floa
     pairs = case.same_class if case.ids is not None else _wide_pairs(case, mapped, pose)
     if len(pairs) < 2:
         return 1.0, 0.0
-    table = np.array(list(_log_likelihoods(case, mapped, pose, pairs, free)))
+    table = _log_likelihoods(pair_rows(_problem(case, mapped, 1.0), pose, pairs), free)
     gain = table - table[0]
     best = int(np.argmax(gain.sum(axis=1)))
     if _fit_share(case, mapped, pose, pairs, float(SCALES[best])) < LEAST_SIGMA_FIT:
@@ -87,24 +94,22 @@ def _fit_share(
     return float((residual**2 < MOST_CHI2).mean())
 
 
-def _log_likelihoods(
-    case: FrameReference, mapped: Elements3D, pose: Pose, pairs: IntArray, free: float
-) -> Iterator[FloatArray]:
-    """Yield the log-likelihoods (k,) of the pairs, for each of ``SCALES``.
+def _log_likelihoods(pairs: Sequence[PairRows], free: float) -> FloatArray:
+    """Return the log-likelihoods (s, k) of the pairs for each of ``SCALES``.
 
     ``free`` parameters of the pose were fitted to them.
     """
-    for scale in SCALES:
-        problem = _problem(case, mapped, float(scale))
-        by_pair = [whitened_rows(problem, pose, pair[None]) for pair in pairs]
-        count = sum(len(rows.residual) for rows in by_pair)
-        left = max(count - free, 1.0) / count
-        yield np.array(
-            [
-                -0.5 * np.minimum(rows.residual**2 / left, MOST_CHI2).sum() - rows.log_sigma.sum()
-                for rows in by_pair
-            ]
-        )
+    count = sum(len(pair.residual_px) for pair in pairs)
+    left = max(count - free, 1.0) / count
+    larger = (SCALES**2 - 1.0)[:, None, None]
+    columns = []
+    for pair in pairs:
+        factor = np.linalg.cholesky(pair.covariance_px2 + larger * np.diag(pair.variance_px2))
+        residual = np.linalg.solve(factor, pair.residual_px[None, :, None])[..., 0]
+        log_sigma = np.log(np.diagonal(factor, axis1=1, axis2=2))
+        chi2 = np.minimum(residual**2 / left, MOST_CHI2)
+        columns.append(-0.5 * chi2.sum(axis=1) - log_sigma.sum(axis=1))
+    return np.stack(columns, axis=1)
 
 
 def _wide_pairs(case: FrameReference, mapped: Elements3D, pose: Pose) -> IntArray:
@@ -184,14 +189,22 @@ def _scale(case: FrameReference, estimate: PoseEstimate) -> float:
     return max(1.0, size)
 
 
+@lru_cache(maxsize=4)
 def misalignment(case: FrameReference) -> Misalignment | None:
     """Return the offset of all elements together; None if they fit at the true pose."""
+    if case.truth is None:
+        return None
+    if case.ids is not None and _fits_at(case.truth, case, case.same_class):
+        return None  # without a search
     image = image_pose(case)
     if image is None or image.sigmas < LEAST_SIGMAS:
         return None
-    assert case.truth is not None
-    at_truth = problem_residuals(case.problem, case.truth, _pairs_at(case, image.T_camera_map))
-    return None if at_truth.inlier.mean() > MOST_FIT else image
+    return None if _fits_at(case.truth, case, _pairs_at(case, image.T_camera_map)) else image
+
+
+def _fits_at(truth: Pose, case: FrameReference, pairs: IntArray) -> bool:
+    """Whether pairs fit at the true pose, so that they are not off together."""
+    return bool(problem_residuals(case.problem, truth, pairs).inlier.mean() > MOST_FIT)
 
 
 def misalignment_fault(case: FrameReference, image: Misalignment) -> Fault:

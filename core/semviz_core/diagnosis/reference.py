@@ -151,31 +151,55 @@ class FrameReference:
         return self.truth is not None and is_near(T_camera_map, self.truth)
 
 
-class WhitenedRows(NamedTuple):
-    """Residuals in sigmas, without pole bottoms, which may be hidden."""
+class PairRows(NamedTuple):
+    """Residuals of a pair, without a pole's bottom, which may be hidden."""
 
-    residual: FloatArray
+    residual_px: FloatArray
     """(r,)"""
     jacobian: FloatArray
     """(r, 6) by the left perturbation of the pose."""
-    log_sigma: FloatArray
-    """(r,) log of the sigma (px) that each row was divided by."""
+    covariance_px2: FloatArray
+    """(r, r) of detection and map."""
+    variance_px2: FloatArray
+    """(r,) of the detection alone."""
 
 
-def whitened_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> WhitenedRows:
-    """Return the residuals of pairs (k, 2); none of those behind the camera."""
+def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairRows]:
+    """Return the residuals of each of the pairs (k, 2) that is in front of the camera."""
     R, t = T_camera_map.rotation, T_camera_map.translation
-    rows = new_rows()
-    parts = [WhitenedRows(np.empty(0), np.empty((0, 6)), np.empty(0))]
+    rows, found = new_rows(), []
     for i, j in pairs:
         if (count := fill_rows(problem, R, t, i, j, rows)) < 2:
             continue
         peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
         count = min(count, 3 if peak else 2)
+        residual, jacobian = rows.residual[:count].copy(), rows.jacobian[:count].copy()
         whiten(problem, i, j, count, EXACT_POSE, rows)
-        log_sigma = np.log(np.diag(rows.factor)[:count])
+        factor = np.tril(rows.factor[:count, :count])
+        across = [row == 0 or (row == 1 and problem.seen[i]["is_line"]) for row in range(count)]
+        variance = problem.seen[i]["variance_px2"][np.where(across, 0, 1)]
+        found.append(PairRows(residual, jacobian, factor @ factor.T, variance))
+    return found
+
+
+class WhitenedRows(NamedTuple):
+    """Residuals of pairs in sigmas, without pole bottoms."""
+
+    residual: FloatArray
+    """(r,)"""
+    jacobian: FloatArray
+    """(r, 6) by the left perturbation of the pose."""
+
+
+def whitened_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> WhitenedRows:
+    """Return the residuals of pairs (k, 2); none of those behind the camera."""
+    parts = [WhitenedRows(np.empty(0), np.empty((0, 6)))]
+    for pair in pair_rows(problem, T_camera_map, pairs):
+        factor = np.linalg.cholesky(pair.covariance_px2)
         parts.append(
-            WhitenedRows(rows.residual[:count].copy(), rows.jacobian[:count].copy(), log_sigma)
+            WhitenedRows(
+                np.linalg.solve(factor, pair.residual_px), np.linalg.solve(factor, pair.jacobian)
+            )
         )
     return WhitenedRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 

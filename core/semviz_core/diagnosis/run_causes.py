@@ -104,7 +104,7 @@ def _blocks(case: FrameReference) -> Iterator[Block]:
     pairs = _pairs(case)
     if not len(pairs) or case.reference is None:
         return
-    residual, by_pose, _ = whitened_rows(case.problem, case.reference, pairs)
+    residual, by_pose = whitened_rows(case.problem, case.reference, pairs)
     by_camera = np.empty((len(residual), 4))
     for k in range(3):
         by_camera[:, k] = (

@@ -283,7 +283,7 @@ def _keep_best(
             while end < BINS and table.number[end] == voters:
                 end += 1
             heading = 0.5 * (start + end) * (_FULL_TURN / BINS)
-            if end > start and _heading_allowed(prior, heading):
+            if end > start and heading_allowed(prior, heading):
                 row = table.pose[count + added]
                 row[0], row[1], row[2] = x, y, z
                 row[3], row[4] = np.cos(heading), np.sin(heading)
@@ -294,7 +294,8 @@ def _keep_best(
 
 
 @compiled
-def _heading_allowed(prior: PriorRecord, heading: float) -> bool:
+def heading_allowed(prior: PriorRecord, heading: float) -> bool:
+    """Return whether the prior's heading, if any, allows this one (rad)."""
     if not prior.value.has_heading:
         return True
     off = heading - prior.value.heading_rad

@@ -19,7 +19,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
-from semviz_core.base.localization import Alternative, Localization, Search
+from semviz_core.base.localization import Alternative, Localization, Match, Search
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
@@ -28,7 +28,6 @@ from semviz_core.localization import refinement
 from semviz_core.localization.association import PairConstraints, posterior_match
 from semviz_core.localization.correspondences.matcher import (
     CoupleHypotheses,
-    LearnedCorrespondences,
     PairMatcher,
     load_pair_matcher,
 )
@@ -234,8 +233,8 @@ class Localizer:
         prior = assumed_upright(work.given_prior)  # the result keeps the prior as given
         propose: Propose = most_voted
         if self.method == "correspondences":  # P comes first, and proposes the poses
-            learned = self._correspondences(work, problem, pairing, watch)
-            work, propose = replace(work, match=learned.match), CoupleHypotheses.of(learned)
+            match = self._correspondences(work, problem, pairing, watch)
+            work, propose = replace(work, match=match), CoupleHypotheses(match)
         modes, probability = self._modes(work, problem, prior, start, propose, watch)
         found = _search_result(modes)
         work = replace(work, search=found)
@@ -277,14 +276,14 @@ class Localizer:
         if start is not None:
             return watch.time("search", lambda: mode_near(problem, prior, start)), None
         modes = watch.time("search", lambda: search(problem, prior, EFFORTS[self.method], propose))
-        if self.method != "learned":
+        if not self._verifies:
             return modes, None
         frame = work.observed, work.submap, work.camera, prior
         return watch.time("verify", lambda: self._verifier().verified(*frame, modes))
 
     def _correspondences(
         self, work: Localization, problem: PoseProblem, pairing: PairConstraints, watch: Stopwatch
-    ) -> LearnedCorrespondences:
+    ) -> Match:
         """Return the learned correspondences, among the pairs that ``pairing`` leaves."""
         frame = work.observed, work.submap, work.camera, work.given_prior
         constraints = problem.compatible, pairing.forced
@@ -297,14 +296,22 @@ class Localizer:
         """
         return load_pair_matcher(self.weights, self.classes)
 
+    @property
+    def _verifies(self) -> bool:
+        """Whether the verifier chooses among the modes: the shipped one knows only its classes."""
+        of_pairs = self.method == "correspondences" and self.classes == DEFAULT_CLASSES
+        return of_pairs or self.method == "learned"
+
     def _verifier(self) -> "ModeVerifier":
-        """Load the verifier.
+        """Load the verifier; for ``correspondences``, whose own weights are the matcher's, the
+        shipped one.
 
         Raise SemvizError if the weights are missing or of another network.
         """
         from semviz_core.localization.mode_verifier import load_verifier
 
-        return load_verifier(self.weights, self.classes)
+        weights = self.weights if NETWORKS[self.method] == "verifier" else None
+        return load_verifier(weights, self.classes)
 
     def _external_method(self) -> LearnedMethod:
         """Load the method from its entry point.

@@ -89,7 +89,7 @@ class PoseCheck:
     @property
     def wrong_frames(self) -> tuple[int, ...]:
         """Frames of faults that do not hold for the whole drive."""
-        local = [fault for fault in self.faults if fault.kind in _LOCAL]
+        local = [fault for fault in self.faults if fault.kind in LOCAL_KINDS]
         return tuple(
             frame.index
             for frame in self.frames
@@ -129,7 +129,7 @@ class PoseCheck:
             }
 
 
-_LOCAL: Final = ("frozen", "turned", "shifted")
+LOCAL_KINDS: Final = ("frozen", "turned", "shifted")
 RIG_KINDS: Final = ("baseline", "right image")
 """Faults of the calibration, which other poses do not repair."""
 _REFINE: Final = "refine them, or leave these frames out: semviz poses choose"

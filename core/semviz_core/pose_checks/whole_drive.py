@@ -11,7 +11,13 @@ from itertools import permutations, product
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray
-from semviz_core.pose_checks.comparison import DrivePoses, compare, rotation_vectors
+from semviz_core.pose_checks.comparison import (
+    LIMIT,
+    DrivePoses,
+    PoseComparison,
+    compare,
+    rotation_vectors,
+)
 from semviz_core.pose_checks.image_motions import ImageMotions
 
 GAIN, TIME_GAIN = 40.0, 15.0
@@ -23,6 +29,9 @@ MIN_PAIRS = 8
 FLAT_M = 1e-5
 """Heights that differ less are constant: no vehicle drives like that."""
 LEAST_RISE_M = 0.015
+_MEDIAN_CHI2 = 1.386
+"""Of two degrees of freedom."""
+_TURN_PRIOR_RAD, _TURN_ROUNDS = float(np.deg2rad(10.0)), 10
 _QUICK_M, _QUICK_RAD = 0.02, float(np.deg2rad(0.1))
 
 
@@ -197,6 +206,35 @@ def corrected_heights(poses: DrivePoses, motions: ImageMotions) -> Correction | 
         return None
     centers = np.column_stack([poses.center_m[:, :2], z])
     return Correction(replace(poses, center_m=centers), rise)
+
+
+def shows_time(poses: DrivePoses, motions: ImageMotions) -> bool:
+    """Whether the drive would show poses that are one frame late: a steady one does not."""
+    return corrected_time(shifted_in_time(poses, -1.0), motions) is not None
+
+
+def turned_camera(poses: DrivePoses, comparison: PoseComparison) -> tuple[FloatArray, float]:
+    """Return how far the camera is turned about its x and y against its poses (2,) rad, and one
+    sigma. About the viewing direction a straight drive tells nothing.
+
+    If all poses are turned by d and their places are right, the motion R, t gets an innovation of
+    t x R d, turned by (R - 1) d: by robust least squares over all pairs.
+    """
+    rows = np.flatnonzero(comparison.compared)
+    R, t = (values[rows] for values in poses.motions())
+    weight = 1.0 / comparison.pose_sigma
+    across = np.cross(t[:, None], R.transpose(0, 2, 1)).transpose(0, 2, 1)
+    A = np.concatenate([across, R - np.eye(3)], axis=1) * weight[:, None]
+    b = comparison.innovation[rows] * weight
+    used, prior = np.ones(len(rows)), np.eye(3) / _TURN_PRIOR_RAD**2
+    for _ in range(_TURN_ROUNDS):
+        inverse = np.linalg.inv(np.einsum("n,nij,nik->jk", used, A, A) + prior)
+        turn = inverse @ np.einsum("n,nij,ni->j", used, A, b)
+        left = (b - A @ turn) ** 2
+        used = 1.0 / (1.0 + left.sum(axis=1) / LIMIT) ** 2
+    # The sigma of poses holds what the turn moves them to the side; what is left is their own.
+    spread = float(np.median(left[:, :2].sum(axis=1))) / _MEDIAN_CHI2
+    return turn[:2], float(np.sqrt(spread * np.linalg.eigvalsh(inverse[:2, :2])[-1]))
 
 
 def _too_short(poses: DrivePoses, motions: ImageMotions) -> bool:

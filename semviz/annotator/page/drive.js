@@ -4,10 +4,20 @@
 /** @import {Command, Keys} from "/static/keys.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
-import { byId, el } from "/static/dom.js";
+import { byId, el, fill } from "/static/dom.js";
 import { DrivePicture } from "./drive_picture.js";
+import { DriveStrip } from "./drive_strip.js";
 import { Trajectory } from "./trajectory.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
+
+/** @type {{kind: import("./drive_picture.js").Kind, key: string, title: string}[]} */
+const KINDS = [
+  { kind: "rows", key: "1", title: "Rows" },
+  { kind: "lines", key: "2", title: "Distortion" },
+  { kind: "depth", key: "3", title: "Depth" },
+];
+/** The picture that shows most of a check. */
+const SHOWS = /** @type {Record<string, import("./drive_picture.js").Kind>} */ ({ sides: "depth", lines: "lines", extrinsics: "depth", scale: "depth" });
 
 export class Drive {
   /**
@@ -26,13 +36,16 @@ export class Drive {
     this.requested = -1; // the frame whose matches were requested
     this.picture = new DrivePicture(state, page.pictures);
     this.trajectory = new Trajectory(byId("drive-trajectory", HTMLCanvasElement), (frame) => page.go(frame));
+    this.strip = new DriveStrip((frame) => page.go(frame));
+    byId("drive-poses").addEventListener("click", () => page.poses.open("poses"));
+    byId("drive-jump").addEventListener("click", () => this.#jump());
     byId("tab-drive").addEventListener("click", () => this.open());
     page.socket.on("drive", ({ drive }) => {
       this.known = drive;
       if (this.chosen < 0) this.#look(Math.max(0, drive.checks.findIndex(({ passed }) => passed === false)));
       state.set({});
     });
-    page.socket.on("drive_frame", (event) => this.picture.received(event));
+    page.socket.on("drive_frame", ({ pair }) => this.picture.received(pair));
   }
 
   get isShown() {
@@ -52,6 +65,15 @@ export class Drive {
     return [{ key: "F9", group: "Poses", title: "Show your drive: checks of the import", row: "Images; poses", words: "calibration import trajectory", run: () => this.open() }];
   }
 
+  /** What keys do in this view, by their default.
+   *
+   * @returns {Record<string, () => void>}
+   */
+  keyed() {
+    const pictures = KINDS.map(({ kind, key }) => [key, () => this.#draw(kind)]);
+    return { ...Object.fromEntries(pictures), j: () => this.#jump() };
+  }
+
   /** Redraws; called whenever the state of the page changes. */
   show() {
     document.body.classList.toggle("drive", this.isShown);
@@ -66,7 +88,12 @@ export class Drive {
     this.cache.show("drive-steps", [known], () => this.#steps(known));
     const { frame } = this.state;
     if (frame !== null && frame !== this.requested && this.page.socket.send("show_drive_frame", { frame })) this.requested = frame;
+    this.cache.show("drive-kinds", [this.picture.kind], () => this.#kinds());
+    const { frame: place } = known.checks[this.chosen] ?? {};
+    byId("drive-jump").hidden = typeof place !== "number";
+    fill(byId("drive-jump"), [`Frame ${place} `, badge(this.keys, "J")]);
     this.picture.show(frame);
+    this.strip.show(known, frame);
     this.trajectory.show(known, frame);
   }
 
@@ -102,12 +129,30 @@ export class Drive {
       el("b", { text: value }), el("span", { class: "drive-limit dim", text: limit }));
   }
 
+  #kinds() {
+    return KINDS.map(({ kind, key, title }) => el("button", { class: "small", role: "tab", "aria-pressed": String(kind === this.picture.kind), onclick: () => this.#draw(kind) },
+      kind === "rows" && !this.state.hasRight ? "Lines " : `${title} `, el("kbd", { text: key })));
+  }
+
+  /** @param {import("./drive_picture.js").Kind} kind */
+  #draw(kind) {
+    this.picture.kind = kind;
+    this.state.set({});
+  }
+
+  /** Goes to the frame of the chosen check. */
+  #jump() {
+    const place = this.known?.checks[this.chosen]?.frame;
+    if (typeof place === "number") this.page.go(place);
+  }
+
   /** Shows a check by its frame.
    *
    * @param {number} place
    */
   #look(place) {
     this.chosen = place;
+    this.picture.kind = SHOWS[this.known?.checks[place]?.kind ?? ""] ?? "rows";
     const frame = this.known?.checks[place]?.frame;
     if (typeof frame === "number") this.page.go(frame);
     else this.state.set({});

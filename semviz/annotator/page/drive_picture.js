@@ -1,14 +1,19 @@
 // @ts-check
-// Two images one above the other with matches between them, coloured by their distance from their line.
+// Two images one above the other: matches and how far they are off their line, long edges and their bend, or
+// depths of matches.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Pictures} from "./pictures.js" */
 /** @import {State} from "./state.js" */
-import { byId } from "/static/dom.js";
+import { cssColor } from "/static/canvas.js";
+import { byId, el, fill } from "/static/dom.js";
 
-const LIMITS_PX = [1, 2, 3, 5]; // of the residual scale
+const LIMITS = { rows: [0, 1, 2, 3, 5], lines: [0, 0.3, 0.6, 1, 2], depth: [0, 5, 10, 20, 40] };
 const ROWS = 8; // lines in a picture of rows
 const MAGNIFIED = 8;
 const LEAST_OFF_PX = 0.5; // with a line
+const LEAST_APART_PX = 90; // between depths in figures
+
+/** @typedef {"rows" | "lines" | "depth"} Kind */
 
 export class DrivePicture {
   /**
@@ -19,7 +24,9 @@ export class DrivePicture {
     this.state = state;
     this.pictures = pictures;
     this.canvas = byId("drive-picture", HTMLCanvasElement);
-    /** @type {annotator.DriveFrameEvent | null} */
+    /** @type {Kind} */
+    this.kind = "rows";
+    /** @type {annotator.DrivePair | null} */
     this.found = null;
     /** @type {(ImageBitmap | null)[]} */
     this.bitmaps = [null, null];
@@ -27,9 +34,9 @@ export class DrivePicture {
     new ResizeObserver(() => this.#draw()).observe(this.canvas);
   }
 
-  /** @param {annotator.DriveFrameEvent} event */
-  received(event) {
-    this.found = event;
+  /** @param {annotator.DrivePair} pair */
+  received(pair) {
+    this.found = pair;
     this.state.set({});
   }
 
@@ -37,7 +44,9 @@ export class DrivePicture {
   async show(frame) {
     const { found } = this;
     const isNow = found?.frame === frame;
-    byId("drive-about").textContent = isNow && found ? this.#about(found) : `frame ${frame}: matching …`;
+    const about = byId("drive-about");
+    about.textContent = about.title = isNow && found ? this.#about(found) : `frame ${frame}: matching …`;
+    this.#key();
     if (!isNow || !found || frame === null) return;
     const side = this.state.hasRight ? "right" : "left";
     const loading = `${frame} ${found.second}`;
@@ -49,13 +58,30 @@ export class DrivePicture {
     this.#draw();
   }
 
-  /** @param {annotator.DriveFrameEvent} event */
-  #about({ frame, second, matches, note }) {
+  /** @param {annotator.DrivePair} pair */
+  #about({ frame, second, matches, edges, note }) {
+    if (this.kind === "lines") {
+      const bends = edges.flat().map(({ bend_px: px }) => Math.abs(px));
+      return `frame ${frame}: ${bends.length} long edges, median bend ${median(bends).toFixed(2)} px`;
+    }
     if (note) return note;
-    const off = matches.map(({ off_px: px }) => Math.abs(px)).sort((a, b) => a - b);
-    const median = off.length ? `, median ${off[Math.floor(off.length / 2)].toFixed(2)} px off` : "";
+    if (this.kind === "depth") return `frame ${frame}: depth of ${matches.filter(({ depth_m: depth }) => depth !== null).length} matches`;
+    const off = matches.map(({ off_px: px }) => Math.abs(px));
     const [pair, line] = this.state.hasRight ? ["left and right", "their row"] : [`and ${second}`, "their line by the poses"];
-    return `frame ${frame} ${pair}: ${matches.length} matches${median} ${line}`;
+    return `frame ${frame} ${pair}: ${matches.length} matches${off.length ? `, median ${median(off).toFixed(2)} px off ${line}` : ""}`;
+  }
+
+  /** What the colours mean. */
+  #key() {
+    const unit = this.kind === "depth" ? "m" : "px";
+    const texts = LIMITS[this.kind].map((limit, at, all) => (at === all.length - 1 ? `${limit} ${unit}` : `${limit}`));
+    fill(byId("drive-scale"), texts.map((text) => el("span", { text })));
+    const line = this.state.hasRight ? "row" : "epipolar line";
+    byId("drive-explains").textContent = {
+      rows: `matches; off their ${line}, ${MAGNIFIED}×`,
+      lines: `edges that are straight in the world, mostly; their bend, ${MAGNIFIED}×`,
+      depth: this.state.hasRight ? "metres, from left and right" : "metres, from the poses of both",
+    }[this.kind];
   }
 
   #draw() {
@@ -71,8 +97,18 @@ export class DrivePicture {
     const tops = [(height - 6 - scale * (upper.height + lower.height)) / 2, 0];
     tops[1] = tops[0] + scale * upper.height + 6;
     [upper, lower].forEach((bitmap, at) => context.drawImage(bitmap, left, tops[at], scale * bitmap.width, scale * bitmap.height));
-    if (this.state.hasRight) this.#rows(context, left, tops, scale, upper);
-    this.#matches(context, left, tops, scale);
+    const place = (/** @type {number} */ at, /** @type {[number, number]} */ [u, v]) => /** @type {[number, number]} */ ([left + scale * (u + 0.5), tops[at] + scale * (v + 0.5)]);
+    if (this.kind === "rows" && this.state.hasRight) this.#rows(context, left, tops, scale, upper);
+    [upper, lower].forEach((bitmap, at) => {
+      context.save();
+      context.beginPath();
+      context.rect(left, tops[at], scale * bitmap.width, scale * bitmap.height);
+      context.clip();
+      if (this.kind === "lines") this.#edges(context, at, place);
+      else if (this.kind === "depth") this.#depths(context, at, place);
+      else this.#matches(context, at, place, scale);
+      context.restore();
+    });
   }
 
   /**
@@ -96,39 +132,94 @@ export class DrivePicture {
     }
   }
 
+  /** The colour of a value on the scale.
+   *
+   * @param {number} value
+   */
+  #color(value) {
+    return cssColor(`--residual-${Math.max(0, LIMITS[this.kind].filter((limit) => value >= limit).length - 1)}`);
+  }
+
   /** Crosses in both images; in the lower one a line shows how far a match is off, magnified.
    *
    * @param {CanvasRenderingContext2D} context
-   * @param {number} left
-   * @param {number[]} tops
+   * @param {number} at
+   * @param {(at: number, pixel: [number, number]) => [number, number]} place
    * @param {number} scale
    */
-  #matches(context, left, tops, scale) {
-    const style = getComputedStyle(document.documentElement);
+  #matches(context, at, place, scale) {
     context.lineWidth = 1.5;
-    this.bitmaps.forEach((bitmap, at) => {
-      if (!bitmap) return;
-      context.save();
+    for (const { here, there, off_px: off } of this.found?.matches ?? []) {
+      const [x, y] = place(at, at ? there : here);
+      context.strokeStyle = this.#color(Math.abs(off));
       context.beginPath();
-      context.rect(left, tops[at], scale * bitmap.width, scale * bitmap.height);
-      context.clip();
-      for (const { here, there, off_px: off } of this.found?.matches ?? []) {
-        const place = LIMITS_PX.filter((limit) => Math.abs(off) >= limit).length;
-        const [u, v] = at ? there : here;
-        const [x, y] = [left + scale * (u + 0.5), tops[at] + scale * (v + 0.5)];
-        context.strokeStyle = style.getPropertyValue(`--residual-${place}`);
-        context.beginPath();
-        context.moveTo(x - 4, y);
-        context.lineTo(x + 4, y);
-        context.moveTo(x, y - 4);
-        context.lineTo(x, y + 4);
-        if (at === 1 && Math.abs(off) > LEAST_OFF_PX) {
-          context.moveTo(x, y);
-          context.lineTo(x, y + MAGNIFIED * scale * off);
-        }
-        context.stroke();
+      context.moveTo(x - 4, y);
+      context.lineTo(x + 4, y);
+      context.moveTo(x, y - 4);
+      context.lineTo(x, y + 4);
+      if (at === 1 && Math.abs(off) > LEAST_OFF_PX) {
+        context.moveTo(x, y);
+        context.lineTo(x, y + MAGNIFIED * scale * off);
       }
-      context.restore();
-    });
+      context.stroke();
+    }
   }
+
+  /** Edges with their bend magnified, over the lines between their ends.
+   *
+   * @param {CanvasRenderingContext2D} context
+   * @param {number} at
+   * @param {(at: number, pixel: [number, number]) => [number, number]} place
+   */
+  #edges(context, at, place) {
+    for (const { first, middle, last, bend_px: bend } of this.found?.edges[at] ?? []) {
+      const [from, over, to] = [first, middle, last].map((pixel) => place(at, pixel));
+      context.lineWidth = 1;
+      context.strokeStyle = "rgba(255, 255, 255, .6)";
+      context.beginPath();
+      context.moveTo(...from);
+      context.lineTo(...to);
+      context.stroke();
+      const [x, y] = [0, 1].map((axis) => (from[axis] + to[axis]) / 2 + 2 * MAGNIFIED * (over[axis] - (from[axis] + to[axis]) / 2));
+      context.lineWidth = 2;
+      context.strokeStyle = this.#color(Math.abs(bend));
+      context.beginPath();
+      context.moveTo(...from);
+      context.quadraticCurveTo(x, y, ...to);
+      context.stroke();
+    }
+  }
+
+  /** Matches in the colour of their depth, some with figures.
+   *
+   * @param {CanvasRenderingContext2D} context
+   * @param {number} at
+   * @param {(at: number, pixel: [number, number]) => [number, number]} place
+   */
+  #depths(context, at, place) {
+    const figures = /** @type {[number, number, string][]} */ ([]);
+    context.font = "600 11px Inter, \"Liberation Sans\", Arial, sans-serif";
+    for (const { here, there, depth_m: depth } of this.found?.matches ?? []) {
+      if (depth === null) continue;
+      const [x, y] = place(at, at ? there : here);
+      context.fillStyle = this.#color(depth);
+      context.beginPath();
+      context.arc(x, y, 3.5, 0, 2 * Math.PI);
+      context.fill();
+      if (at === 1 || figures.some(([fx, fy]) => Math.hypot(fx - x, fy - y) < LEAST_APART_PX)) continue;
+      figures.push([x, y, `${depth < 10 ? depth.toFixed(1) : depth.toFixed(0)} m`]);
+    }
+    context.lineWidth = 3;
+    context.strokeStyle = "rgba(0, 0, 0, .75)";
+    context.fillStyle = "#fff";
+    for (const [x, y, text] of figures) {
+      context.strokeText(text, x + 6, y + 4);
+      context.fillText(text, x + 6, y + 4);
+    }
+  }
+}
+
+/** @param {number[]} values */
+function median(values) {
+  return values.length ? [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)] : 0;
 }

@@ -97,7 +97,6 @@ function forElement(state, element, { side }) {
   const here = element.observations[side];
   const isLine = state.classOf(element.class_id).kind === "line";
   const confident = state.confidentProposals.length;
-  const found = state.foundProposals.length;
   const missing = state.hasRight && SIDES.find((other) => !element.observations[other]);
   return [
     ...(confident ? [hint(`accept ${confident} confident`, "Shift Space")] : []),

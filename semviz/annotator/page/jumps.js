@@ -148,7 +148,7 @@ export class Jumps {
       this.lists = Object.entries(JUMPS).map(([name, { title, summary }]) => [name, title, summary(jumpFrames(this.state, name))]);
     }
     /** @type {Row[]} */
-    const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null && name !== "tracks" ? "no map yet" : counts[name]]);
+    const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null && name !== "tracks" ? "no map" : counts[name]]);
     const lists = [...this.lists, ...reviews];
     this.cache.show("jumps", [lists, jump], () => lists.map((list) => this.#row(list)));
   }

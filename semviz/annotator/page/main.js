@@ -264,7 +264,7 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this)), ...this.drive.commands()]);
+    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this), this.drive.keyed()), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();

@@ -137,7 +137,8 @@ export class Panels {
     const count = (/** @type {unknown[]} */ list, /** @type {string} */ noun) => (list.length ? `${list.length} ${noun}` : "");
     const leftOut = rows.filter(({ left_out: isLeftOut }) => isLeftOut);
     byId("elements-about").textContent = [`${rows.length - leftOut.length} here`, count(proposed, "proposed"), count(near, "nearby"), count(leftOut, "left out")].filter(Boolean).join(", ");
-    byId("map-about").textContent = `${state.labels.mapped} elements`;
+    byId("map-about").textContent = String(state.labels.mapped);
+    byId("map-about").title = counted(state.labels.mapped, "element");
     const kept = rows.length - leftOut.length;
     return [...labelled.slice(0, kept), ...proposed, ...near, ...labelled.slice(kept)];
   }

@@ -85,9 +85,10 @@ export class Poses {
   /** Commands for `Keys`: those of this view, and the others of the page, which rest while it is shown.
    *
    * @param {Command[]} others
+   * @param {Record<string, () => void>} inDrive what keys do in the view "Your drive"
    * @returns {Command[]}
    */
-  commands(others) {
+  commands(others, inDrive) {
     const group = "Poses";
     const here = (/** @type {() => void} */ run) => () => {
       this.open("poses");
@@ -102,7 +103,7 @@ export class Poses {
       escape: () => { if (!this.drop()) this.open("images"); },
     };
     return [
-      ...others.map((command) => this.#resting(command, own[named(command)])),
+      ...others.map((command) => this.#resting(command, own[named(command)], inDrive[named(command)])),
       { key: "F2", group, title: "Show the images", row: "Images; poses", run: () => this.open("images") },
       { key: "F4", group, title: "Show the poses against the images", row: "Images; poses", words: "check trajectory", run: () => this.open("poses") },
       { key: "f", shift: true, group, title: "Refine these poses; Ctrl Enter applies", words: "turn shift", run: here(() => this.try("refine")) },
@@ -116,9 +117,10 @@ export class Poses {
    *
    * @param {Command} command
    * @param {(() => void) | undefined} own
+   * @param {(() => void) | undefined} inDrive as `own`, of the view "Your drive"
    * @returns {Command}
    */
-  #resting(command, own) {
+  #resting(command, own, inDrive) {
     const { run } = command;
     if (!run || EVERYWHERE.has(command.group) || ALSO.has(named(command))) return command;
     return {
@@ -126,6 +128,7 @@ export class Poses {
       run: (event) => {
         if (this.state.view === "images") run(event);
         else if (this.isShown && own) own();
+        else if (this.state.view === "drive" && inDrive) inDrive();
         else if (!event) {
           this.open("images");
           run();

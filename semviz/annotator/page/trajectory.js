@@ -68,8 +68,8 @@ export class Trajectory {
     this.points.forEach(([x, y]) => context.lineTo(x, y));
     context.stroke();
     const [first, last] = [this.points[0], this.points[this.points.length - 1]];
-    if (this.frame !== drive.frames[0]) context.fillText("start", first[0] + 8, first[1] + 4);
-    if (this.points.length > 1 && this.frame !== drive.frames[drive.frames.length - 1]) context.fillText("end", last[0] + 8, last[1] + 4);
+    if (this.frame !== drive.frames[0]) context.fillText("start", first[0] - 4, first[1] - 9);
+    if (this.points.length > 1 && this.frame !== drive.frames[drive.frames.length - 1]) context.fillText("end", last[0] - 4, last[1] - 9);
     const here = this.points[drive.frames.indexOf(this.frame ?? -1)];
     if (here) this.#mark(context, here, color("--text"), `frame ${this.frame}`);
     this.#scaleBar(context, scale, width, height, color("--text"));

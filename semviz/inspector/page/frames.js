@@ -4,7 +4,7 @@
 import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { VirtualList } from "/static/virtual_list.js";
-import { memberOf, numberOf, textOf, wholeNumber } from "./address.js";
+import { flag, memberOf, numberOf, textOf, wholeNumber, yes } from "./address.js";
 
 /** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
 /** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
@@ -80,6 +80,7 @@ export class FrameList {
     this.elementName = "";
     /** @type {{kind: string, positions: Set<number>} | null} */
     this.cause = null; // only frames that it explains
+    this.noticed = false; // only frames with faults that did no harm
     page.socket.on("element_frames", (event) => this.showElementFrames(event));
     byId("frame-list").addEventListener("click", (event) => goToClicked(page, event));
     this.choice = byId("diagnosis-filter", HTMLSelectElement);
@@ -94,9 +95,9 @@ export class FrameList {
   address() {
     const diagnoses = () => this.page.store.run.frames.map((row) => row.diagnosis);
     return [{
-      fields: { status: memberOf(() => STATUSES), verdict: memberOf(diagnoses), only: wholeNumber() },
-      get: () => ({ status: this.status, verdict: this.diagnosis, only: textOf(this.element) }),
-      set: ({ status, verdict, only }) => this.filter({ status, diagnosis: verdict, element: numberOf(only) }),
+      fields: { status: memberOf(() => STATUSES), verdict: memberOf(diagnoses), only: wholeNumber(), noticed: flag() },
+      get: () => ({ status: this.status, verdict: this.diagnosis, only: textOf(this.element), noticed: yes(this.noticed) }),
+      set: ({ status, verdict, only, noticed }) => this.filter({ status, diagnosis: verdict, element: numberOf(only), noticed: noticed === "yes" }),
     }];
   }
 
@@ -107,6 +108,7 @@ export class FrameList {
     this.element = null;
     this.withElement = null;
     this.cause = null;
+    this.noticed = false;
   }
 
   showRun() {
@@ -153,10 +155,10 @@ export class FrameList {
 
   /** Sets filters; omitted ones stay as they are.
    *
-   * @param {{status?: Status | null, diagnosis?: string | null, element?: number | null}} filters
+   * @param {{status?: Status | null, diagnosis?: string | null, element?: number | null, noticed?: boolean}} filters
    */
-  filter({ status = this.status, diagnosis = this.diagnosis, element = this.element }) {
-    Object.assign(this, { status, diagnosis });
+  filter({ status = this.status, diagnosis = this.diagnosis, element = this.element, noticed = this.noticed }) {
+    Object.assign(this, { status, diagnosis, noticed });
     if (element !== this.element) {
       this.element = element;
       this.withElement = null;
@@ -189,6 +191,7 @@ export class FrameList {
       (except === "status" || !this.status || row.status === this.status)
       && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
       && (!this.withElement || this.withElement.has(row.position))
+      && (except === "noticed" || !this.noticed || row.noticed !== "")
       && (!this.cause || this.cause.positions.has(row.position)));
   }
 
@@ -197,7 +200,7 @@ export class FrameList {
     this.groupOf = new Map(this.groups.flatMap(({ members }, index) => members.map((position) => [position, index])));
     this.rowList.show(this.groups.length);
     if (!this.groups.length) byId("frame-list").append(el("li", { class: "none dim", text: "No frames match these filters." }));
-    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), ...this.causeChip());
+    byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), this.noticedChip(), ...this.causeChip());
     this.fillDiagnoses();
     this.fillElement();
     this.pointAt(this.page.store.target);
@@ -214,6 +217,13 @@ export class FrameList {
     });
     chip.append(status ? statusMark(status) : el("span", { text: "All" }), el("span", { text: rows.length }));
     return chip;
+  }
+
+  /** Healthy frames with faults that did no harm yet: a label or a map element worth a look. */
+  noticedChip() {
+    const count = this.rows("noticed").filter((row) => row.noticed).length;
+    return el("button", { class: "chip", title: "Only frames with faults that did no harm", "aria-pressed": this.noticed,
+      onclick: () => this.filter({ noticed: !this.noticed }), text: `noticed ${count}` });
   }
 
   causeChip() {
@@ -250,11 +260,11 @@ export class FrameList {
 
 /** @param {FrameGroup} group */
 function listRow(group) {
-  return el("li", { class: "row", title: group.reason, data: { position: group.position } },
+  return el("li", { class: "row", title: group.noticed ? `${group.reason} Noticed: ${group.noticed}.` : group.reason, data: { position: group.position } },
     statusMark(group.status),
     el("span", { class: "index", text: group.index }),
     el("span", { class: group.overconfident ? "wrong" : "", text: errorText(group) }),
-    el("span", { class: "diagnosis", text: group.diagnosis }),
+    el("span", { class: "diagnosis", text: group.noticed ? `${group.diagnosis} · ${group.noticed}` : group.diagnosis }),
     el("span", { class: "count", text: group.members.length > 1 ? `${group.members.length}×` : "" }));
 }
 

@@ -254,7 +254,7 @@ export interface DrawnMark {
 
 /** One check, as texts for people. */
 export interface DriveCheck {
-  kind: "sides" | "rows" | "poses" | "gaps";
+  kind: "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
   name: string;
   measured: string;
   value: string;
@@ -264,6 +264,14 @@ export interface DriveCheck {
   option?: string;
   remedy?: string;
   frame?: number | null;
+}
+
+/** A long edge in an image, and how far its middle is from the line between its ends. */
+export interface DriveEdge {
+  first: [number, number];
+  middle: [number, number];
+  last: [number, number];
+  bend_px: number;
 }
 
 /** The checks of the drive's import, and what to do. */
@@ -279,14 +287,11 @@ export interface DriveFact {
   label: string;
 }
 
-/** Matches between the left image of a frame and its right one, or the next one. */
+/** Matches and edges of the left image of a frame and its right one, or the next one. */
 export interface DriveFrameEvent {
   type: "drive_frame";
   reply_to: string | null;
-  frame: number;
-  second: number;
-  matches: Array<DriveMatch>;
-  note: string;
+  pair: DrivePair;
 }
 
 /** A match between the two images of a picture, and its distance (px) from its line. */
@@ -294,6 +299,16 @@ export interface DriveMatch {
   here: [number, number];
   there: [number, number];
   off_px: number;
+  depth_m: number | null;
+}
+
+/** Two images of a drive, and what was measured in them. */
+export interface DrivePair {
+  frame: number;
+  second: number;
+  matches: Array<DriveMatch>;
+  edges: [Array<DriveEdge>, Array<DriveEdge>];
+  note: string;
 }
 
 /** Something to do; ``command`` is for a terminal, ``view`` a view of the page. */
@@ -315,6 +330,7 @@ export interface DriveView {
   frames: Array<number>;
   places_m: Array<[number, number]>;
   without_pose: number;
+  motion: PoseSteps | null;
   file: string;
 }
 
@@ -649,6 +665,15 @@ export interface PoseMark {
   after_px: number | null;
 }
 
+/** How far the steps of n poses are from those of the images. */
+export interface PoseSteps {
+  frames: Array<number>;
+  turn_deg: Array<number>;
+  shift_m: Array<number>;
+  wrong: Array<boolean>;
+  usual: [number, number];
+}
+
 /** A choice for poses is on disk; the workspace is sent again with the chosen poses. */
 export interface PosesChosenEvent {
   type: "poses_chosen";
@@ -845,7 +870,7 @@ export interface SetThemeRequest {
   theme: "dark" | "light";
 }
 
-/** Request matches between the images of a frame; a ``drive_frame`` event follows. */
+/** Request matches and edges of the images of a frame; a ``drive_frame`` event follows. */
 export interface ShowDriveFrameRequest {
   type: "show_drive_frame";
   id: string;
@@ -1323,6 +1348,7 @@ export interface FrameRow {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;
@@ -1335,6 +1361,7 @@ export interface FrameView {
   reason: string;
   diagnosis: string;
   overconfident: boolean;
+  noticed: string;
   error_m: number | null;
   error_deg: number | null;
   ms: number;

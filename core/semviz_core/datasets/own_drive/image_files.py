@@ -354,14 +354,24 @@ class ImageFolder:
         rectification = self.rectification(index, side)
         if rectification.is_identity:
             return original
-        path = self.cache / side / f"{index:06d}.png"
+        path = self._rectified_path(index, side)
         changed_ns = original.stat().st_mtime_ns
-        if not path.is_file() or path.stat().st_mtime_ns != changed_ns:
+        if not self.is_rectified(index, side):
             self._check_replaceable(path)
             recorded = rectification.original
             image = _read_image(original, recorded.width, recorded.height)
             _write_png(path, rectification.rectify(image), changed_ns)
         return path
+
+    def is_rectified(self, index: int, side: Side) -> bool:
+        """Whether a rectified image is made, or none is needed."""
+        if self.rectification(index, side).is_identity:
+            return True
+        path, original = self._rectified_path(index, side), self.original_path(index, side)
+        return path.is_file() and path.stat().st_mtime_ns == original.stat().st_mtime_ns
+
+    def _rectified_path(self, index: int, side: Side) -> Path:
+        return self.cache / side / f"{index:06d}.png"
 
     def _check_replaceable(self, path: Path) -> None:
         """Raise SemvizError if a link leads from the cache to somebody's image of the same name."""

@@ -91,6 +91,17 @@ def refine_extrinsics(dataset: Dataset, drive: RecordedDrive) -> RefinedExtrinsi
     )
 
 
+def turned_right(drive: RecordedDrive, turn_rad: float) -> Pose:
+    """Return ``T_right_left`` of the recorded cameras with the right one turned about its rectified
+    y axis; it stays in its place."""
+    assert drive.rectified.right is not None
+    assert drive.original.T_right_left is not None
+    R = drive.rectified.right.R_original_rectified
+    return Pose(R @ so3_exp(np.array([0.0, turn_rad, 0.0])) @ R.T, np.zeros(3)) @ (
+        drive.original.T_right_left
+    )
+
+
 def with_extrinsics(drive: RecordedDrive, T_right_left: Pose) -> RecordedDrive:
     """Return a drive whose right camera lies elsewhere; poses of the left one stay."""
     original = OriginalRig(drive.original.left, drive.original.right, T_right_left)
@@ -155,8 +166,9 @@ _REMEDIES: dict[str, Callable[[Pose], Pose]] = {
     "--extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"],
     "no --extrinsic flu": lambda T: T @ NAMED_EXTRINSICS["flu"].inverse(),
     "no --extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"].inverse(),
+    "a transpose of the rotations": lambda T: Pose(T.rotation.T, T.translation),
 }
-"""By the option, how recorded poses would change with it."""
+"""By the option, or another change of the file, how recorded poses would change with it."""
 
 
 def matched_pixels(first: ByteImage, second: ByteImage) -> FloatArray:
@@ -357,14 +369,23 @@ def _rays_of(camera: Camera, pixels: FloatArray) -> list[FloatArray]:
 def _agrees(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> BoolArray:
     """Return (n,) whether matches (n, 2, 2), before and now, agree with the motion."""
     apart = np.abs(off_epipolar_lines(camera, pixels, T_now_before))
+    before, now = depths_by_motion(camera, pixels, T_now_before)
+    return np.asarray((apart < _NEAR_LINE_PX) & (before > 0.0) & (now > 0.0))
+
+
+def depths_by_motion(
+    camera: Camera, pixels: FloatArray, T_now_before: Pose
+) -> tuple[FloatArray, FloatArray]:
+    """Return the depths (n,), (n,) m of matches (n, 2, 2) in both images; below 0 behind them.
+
+    By least squares of depth_now * ray_now = depth_before * R ray_before + t.
+    """
     rays = _rays_of(camera, pixels)
     R, t = T_now_before.rotation, T_now_before.translation
-    # Depths of both rays, by least squares of depth_now * ray_now = depth_before * R ray + t.
     turned = rays[0] @ R.T
     a, b, c = (
         (x * y).sum(axis=1) for x, y in ((turned, turned), (turned, rays[1]), (rays[1],) * 2)
     )
     d, e = turned @ t, rays[1] @ t
     determinant = np.maximum(a * c - b * b, 1e-12)
-    before, now = (b * e - c * d) / determinant, (a * e - b * d) / determinant
-    return np.asarray((apart < _NEAR_LINE_PX) & (before > 0.0) & (now > 0.0))
+    return (b * e - c * d) / determinant, (a * e - b * d) / determinant

@@ -18,12 +18,13 @@ from torch import Tensor
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.association import associate
-from semviz_core.localization.correspondences.candidate_pairs import Sample
-from semviz_core.localization.correspondences.matcher import (
-    LEAST_LIKELIHOOD,
-    MOST_GAIN,
-    couple_poses,
+from semviz_core.localization.correspondences.candidate_pairs import (
+    Compass,
+    Sample,
+    candidate_pairs,
 )
+from semviz_core.localization.correspondences.couples import couples
+from semviz_core.localization.correspondences.matcher import LEAST_LIKELIHOOD, MOST_GAIN
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.rating import (
@@ -94,11 +95,21 @@ def _hypotheses(
     """Return the refined poses of couples, and whether each is near the true camera (3,)."""
     ups, up_sigma_rad = likely_ups(scene, prior)
     view = upright_view(scene, ups[0], up_sigma_rad)
-    pose = refine_candidates(scene, view, couple_poses(sample), DEFAULT_EFFORT.step_m)
+    pose = refine_candidates(scene, view, _couple_poses(sample), DEFAULT_EFFORT.step_m)
     rating = rate_poses(scene, view, prior, pose, REFINED_SIGMAS)
     pose = pose[_apart(pose, rating)[:MOST_HYPOTHESES]]
     off_m = np.linalg.norm(pose[:, :2] - camera_m[:2], axis=1)
     return Hypotheses(off_m < NEAR_M, *_fitting(scene, view, pose))
+
+
+def _couple_poses(sample: Sample) -> FloatArray:
+    """Return the upright poses (E, 6) in the map of all couples of candidate pairs of one class."""
+    possible = sample.seen_class[:, None] == sample.mapped_class
+    found, _ = couples(candidate_pairs(sample, possible), Compass.of(sample))
+    place = np.column_stack([found.camera_m.real, found.camera_m.imag])
+    height = sample.road[0] + place @ sample.road[1:]
+    position_m = np.column_stack([place, height]) + sample.origin_m
+    return np.column_stack([position_m, found.turn.real, found.turn.imag, np.zeros(len(height))])
 
 
 def _apart(pose: FloatArray, rating: FloatArray) -> IntArray:

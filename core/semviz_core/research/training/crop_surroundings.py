@@ -1,51 +1,43 @@
 """Give the elements of a crop other surroundings than those of rendered streets.
 
 Bushes, woods, walls, boards and trunks are painted behind the elements; poles get a bright and a
-dark side and other colours; stakes and posts of fences are added, with their labels. Real images
-have all of this, rendered streets have little of it.
+dark side and other colours. Real images have all of this, rendered streets have little of it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from semviz_core.base.classes import POLE
-from semviz_core.base.elements import Elements2D, joined
-from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.research.training.crop_light import Floats, as_bytes, fractal
 from semviz_core.research.training.detector_images import Crop
 
-_LEAST_POST_PX, _MOST_NUMBER = 12.0, 200
-"""Shortest post that is added; most elements of a crop, whose rows are bytes."""
 _NEAR_BLACK, _NEAR_WHITE = 12.0, 245.0
 _LEAST_CONTRAST = 22.0
 """Least difference, in grey levels, of a pole from what is beside it."""
 
 
 def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
-    """Return the crop with other surroundings, and with posts that are labelled like its poles.
-
-    The crop must have masks.
-    """
+    """Return the crop, which must have masks, with other things behind and other light on its
+    elements."""
     image = crop.image.astype(np.float32)
     behind = crop.rows == 0
     for paint in (_woods, _walls, _boards, _trunks):
         if rng.random() < 0.45:
             paint(image, behind, rng)
     _relight(image, crop, rng)
-    changed = replace(crop, image=as_bytes(image))
-    return _with_posts(changed, rng) if rng.random() < 0.6 else changed
+    return replace(crop, image=as_bytes(image))
 
 
-def _over(image: Floats, alpha: Floats, color: Any) -> None:
+def lay_over(image: Floats, alpha: Floats, color: Any) -> None:
     """Blend a colour, of one pixel or of all, over the image with the opacity ``alpha``."""
     image += alpha[..., None] * (np.asarray(color, np.float32) - image)
 
 
-def _color(rng: np.random.Generator) -> FloatArray:
+def any_color(rng: np.random.Generator) -> FloatArray:
     """Return a colour (3,): grey, green or brown, or any."""
     level = rng.uniform(_NEAR_BLACK, _NEAR_WHITE)
     tint = (
@@ -53,6 +45,14 @@ def _color(rng: np.random.Generator) -> FloatArray:
         tuple(rng.uniform(0.4, 1.0, 3)),
     )[rng.integers(5)]  # fmt: skip
     return np.asarray(level * np.array(tint))
+
+
+def _leaf_color(rng: np.random.Generator) -> FloatArray:
+    """Return a colour (3,) of leaves or dry grass, mostly dark; sometimes any."""
+    if rng.random() < 0.25:
+        return any_color(rng) * 0.7
+    level = np.exp(rng.uniform(np.log(_NEAR_BLACK), np.log(150.0)))
+    return np.asarray(level * np.array([rng.uniform(0.55, 1.1), 1.0, rng.uniform(0.3, 0.8)]))
 
 
 def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
@@ -63,15 +63,15 @@ def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         skyline = rng.uniform(0.0, 0.9) * height + rng.uniform(3.0, 50.0) * relief
         rows = np.arange(height, dtype=np.float32)[:, None]
         hanging = rng.random() < 0.35
-        inside = rows < skyline if hanging else rows > skyline
+        inside = behind & (rows < skyline if hanging else rows > skyline)
         if rng.random() < 0.5:  # a bush is not as wide as the crop
             left = rng.uniform(-0.3, 0.9) * width
             columns = np.arange(width)
             inside &= (columns > left) & (columns < left + rng.uniform(0.1, 0.8) * width)
         leaves = fractal(rng, behind.shape, rng.uniform(6.0, 60.0), rng.uniform(0.5, 3.0))
-        middle, change = _color(rng) * 0.7, rng.uniform(0.15, 0.7)
+        middle, change = _leaf_color(rng), rng.uniform(0.15, 0.7)
         shade = np.clip(1.0 + change * leaves, 0.05, 2.5)
-        _over(image, (inside & behind).astype(np.float32), shade[..., None] * middle)
+        image[inside] = shade[inside][:, None] * middle
 
 
 def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
@@ -83,7 +83,7 @@ def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         slant = rng.normal(0.0, 0.1 * high, 2)
         corners = np.array([(0, slant[0]), (wide, slant[1]), (wide, high), (0, high)])
         corners += np.array([left, top])
-        part, corner = _window(corners.min(axis=0), corners.max(axis=0))
+        part, corner = window(corners.min(axis=0), corners.max(axis=0))
         shown = behind[part]
         if min(shown.shape) < 2:
             continue
@@ -92,10 +92,10 @@ def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         cv2.fillPoly(cover, [outline], 255, cv2.LINE_AA, 4)
         alpha = (cover * shown / 255.0).astype(np.float32)
         grain = 1.0 + rng.uniform(0.0, 0.15) * fractal(rng, shown.shape, rng.uniform(4.0, 80.0))
-        _over(image[part], alpha, grain[..., None] * _color(rng))
+        lay_over(image[part], alpha, grain[..., None] * any_color(rng))
 
 
-def _window(low_px: FloatArray, high_px: FloatArray) -> tuple[tuple[slice, slice], FloatArray]:
+def window(low_px: FloatArray, high_px: FloatArray) -> tuple[tuple[slice, slice], FloatArray]:
     """Return the pixels from a corner (2,) to another, with a margin, and the first of them."""
     first = np.floor(low_px - 2.0).astype(int).clip(0)
     last = np.ceil(high_px + 3.0).astype(int).clip(0)
@@ -113,15 +113,15 @@ def _boards(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         if min(shown.shape) < 6:
             continue
         picture = [
-            _color(rng) * np.clip(1.0 + rng.uniform(0.0, 0.6) * each[..., None], 0.0, 2.0)
+            any_color(rng) * np.clip(1.0 + rng.uniform(0.0, 0.6) * each[..., None], 0.0, 2.0)
             for each in (fractal(rng, shown.shape, rng.uniform(4.0, 60.0)) for _ in range(2))
         ]
         which = fractal(rng, shown.shape, rng.uniform(8.0, 80.0))[..., None] > rng.normal(0.0, 0.5)
         frame = int(rng.integers(1, 4))
-        _over(image[part], shown, _color(rng))
+        lay_over(image[part], shown, any_color(rng))
         inner = np.zeros_like(shown)
         inner[frame:-frame, frame:-frame] = shown[frame:-frame, frame:-frame]
-        _over(image[part], inner, np.where(which, *picture))
+        lay_over(image[part], inner, np.where(which, *picture))
 
 
 def _trunks(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
@@ -133,7 +133,7 @@ def _trunks(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         length, lean = rng.uniform(4.0, 14.0) * thick, rng.normal(0.0, 0.06)
         reach = 1.5 * thick + abs(lean) * length
         low, high = bottom - np.array([reach, length]), bottom + np.array([reach, 0.0])
-        part, corner = _window(low, np.minimum(high, behind.shape[::-1]))
+        part, corner = window(low, np.minimum(high, behind.shape[::-1]))
         shown = behind[part]
         if min(shown.shape) < 2:
             continue
@@ -146,10 +146,10 @@ def _trunks(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         bark = np.clip(1.0 + 0.4 * fractal(rng, shown.shape, thick / 2.0, 4.0), 0.1, 2.0)
         round_ = 1.0 - 0.4 * np.clip(off / half, 0.0, 1.0) ** 2
         brown = rng.uniform(15.0, 130.0) * np.array((1.0, 0.88, 0.75))
-        _over(image[part], alpha.astype(np.float32), (bark * round_)[..., None] * brown)
+        lay_over(image[part], alpha.astype(np.float32), (bark * round_)[..., None] * brown)
 
 
-def _profile(rng: np.random.Generator, across: Floats, along: Floats) -> Floats:
+def pole_light(rng: np.random.Generator, across: Floats, along: Floats) -> Floats:
     """Return the brightness of a pole at places across it (-1 to 1) and along it (0 to 1).
 
     The sun lights one side of it; stripes, or shade of leaves, change it along.
@@ -164,7 +164,7 @@ def _profile(rng: np.random.Generator, across: Floats, along: Floats) -> Floats:
     return np.asarray(sides, np.float32)
 
 
-def _unlike(color: FloatArray, beside: FloatArray, rng: np.random.Generator) -> FloatArray:
+def unlike(color: FloatArray, beside: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return the colour (3,), or a brighter or darker one if it is too much like ``beside``."""
     if np.abs(color - beside).mean() >= _LEAST_CONTRAST:
         return color
@@ -189,143 +189,10 @@ def _relight(image: Floats, crop: Crop, rng: np.random.Generator) -> None:
         places = np.stack([u, v], axis=1) - peak
         across = places @ np.array([span[1], -span[0]]) / length
         half = max(0.5, len(v) / length / 2.0)
-        light = _profile(
+        light = pole_light(
             rng, (across / half).astype(np.float32), (places @ span / length**2).astype(np.float32)
         )
         aside = np.clip(u + round(2.0 * half + 3.0) * rng.choice([-1, 1]), 0, image.shape[1] - 1)
         beside = image[v, aside].mean(axis=0)
-        own = image[v, u] if rng.random() < 0.4 else _unlike(_color(rng), beside, rng)
+        own = image[v, u] if rng.random() < 0.4 else unlike(any_color(rng), beside, rng)
         image[v, u] = own * light[:, None]
-
-
-@dataclass(frozen=True)
-class _Post:
-    """A post to be added: an upright or leaning bar."""
-
-    peak_px: FloatArray
-    bottom_px: FloatArray
-    width_px: float
-
-
-def _with_posts(crop: Crop, rng: np.random.Generator) -> Crop:
-    """Return the crop with stakes, masts, or the posts of a fence, behind its own elements."""
-    image, rows = crop.image.astype(np.float32), crop.rows.copy()
-    posts = _fence(crop, rng) if rng.random() < 0.4 else _stakes(crop, rng)
-    if rng.random() < 0.5 and len(posts) > 1:
-        _rails(image, rows == 0, posts, rng)
-    color = _color(rng)
-    elements = crop.elements
-    for post in posts:
-        if len(elements) >= _MOST_NUMBER:
-            break
-        shown = _paint_post(image, rows, post, len(elements) + 1, color, rng)
-        if shown is not None:
-            elements = joined(elements, shown)
-    return replace(crop, image=as_bytes(image), elements=elements, rows=rows)
-
-
-def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
-    """Return posts of any size that stand anywhere."""
-    height, width = crop.rows.shape
-    posts = []
-    for _ in range(rng.integers(1, 5)):
-        long = float(np.exp(rng.uniform(np.log(14.0), np.log(320.0))))
-        bottom = np.array([rng.uniform(0, width), rng.uniform(0.35, 1.1) * height])
-        posts.append(_post(bottom, long, rng.uniform(0.012, 0.1), rng.normal(0.0, 0.04)))
-    return posts
-
-
-def _fence(crop: Crop, rng: np.random.Generator) -> list[_Post]:
-    """Return a row of similar posts that recede towards a vanishing point."""
-    height, width = crop.rows.shape
-    horizon = np.array([rng.uniform(-0.5, 1.5) * width, rng.uniform(0.3, 0.6) * height])
-    first = np.array([rng.uniform(0, width), horizon[1] + rng.uniform(30.0, 0.6 * height)])
-    tall, thick = rng.uniform(0.4, 1.6) * (first[1] - horizon[1]), rng.uniform(0.02, 0.14)
-    apart = rng.uniform(0.1, 0.5)
-    posts = []
-    for step in range(int(rng.integers(3, 10))):
-        share = 1.0 / (1.0 + step * apart)
-        bottom = horizon + share * (first - horizon)
-        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.05)))
-    return posts[::-1]
-
-
-def _post(bottom: FloatArray, long: float, thickness: float, lean: float) -> _Post:
-    peak = bottom - long * np.array([np.sin(lean), np.cos(lean)])
-    return _Post(peak, bottom, max(1.2, thickness * long))
-
-
-def _rails(image: Floats, behind: BoolArray, posts: list[_Post], rng: np.random.Generator) -> None:
-    """Paint wires, or the bars of a fence, between neighbouring posts."""
-    cover: NDArray[np.uint8] = np.zeros(behind.shape, np.uint8)
-    for share in rng.uniform(0.05, 0.8, int(rng.integers(1, 4))):
-        line = np.array([post.peak_px + share * (post.bottom_px - post.peak_px) for post in posts])
-        points = [np.round(line * 16).astype(np.int32)]
-        cv2.polylines(cover, points, False, 255, int(rng.integers(1, 3)), cv2.LINE_AA, 4)
-    _over(image, cover * behind * np.float32(rng.uniform(0.3, 1.0) / 255.0), _color(rng))
-
-
-def _paint_post(
-    image: Floats,
-    rows: ByteImage,
-    post: _Post,
-    number: int,
-    color: FloatArray,
-    rng: np.random.Generator,
-) -> Elements2D | None:
-    """Paint a post where no element is, and number its pixels; None if too little is seen.
-
-    Grass may hide its bottom.
-    """
-    span = post.bottom_px - post.peak_px
-    length, half = float(np.linalg.norm(span)), post.width_px / 2.0
-    hidden = rng.uniform(0.05, 0.4) * length if rng.random() < 0.35 else 0.0
-    part, low = _window(
-        np.minimum(post.peak_px, post.bottom_px) - half,
-        np.maximum(post.peak_px, post.bottom_px) + half,
-    )
-    free = rows[part] == 0
-    if min(free.shape) < 2 or not free.any():
-        return None
-    v, u = np.indices(free.shape, np.float32)
-    x, y = u + (low[0] - post.peak_px[0]), v + (low[1] - post.peak_px[1])
-    along = (x * span[0] + y * span[1]) / length
-    across = (x * span[1] - y * span[0]) / length
-    end = np.full(free.shape, length - hidden)
-    if hidden:
-        end += 0.15 * hidden * fractal(rng, free.shape, 4.0)
-    alpha = np.clip(half - np.abs(across) + 0.5, 0.0, 1.0) * np.clip(along + 0.5, 0.0, 1.0)
-    alpha *= np.clip(end - along + 0.5, 0.0, 1.0) * free
-    light = _profile(rng, (across / half).astype(np.float32), (along / length).astype(np.float32))
-    mine = alpha > 0.5
-    line = _visible(mine, post.peak_px - low, span, length)
-    if line is None:
-        return None
-    color = _unlike(color, image[part][free].mean(axis=0), rng)
-    _over(image[part], alpha.astype(np.float32), light[..., None] * color)
-    rows[part][mine] = number
-    first, last = line
-    return Elements2D(
-        anchor_px=(post.peak_px + span * first / length)[None],
-        end_px=(post.peak_px + span * last / length)[None],
-        class_id=np.array([POLE]),
-        score=np.ones(1),
-        sigma_px=np.ones((1, 2)),
-        anchor_known=np.array([first < 1.0]),
-        end_known=np.array([not hidden and last > length - 1.0]),
-    )
-
-
-def _visible(
-    mine: BoolArray, start: FloatArray, span: FloatArray, length: float
-) -> tuple[float, float] | None:
-    """Return from where to where a post's axis is seen, in px; None if that is too short."""
-    places = np.arange(0.0, length + 0.25, 0.5)
-    points = np.round(start + places[:, None] * span / length).astype(int)
-    inside = ((points >= 0) & (points < mine.shape[::-1])).all(axis=1)
-    seen = np.zeros(len(places), bool)
-    seen[inside] = mine[points[inside, 1], points[inside, 0]]
-    shown = places[seen]
-    if len(shown) < 2 or shown[-1] - shown[0] < _LEAST_POST_PX or seen.mean() < 0.3:
-        return None
-    return float(shown[0]), float(shown[-1])

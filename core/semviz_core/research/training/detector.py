@@ -22,7 +22,14 @@ from semviz_core.base.weights import read_weights
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from semviz_core.detection.detector import Detector
 from semviz_core.detection.heatmaps import Channels
-from semviz_core.detection.network import TASK, DetectorNet, HeatmapModel, masks_of
+from semviz_core.detection.network import (
+    EQUALIZED,
+    TASK,
+    DetectorNet,
+    HeatmapModel,
+    equalized,
+    masks_of,
+)
 from semviz_core.metrics.detection import FALSE_POSITIVE, ImageGroundTruth, match_detections
 from semviz_core.research.training.batch import Progress, cosine
 from semviz_core.research.training.detector_crops import Targets, middle_crop, random_crop
@@ -170,6 +177,7 @@ class DetectorTask:
         self.options: dict[str, Any] = {
             "classes": [class_.name for class_ in classes],
             "data": source.describe(),
+            EQUALIZED: "CLAHE",
         }
 
     def learning_rate(self, progress: Progress) -> float:
@@ -238,7 +246,7 @@ class DetectorTask:
         self.detector.threshold.copy_(torch.from_numpy(threshold))
 
     def _with_targets(self, crop: Crop) -> TrainingCrop:
-        return TrainingCrop(crop.image, Targets.of(crop, self.classes))
+        return TrainingCrop(equalized(crop.image), Targets.of(crop, self.classes))
 
 
 def make_detector(source: LabelledImages, seed: int = 0, start: Path | None = None) -> DetectorTask:

@@ -14,6 +14,7 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.detection.heatmaps import BORDER, MASKS, STRIDE, cell_px, offset_code, size_code
+from semviz_core.research.training.crop_elements import with_more_elements
 from semviz_core.research.training.crop_light import as_bytes, as_taken, with_shade
 from semviz_core.research.training.crop_surroundings import in_other_surroundings
 from semviz_core.research.training.detector_images import IGNORED, Crop, LabelledImage, paint
@@ -42,7 +43,7 @@ def random_crop(
     corner = [_offset(rng, width * scale, WIDTH), _offset(rng, height * scale, HEIGHT)]
     crop = _cut(labelled, scale, corner, mirrored=bool(rng.random() < 0.5))
     if crop.has_masks and rng.random() < surroundings:
-        crop = in_other_surroundings(crop, rng)
+        crop = with_more_elements(in_other_surroundings(crop, rng), rng)
     image = with_shade(crop.image, rng) if rng.random() < SHADED else crop.image
     return replace(crop, image=as_taken(image, rng))
 
@@ -286,9 +287,8 @@ def _masks(crop: Crop) -> tuple[Floats, Floats]:
 def _cell_shares(mask: BoolArray) -> Floats:
     """Return the share of each mask cell's pixels."""
     step = STRIDE // MASKS
-    height, width = mask.shape
-    cells = mask.reshape(height // step, step, width // step, step)
-    return np.asarray(cells.mean((1, 3), dtype=np.float32))
+    cells = mask.shape[1] // step, mask.shape[0] // step
+    return np.asarray(cv2.resize(mask.astype(np.float32), cells, interpolation=cv2.INTER_AREA))
 
 
 def _grown(ignored: BoolArray) -> BoolArray:

@@ -14,7 +14,14 @@ from typing import TextIO
 import numpy as np
 
 from semviz.presentation.terminal import track
-from semviz.workspace.drive_checks import DriveCheck, check_drive_files
+from semviz.workspace.drive_checks import (
+    CHECKS,
+    DriveCheck,
+    DriveFindings,
+    check_drive_files,
+    read_checks,
+    right_turn_rad,
+)
 from semviz.workspace.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Side
@@ -36,9 +43,7 @@ def print_topic(topic: str, text: str) -> None:
     print(f"  {topic:<{_TOPIC_WIDTH}}{text}")
 
 
-def check_against_images(
-    drive: RecordedDrive, refine: bool
-) -> tuple[RecordedDrive, list[DriveCheck]]:
+def check_against_images(drive: RecordedDrive, refine: bool) -> tuple[RecordedDrive, DriveFindings]:
     """Compare calibration and poses with the images, and print the checks.
 
     With ``refine``, the drive that is returned has the refined pose of the right camera.
@@ -46,10 +51,9 @@ def check_against_images(
     with tempfile.TemporaryDirectory() as cache:
         if refine:
             drive = _refined(drive, Path(cache) / "calibrated")
-        checks = list(check_drive_files(_dataset(drive, Path(cache) / "used"), drive))
-    if checks:
-        _print_checks(checks)
-    return drive, checks
+        found = check_drive_files(_dataset(drive, Path(cache) / "used"), drive)
+    _print_checks(found.checks)
+    return drive, found
 
 
 def _print_checks(checks: Sequence[DriveCheck]) -> None:
@@ -103,14 +107,19 @@ def _dataset(drive: RecordedDrive, cache: Path) -> ImageFolder:
 
 
 def _refined(drive: RecordedDrive, cache: Path) -> RecordedDrive:
+    """Return the drive with the right camera as matches put it, and then the poses."""
     if drive.original.T_right_left is None:
         raise SemvizError("--refine-extrinsics needs a right camera: give --right")
-    found = match_checks.refine_extrinsics(_dataset(drive, cache), drive)
-    said = _refinement_said(found, drive)
+    found = match_checks.refine_extrinsics(_dataset(drive, cache / "given"), drive)
+    said = list(_refinement_said(found, drive))
+    drive = match_checks.with_extrinsics(drive, found.T_right_left)
+    turn_rad = right_turn_rad(_dataset(drive, cache / "matched"))
+    if turn_rad is not None:
+        drive = match_checks.with_extrinsics(drive, match_checks.turned_right(drive, turn_rad))
+        said.append(("by the poses", f"turned by y {np.rad2deg(turn_rad):+.3f} deg more"))
     for topic, text in said:
         print_topic(topic, text)
-    changed = match_checks.with_extrinsics(drive, found.T_right_left)
-    return replace(changed, statements=(*changed.statements, *said))
+    return replace(drive, statements=(*drive.statements, *said))
 
 
 def _refinement_said(
@@ -168,7 +177,31 @@ def rectify_all(workspace: Workspace) -> None:
     """Make all rectified images, with a bar; one that was made before is kept."""
     source = workspace.source
     assert isinstance(source, ImageFolder)
+    images = _images_of(source)
+    try:
+        for index, side in track(images, "rectifying", len(images)):
+            source.image_path(index, side)
+    except KeyboardInterrupt:
+        made = sum(source.is_rectified(*image) for image in images)
+        print(
+            f"{made} of {len(images)} images are rectified; the same command goes on",
+            file=sys.stderr,
+        )
+        raise
+
+
+def stopped_workspace(path: Path, command: str) -> Workspace | None:
+    """Return the workspace that this command made at ``path`` without all rectified images."""
+    found = read_checks(path / CHECKS)
+    if found is None or found.command != command:
+        return None
+    workspace = Workspace.open(path)
+    source = workspace.source
+    assert isinstance(source, ImageFolder)
+    made = all(source.is_rectified(index, side) for index, side in _images_of(source))
+    return None if made else workspace
+
+
+def _images_of(source: ImageFolder) -> list[tuple[int, Side]]:
     sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
-    images = [(frame.index, side) for frame in source.frames for side in sides]
-    for index, side in track(images, "rectifying", len(images)):
-        source.image_path(index, side)
+    return [(frame.index, side) for frame in source.frames for side in sides]

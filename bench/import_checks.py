@@ -1,0 +1,157 @@
+"""Plant faults in real drives, and print what `semviz new` would say of them.
+
+    python bench/import_checks.py DRIVES KITTI
+
+DRIVES holds utbm_stereo, euroc_micro, kitti360_nerf and nuscenes_frame, KITTI odometry sequence
+02; they are not part of the project. *left* is the radial distortion that is left in the images
+(k of k r^2), found with one standard deviation; a fault is named beyond four of them and 0.03. The
+second table plants faults in the poses of KITTI's frames, whose images' motions are measured once.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from semviz.workspace.drive_checks import motion_checks
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.frame import Frame, Side
+from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.base.semantic_map import MapFrame
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.datasets.kitti import KittiSequence
+from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.line_checks import check_lines
+from semviz_core.pose_checks.comparison import DrivePoses
+from semviz_core.pose_checks.faults import check_drive
+from semviz_core.pose_checks.image_motions import measure_motions
+from semviz_core.pose_checks.whole_drive import shifted_in_time
+
+Change = Callable[[ByteImage], ByteImage]
+
+
+@dataclass(frozen=True)
+class Images:
+    """A dataset of one camera's images, each changed as it is read."""
+
+    rig: Rig
+    paths: Sequence[Path]
+    change: Change
+    map_frame: MapFrame = MapFrame("bench")
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        return tuple(Frame(index, float(index), None) for index in range(len(self.paths)))
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        image: Any = cv2.imread(str(self.paths[index]))
+        return np.ascontiguousarray(self.change(image[:, :, ::-1]))
+
+
+def undistorted(K: FloatArray, terms: FloatArray, times: int = 1) -> Change:
+    def change(image: ByteImage) -> ByteImage:
+        found: Any = image
+        for _ in range(times):
+            found = cv2.undistort(found, K, terms)  # type: ignore[arg-type]
+        return np.asarray(found, dtype=np.uint8)
+
+    return change
+
+
+def drives(root: Path, kitti: Path) -> dict[str, tuple[list[Path], FloatArray, FloatArray]]:
+    """Return images, K and the distortion that they have of each drive."""
+    found = {}
+    for name, file, images in (
+        ("UTBM", "utbm_stereo/bb2_left.yaml", "utbm_stereo/bb2_left/*"),
+        ("EuRoC", "euroc_micro/mav0/cam0/sensor.yaml", "euroc_micro/mav0/cam?/data/*.png"),
+    ):
+        lens = read_calibration(root / file).cameras[0]
+        found[name] = sorted(root.glob(images)), lens.K, lens.distortion
+    for name, paths, focal, u, v in (
+        ("KITTI-360", sorted(root.glob("kitti360_nerf/*.png")), 552.55, 682.05, 238.77),
+        ("nuScenes", sorted(root.glob("nuscenes_frame/samples/CAM_*T/*")), 1260.0, 800.0, 450.0),
+        ("KITTI 02", sorted(kitti.glob("sequences/02/image_2/*"))[::2], 718.86, 607.19, 185.2),
+    ):
+        K = np.array([[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]])
+        found[name] = paths, K, np.zeros(4)
+    return found
+
+
+def planted(frames: Sequence[Frame]) -> dict[str, tuple[Frame, ...]]:
+    """Return frames with faults in their poses."""
+
+    def moved(change: Callable[[Pose], Pose]) -> tuple[Frame, ...]:
+        return tuple(
+            frame
+            if frame.T_map_camera is None
+            else replace(frame, T_map_camera=change(frame.T_map_camera))
+            for frame in frames
+        )
+
+    def late(share: float) -> tuple[Frame, ...]:
+        poses = shifted_in_time(DrivePoses.of(frames), -share)
+        rows = zip(frames, poses.rotation, poses.center_m, poses.known, strict=True)
+        return tuple(
+            replace(frame, T_map_camera=Pose(R, c) if known else None)
+            for frame, R, c, known in rows
+        )
+
+    def turned(degrees: Sequence[float]) -> tuple[Frame, ...]:
+        turn = Pose(so3_exp(np.deg2rad(degrees)), np.zeros(3))
+        return moved(lambda T: T @ turn)
+
+    return {
+        "none": tuple(frames),
+        "scale 1.04": moved(lambda T: Pose(T.rotation, 1.04 * T.translation)),
+        "40 ms late": late(0.4),
+        "100 ms late": late(1.0),
+        "100 ms early": late(-1.0),
+        "camera turned by 1 deg right": turned([0.0, 1.0, 0.0]),
+        "camera turned by 1 deg up": turned([1.0, 0.0, 0.0]),
+    }
+
+
+def print_motions(kitti: Path) -> None:
+    source = KittiSequence(kitti, "02", (2, 3), range(20))
+    motions = measure_motions(source, source.frames)
+    kinds = ("mount", "extrinsics", "scale", "time", "steps")
+    print(f"\n| planted | {' | '.join(kinds)} |")
+    print("|---" + "|--:" * len(kinds) + "|")
+    for name, frames in planted(source.frames).items():
+        found = check_drive(frames, motions, source.rig)
+        checks = {one.kind: one for one in motion_checks(found, source.rig, "")}
+        texts = [
+            "" if kind not in checks else checks[kind].value + " !" * (checks[kind].passed is False)
+            for kind in kinds
+        ]
+        print(f"| {name} | {' | '.join(texts)} |")
+
+
+def main() -> None:
+    print("| drive | images | calibration | edges | left, k | named |")
+    print("|---|--:|---|--:|--:|---|")
+    for name, (paths, K, terms) in drives(Path(sys.argv[1]), Path(sys.argv[2])).items():
+        height, width = np.asarray(cv2.imread(str(paths[0]))).shape[:2]
+        cases = {"its own": undistorted(K, terms)}
+        if terms.any():
+            cases |= {
+                "without distortion": undistorted(K, 0.0 * terms),
+                "half of it": undistorted(K, 0.5 * terms),
+                "rectified before": undistorted(K, terms, 2),
+            }
+        else:
+            cases["a distortion of -0.3"] = undistorted(K, np.array([-0.3, 0.0, 0.0, 0.0]))
+        for case, change in cases.items():
+            found = check_lines(Images(Rig(Camera(width, height, K)), paths, change))
+            k = f"{found.k:+.3f} ({found.sigma:.3f})" if found.is_known else "too few"
+            named = "no" if found.is_straight else "yes"
+            print(f"| {name} | {len(paths)} | {case} | {found.edges} | {k} | {named} |")
+    print_motions(Path(sys.argv[2]))
+
+
+if __name__ == "__main__":
+    main()

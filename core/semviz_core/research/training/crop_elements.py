@@ -1,0 +1,292 @@
+"""Add stakes, posts of fences and signs of many kinds to a crop, with their labels.
+
+Real roads have many that rendered streets lack: signs are small, worn, seen from behind or from a
+side, and in the colours of other countries.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.elements import Elements2D, joined
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.research.training.crop_light import Floats, as_bytes, fractal
+from semviz_core.research.training.crop_surroundings import (
+    any_color,
+    lay_over,
+    pole_light,
+    unlike,
+    window,
+)
+from semviz_core.research.training.detector_images import Crop
+from semviz_core.simulation.drawing import Texture
+from semviz_core.simulation.objects import SignLook
+from semviz_core.simulation.sign_faces import face, worn_face
+
+_LEAST_POST_PX, _MOST_NUMBER = 12.0, 200
+"""Shortest post that is added; most elements of a crop, whose rows are bytes."""
+
+
+def with_more_elements(crop: Crop, rng: np.random.Generator) -> Crop:
+    """Return the crop, which must have masks, with posts and signs behind its own elements."""
+    if rng.random() < 0.6:
+        crop = _with_posts(crop, rng)
+    return _with_signs(crop, rng) if rng.random() < 0.6 else crop
+
+
+@dataclass(frozen=True)
+class _Post:
+    """A post to be added: an upright or leaning bar."""
+
+    peak_px: FloatArray
+    bottom_px: FloatArray
+    width_px: float
+
+
+def _with_posts(crop: Crop, rng: np.random.Generator) -> Crop:
+    """Return the crop with stakes, masts, or the posts of a fence, behind its own elements."""
+    image, rows = crop.image.astype(np.float32), crop.rows.copy()
+    posts = _fence(crop, rng) if rng.random() < 0.4 else _stakes(crop, rng)
+    if rng.random() < 0.5 and len(posts) > 1:
+        _rails(image, rows == 0, posts, rng)
+    color = any_color(rng)
+    elements = crop.elements
+    for post in posts:
+        if len(elements) >= _MOST_NUMBER:
+            break
+        shown = _paint_post(image, rows, post, len(elements) + 1, color, rng)
+        if shown is not None:
+            elements = joined(elements, shown)
+    return replace(crop, image=as_bytes(image), elements=elements, rows=rows)
+
+
+def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
+    """Return posts of any size that stand anywhere."""
+    height, width = crop.rows.shape
+    posts = []
+    for _ in range(rng.integers(1, 5)):
+        long = float(np.exp(rng.uniform(np.log(14.0), np.log(320.0))))
+        bottom = np.array([rng.uniform(0, width), rng.uniform(0.35, 1.1) * height])
+        posts.append(_post(bottom, long, rng.uniform(0.012, 0.1), rng.normal(0.0, 0.04)))
+    return posts
+
+
+def _fence(crop: Crop, rng: np.random.Generator) -> list[_Post]:
+    """Return a row of similar posts that recede towards a vanishing point."""
+    height, width = crop.rows.shape
+    horizon = np.array([rng.uniform(-0.5, 1.5) * width, rng.uniform(0.3, 0.6) * height])
+    first = np.array([rng.uniform(0, width), horizon[1] + rng.uniform(30.0, 0.6 * height)])
+    tall, thick = rng.uniform(0.4, 1.6) * (first[1] - horizon[1]), rng.uniform(0.02, 0.14)
+    apart = rng.uniform(0.1, 0.5)
+    posts = []
+    for step in range(int(rng.integers(3, 10))):
+        share = 1.0 / (1.0 + step * apart)
+        bottom = horizon + share * (first - horizon)
+        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.05)))
+    return posts[::-1]
+
+
+def _post(bottom: FloatArray, long: float, thickness: float, lean: float) -> _Post:
+    peak = bottom - long * np.array([np.sin(lean), np.cos(lean)])
+    return _Post(peak, bottom, max(1.2, thickness * long))
+
+
+def _rails(image: Floats, behind: BoolArray, posts: list[_Post], rng: np.random.Generator) -> None:
+    """Paint wires, or the bars of a fence, between neighbouring posts."""
+    cover: NDArray[np.uint8] = np.zeros(behind.shape, np.uint8)
+    for share in rng.uniform(0.05, 0.8, int(rng.integers(1, 4))):
+        line = np.array([post.peak_px + share * (post.bottom_px - post.peak_px) for post in posts])
+        points = [np.round(line * 16).astype(np.int32)]
+        cv2.polylines(cover, points, False, 255, int(rng.integers(1, 3)), cv2.LINE_AA, 4)
+    lay_over(image, cover * behind * np.float32(rng.uniform(0.3, 1.0) / 255.0), any_color(rng))
+
+
+def _paint_post(
+    image: Floats,
+    rows: ByteImage,
+    post: _Post,
+    number: int,
+    color: FloatArray,
+    rng: np.random.Generator,
+) -> Elements2D | None:
+    """Paint a post where no element is, and number its pixels; None if too little is seen.
+
+    Grass may hide its bottom.
+    """
+    span = post.bottom_px - post.peak_px
+    length, half = float(np.linalg.norm(span)), post.width_px / 2.0
+    hidden = rng.uniform(0.05, 0.4) * length if rng.random() < 0.35 else 0.0
+    part, low = window(
+        np.minimum(post.peak_px, post.bottom_px) - half,
+        np.maximum(post.peak_px, post.bottom_px) + half,
+    )
+    free = rows[part] == 0
+    if min(free.shape) < 2 or not free.any():
+        return None
+    v, u = np.indices(free.shape, np.float32)
+    x, y = u + (low[0] - post.peak_px[0]), v + (low[1] - post.peak_px[1])
+    along = (x * span[0] + y * span[1]) / length
+    across = (x * span[1] - y * span[0]) / length
+    end = np.full(free.shape, length - hidden)
+    if hidden:
+        end += 0.15 * hidden * fractal(rng, free.shape, 4.0)
+    alpha = np.clip(half - np.abs(across) + 0.5, 0.0, 1.0) * np.clip(along + 0.5, 0.0, 1.0)
+    alpha *= np.clip(end - along + 0.5, 0.0, 1.0) * free
+    light = pole_light(rng, (across / half).astype(np.float32), (along / length).astype(np.float32))
+    mine = alpha > 0.5
+    line = _visible(mine, post.peak_px - low, span, length)
+    if line is None:
+        return None
+    color = unlike(color, image[part][free].mean(axis=0), rng)
+    lay_over(image[part], alpha.astype(np.float32), light[..., None] * color)
+    rows[part][mine] = number
+    first, last = line
+    return Elements2D(
+        anchor_px=(post.peak_px + span * first / length)[None],
+        end_px=(post.peak_px + span * last / length)[None],
+        class_id=np.array([POLE]),
+        score=np.ones(1),
+        sigma_px=np.ones((1, 2)),
+        anchor_known=np.array([first < 1.0]),
+        end_known=np.array([not hidden and last > length - 1.0]),
+    )
+
+
+def _visible(
+    mine: BoolArray, start: FloatArray, span: FloatArray, length: float
+) -> tuple[float, float] | None:
+    """Return from where to where a post's axis is seen, in px; None if that is too short."""
+    places = np.arange(0.0, length + 0.25, 0.5)
+    points = np.round(start + places[:, None] * span / length).astype(int)
+    inside = ((points >= 0) & (points < mine.shape[::-1])).all(axis=1)
+    seen = np.zeros(len(places), bool)
+    seen[inside] = mine[points[inside, 1], points[inside, 0]]
+    shown = places[seen]
+    if len(shown) < 2 or shown[-1] - shown[0] < _LEAST_POST_PX or seen.mean() < 0.3:
+        return None
+    return float(shown[0]), float(shown[-1])
+
+
+_SIGNS: tuple[tuple[int, SignLook, tuple[float, ...]], ...] = (
+    (TRIANGULAR, "new", (1.14,)), (TRIANGULAR, "faded", (1.14,)), (TRIANGULAR, "back", (1.14,)),
+    (ROUNDED, "new", (1.0,)), (ROUNDED, "faded", (1.0,)), (ROUNDED, "back", (1.0,)),
+    (RECTANGULAR, "new", (1.0, 0.67, 1.53)), (RECTANGULAR, "faded", (1.0, 0.67, 1.53)),
+    (RECTANGULAR, "back", (0.67, 1.0, 1.5, 3.0)), (RECTANGULAR, "plank", (3.5, 5.5)),
+    (RECTANGULAR, "street name", (3.0, 5.0)), (RECTANGULAR, "number", (1.2,)),
+)  # fmt: skip
+"""Class, look, and the widths over heights of signs that are added."""
+_FACES = 15
+_LEAST_SIGN_PX = 6.0
+_LEAST_SHOWN = 0.7
+"""Least share of an added sign that no element hides."""
+
+
+@dataclass(frozen=True)
+class _Plate:
+    """A sign to be added, seen by the camera."""
+
+    class_id: int
+    texture: Texture
+    middle_px: FloatArray
+    corners_px: FloatArray
+    """(4, 2) of its box, clockwise from the top left."""
+
+    @property
+    def height_px(self) -> float:
+        return float(np.ptp(self.corners_px[:, 1]))
+
+
+def _with_signs(crop: Crop, rng: np.random.Generator) -> Crop:
+    """Return the crop with signs behind its own elements, most of them on posts of their own."""
+    image, rows = crop.image.astype(np.float32), crop.rows.copy()
+    elements = crop.elements
+    for _ in range(rng.integers(1, 5)):
+        if len(elements) >= _MOST_NUMBER:
+            break
+        plate = _plate(crop.rows.shape, rng)
+        free = rows == 0
+        if rng.random() < 0.75:
+            post, number = _post_of(plate, rng), len(elements) + 1
+            shown = _paint_post(image, rows, post, number, any_color(rng) * 0.8, rng)
+            if shown is not None:
+                elements = joined(elements, shown)
+        if _paint_plate(image, rows, plate, len(elements) + 1, free, rng):
+            elements = joined(elements, _middle_of(plate))
+    return replace(crop, image=as_bytes(image), elements=elements, rows=rows)
+
+
+def _plate(shape: tuple[int, ...], rng: np.random.Generator) -> _Plate:
+    """Draw a sign of any kind and size, turned to a side, anywhere above the crop's lowest part."""
+    class_id, look, aspects = _SIGNS[rng.integers(len(_SIGNS))]
+    aspect, number = float(rng.choice(aspects)), int(rng.integers(_FACES))
+    new = look == "new"
+    texture = face(class_id, number, aspect) if new else worn_face(look, class_id, number, aspect)
+    height = np.exp(rng.uniform(np.log(8.0), np.log(70.0))) / max(1.0, aspect) ** 0.7
+    half = np.array([aspect * height * rng.uniform(0.55, 1.0), height]) / 2.0
+    nearer = 1.0 + rng.normal(0.0, 0.04)  # one side looks higher than the other
+    tilt, roll = rng.normal(0.0, 0.04, 2)
+    corners = np.array([(-1.0, -1.0), (1.0, -nearer), (1.0, nearer), (-1.0, 1.0)]) * half
+    corners[:, 1] += corners[:, 0] * tilt
+    corners[:, 0] -= corners[:, 1] * roll
+    middle = rng.uniform((0.0, 0.0), (shape[1], 0.75 * shape[0]))
+    return _Plate(class_id, texture, middle, corners + middle)
+
+
+def _post_of(plate: _Plate, rng: np.random.Generator) -> _Post:
+    """Return the post of a sign; its peak rises above the sign, as those of streets do."""
+    height = plate.height_px
+    above = height * rng.uniform(0.53, 0.85)
+    span = height * np.exp(rng.uniform(np.log(1.6), np.log(7.0))) * np.array(
+        [rng.normal(0.0, 0.02), 1.0]
+    )  # fmt: skip
+    peak = plate.middle_px - span * above / span[1]
+    return _Post(peak, peak + span, max(1.2, height * rng.uniform(0.07, 0.18)))
+
+
+def _paint_plate(
+    image: Floats,
+    rows: ByteImage,
+    plate: _Plate,
+    number: int,
+    free: BoolArray,
+    rng: np.random.Generator,
+) -> bool:
+    """Paint a sign where ``free``, and number its pixels; False if too little of it is seen."""
+    low, high = plate.corners_px.min(axis=0), plate.corners_px.max(axis=0)
+    if min(high - low) < _LEAST_SIGN_PX or (low < 0).any() or (high > free.shape[::-1]).any():
+        return False
+    part, corner = window(low, high)
+    colors, opacity = plate.texture.level_for(*(high - low))
+    height, width = opacity.shape
+    of_texture = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32) - 0.5
+    to_crop = cv2.getPerspectiveTransform(
+        of_texture.astype(np.float32), (plate.corners_px - corner).astype(np.float32)
+    )
+    size = free[part].shape[::-1]
+    cover = cv2.warpPerspective(opacity, to_crop, size)
+    mine = (cover > 0.5) & free[part]
+    if not mine.any() or mine.sum() < _LEAST_SHOWN * (cover > 0.5).sum():
+        return False
+    warped = cv2.warpPerspective(colors, to_crop, size, borderMode=cv2.BORDER_REPLICATE)
+    if rng.random() < 0.25:  # other countries have other colours
+        warped = warped[..., rng.permutation(3)]
+    gain = np.exp(rng.uniform(-1.1, 0.3)) * np.exp(rng.normal(0.0, 0.08, 3))
+    lay_over(image[part], (cover * free[part]).astype(np.float32), warped * gain.astype(np.float32))
+    rows[part][mine] = number
+    return True
+
+
+def _middle_of(plate: _Plate) -> Elements2D:
+    """Return a sign as an element: its middle is that of its box."""
+    return Elements2D(
+        anchor_px=plate.middle_px[None],
+        end_px=np.full((1, 2), np.nan),
+        class_id=np.array([plate.class_id]),
+        score=np.ones(1),
+        sigma_px=np.ones((1, 2)),
+        anchor_known=np.array([True]),
+        end_known=np.array([False]),
+    )
