@@ -10,7 +10,7 @@ second table plants faults in the poses of KITTI's frames, whose images' motions
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ class Images:
     rig: Rig
     paths: Sequence[Path]
     change: Change
-    map_frame: MapFrame = MapFrame("bench")
+    map_frame: MapFrame = field(default_factory=lambda: MapFrame("bench"))
 
     @property
     def frames(self) -> tuple[Frame, ...]:

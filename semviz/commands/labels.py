@@ -139,7 +139,7 @@ class LabelsImportCommand:
         from semviz.workspace.settings import login_name
         from semviz.workspace.workspace import Workspace
         from semviz_annotation.label_formats.exchange import import_labels
-        from semviz_annotation.label_formats.import_context import ImageNames
+        from semviz_annotation.label_formats.import_context import NamedImages
         from semviz_annotation.label_formats.reading import parse_class_map
 
         workspace = Workspace.open(self.workspace)
@@ -165,7 +165,7 @@ class LabelsImportCommand:
                 frames={frame.index for frame in workspace.source.frames},
                 side=self.side,
                 class_map=class_map,
-                recorded=ImageNames.of(workspace.source),
+                recorded=NamedImages.of(workspace.source),
                 pixels=self.pixels,
             )
         print(json.dumps(report.as_dict()) if self.json else report.as_text())

@@ -195,7 +195,7 @@ def _mapped(record: FrameRecord) -> tuple[MappedElement, ...]:
 
 
 _PRIOR = "Prior and submap"
-_NO_PRIOR = f"{_PRIOR} (no fix: one at the pose assumed)"
+_NO_PRIOR = f"{_PRIOR} (fix assumed)"
 
 
 def what_if_options(run: Run, state: State) -> tuple[WhatIfGroup, ...]:

@@ -17,8 +17,8 @@ from semviz_annotation.label_formats import reading, writing
 from semviz_annotation.label_formats.coco import read_coco, write_coco
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
 from semviz_annotation.label_formats.import_context import (
-    ImageNames,
     LabelImportContext,
+    NamedImages,
     PixelsOf,
 )
 from semviz_annotation.label_formats.labelme import labelme_files, read_labelme, write_labelme
@@ -291,7 +291,7 @@ def import_labels(
     frames: Collection[int] | None = None,
     side: Side | None = None,
     class_map: Mapping[str, str] | None = None,
-    recorded: ImageNames | None = None,
+    recorded: NamedImages | None = None,
     pixels: PixelsOf | None = None,
 ) -> ImportReport:
     """Add the labels of ``path`` to ``store``, as one operation of ``author``.

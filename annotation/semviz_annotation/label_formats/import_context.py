@@ -65,14 +65,14 @@ class ImagePlace:
 
 
 @dataclass(frozen=True)
-class ImageNames:
+class NamedImages:
     """The recorded images of a drive of one's own, by the stem of their names, in small letters."""
 
     source: ImageFolder
     by_stem: Mapping[str, tuple[tuple[int, Side], ...]]
 
     @classmethod
-    def of(cls, source: Dataset) -> "ImageNames | None":
+    def of(cls, source: Dataset) -> "NamedImages | None":
         """Return the images of a dataset; None if its frames have the numbers of its files."""
         if not isinstance(source, ImageFolder):
             return None
@@ -127,7 +127,7 @@ class LabelImportContext:
     """Class name in the file -> semviz class name, or ``ignore``; ``*`` is every other name."""
     triangle_center: TriangleCenter = OLDER_CENTER
     """What the labels of triangular signs mark in the workspace."""
-    recorded: ImageNames | None = None
+    recorded: NamedImages | None = None
     """Recorded images, which files may name instead of frames."""
     pixels: PixelsOf | None = None
     """The images that were drawn in; None: as their names tell."""
