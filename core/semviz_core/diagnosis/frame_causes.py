@@ -21,7 +21,7 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
 from semviz_core.diagnosis.reference import (
     FrameReference,
-    PairRows,
+    PairResidual,
     pair_rows,
     pose_distance,
     whitened_rows,
@@ -94,7 +94,7 @@ def _fit_share(
     return float((residual**2 < MOST_CHI2).mean())
 
 
-def _log_likelihoods(pairs: Sequence[PairRows], free: float) -> FloatArray:
+def _log_likelihoods(pairs: Sequence[PairResidual], free: float) -> FloatArray:
     """Return the log-likelihoods (s, k) of the pairs for each of ``SCALES``.
 
     ``free`` parameters of the pose were fitted to them.

@@ -151,7 +151,7 @@ class FrameReference:
         return self.truth is not None and is_near(T_camera_map, self.truth)
 
 
-class PairRows(NamedTuple):
+class PairResidual(NamedTuple):
     """Residuals of a pair, without a pole's bottom, which may be hidden."""
 
     residual_px: FloatArray
@@ -164,7 +164,7 @@ class PairRows(NamedTuple):
     """(r,) of the detection alone."""
 
 
-def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairRows]:
+def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairResidual]:
     """Return the residuals of each of the pairs (k, 2) that is in front of the camera."""
     R, t = T_camera_map.rotation, T_camera_map.translation
     rows, found = new_rows(), []
@@ -178,7 +178,7 @@ def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list
         factor = np.tril(rows.factor[:count, :count])
         across = [row == 0 or (row == 1 and problem.seen[i]["is_line"]) for row in range(count)]
         variance = problem.seen[i]["variance_px2"][np.where(across, 0, 1)]
-        found.append(PairRows(residual, jacobian, factor @ factor.T, variance))
+        found.append(PairResidual(residual, jacobian, factor @ factor.T, variance))
     return found
 
 
