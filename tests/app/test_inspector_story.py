@@ -5,6 +5,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from inspector_page import in_url, open_flat, wait_for
+from serving import at
 from small_runs import off_by, run_with_a_moved_pole, saved, small_run, spoiled, unanswered
 
+from semviz.inspector.context import RunLibrary
 from semviz.inspector.server import Inspector
 from semviz.inspector.story import story_view
 from semviz.inspector.views import run_view
@@ -188,3 +191,23 @@ def test_the_page_leads_from_a_cause_to_its_frames_and_to_one_of_them(
     wait_for(page, lambda: page.locator("#story").is_hidden(), "the frame")
     number = page.locator("#story-causes .examples button").first.text_content()
     wait_for(page, lambda: f"Frame {number} " in page.inner_text("#frame-number"), "its number")
+
+
+def test_the_page_says_that_a_run_is_being_read_and_stops_saying_it(
+    page: "Page", served: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released, read = Event(), RunLibrary.run
+
+    def slow(self: RunLibrary, name: str) -> Run:
+        released.wait(60.0)
+        return read(self, name)
+
+    monkeypatch.setattr(RunLibrary, "run", slow)
+    page.route("**/view/**", lambda route: route.abort())
+    page.goto(at(served, ""))
+    notice = page.locator("#notice")
+    wait_for(page, lambda: "Reading lost, " in (notice.text_content() or ""), "the notice")
+    released.set()
+    wait_for(page, lambda: page.locator("#frame-list .row").count() > 0, "the run")
+    page.wait_for_timeout(1200)
+    assert notice.is_hidden()

@@ -53,6 +53,8 @@ export class Page {
     this.scene = null;
     /** @type {ReturnType<typeof setTimeout> | null} */
     this.pointing = null;
+    /** @type {ReturnType<typeof setInterval> | undefined} */
+    this.reading = undefined;
     /** @type {PageSocket<Requests, Events>} */
     this.socket = new PageSocket();
     this.image = new ImagePanel(this, () => this.imagePainted());
@@ -122,6 +124,7 @@ export class Page {
 
   /** @param {string} text */
   showError(text) {
+    clearInterval(this.reading);
     this.notice(text);
     this.address.cancel();
     this.store.cancel();
@@ -142,6 +145,7 @@ export class Page {
   /** @param {RunView} run */
   showRun(run) {
     this.store.run = run;
+    clearInterval(this.reading);
     this.notice(run.note, true);
     this.forEachPanel((panel) => panel.showRun?.(run));
   }
@@ -195,6 +199,17 @@ export class Page {
    */
   open(run, frame) {
     this.socket.send("open_run", { run, frame, theme: currentTheme() });
+    this.showReading(run ?? this.store.names[0] ?? "");
+  }
+
+  /** A long run takes seconds to read: says so, and for how long, until it arrives or is refused.
+   *
+   * @param {string} name
+   */
+  showReading(name) {
+    clearInterval(this.reading);
+    const start = Date.now();
+    this.reading = setInterval(() => this.notice(`Reading ${name}, ${Math.round((Date.now() - start) / 1000)} s…`, true), 1000);
   }
 
   /** @param {number} position */
