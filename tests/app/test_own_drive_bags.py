@@ -335,9 +335,14 @@ def test_damaged_bags_are_refused(
     write_drive(path, kind, recording, street)
     file = path if path.is_file() else next(path.glob("*.[dm]*[3p]"))
     data = file.read_bytes()
-    for part in cuts(data):
+    before = data.replace(b"index_pos=" + data.partition(b"index_pos=")[2][:8], BEFORE_START)
+    for part in (*cuts(data), *([before] if kind == "ROS 1" else [])):
         file.write_bytes(part)
         refusal(capsys, tmp_path, path)
+
+
+BEFORE_START = b"index_pos=" + b"\xff" * 8
+"""In a bag of ROS 1: its index is before its start."""
 
 
 def cuts(data: bytes) -> Sequence[bytes]:

@@ -21,8 +21,8 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import EvidenceItem, Fault
 from semviz_core.diagnosis.reference import (
     FrameReference,
-    PairResidual,
-    pair_rows,
+    PairErrors,
+    pair_errors,
     pose_distance,
     whitened_rows,
 )
@@ -78,7 +78,7 @@ def _sigma_scale(case: FrameReference, localization: Localization) -> tuple[floa
     pairs = case.same_class if case.ids is not None else _wide_pairs(case, mapped, pose)
     if len(pairs) < 2:
         return 1.0, 0.0
-    table = _log_likelihoods(pair_rows(_problem(case, mapped, 1.0), pose, pairs), free)
+    table = _log_likelihoods(pair_errors(_problem(case, mapped, 1.0), pose, pairs), free)
     gain = table - table[0]
     best = int(np.argmax(gain.sum(axis=1)))
     if _fit_share(case, mapped, pose, pairs, float(SCALES[best])) < LEAST_SIGMA_FIT:
@@ -94,7 +94,7 @@ def _fit_share(
     return float((residual**2 < MOST_CHI2).mean())
 
 
-def _log_likelihoods(pairs: Sequence[PairResidual], free: float) -> FloatArray:
+def _log_likelihoods(pairs: Sequence[PairErrors], free: float) -> FloatArray:
     """Return the log-likelihoods (s, k) of the pairs for each of ``SCALES``.
 
     ``free`` parameters of the pose were fitted to them.

@@ -151,7 +151,7 @@ class FrameReference:
         return self.truth is not None and is_near(T_camera_map, self.truth)
 
 
-class PairResidual(NamedTuple):
+class PairErrors(NamedTuple):
     """Residuals of a pair, without a pole's bottom, which may be hidden."""
 
     residual_px: FloatArray
@@ -164,7 +164,7 @@ class PairResidual(NamedTuple):
     """(r,) of the detection alone."""
 
 
-def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairResidual]:
+def pair_errors(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairErrors]:
     """Return the residuals of each of the pairs (k, 2) that is in front of the camera."""
     R, t = T_camera_map.rotation, T_camera_map.translation
     rows, found = new_rows(), []
@@ -178,7 +178,7 @@ def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list
         factor = np.tril(rows.factor[:count, :count])
         across = [row == 0 or (row == 1 and problem.seen[i]["is_line"]) for row in range(count)]
         variance = problem.seen[i]["variance_px2"][np.where(across, 0, 1)]
-        found.append(PairResidual(residual, jacobian, factor @ factor.T, variance))
+        found.append(PairErrors(residual, jacobian, factor @ factor.T, variance))
     return found
 
 
@@ -194,7 +194,7 @@ class WhitenedRows(NamedTuple):
 def whitened_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> WhitenedRows:
     """Return the residuals of pairs (k, 2); none of those behind the camera."""
     parts = [WhitenedRows(np.empty(0), np.empty((0, 6)))]
-    for pair in pair_rows(problem, T_camera_map, pairs):
+    for pair in pair_errors(problem, T_camera_map, pairs):
         factor = np.linalg.cholesky(pair.covariance_px2)
         parts.append(
             WhitenedRows(

@@ -18,6 +18,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from errno import EINVAL
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -204,8 +205,8 @@ def _opened(path: Path) -> Iterator["AnyReader"]:
     except SemvizError:
         raise
     except OSError as error:
-        if error.strerror:  # of the system, which names the file
-            raise
+        if error.strerror and error.errno != EINVAL:  # of the system, which names the file
+            raise  # EINVAL: the bag says to go on before its start
         raise SemvizError(f"{path}: not a whole bag ({first_line(error)})") from None
     except Exception as error:  # rosbags raises what its parsers raise: KeyError, struct.error, ...
         raise SemvizError(
