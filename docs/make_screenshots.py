@@ -309,7 +309,7 @@ def first_labels(street: Street) -> Iterator[Edit]:
             if index != LABELLED_FRAMES[-1] or number % 3 == 0:
                 class_id = None if number in elements else int(seen.class_id[row])
                 element_id = elements.setdefault(number, new_id())
-                mark = vars(Mark.seen(seen, row))
+                mark = vars(Mark.of_element(seen, row))
                 yield AddObservation(new_id(), element_id, index, side, **mark, class_id=class_id)
 
 

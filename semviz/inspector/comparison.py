@@ -13,14 +13,8 @@ from semviz.inspector.image import right_view
 from semviz.inspector.messages import CheckGatesRequest, CompareRunsRequest
 from semviz.inspector.scene_cameras import BaseFrame, route
 from semviz.inspector.views import frame_view, run_head
-from semviz.runs.comparison import (
-    Comparison,
-    MapChange,
-    compare_runs,
-    map_changes,
-    renumbered,
-    setups,
-)
+from semviz.runs.comparison import Comparison, compare_runs
+from semviz.runs.differences import MapChange, map_changes, renumbered, setups
 from semviz.runs.metrics import OVERCONFIDENT_M, Errors, check_complete, parse_condition, trend
 from semviz.runs.run import Run
 from semviz.web import shapes

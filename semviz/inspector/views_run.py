@@ -7,7 +7,8 @@ from typing import Literal
 
 from semviz.inspector.views import FrameView, Pixel, RunHead
 from semviz.inspector.views_frame import RightMapped
-from semviz.runs.comparison import Change, Kind
+from semviz.runs.comparison import Change
+from semviz.runs.differences import Kind
 from semviz.runs.metrics import Trend
 from semviz.web.protocol import Event, Part
 from semviz_annotation.storage.operations import EditBase

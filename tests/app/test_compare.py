@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from small_runs import FRAMES, ambiguous, off_by, saved, small_run, spoiled, unanswered
 from small_runs import without_truth as untold
 
-from semviz.runs.comparison import compare_runs, map_changes, setups
+from semviz.runs.comparison import compare_runs
+from semviz.runs.differences import map_changes, setups
 from semviz.runs.metrics import MAX_LENGTH, metrics_of, parse_condition, summarize_run, trend
 from semviz.runs.run import Run
 from semviz_core.base.pose import Pose

@@ -109,7 +109,7 @@ def test_what_makes_no_sense_is_one_line(
     assert errors.count("\n") == 1
 
 
-def test_data_sets_are_learned_from(train: Call, tmp_path: Path) -> None:
+def test_data_sets_are_learned_from(train: Call, whole: Path, tmp_path: Path) -> None:
     """Masks and boxes are measured once; the same command goes on with what is stored."""
     data = tmp_path / "data"
     (data / "masks").mkdir(parents=True)
@@ -126,6 +126,7 @@ def test_data_sets_are_learned_from(train: Call, tmp_path: Path) -> None:
     table = 'images = "*.png"\nmasks = "masks/{name}.png"\n[classes]\n1 = "pole"\n'
     (data / "segmentation.toml").write_text(table)
     out = tmp_path / "out"
+    shutil.copytree(whole / "streets", out / "streets")  # those that it is tuned on
     sets = "--segmentation", data, "--boxes", data
     tiny = "--streets", 0, "--samples", 4, "--batch", 4
     status, output, errors = train(*sets, "--out", out, *tiny)

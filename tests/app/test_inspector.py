@@ -322,6 +322,7 @@ def test_theme_and_help(url: str, page: "Page") -> None:
 def test_nothing_sticks_out_of_the_window(url: str, page: "Page", size: tuple[int, int]) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})
     open_flat(page, url)
+    page.evaluate("document.getElementById('method').textContent = 'search in '.repeat(9)")
     out = page.evaluate(
         """() => [...document.querySelectorAll(".panel, .topbar > *, #timeline > *")]
         .map((one) => [one.id || one.className, one.getBoundingClientRect()])
