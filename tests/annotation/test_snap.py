@@ -221,9 +221,9 @@ def test_on_a_street() -> None:
 SNAP_AFTER_WARM_UP = """
 from semviz_core.common import jit
 compiled = []
-locked = jit._one_process_at_a_time
-jit._one_process_at_a_time = lambda compile_: locked(
-    lambda *types: (compiled.append(types), compile_(*types))[1]
+locked = jit._in_one_process
+jit._in_one_process = lambda compile_, function: locked(
+    lambda *types: (compiled.append(types), compile_(*types))[1], function
 )
 from semviz_annotation.assist.snap import warm_up
 warm_up()

@@ -14,7 +14,7 @@ from semviz_annotation.labels.edits import (
 )
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.labels.rows import review_decision
-from semviz_annotation.storage import database
+from semviz_annotation.storage import database, tables
 from semviz_annotation.storage.backup import backup_labels, check_labels, restore_labels
 from semviz_annotation.storage.operations import CHANGES, Operation
 from semviz_annotation.storage.store import LabelStore
@@ -143,7 +143,7 @@ def test_a_failed_upgrade_leaves_the_file_as_it_was(old, monkeypatch):
             if operation.number == step:
                 raise sqlite3.OperationalError("disk I/O error")
 
-        monkeypatch.setattr(database, "write_operation", write)
+        monkeypatch.setattr(tables, "write_operation", write)
         with pytest.raises(SemvizError, match=r"Not opened: .*disk I/O error"):
             LabelStore.open(old)
         assert dump(old) == before

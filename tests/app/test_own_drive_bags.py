@@ -227,7 +227,8 @@ def test_rectified_images_of_a_bag_are_not_undistorted_again(
         topic = f"/front/{name}/compressed"
         town = tmp_path / name
         code, out, err = call(capsys, "new", town, "--images", path, "--cameras", topic)
-        assert (code, err) == (0, "")
+        assert code == 0
+        assert ("straight edges bend" in err) == (name == "image_rect_color")  # it does not know
         assert says in out
         K = Workspace.open(town).source.rig.left.K
         assert np.allclose(K, P[:, :3]) == (name == "image_rect_color")

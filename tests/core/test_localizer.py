@@ -386,9 +386,9 @@ FRAMES_AFTER_WARMUP = """
 from dataclasses import replace
 from semviz_core.common import jit
 compiled = []
-locked = jit._one_process_at_a_time
-jit._one_process_at_a_time = lambda compile_: locked(
-    lambda *types: (compiled.append(types), compile_(*types))[1]
+locked = jit._in_one_process
+jit._in_one_process = lambda compile_, function: locked(
+    lambda *types: (compiled.append(types), compile_(*types))[1], function
 )
 from semviz_core.localization.localizer import Localizer
 Localizer("direct").warmup()
