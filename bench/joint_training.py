@@ -5,7 +5,7 @@
 
 From the shipped weights, three trainings with the same frames and the same budget: on the
 correspondences alone, with the pose loss of weighted PnPL, and with the share of hypotheses within
-1 m (`semviz_core.research.pair_matcher.pose_losses`). Half of the frames have a fix 30 m off. Then
+1 m (`pose_losses`). Half of the frames have a fix 30 m off. Then
 `correspondences` with each of the weights, on frames of KITTI's 00, 02, 05, 06, 08, or with
 --report of 09 and 10. A gain is over the shipped weights on the same frames: the mean over seeds of
 the training, with its standard error over seeds. `top-1`: observed elements whose true pair is the
@@ -21,6 +21,11 @@ import numpy as np
 import torch
 import tyro
 from correspondences import REPORTING, REPORTING_SEED, TUNING, TUNING_SEED, asked, problems
+from pose_losses import (
+    PoseItem,
+    mean_hypothesis_loss,
+    mean_pose_loss,
+)
 from torch import Tensor
 
 from semviz_core.base.classes import DEFAULT_CLASSES
@@ -31,11 +36,6 @@ from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import DETECTOR, HARD_SETS, LocalizationProblem
 from semviz_core.research.evaluation.roads import kitti_road
 from semviz_core.research.pair_matcher.network import ConsensusNetwork, Prepared
-from semviz_core.research.pair_matcher.pose_losses import (
-    PoseItem,
-    mean_hypothesis_loss,
-    mean_pose_loss,
-)
 from semviz_core.research.pair_matcher.training import log_probabilities, mean_surprise
 from semviz_core.research.training.batch import Progress, cosine
 from semviz_core.research.training.simulated_samples import LEARNED_DISTRIBUTION, SimulatedSamples
