@@ -169,6 +169,20 @@ def test_too_few_pairs_fail_with_numbers() -> None:
     assert result.reason.startswith(f"{NEEDED_PAIRS - 1} of {seen} elements")
 
 
+def test_a_pose_with_all_elements_behind_it_and_no_heading_is_a_failure() -> None:
+    """Its information is singular: only the prior is left, which says nothing of the heading."""
+    problem = frames(1)[0]
+    seen = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    ahead = problem.submap.anchor_m @ level.T
+    behind = Pose(level, np.array([0.0, 0.0, -500.0 - ahead[:, 2].max()]))
+    center, up = behind.inverse().translation, np.array([0.0, -1.0, 0.0])
+    prior = replace(problem.prior, position_m=center, up_camera=up, heading_rad=None)
+    result = refine_pose(seen, prior, behind, problem.pairs)
+    assert isinstance(result, Failure)
+    assert "do not fix" in result.reason
+
+
 def test_what_the_pairs_do_not_fix_is_named() -> None:
     problem = signs_on_one_ray(frames(1)[0], 60.0, 0.25)
     sure = replace(problem.prior, horizontal_sigma_m=0.1)

@@ -136,7 +136,9 @@ def refine_pose(
         seen = len(problem.seen)
         return Failure(f"{len(pairs)} of {seen} elements fit one pose, {needed_pairs} needed.")
     best = fit_record(problem, record, T_camera_map, pairs, _ITERATIONS)
-    covariance = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
+    covariance = _covariance(best.information)
+    if covariance is None:  # no element is ahead of the fitted pose: the prior alone is left
+        return Failure("Refinement ended at a pose that the pairs do not fix.")
     if reason := _too_uncertain(covariance):
         return Failure(_degeneracy(problem, pairs) or reason)
     residuals = problem_residuals(problem, best.T_camera_map, pairs)
@@ -169,6 +171,14 @@ def _degeneracy(problem: PoseProblem, pairs: IntArray) -> str:
     seen, mapped = problem.seen[pairs[:, 0]], problem.mapped[pairs[:, 1]]
     known = (seen["known"] & mapped["known"]).astype(bool)
     return degeneracy_reason(mapped["anchor_m"], mapped["end_m"], known)
+
+
+def _covariance(information: FloatArray) -> FloatArray | None:
+    """Return the inverse (6, 6); None if it is singular."""
+    try:
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _too_uncertain(covariance: FloatArray) -> str:
