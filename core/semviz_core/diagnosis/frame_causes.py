@@ -8,7 +8,7 @@ pose near the true one but not at it. In one frame, the map, the true pose, its 
 mounting of the camera are equally suspect.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -94,22 +94,21 @@ def _fit_share(
     return float((residual**2 < MOST_CHI2).mean())
 
 
-def _log_likelihoods(pairs: Sequence[PairErrors], free: float) -> FloatArray:
+def _log_likelihoods(errors: PairErrors, free: float) -> FloatArray:
     """Return the log-likelihoods (s, k) of the pairs for each of ``SCALES``.
 
     ``free`` parameters of the pose were fitted to them.
     """
-    count = sum(len(pair.residual_px) for pair in pairs)
-    left = max(count - free, 1.0) / count
-    larger = (SCALES**2 - 1.0)[:, None, None]
-    columns = []
-    for pair in pairs:
-        factor = np.linalg.cholesky(pair.covariance_px2 + larger * np.diag(pair.variance_px2))
-        residual = np.linalg.solve(factor, pair.residual_px[None, :, None])[..., 0]
-        log_sigma = np.log(np.diagonal(factor, axis1=1, axis2=2))
-        chi2 = np.minimum(residual**2 / left, MOST_CHI2)
-        columns.append(-0.5 * chi2.sum(axis=1) - log_sigma.sum(axis=1))
-    return np.stack(columns, axis=1)
+    count = int(errors.counted.sum())
+    left = max(count - free, 1.0) / max(count, 1)
+    larger = (SCALES**2 - 1.0)[:, None, None, None]
+    factor = np.linalg.cholesky(
+        errors.covariance_px2 + larger * errors.variance_px2[:, None] * np.eye(4)
+    )
+    residual = np.linalg.solve(factor, errors.residual_px[..., None])[..., 0]
+    log_sigma = np.log(np.diagonal(factor, axis1=2, axis2=3))
+    chi2 = np.minimum(residual**2 / left, MOST_CHI2)
+    return np.asarray(-0.5 * chi2.sum(axis=2) - log_sigma.sum(axis=2))
 
 
 def _wide_pairs(case: FrameReference, mapped: Elements3D, pose: Pose) -> IntArray:

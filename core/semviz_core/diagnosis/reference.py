@@ -17,15 +17,9 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis.fault import GroundTruth
 from semviz_core.localization.association import NEAREST_M, associate
 from semviz_core.localization.problem import PoseProblem
-from semviz_core.localization.residuals import (
-    EXACT_POSE,
-    PairResiduals,
-    fill_rows,
-    new_rows,
-    problem_residuals,
-    whiten,
-)
+from semviz_core.localization.residuals import EXACT_POSE, PairResiduals, problem_residuals
 from semviz_core.localization.search import APART_M, APART_RAD
+from semviz_core.tracking.association import pair_rows
 
 NEARBY_M = 60.0
 """Map elements within this distance of the camera are considered."""
@@ -152,34 +146,39 @@ class FrameReference:
 
 
 class PairErrors(NamedTuple):
-    """Residuals of a pair, without a pole's bottom, which may be hidden."""
+    """Residual rows of k pairs, without pole bottoms, which may be hidden.
 
+    Rows that do not count are 0, with variance 1 and no correlation: they change nothing.
+    """
+
+    counted: BoolArray
+    """(k, 4) no row of a pair behind the camera."""
     residual_px: FloatArray
-    """(r,)"""
-    jacobian: FloatArray
-    """(r, 6) by the left perturbation of the pose."""
+    """(k, 4)"""
+    by_pose: FloatArray
+    """(k, 4, 6) by the left perturbation of T_camera_map."""
     covariance_px2: FloatArray
-    """(r, r) of detection and map."""
+    """(k, 4, 4) of detection and map."""
     variance_px2: FloatArray
-    """(r,) of the detection alone."""
+    """(k, 4) of the detection alone; 0 where no row counts."""
 
 
-def pair_errors(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> list[PairErrors]:
-    """Return the residuals of each of the pairs (k, 2) that is in front of the camera."""
-    R, t = T_camera_map.rotation, T_camera_map.translation
-    rows, found = new_rows(), []
-    for i, j in pairs:
-        if (count := fill_rows(problem, R, t, i, j, rows)) < 2:
-            continue
-        peak = problem.seen[i]["known"][0] and problem.mapped[j]["known"][0]
-        count = min(count, 3 if peak else 2)
-        residual, jacobian = rows.residual[:count].copy(), rows.jacobian[:count].copy()
-        whiten(problem, i, j, count, EXACT_POSE, rows)
-        factor = np.tril(rows.factor[:count, :count])
-        across = [row == 0 or (row == 1 and problem.seen[i]["is_line"]) for row in range(count)]
-        variance = problem.seen[i]["variance_px2"][np.where(across, 0, 1)]
-        found.append(PairErrors(residual, jacobian, factor @ factor.T, variance))
-    return found
+def pair_errors(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> PairErrors:
+    """Return the residual rows of pairs (k, 2)."""
+    rows = pair_rows(problem, T_camera_map, pairs)
+    counted = rows.used & ~rows.is_bottom
+    by_element = np.where(counted[..., None], rows.by_element, 0.0)
+    mapped = problem.mapped["covariance_m2"][pairs[:, 1]]
+    covariance = by_element @ mapped @ np.swapaxes(by_element, 1, 2)
+    index = np.arange(4)
+    covariance[:, index, index] += np.where(counted, rows.variance_px2, 1.0)
+    return PairErrors(
+        counted,
+        np.where(counted, rows.residual_px, 0.0),
+        np.where(counted[..., None], rows.by_pose, 0.0),
+        covariance,
+        np.where(counted, rows.variance_px2, 0.0),
+    )
 
 
 class WhitenedRows(NamedTuple):
@@ -193,15 +192,11 @@ class WhitenedRows(NamedTuple):
 
 def whitened_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> WhitenedRows:
     """Return the residuals of pairs (k, 2); none of those behind the camera."""
-    parts = [WhitenedRows(np.empty(0), np.empty((0, 6)))]
-    for pair in pair_errors(problem, T_camera_map, pairs):
-        factor = np.linalg.cholesky(pair.covariance_px2)
-        parts.append(
-            WhitenedRows(
-                np.linalg.solve(factor, pair.residual_px), np.linalg.solve(factor, pair.jacobian)
-            )
-        )
-    return WhitenedRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    errors = pair_errors(problem, T_camera_map, pairs)
+    factor = np.linalg.cholesky(errors.covariance_px2)
+    residual = np.linalg.solve(factor, errors.residual_px[..., None])[..., 0]
+    jacobian = np.linalg.solve(factor, errors.by_pose)
+    return WhitenedRows(residual[errors.counted], jacobian[errors.counted])
 
 
 ProgressCallback = Callable[[Iterable[FrameReference], str, int], Iterable[FrameReference]]
