@@ -187,6 +187,10 @@ def test_the_page_leads_from_a_cause_to_its_frames_and_to_one_of_them(
     listed = page.locator("#frame-list .row").count()
     page.locator("#story-causes .cause").first.click()
     assert page.locator("#frame-list .row").count() < listed
+    chosen = page.locator("#story-causes .cause[aria-current=true]")
+    assert chosen.count() == 1
+    page.locator("#filters .chip", has_text="✕").click()
+    assert (chosen.count(), page.locator("#frame-list .row").count()) == (0, listed)
     page.locator("#story-causes .examples button").first.click()
     wait_for(page, lambda: page.locator("#story").is_hidden(), "the frame")
     number = page.locator("#story-causes .examples button").first.text_content()

@@ -78,7 +78,7 @@ export class FrameList {
     /** @type {Set<number> | null} */
     this.withElement = null; // their positions
     this.elementName = "";
-    /** @type {{kind: string, positions: Set<number>} | null} */
+    /** @type {StoryCause | null} */
     this.cause = null; // only frames that it explains
     this.noticed = false; // only frames with faults that did no harm
     page.socket.on("element_frames", (event) => this.showElementFrames(event));
@@ -173,7 +173,7 @@ export class FrameList {
    * @param {StoryCause | null} cause
    */
   showCause(cause) {
-    this.cause = cause && { kind: cause.kind, positions: new Set(cause.frames) };
+    this.cause = cause;
     this.fill();
   }
 
@@ -187,12 +187,13 @@ export class FrameList {
    * @returns {PlacedRow[]}
    */
   rows(except = "") {
+    const explained = this.cause && new Set(this.cause.frames);
     return this.page.store.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
       (except === "status" || !this.status || row.status === this.status)
       && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
       && (!this.withElement || this.withElement.has(row.position))
       && (except === "noticed" || !this.noticed || row.noticed !== "")
-      && (!this.cause || this.cause.positions.has(row.position)));
+      && (!explained || explained.has(row.position)));
   }
 
   fill() {

@@ -26,19 +26,21 @@ export class Story {
     this.run = ""; // the name of the open one
     /** @type {StoryView | null} */
     this.found = null;
-    /** The selected cause.
-     *
-     * @type {StoryCause | null} */
-    this.cause = null;
     this.map = new StoryMap((position) => this.openFrame(position));
     page.socket.on("story", (event) => this.showStory(event));
     byId("view-frame").addEventListener("click", () => this.show(false));
     byId("view-story").addEventListener("click", () => this.show(true));
     byId("frames").addEventListener("click", ({ target }) => {
       if (target instanceof Element && target.closest(LEADS_TO_FRAME)) this.show(false);
+      else this.mark(); // the list may show the frames of all causes now
     });
     byId("story-all").addEventListener("click", () => this.choose(null));
     byId("story-copy").addEventListener("click", () => this.copy());
+  }
+
+  /** The cause whose frames the list shows. */
+  get cause() {
+    return this.page.list.cause;
   }
 
   /** @returns {Command[]} */
@@ -68,7 +70,6 @@ export class Story {
   showRun(run) {
     if (run.name !== this.run) {
       this.found = null;
-      this.cause = null;
       this.isRequested = false;
       this.show(this.isFirst());
     }
@@ -90,6 +91,7 @@ export class Story {
       this.isRequested = true;
       this.page.socket.send("get_story");
     }
+    this.mark();
     this.page.address.changed();
   }
 
@@ -102,14 +104,14 @@ export class Story {
   /** @param {StoryEvent} event */
   showStory({ found, progress }) {
     this.found = found;
-    if (this.cause) this.cause = found.causes.find(({ kind }) => kind === this.cause?.kind) ?? null;
+    if (this.cause) this.page.list.showCause(found.causes.find(({ kind }) => kind === this.cause?.kind) ?? null);
     byId("story-headline").textContent = found.headline;
     byId("story-detail").textContent = found.detail;
     byId("story-progress").textContent = progress ? `Looking for causes of the whole run: ${progress}` : "";
     fill(byId("story-tiles"), tiles(found));
     byId("story-about").textContent = about(found, this.page.store.run.frames.length);
-    this.fillCauses(found);
     this.map.use(found.route, found.causes);
+    this.fillCauses(found);
   }
 
   /** @param {StoryView} found */
@@ -140,14 +142,13 @@ export class Story {
    * @param {StoryCause | null} cause
    */
   choose(cause) {
-    this.cause = cause && cause.kind === this.cause?.kind ? null : cause;
-    this.page.list.showCause(this.cause);
+    this.page.list.showCause(cause?.kind === this.cause?.kind ? null : cause);
     this.page.left.show("frames");
     this.mark();
-    this.map.select(this.cause);
   }
 
   mark() {
+    this.map.select(this.cause);
     byId("story-all").hidden = this.cause === null;
     for (const entry of document.querySelectorAll("#story-causes .cause")) {
       const isCurrent = entry instanceof HTMLElement && entry.dataset.kind === this.cause?.kind;
