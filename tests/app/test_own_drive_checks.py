@@ -187,6 +187,19 @@ def test_poses_are_compared_with_the_images(
         assert f"matches between images agree with the poses: {remedy}\n" in err
 
 
+def test_transposed_rotations_are_named(
+    short: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    conjugate = np.array([1, 1, 1, 1, -1, -1, -1, 1])
+    np.savetxt(tmp_path / "poses.txt", np.loadtxt(short.poses) * conjugate, "%.9f")
+    code, _, err = call(
+        capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
+        "--calibration", short.kalibr, "--poses", tmp_path / "poses.txt", "--strict",
+    )  # fmt: skip
+    assert code == 2
+    assert "agree with the poses: a transpose of the rotations fits\n" in err
+
+
 @pytest.fixture(scope="module")
 def measured(kitti_root: Path) -> PoseCheck:
     """Twenty real stereo frames, with the motions of their images."""
