@@ -243,6 +243,8 @@ class TrainCommand:
     """Seed of the initial weights and of the samples."""
     workers: int = 1
     """Processes that make samples, per training process."""
+    suite: Literal["paper-20m"] | None = None
+    """Train on frames like those of this suite of the benchmark; default: by the model."""
     workspace: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="WORKSPACE")] = ()
     """Train on the labels and map of this workspace; may be repeated."""
     kitti_poses: parsing.OptionalPath = None
@@ -282,7 +284,7 @@ class TrainCommand:
         from semviz.research.training_run import training_samples
         from semviz_core.research.training.simulated_samples import KittiFiles
 
-        simulated = training_samples(self.model)
+        simulated = training_samples(self.model, self.suite)
         if (self.kitti_poses is None) != (self.pole_maps is None):
             raise SemvizError("--kitti-poses and --pole-maps belong together; give both")
         if self.kitti_poses is not None and self.pole_maps is not None:
@@ -290,6 +292,8 @@ class TrainCommand:
                 raise SemvizError("--workspace and --kitti-poses: give one of them")
             return replace(simulated, kitti=KittiFiles(self.kitti_poses, self.pole_maps))
         if self.workspace:
+            if self.suite:
+                raise SemvizError("--workspace and --suite: give one of them")
             from semviz.research.workspace_data import workspace_samples
 
             workspaces = [parsing.open_workspace(path) for path in self.workspace]
