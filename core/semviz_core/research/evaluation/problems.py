@@ -128,8 +128,8 @@ PAPER_20M = Difficulty(
     crop_m=20.0,
     turned=True,
 )
-"""The paper's own protocol: elements as labelled, and all of them mapped, since its map is made from
-the labels; some twice, as it reports."""
+"""The paper's own protocol. Elements are as labelled, and all of them are mapped, since its map is
+made from the labels; some are twice, as it reports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +197,7 @@ def make_problem(
     submap = mapped.elements[rows]
     trusted = np.where(mapped.moved[rows], -2, submap.id)  # -1 is a false detection
     pairs = np.argwhere(ids[:, None] == trusted[None, :])
-    problem = LocalizationProblem(
-        observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible
-    )
+    problem = LocalizationProblem(observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible)
     return _turned(problem, rng.uniform(-np.pi, np.pi)) if level.turned else problem
 
 
