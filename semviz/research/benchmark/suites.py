@@ -143,7 +143,7 @@ class Suite:
     kind: Kind
     difficulty: problems.Difficulty = problems.Difficulty()  # noqa: RUF009  frozen
     networks: str = ""
-    """Ending of the weights of the paper's networks trained on its frames; empty: on normal ones."""
+    """Ending of the files with the paper's networks for it; empty: those of normal frames."""
 
     def sequence(self, seeds: range, noise: NoiseLevel, roads: Roads) -> sequences.SequenceProblem:
         """Return as many consecutive frames as ``seeds``, starting where the first seed draws."""
