@@ -60,12 +60,12 @@ PAPER_SUITES = {
         _TRAINING.format(""),
     ),
     "paper-20m": (
-        "What one may conclude: no printed figure is confirmed or refuted, since the elements of "
-        "the paper are not public. Measured rows are of the same frames, so they compare these "
-        "implementations; `true matches` is what perfect matching makes possible. If `search` "
-        "and `correspondences` find poses that the paper's networks do not, the frames hold "
-        "enough information, and the loss is in the network, in its priors or in the refinement: "
-        "`paper with true P` has all but the network.",
+        "What one may conclude: No printed figure is confirmed or refuted here, since the paper's "
+        "elements and code are not public. All measured rows are of the same frames, so they "
+        "compare these implementations with each other and with `true matches`, the best that "
+        "matching can reach. Where `search` or `correspondences` find a pose and the paper's "
+        "networks do not, the frame has one, and `paper with true P`, which lacks only the "
+        "network, says what the rest of the paper's pipeline makes of it.",
         _PRINTED_FIGURES,
         _DATA,
         "Protocol, as the paper states it: a submap within 20 m, a fix within 5 m, the map turned "
