@@ -19,11 +19,12 @@ from semviz_core.localization.localizer import EFFORTS
 from semviz_core.research.evaluation import baselines, methods, problems, sequences
 from semviz_core.research.evaluation.methods import MatchedProblem, make_matched_problem
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
+from semviz_core.research.paper import true_costs
 from semviz_core.research.paper.matcher import MODELS
 
 Kind = Literal["single", "matched", "sequence"]
 """Kinds of problems: single frames, single frames whose matches are given, and sequences."""
-_SINGLE = {**methods.METHODS, **baselines.METHODS}
+_SINGLE = {**methods.METHODS, **baselines.METHODS, **true_costs.METHODS}
 _FIRST = [name for name in (*EFFORTS, *MODELS) if name in _SINGLE]
 KNOWN: dict[Kind, Mapping[str, Callable[[], Any]]] = {
     "single": {name: _SINGLE[name] for name in dict.fromkeys((*_FIRST, *_SINGLE))},
