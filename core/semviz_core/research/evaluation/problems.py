@@ -15,14 +15,18 @@ from typing import Literal
 import numpy as np
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.classes import POLE
 from semviz_core.base.detector_model import NOISE, RANGE_M, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
-from semviz_core.research.evaluation.roads import BenchmarkRoad, simulated_road
+from semviz_core.research.evaluation.roads import (
+    BenchmarkRoad,
+    simulated_road,
+    true_elements,
+)
 from semviz_core.simulation.detector import FADE, FADE_M, RECALL
 
 CAMERA = Camera(
@@ -41,13 +45,6 @@ DETECTOR = DetectorModel(
 )
 """The true rates of the detections below, at the defaults of ``Difficulty``."""
 _ROAD_M = 60.0  # of the road handed out with the prior
-_KIND_SHARE = (0.4, 0.4, 0.2)
-"""Shares of posts, lamps and others: of 2.2-3.3 m, 4-8 m and 3-5 m, ``_SIGNED`` with a sign."""
-_LOWEST_M, _HIGHEST_M = np.array([2.2, 4.0, 3.0]), np.array([3.3, 8.0, 5.0])
-_SIGNED = np.array([0.75, 0.15, 0.0])
-_SIGN_CLASSES, _SIGN_SHARE = (TRIANGULAR, RECTANGULAR, ROUNDED), (0.25, 0.45, 0.30)
-_LEAN_RAD = float(np.deg2rad(0.7))
-_HEIGHT_SIGMA_M = 0.1  # of the ground under an element
 _LEAST_SIGMA_M = 1e-6  # of a map said to be perfect
 _LEAST_LENGTH_PX = 15.0
 _OFF_DRIVE_M, _WIDEST_VIEW = 2.0, 1.5
@@ -184,7 +181,7 @@ def make_problem(
     if index is None:
         index = int(np.random.default_rng([seed, 0]).integers(len(road)))
     rng = np.random.default_rng([seed, 1, index] if variant is None else [seed, 1, index, variant])
-    world, mapped = _world(road, seed), _mapped(road, seed, _in_the_map(level))
+    world, mapped = true_elements(road, seed), _mapped(road, seed, _in_the_map(level))
     if added is not None:
         moved = np.append(mapped.moved, np.zeros(len(added), dtype=bool))
         world, mapped = joined(world, added), _Mapped(joined(mapped.elements, added), moved)
@@ -220,7 +217,7 @@ def may_be_valid(road: BenchmarkRoad, seed: int, index: int, level: Difficulty) 
     """Return False if ``make_problem`` surely shows too few elements there; fast."""
     if level.false_detections or level.clutter_share:
         return True
-    x, _, z = road.T_map_camera[index].inverse().apply(_world(road, seed).anchor_m).T
+    x, _, z = road.T_map_camera[index].inverse().apply(true_elements(road, seed).anchor_m).T
     near = (np.hypot(x, z) < level.seen_within_m + _OFF_DRIVE_M) & (
         np.abs(x) < _WIDEST_VIEW * z + _OFF_DRIVE_M
     )
@@ -253,33 +250,10 @@ def default_road() -> BenchmarkRoad:
 
 
 @lru_cache(maxsize=4)
-def _world(road: BenchmarkRoad, seed: int) -> Elements3D:
-    """Return the true poles and signs; a pole's id is its row, its sign's id that plus p."""
-    rng = np.random.default_rng([seed, 2])
-    p = len(road.poles_m)
-    kind = rng.choice(3, p, p=_KIND_SHARE)
-    height = rng.uniform(_LOWEST_M[kind], _HIGHEST_M[kind])
-    ground = road.ground_m + rng.normal(0.0, _HEIGHT_SIGMA_M, p)
-    bottom = np.column_stack([road.poles_m, ground])
-    lean = rng.normal(0.0, _LEAN_RAD, (p, 2)) * height[:, None]
-    peak = bottom + np.column_stack([lean, height])
-    signed = np.flatnonzero(rng.random(p) < _SIGNED[kind])
-    share = rng.uniform(2.0, np.minimum(height, 2.9))[signed, None] / height[signed, None]
-    middle = bottom[signed] + share * (peak[signed] - bottom[signed])
-    sign_class = rng.choice(_SIGN_CLASSES, len(signed), p=_SIGN_SHARE)
-    return Elements3D.from_ends(
-        np.concatenate([np.arange(p), p + signed]),
-        np.concatenate([peak, middle]),
-        np.concatenate([bottom, np.full_like(middle, np.nan)]),
-        np.concatenate([np.full(p, POLE), sign_class]),
-    )
-
-
-@lru_cache(maxsize=4)
 def _mapped(road: BenchmarkRoad, seed: int, level: Difficulty) -> _Mapped:
     """Return the map of the world with errors, and which of its elements have moved since."""
     rng = np.random.default_rng([seed, 3])
-    world = _world(road, seed)
+    world = true_elements(road, seed)
     n, p = len(world), len(road.poles_m)
     drawn = rng.random((3, n))
     moved = drawn[1] < level.moved
