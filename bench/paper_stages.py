@@ -35,6 +35,8 @@ class Options:
     suite: Literal["paper", "paper-20m"] = "paper"
     frames: int = 300
     """With four detections or more."""
+    hidden_bottoms: float = 0.5
+    """Share of poles whose bottom is hidden, unknown to the detector."""
     first_seed: int = 1000
 
 
@@ -57,7 +59,9 @@ def main(options: Options) -> None:
     heads = ("true pairs", "coarse", "< 1 m", "refined", "< 1 m")
     print(f"{'':<28}{'frames':>7}" + "".join(f"{head:>11}" for head in heads))
     for noise in NOISES:
-        level = replace(SUITES[options.suite].difficulty, noise=noise)
+        level = replace(
+            SUITES[options.suite].difficulty, noise=noise, hidden_bottoms=options.hidden_bottoms
+        )
         coming = valid_problems(roads, level, options.first_seed)
         problems = list(islice(coming, options.frames))
         for method in METHODS:
