@@ -6,9 +6,8 @@
 Methods: `search`; `learned`; `correspondences`; the same with P of the true pairs; `search` with
 the poses of the couples among its candidates; the same with as many more candidates of its own.
 --ways takes some of them. Frames are KITTI's 00, 02, 05, 06, 08 with seeds from 200 on (for
-tuning), or with --report 09 and 10 from seed 1000 on. The set `submap` is the paper's protocol: a
-fix within 5 m, elements up to 20 m, a submap of 20 m, no false positives. Times are processor time
-of whole frames.
+tuning), or with --report 09 and 10 from seed 1000 on. The set `paper-20m` is the suite of that
+name. Times are processor time of whole frames.
 """
 
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization, Match
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.jit import Stopwatch
 from semviz_core.localization.association import PairConstraints
 from semviz_core.localization.correspondences.matcher import (
@@ -39,6 +37,7 @@ from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import (
     DETECTOR,
     HARD_SETS,
+    PAPER_20M,
     Difficulty,
     LocalizationProblem,
     make_problem,
@@ -50,11 +49,10 @@ SETS = {
     "paper": Difficulty(noise="paper"),
     "GPS 30 m": replace(HARD_SETS["GPS 30 m"], noise="paper"),
     "clutter 100 %": replace(HARD_SETS["clutter 100 %"], noise="paper"),
-    "submap": Difficulty(gps_distance_m=(0.0, 5.0), false_detections=0.0),
+    "paper-20m": PAPER_20M,
 }
 TUNING, REPORTING = ("00", "02", "05", "06", "08"), ("09", "10")
 TUNING_SEED, REPORTING_SEED = 200, 1000
-NEAR_M = 20.0
 MORE = 50
 """Poses of couples among the candidates of `search`."""
 WITH_MORE = DEFAULT_EFFORT._replace(polished=DEFAULT_EFFORT.polished + MORE, started=24)
@@ -96,33 +94,9 @@ def _road(options: Options, name: str) -> BenchmarkRoad:
 def problems(name: str, roads: list[BenchmarkRoad], seed: int) -> Iterator[LocalizationProblem]:
     while True:
         problem = make_problem(seed, SETS[name], roads[seed % len(roads)])
-        if name == "submap":
-            problem = as_in_paper(problem)
         if problem.is_valid and len(problem.submap):
             yield problem
         seed += 1
-
-
-def as_in_paper(problem: LocalizationProblem) -> LocalizationProblem:
-    """Keep what is seen within NEAR_M of the camera, and mapped within NEAR_M of the fix."""
-    depth = np.linalg.norm(problem.T_camera_map.apply(problem.submap.anchor_m), axis=1)
-    off = problem.submap.anchor_m[:, :2] - problem.prior.position_m[:2]
-    mapped = np.linalg.norm(off, axis=1) < NEAR_M
-    i, j = problem.pairs.T
-    seen = np.isin(np.arange(len(problem.observed)), i[depth[j] < NEAR_M])
-    kept = seen[i] & mapped[j]
-    pairs = np.column_stack([_renumbered(seen)[i[kept]], _renumbered(mapped)[j[kept]]])
-    return replace(
-        problem,
-        observed=problem.observed[np.flatnonzero(seen)],
-        submap=problem.submap[np.flatnonzero(mapped)],
-        end_visible=problem.end_visible[seen],
-        pairs=pairs,
-    )
-
-
-def _renumbered(kept: BoolArray) -> FloatArray:
-    return np.cumsum(kept) - 1
 
 
 class TrueP(Localizer):

@@ -32,7 +32,10 @@ from semviz_core.research.paper.training import (
     whole_loss,
 )
 from semviz_core.research.training.batch import Batch, BatchTruth, Progress
-from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
+from semviz_core.research.training.simulated_samples import (
+    PAPER_20M_DISTRIBUTION,
+    PAPER_DISTRIBUTION,
+)
 
 BATCH = 12
 WELL_POSED = 7
@@ -62,7 +65,9 @@ def main(options: Options) -> None:
     rich = [sample for sample in samples if truth_of(sample).pairs.sum() >= WELL_POSED]
     tell_gradients(Batch.of(rich[:BATCH]))
     tell_unrolling()
-    tell_optima([Batch.of(samples[k : k + BATCH]) for k in range(0, len(samples), BATCH)])
+    tell_optima("normal frames", samples)
+    near = [PAPER_20M_DISTRIBUTION.held_out(k) for k in range(options.frames)]
+    tell_optima("the paper's own protocol", near)
     tell_times()
     small = [Batch.of(samples[k : k + 4]) for k in range(0, len(samples), 4)]
     tell_numbers(small, options.batches)
@@ -154,11 +159,9 @@ def timed_gradient(layer: Layer, cost: Tensor, weight: Tensor) -> tuple[Tensor, 
     return leaf.grad, float(np.median(times)) * 1e3
 
 
-def tell_optima(batches: list[Batch]) -> None:
-    frames = sum(len(batch) for batch in batches)
-    print(
-        f"Weighted PnPL (eq. 6) from the TRUE pose under a PERFECT P, {frames} frames: camera's way"
-    )
+def tell_optima(frames: str, samples: list[Sample]) -> None:
+    batches = [Batch.of(samples[k : k + BATCH]) for k in range(0, len(samples), BATCH)]
+    print(f"Weighted PnPL (eq. 6) from the TRUE pose under a PERFECT P: {len(samples)} {frames}")
     kinds: dict[str, Callable[[Batch], Tensor]] = {
         "Boolean P": lambda batch: truths(batch).pairs.double(),
         "dustbins": perfect_with_dustbins,

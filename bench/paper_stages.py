@@ -1,13 +1,13 @@
 """Accuracy of each stage of the paper's method: pairs, coarse pose, refined pose.
 
-    python bench/paper_stages.py --kitti-poses ... --pole-maps ...
+    python bench/paper_stages.py --kitti-poses ... --pole-maps ... [--suite paper-20m]
 
 Of the most likely pairs, the input of P3P-RANSAC: the share that is true. Of all frames: in how
 many RANSAC finds a pose, in how many it is within 1 m of the truth, and the result of weighted
 PnPL.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -15,10 +15,11 @@ from typing import Literal
 import numpy as np
 import tyro
 
+from semviz.research.benchmark.suites import SUITES, make_method
 from semviz_core.base.pose import Pose
 from semviz_core.localization.localizer import Localizer
 from semviz_core.metrics.pose_errors import pose_error
-from semviz_core.research.evaluation.problems import Difficulty, LocalizationProblem, valid_problems
+from semviz_core.research.evaluation.problems import LocalizationProblem, valid_problems
 from semviz_core.research.training.simulated_samples import KittiFiles
 
 METHODS = ("bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper")
@@ -31,8 +32,11 @@ class Options:
     kitti_poses: Path
     pole_maps: Path
     sequences: tuple[str, ...] = ("09", "10")
+    suite: Literal["paper", "paper-20m"] = "paper"
     frames: int = 300
     """With four detections or more."""
+    hidden_bottoms: float = 0.5
+    """Share of poles whose bottom is hidden, unknown to the detector."""
     first_seed: int = 1000
 
 
@@ -55,10 +59,13 @@ def main(options: Options) -> None:
     heads = ("true pairs", "coarse", "< 1 m", "refined", "< 1 m")
     print(f"{'':<28}{'frames':>7}" + "".join(f"{head:>11}" for head in heads))
     for noise in NOISES:
-        coming = valid_problems(roads, Difficulty(noise=noise), options.first_seed)
+        level = replace(
+            SUITES[options.suite].difficulty, noise=noise, hidden_bottoms=options.hidden_bottoms
+        )
+        coming = valid_problems(roads, level, options.first_seed)
         problems = list(islice(coming, options.frames))
         for method in METHODS:
-            localizer = Localizer(method)
+            localizer = make_method(SUITES[options.suite], method).localizer
             told = [stages(localizer, problem) for problem in problems]
             show(f"{noise}, {method}", told)
             show(f"  of these >= {MANY} true", [outcome for outcome in told if outcome.many])

@@ -13,23 +13,29 @@ from semviz_core.research.training.simulated_samples import (
     FRAMES_A_SET_OF_ROADS,
     FRAMES_A_WORLD,
     LEARNED_DISTRIBUTION,
+    PAPER_20M_DISTRIBUTION,
     PAPER_DISTRIBUTION,
     ROADS_AT_A_TIME,
     SimulatedSamples,
 )
 
+DRILLS = {
+    "paper": PAPER_DISTRIBUTION,
+    "paper-20m": PAPER_20M_DISTRIBUTION,  # when first made
+    "learned": LEARNED_DISTRIBUTION,
+}
 SAMPLES = 2_000
 ROADS = 3
 
 
 def main() -> None:
-    print("drills   ms a sample   seen: median p95   mapped: median p95")
-    for name, drills in (("paper", PAPER_DISTRIBUTION), ("learned", LEARNED_DISTRIBUTION)):
+    print("drills    ms a sample   seen: median p95   mapped: median p95")
+    for name, drills in DRILLS.items():
         for number in range(0, FRAMES_A_WORLD * ROADS_AT_A_TIME, FRAMES_A_WORLD):
             drills.sample(number)  # its road is made
         times, sizes = zip(*(_world(drills, first) for first in _worlds()), strict=True)
         (m, n), (m95, n95) = np.percentile(np.concatenate(sizes), [50.0, 95.0], axis=0)
-        print(f"{name:<9}{np.mean(times):11.2f}{m:15.0f} {m95:3.0f}{n:17.0f} {n95:3.0f}")
+        print(f"{name:<10}{np.mean(times):11.2f}{m:15.0f} {m95:3.0f}{n:17.0f} {n95:3.0f}")
     start = process_time()
     for seed in range(ROADS):
         simulated_road(seed)

@@ -145,7 +145,7 @@ class BenchmarkCommand:
 
     methods: parsing.OptionalText = None
     """Comma-separated, for example search,direct; default: all available methods, or those of the
-    paper's table for the suite paper. A wrong name lists the known ones."""
+    paper's table for paper-20m and paper. A wrong name lists the known ones."""
     noise: Literal["paper", "low", "both"] = "both"
     """Noise of the detections: the paper's table, 1 px and 0.3 deg, or both."""
     frames: int = 200
@@ -153,8 +153,9 @@ class BenchmarkCommand:
     seed: int = 1000
     """Seed of the first frame; frame i uses seed + i. Seeds below 1000 are for tuning."""
     suite: str = "frames"
-    """Comma-separated, for example frames,matched; hard: all hard sets; all: everything; paper: the
-    paper's table with its printed figures. A wrong name lists the known ones."""
+    """Comma-separated, for example frames,matched; hard: all hard sets; all: everything; paper-20m:
+    the paper's table with its printed figures, on its own protocol; paper: the same on the frames
+    of semviz. A wrong name lists the known ones."""
     kitti_poses: parsing.OptionalPath = None
     """Folder with KITTI poses (09.txt); default: simulated roads."""
     pole_maps: parsing.OptionalPath = None
@@ -176,7 +177,7 @@ class BenchmarkCommand:
 
         from semviz.research.benchmark.report import (
             METHODS,
-            SUITE,
+            PAPER_SUITES,
             BenchmarkReport,
             draw_benchmark_plots,
         )
@@ -190,8 +191,8 @@ class BenchmarkCommand:
             if number < minimum:
                 raise SemvizError(f"{option} {number}: give {minimum} or more")
         suites = choose_suites(self.suite)
-        methods = self.methods or (",".join(METHODS) if self.suite == SUITE else None)
-        chosen = choose_methods(methods, {suite.kind for suite in suites})
+        is_paper = all(suite.name in PAPER_SUITES for suite in suites)
+        chosen = choose_methods(self.methods or (",".join(METHODS) if is_paper else None), suites)
         plan = BenchmarkPlan(
             suites,
             noises=("paper", "low") if self.noise == "both" else (self.noise,),
@@ -243,6 +244,8 @@ class TrainCommand:
     """Seed of the initial weights and of the samples."""
     workers: int = 1
     """Processes that make samples, per training process."""
+    suite: Literal["paper-20m"] | None = None
+    """Train on frames like those of this suite of the benchmark; default: by the model."""
     workspace: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="WORKSPACE")] = ()
     """Train on the labels and map of this workspace; may be repeated."""
     kitti_poses: parsing.OptionalPath = None
@@ -282,7 +285,7 @@ class TrainCommand:
         from semviz.research.training_run import training_samples
         from semviz_core.research.training.simulated_samples import KittiFiles
 
-        simulated = training_samples(self.model)
+        simulated = training_samples(self.model, self.suite)
         if (self.kitti_poses is None) != (self.pole_maps is None):
             raise SemvizError("--kitti-poses and --pole-maps belong together; give both")
         if self.kitti_poses is not None and self.pole_maps is not None:
@@ -290,6 +293,8 @@ class TrainCommand:
                 raise SemvizError("--workspace and --kitti-poses: give one of them")
             return replace(simulated, kitti=KittiFiles(self.kitti_poses, self.pole_maps))
         if self.workspace:
+            if self.suite:
+                raise SemvizError("--workspace and --suite: give one of them")
             from semviz.research.workspace_data import workspace_samples
 
             workspaces = [parsing.open_workspace(path) for path in self.workspace]

@@ -357,12 +357,18 @@ TASKS = {
 }
 """Name -> module of ``semviz_core.research`` with ``make_task(name, source)``, default samples."""
 
+SUITES = {"paper-20m": simulated_samples.PAPER_20M_DISTRIBUTION}
+"""Suites of the benchmark with samples of their own."""
 
-def training_samples(name: str) -> simulated_samples.SimulatedSamples:
-    """Return the default samples of a task. Raise SemvizError for an unknown name."""
+
+def training_samples(name: str, suite: str | None) -> simulated_samples.SimulatedSamples:
+    """Return a task's samples of ``suite``, or its default ones.
+
+    Raise SemvizError for an unknown name.
+    """
     if name not in TASKS:
         raise SemvizError(f"nothing called {name} can be trained; there are {', '.join(TASKS)}")
-    return TASKS[name][1]
+    return TASKS[name][1] if suite is None else SUITES[suite]
 
 
 def make_training_task(
@@ -372,7 +378,7 @@ def make_training_task(
 
     Raise SemvizError for an unknown name.
     """
-    samples = training_samples(name)
+    samples = training_samples(name, None)
     import torch
 
     torch.manual_seed(seed)

@@ -15,6 +15,7 @@ from semviz.research.benchmark import report, runner, suites
 from semviz.research.benchmark.report import BenchmarkReport
 from semviz.research.benchmark.runner import code_digest
 from semviz.research.benchmark.suites import KNOWN, SUITES, choose_suites
+from semviz_core.base import weights
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import Outcome, ProblemFacts
 from semviz_core.research.evaluation.methods import Method
@@ -234,6 +235,24 @@ def test_the_papers_table_stands_beside_what_was_measured(run: Call, tmp_path: P
     assert untimed(run("--suite", "paper", *options, "--json", "--out", tmp_path)[1]) == same
 
 
+def test_the_papers_own_protocol_has_networks_of_its_own(
+    run: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ("--frames", 6, "--noise", "low", "--no-plots", "--out", tmp_path / "out")
+    suite = SUITES["paper-20m"]
+    assert suites.make_method(suite, "paper").weights.name == "paper-20m.safetensors"
+    assert suites.make_method(SUITES["paper"], "paper").weights is None
+    _, output, _ = run("--suite", "paper-20m", *options, "--methods", "true matches,bound")
+    text = " ".join(output.split())
+    for words in ("printed figure is confirmed or refuted", "30,000 frames of this protocol"):
+        assert words in text
+    suites._made.cache_clear()
+    monkeypatch.setattr(weights, "SHIPPED", tmp_path / "nowhere")
+    _, _, error_output = run("--suite", "paper-20m", *options, "--methods", "paper,bound")
+    assert "paper is left out" in error_output
+    suites._made.cache_clear()
+
+
 def test_each_method_stands_under_its_printed_row() -> None:
     measured = [fake("search"), *(fake(row.method) for row in report.PRINTED if row.method)]
     table = report.beside_printed(rows(measured))
@@ -271,8 +290,9 @@ def test_the_papers_table_has_methods_that_there_are() -> None:
 
 
 def test_all_suites_hold_no_problem_twice() -> None:
-    assert report.SUITE not in {suite.name for suite in choose_suites("all")}
-    assert [suite.name for suite in choose_suites(report.SUITE)] == [report.SUITE]
+    assert "paper" not in {suite.name for suite in choose_suites("all")}
+    assert [suite.name for suite in choose_suites("paper")] == ["paper"]
+    assert {suite.name for suite in choose_suites("all,paper")} >= set(report.PAPER_SUITES)
 
 
 def test_results_of_other_weights_are_not_mixed(
@@ -288,7 +308,7 @@ def test_results_of_other_weights_are_not_mixed(
     assert len(digests) == 3
 
 
-@pytest.mark.parametrize("suite", ["frames", "paper"])
+@pytest.mark.parametrize("suite", ["frames", "paper", "paper-20m"])
 def test_tables_fit_a_terminal(suite: str) -> None:
     longest = max((name for named in KNOWN.values() for name in named), key=len)
     text = BenchmarkReport({"seed": 1000}, (), tuple(rows([fake(longest, suite)]))).as_text()

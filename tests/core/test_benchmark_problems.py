@@ -16,10 +16,12 @@ from semviz_core.research.evaluation.problems import (
     CAMERA,
     DETECTOR,
     HARD_SETS,
+    PAPER_20M,
     Difficulty,
     LocalizationProblem,
     default_road,
     make_problem,
+    may_be_valid,
 )
 from semviz_core.simulation.detector import FADE, FADE_M, RECALL
 
@@ -256,6 +258,50 @@ def test_the_hard_sets_differ_in_what_their_name_says() -> None:
     wide = make_problem(0, HARD_SETS["GPS 50 m"])
     away = np.linalg.norm(wide.submap.anchor_m[:, :2] - wide.prior.position_m[:2], axis=1)
     assert 50.0 < away.max() <= 90.0
+
+
+def test_the_papers_protocol_is_as_said() -> None:
+    """All that is seen is near, true and mapped; only what is too far from the fix has no pair."""
+    for problem in problems(PAPER_20M):
+        off = problem.submap.anchor_m[:, :2] - problem.prior.position_m[:2]
+        assert (np.linalg.norm(off, axis=1) <= 20.0).all()
+        centre = problem.T_camera_map.inverse().translation
+        assert np.linalg.norm(problem.prior.position_m[:2] - centre[:2]) <= 5.0
+        seen = problem.T_camera_map.apply(problem.submap.anchor_m[problem.pairs[:, 1]])
+        assert (np.linalg.norm(seen, axis=1) < 20.5).all()
+    wide = [problem for problem in problems(replace(PAPER_20M, crop_m=26.0)) if problem.is_valid]
+    assert len(wide) > 20
+    assert all(len(np.unique(each.pairs[:, 0])) == len(each.observed) for each in wide)
+
+
+def test_a_turned_map_is_the_same_place() -> None:
+    """In the camera nothing differs; the map's axes do, by any angle."""
+    straight = replace(PAPER_20M, turned=False)
+    angles = []
+    for turned, plain in zip(problems(PAPER_20M, 80), problems(straight, 80), strict=True):
+        assert equal(turned.observed, plain.observed)
+        np.testing.assert_array_equal(turned.pairs, plain.pairs)
+        for mine, theirs in (
+            (turned.submap.anchor_m, plain.submap.anchor_m),
+            (turned.prior.position_m[None], plain.prior.position_m[None]),
+            (turned.prior.road_m, plain.prior.road_m),
+        ):
+            there, here = turned.T_camera_map.apply(mine), plain.T_camera_map.apply(theirs)
+            np.testing.assert_allclose(there, here, atol=1e-9)
+        between = turned.T_camera_map.rotation.T @ plain.T_camera_map.rotation
+        assert between[2, 2] == pytest.approx(1.0)
+        angles.append(np.arctan2(between[1, 0], between[0, 0]))
+    assert np.histogram(angles, 4, (-np.pi, np.pi))[0].min() > 8
+
+
+def test_no_valid_frame_is_skipped_before_it_is_made() -> None:
+    road = default_road()
+    valid = [k for k, problem in enumerate(problems(PAPER_20M)) if problem.is_valid]
+    assert all(may_be_valid(road, k % 4, 37 * k % len(road), PAPER_20M) for k in valid)
+    kept = [may_be_valid(road, k % 4, 37 * k % len(road), PAPER_20M) for k in range(400)]
+    assert len(valid) > 30
+    assert sum(kept) < 250
+    assert may_be_valid(road, 0, 0, Difficulty())
 
 
 def test_what_one_difficulty_adds_leaves_the_rest_as_it_was() -> None:

@@ -19,6 +19,7 @@ from semviz_core.research.training.simulated_samples import (
     FRAMES_A_WORLD,
     HELD_OUT,
     LEARNED_DISTRIBUTION,
+    PAPER_20M_DISTRIBUTION,
     PAPER_DISTRIBUTION,
     ROADS_AT_A_TIME,
     KittiFiles,
@@ -51,7 +52,9 @@ def in_camera(sample: Sample) -> tuple[FloatArray, FloatArray]:
     return sample.point_m @ R.T + t, sample.bottom_m @ R.T + t
 
 
-@pytest.mark.parametrize("given_drills", [PAPER_DISTRIBUTION, LEARNED_DISTRIBUTION])
+@pytest.mark.parametrize(
+    "given_drills", [PAPER_DISTRIBUTION, LEARNED_DISTRIBUTION, PAPER_20M_DISTRIBUTION]
+)
 def test_samples_are_valid_and_hold_no_nan(given_drills: SimulatedSamples) -> None:
     for number in SOME:
         sample = given_drills.sample(number)
@@ -72,6 +75,17 @@ def test_true_pairs_lie_where_they_are_seen() -> None:
         off_rad = np.linalg.norm(ray - sample.ray[seen], axis=1)
         assert (off_rad < 0.06).all()
         assert (sample.seen_class[seen] == sample.mapped_class[mapped]).all()
+
+
+def test_a_limited_number_of_frames_is_turned_anew() -> None:
+    few = replace(PAPER_20M_DISTRIBUTION, frames=3)
+    first, again, other = few.sample(1), few.sample(4), few.sample(2)
+    assert np.array_equal(first.ray, again.ray)
+    assert np.allclose(in_camera(first)[0], in_camera(again)[0])
+    assert not np.allclose(first.point_m, again.point_m, atol=0.1)
+    assert first.ray.shape != other.ray.shape or not np.allclose(first.ray, other.ray)
+    assert not np.array_equal(few.held_out(1).ray, few.held_out(4).ray)
+    assert same(first, PAPER_20M_DISTRIBUTION.sample(1))
 
 
 def test_the_same_number_is_the_same_sample_in_every_process() -> None:

@@ -275,7 +275,7 @@ def _solve_frame(task: BenchmarkJob, roads: Roads) -> Iterator[TimedResult]:
     task_problem = task.suite.problem(seed, task.noise, roads)
     problem = _frame_of(task_problem)
     for name in task.methods:
-        method = make_method(task.suite.kind, name)
+        method = make_method(task.suite, name)
         facts = facts_of(problem, _bound(task.suite, method, problem))
         _first_call_ms(task.suite, name, roads)  # so that the next one is warm
         yield name, seed, facts, problem.T_camera_map, *_timed(partial(method.solve, task_problem))
@@ -292,7 +292,7 @@ def _solve_sequence(task: BenchmarkJob, roads: Roads) -> Iterator[TimedResult]:
     sequence = task.suite.sequence(task.seeds, task.noise, roads)
     for name in task.methods:
         _first_call_ms(task.suite, name, roads)
-        results = make_method(task.suite.kind, name).solve(sequence)
+        results = make_method(task.suite, name).solve(sequence)
         for seed, frame in zip(task.seeds, sequence.frames, strict=True):
             facts = ProblemFacts(detections=len(frame.observed))
             yield name, seed, facts, frame.T_camera_map, *_timed(partial(next, results))
@@ -315,7 +315,7 @@ def _first_call_ms(suite: Suite, name: str, roads: Roads) -> float:
     It uses tuning frames; for single frames, the one with the most detections, which reaches every
     stage.
     """
-    method = make_method(suite.kind, name)
+    method = make_method(suite, name)
     if suite.kind == "sequence":
         results = method.solve(suite.sequence(range(FEW), "low", roads))
         first_ms, *_ = [_timed(partial(next, results))[1] for _ in range(FEW)]

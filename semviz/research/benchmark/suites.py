@@ -5,7 +5,7 @@ with its reason.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -13,17 +13,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from semviz.research.benchmark import report
+from semviz_core.base.weights import shipped_weights
 from semviz_core.common.errors import SemvizError
 from semviz_core.localization.localizer import EFFORTS
 from semviz_core.research.evaluation import baselines, methods, problems, sequences
 from semviz_core.research.evaluation.methods import MatchedProblem, make_matched_problem
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
+from semviz_core.research.paper import true_costs
 from semviz_core.research.paper.matcher import MODELS
 
 Kind = Literal["single", "matched", "sequence"]
 """Kinds of problems: single frames, single frames whose matches are given, and sequences."""
-_SINGLE = {**methods.METHODS, **baselines.METHODS}
+_SINGLE = {**methods.METHODS, **baselines.METHODS, **true_costs.METHODS}
 _FIRST = [name for name in (*EFFORTS, *MODELS) if name in _SINGLE]
 KNOWN: dict[Kind, Mapping[str, Callable[[], Any]]] = {
     "single": {name: _SINGLE[name] for name in dict.fromkeys((*_FIRST, *_SINGLE))},
@@ -44,9 +45,9 @@ class Chosen:
         return [f"{name} is left out: {reason}" for name, reason in self.left_out.items()]
 
 
-def choose_methods(text: str | None, kinds: set[Kind]) -> Chosen:
-    """Return the methods of ``--methods a,b`` (None: all) for problems of ``kinds``."""
-    known = {kind: named for kind, named in KNOWN.items() if kind in kinds}
+def choose_methods(text: str | None, suites: Sequence["Suite"]) -> Chosen:
+    """Return the methods of ``--methods a,b`` (None: all) for problems of ``suites``."""
+    known = {kind: named for kind, named in KNOWN.items() if any(kind == s.kind for s in suites)}
     names = dict.fromkeys(name for named in known.values() for name in named)
     wanted = list(names) if text is None else [name.strip() for name in text.split(",")]
     if unknown := [name for name in wanted if name not in names]:
@@ -57,7 +58,8 @@ def choose_methods(text: str | None, kinds: set[Kind]) -> Chosen:
     by_kind: dict[Kind, tuple[str, ...]] = {}
     for kind, named in known.items():
         selected = [name for name in dict.fromkeys(wanted) if name in named]
-        left_out |= {name: reason for name in selected if (reason := _obstacle(kind, name))}
+        of_kind = [suite for suite in suites if suite.kind == kind]
+        left_out |= {name: reason for name in selected if (reason := _obstacle(of_kind, name))}
         by_kind[kind] = tuple(name for name in selected if name not in left_out)
     chosen = Chosen(by_kind, left_out)
     if not any(by_kind.values()):
@@ -65,16 +67,27 @@ def choose_methods(text: str | None, kinds: set[Kind]) -> Chosen:
     return chosen
 
 
+def make_method(suite: "Suite", name: str) -> Any:
+    """Return the method for a suite: a Method, MatchedMethod or SequenceMethod.
+
+    Each is made once per process. The paper's networks are those trained for the suite, if any.
+    """
+    of_suite = suite.networks if name in MODELS else ""
+    return _made(suite.kind, name, of_suite)
+
+
 @cache
-def make_method(kind: Kind, name: str) -> Any:
-    """Return the method, made once per process: a Method, MatchedMethod or SequenceMethod."""
+def _made(kind: Kind, name: str, networks: str) -> Any:
+    if networks:
+        return methods.LocalizerMethod(name, weights=shipped_weights(f"{name}-{networks}"))
     return KNOWN[kind][name]()
 
 
-def _obstacle(kind: Kind, name: str) -> str:
+def _obstacle(suites: Sequence["Suite"], name: str) -> str:
     """Return why a method cannot run here; empty if it can."""
     try:
-        make_method(kind, name)
+        for suite in suites:
+            make_method(suite, name)
     except SemvizError as error:
         return str(error)
     return ""
@@ -130,6 +143,8 @@ class Suite:
     name: str
     kind: Kind
     difficulty: problems.Difficulty = problems.Difficulty()  # noqa: RUF009  frozen
+    networks: str = ""
+    """Ending of the files with the paper's networks for it; empty: those of normal frames."""
 
     def sequence(self, seeds: range, noise: NoiseLevel, roads: Roads) -> sequences.SequenceProblem:
         """Return as many consecutive frames as ``seeds``, starting where the first seed draws."""
@@ -162,7 +177,8 @@ SUITES: dict[str, Suite] = {
     suite.name: suite
     for suite in (
         Suite("frames", "single"),
-        Suite(report.SUITE, "single"),
+        Suite("paper", "single"),
+        Suite("paper-20m", "single", problems.PAPER_20M, networks="20m"),
         *(Suite(name, "single", difficulty) for name, difficulty in problems.HARD_SETS.items()),
         Suite("matched", "matched"),
         Suite("sequence", "sequence"),
@@ -170,7 +186,7 @@ SUITES: dict[str, Suite] = {
 }
 GROUPS = {
     "hard": tuple(problems.HARD_SETS),
-    "all": tuple(name for name in SUITES if name != report.SUITE),
+    "all": tuple(name for name in SUITES if name != "paper"),
 }
 """``paper`` has the same problems as ``frames``."""
 

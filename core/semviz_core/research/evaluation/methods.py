@@ -11,6 +11,7 @@ The Cramer-Rao bound is the least covariance any unbiased method can reach with 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import Protocol
 
@@ -180,10 +181,11 @@ class LocalizerMethod:
 
     name: str
     seed: int = 0
+    weights: Path | None = None
     localizer: Localizer = field(init=False)
 
     def __post_init__(self) -> None:
-        localizer = Localizer(self.name, self.seed, detector=DETECTOR)
+        localizer = Localizer(self.name, self.seed, weights=self.weights, detector=DETECTOR)
         object.__setattr__(self, "localizer", localizer)
 
     def solve(self, problem: LocalizationProblem) -> MethodResult:

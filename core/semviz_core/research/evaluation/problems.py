@@ -15,14 +15,18 @@ from typing import Literal
 import numpy as np
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
+from semviz_core.base.classes import POLE
 from semviz_core.base.detector_model import NOISE, RANGE_M, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
-from semviz_core.research.evaluation.roads import BenchmarkRoad, simulated_road
+from semviz_core.research.evaluation.roads import (
+    BenchmarkRoad,
+    simulated_road,
+    true_elements,
+)
 from semviz_core.simulation.detector import FADE, FADE_M, RECALL
 
 CAMERA = Camera(
@@ -41,15 +45,10 @@ DETECTOR = DetectorModel(
 )
 """The true rates of the detections below, at the defaults of ``Difficulty``."""
 _ROAD_M = 60.0  # of the road handed out with the prior
-_KIND_SHARE = (0.4, 0.4, 0.2)
-"""Shares of posts, lamps and others: of 2.2-3.3 m, 4-8 m and 3-5 m, ``_SIGNED`` with a sign."""
-_LOWEST_M, _HIGHEST_M = np.array([2.2, 4.0, 3.0]), np.array([3.3, 8.0, 5.0])
-_SIGNED = np.array([0.75, 0.15, 0.0])
-_SIGN_CLASSES, _SIGN_SHARE = (TRIANGULAR, RECTANGULAR, ROUNDED), (0.25, 0.45, 0.30)
-_LEAN_RAD = float(np.deg2rad(0.7))
-_HEIGHT_SIGMA_M = 0.1  # of the ground under an element
 _LEAST_SIGMA_M = 1e-6  # of a map said to be perfect
 _LEAST_LENGTH_PX = 15.0
+_OFF_DRIVE_M, _WIDEST_VIEW = 2.0, 1.5
+"""More than five sigmas beside the drive's pose, and more than half a view turned by as many."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,10 @@ class Difficulty:
     """Further false positives, relative to the true detections."""
     elements: int | None = None
     """Most detections, drawn from all."""
+    recall: float | None = None
+    """Share of elements detected; None: that of the paper's table, lower far off."""
+    seen_within_m: float = RANGE_M[1]
+    """Elements further away are not detected."""
     missing: float = 0.05
     """Share of elements not in the map."""
     duplicated: float = 0.03
@@ -92,6 +95,8 @@ class Difficulty:
     vertical_sigma_m: float = 0.06
     """Of the camera's height above the road: the vehicle's 0.03, and the road between places."""
     crop_m: float = 50.0
+    turned: bool = False
+    """The map is turned about the vertical by any angle."""
 
 
 HARD_SETS = {
@@ -109,6 +114,19 @@ HARD_SETS = {
     "heading 15 deg": Difficulty(heading_sigma_rad=float(np.deg2rad(7.5))),
 }
 """Each differs from the default as its name states. A heading within 15 deg has sigma 7.5 deg."""
+
+PAPER_20M = Difficulty(
+    false_detections=0.0,
+    recall=1.0,
+    seen_within_m=20.0,
+    missing=0.0,
+    moved=0.0,
+    gps_distance_m=(0.0, 5.0),
+    crop_m=20.0,
+    turned=True,
+)
+"""The paper's own protocol. Elements are as labelled, and all of them are mapped, since its map is
+made from the labels; some are twice, as it reports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +181,7 @@ def make_problem(
     if index is None:
         index = int(np.random.default_rng([seed, 0]).integers(len(road)))
     rng = np.random.default_rng([seed, 1, index] if variant is None else [seed, 1, index, variant])
-    world, mapped = _world(road, seed), _mapped(road, seed, _in_the_map(level))
+    world, mapped = true_elements(road, seed), _mapped(road, seed, _in_the_map(level))
     if added is not None:
         moved = np.append(mapped.moved, np.zeros(len(added), dtype=bool))
         world, mapped = joined(world, added), _Mapped(joined(mapped.elements, added), moved)
@@ -176,7 +194,34 @@ def make_problem(
     submap = mapped.elements[rows]
     trusted = np.where(mapped.moved[rows], -2, submap.id)  # -1 is a false detection
     pairs = np.argwhere(ids[:, None] == trusted[None, :])
-    return LocalizationProblem(observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible)
+    problem = LocalizationProblem(observed, submap, CAMERA, prior, T_camera_map, pairs, end_visible)
+    return _turned(problem, rng.uniform(-np.pi, np.pi)) if level.turned else problem
+
+
+def _turned(problem: LocalizationProblem, angle_rad: float) -> LocalizationProblem:
+    """Return the problem with its map, and what is known in it, turned about the vertical."""
+    T_turned_map = Pose.from_rotvec([0.0, 0.0, angle_rad], np.zeros(3))
+    prior = problem.prior
+    heading_rad = None if prior.heading_rad is None else prior.heading_rad + angle_rad
+    road_m = None if prior.road_m is None else T_turned_map.apply(prior.road_m)
+    position_m = T_turned_map.apply(prior.position_m)
+    return replace(
+        problem,
+        submap=problem.submap.transformed(T_turned_map),
+        prior=replace(prior, position_m=position_m, heading_rad=heading_rad, road_m=road_m),
+        T_camera_map=problem.T_camera_map @ T_turned_map.inverse(),
+    )
+
+
+def may_be_valid(road: BenchmarkRoad, seed: int, index: int, level: Difficulty) -> bool:
+    """Return False if ``make_problem`` surely shows too few elements there; fast."""
+    if level.false_detections or level.clutter_share:
+        return True
+    x, _, z = road.T_map_camera[index].inverse().apply(true_elements(road, seed).anchor_m).T
+    near = (np.hypot(x, z) < level.seen_within_m + _OFF_DRIVE_M) & (
+        np.abs(x) < _WIDEST_VIEW * z + _OFF_DRIVE_M
+    )
+    return int(near.sum()) >= NEEDED_DETECTIONS
 
 
 def mapped_elements(
@@ -205,33 +250,10 @@ def default_road() -> BenchmarkRoad:
 
 
 @lru_cache(maxsize=4)
-def _world(road: BenchmarkRoad, seed: int) -> Elements3D:
-    """Return the true poles and signs; a pole's id is its row, its sign's id that plus p."""
-    rng = np.random.default_rng([seed, 2])
-    p = len(road.poles_m)
-    kind = rng.choice(3, p, p=_KIND_SHARE)
-    height = rng.uniform(_LOWEST_M[kind], _HIGHEST_M[kind])
-    ground = road.ground_m + rng.normal(0.0, _HEIGHT_SIGMA_M, p)
-    bottom = np.column_stack([road.poles_m, ground])
-    lean = rng.normal(0.0, _LEAN_RAD, (p, 2)) * height[:, None]
-    peak = bottom + np.column_stack([lean, height])
-    signed = np.flatnonzero(rng.random(p) < _SIGNED[kind])
-    share = rng.uniform(2.0, np.minimum(height, 2.9))[signed, None] / height[signed, None]
-    middle = bottom[signed] + share * (peak[signed] - bottom[signed])
-    sign_class = rng.choice(_SIGN_CLASSES, len(signed), p=_SIGN_SHARE)
-    return Elements3D.from_ends(
-        np.concatenate([np.arange(p), p + signed]),
-        np.concatenate([peak, middle]),
-        np.concatenate([bottom, np.full_like(middle, np.nan)]),
-        np.concatenate([np.full(p, POLE), sign_class]),
-    )
-
-
-@lru_cache(maxsize=4)
 def _mapped(road: BenchmarkRoad, seed: int, level: Difficulty) -> _Mapped:
     """Return the map of the world with errors, and which of its elements have moved since."""
     rng = np.random.default_rng([seed, 3])
-    world = _world(road, seed)
+    world = true_elements(road, seed)
     n, p = len(world), len(road.poles_m)
     drawn = rng.random((3, n))
     moved = drawn[1] < level.moved
@@ -309,10 +331,12 @@ def _observed(
     n = len(world)
     chance, hiding, share = rng.random(n), rng.random(n), rng.uniform(0.5, 0.85, n)
     noise = rng.standard_normal((n, 2, 2))
-    depth = T_camera_map.apply(world.anchor_m)[:, 2]
-    recall = np.array([RECALL[class_] for class_ in range(4)])[world.class_id]
-    recall = recall * (1.0 - FADE * np.interp(depth, FADE_M, (0.0, 1.0)))
-    rows = np.flatnonzero((depth > RANGE_M[0]) & (depth < RANGE_M[1]) & (chance < recall))
+    place_m = T_camera_map.apply(world.anchor_m)
+    depth = place_m[:, 2]
+    seen = (depth > RANGE_M[0]) & (depth < RANGE_M[1])
+    if level.seen_within_m < RANGE_M[1]:
+        seen &= np.linalg.norm(place_m, axis=1) < level.seen_within_m
+    rows = np.flatnonzero(seen & (chance < _recall(world, depth, level)))
     hidden = (hiding < level.hidden_bottoms)[rows]
     true, visible = _projected(world[rows], T_camera_map, np.where(hidden, share[rows], 1.0))
     true = _disturbed(true[visible], noise[rows][visible], level)
@@ -325,6 +349,14 @@ def _observed(
         kept = np.sort(rng.choice(len(observed), level.elements, replace=False))
         return observed[kept], ids[kept], end_visible[kept]
     return observed, ids, end_visible
+
+
+def _recall(world: Elements3D, depth_m: FloatArray, level: Difficulty) -> FloatArray:
+    """Return the chance (n,) of each element to be detected."""
+    if level.recall is not None:
+        return np.full(len(world), level.recall)
+    recall = np.array([RECALL[class_] for class_ in range(4)])[world.class_id]
+    return np.asarray(recall * (1.0 - FADE * np.interp(depth_m, FADE_M, (0.0, 1.0))))
 
 
 def _projected(

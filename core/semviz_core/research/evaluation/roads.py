@@ -1,4 +1,4 @@
-"""Drives with the poles beside them, the basis of benchmark problems, and errors of their maps.
+"""Drives with the poles and signs beside them, as in benchmark problems, and errors of their maps.
 
 ``simulated_road`` needs no files; ``kitti_road`` reads a real drive and its surveyed poles. The
 map frame is metres, z up; camera 0 is rotated to z up. The errors of a map are noise, missing,
@@ -6,7 +6,7 @@ obsolete and duplicated elements, or one planted fault.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements3D, joined
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
@@ -292,6 +293,40 @@ def _without_poles_on_road(road: BenchmarkRoad) -> BenchmarkRoad:
     """Return the road without the poles that stand on it."""
     distance, _ = road._index.query(road.poles_m)
     return BenchmarkRoad(road.name, road.T_map_camera, road.poles_m[distance >= LEAST_OFFSET_M])
+
+
+# --- elements ---
+
+_KIND_SHARE = (0.4, 0.4, 0.2)
+"""Shares of posts, lamps and others: of 2.2-3.3 m, 4-8 m and 3-5 m, ``_SIGNED`` with a sign."""
+_LOWEST_M, _HIGHEST_M = np.array([2.2, 4.0, 3.0]), np.array([3.3, 8.0, 5.0])
+_SIGNED = np.array([0.75, 0.15, 0.0])
+_SIGN_CLASSES, _SIGN_SHARE = (TRIANGULAR, RECTANGULAR, ROUNDED), (0.25, 0.45, 0.30)
+_LEAN_RAD = float(np.deg2rad(0.7))
+_HEIGHT_SIGMA_M = 0.1  # of the ground under an element
+
+
+@lru_cache(maxsize=4)
+def true_elements(road: BenchmarkRoad, seed: int) -> Elements3D:
+    """Return the true poles and signs; a pole's id is its row, its sign's id that plus p."""
+    rng = np.random.default_rng([seed, 2])
+    p = len(road.poles_m)
+    kind = rng.choice(3, p, p=_KIND_SHARE)
+    height = rng.uniform(_LOWEST_M[kind], _HIGHEST_M[kind])
+    ground = road.ground_m + rng.normal(0.0, _HEIGHT_SIGMA_M, p)
+    bottom = np.column_stack([road.poles_m, ground])
+    lean = rng.normal(0.0, _LEAN_RAD, (p, 2)) * height[:, None]
+    peak = bottom + np.column_stack([lean, height])
+    signed = np.flatnonzero(rng.random(p) < _SIGNED[kind])
+    share = rng.uniform(2.0, np.minimum(height, 2.9))[signed, None] / height[signed, None]
+    middle = bottom[signed] + share * (peak[signed] - bottom[signed])
+    sign_class = rng.choice(_SIGN_CLASSES, len(signed), p=_SIGN_SHARE)
+    return Elements3D.from_ends(
+        np.concatenate([np.arange(p), p + signed]),
+        np.concatenate([peak, middle]),
+        np.concatenate([bottom, np.full_like(middle, np.nan)]),
+        np.concatenate([np.full(p, POLE), sign_class]),
+    )
 
 
 # --- simulated road ---

@@ -13,10 +13,14 @@ contradict it, and ``ambiguous`` otherwise.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
+from semviz_core.base.camera import Camera
 from semviz_core.base.classes import POLE, ClassSet
+from semviz_core.base.elements import Elements2D, Elements3D
+from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization, Match, Refinement, Search, Status
 from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.common.arrays import ByteImage, FloatArray, IntArray
@@ -33,7 +37,7 @@ from semviz_core.localization.residuals import EXACT_POSE, problem_residuals
 from semviz_core.localization.search import mode_near
 from semviz_core.localization.status import decide_status
 from semviz_core.research.paper import weighted_pnpl
-from semviz_core.research.paper.matcher import Matcher, SoftMatches, load_matcher
+from semviz_core.research.paper.matcher import SoftMatches, load_matcher
 from semviz_core.subpixel.sampling import SampledImage
 
 _GROWN = 0.1
@@ -112,11 +116,19 @@ def peak_and_bottom(points: FloatArray) -> FloatArray | None:
     return np.asarray(middle + np.outer([positions.min(), positions.max()], along))
 
 
+class SoftMatcher(Protocol):
+    """What gives P of a frame: a trained ``Matcher``, or a reference."""
+
+    def match(
+        self, observed: Elements2D, submap: Elements3D, camera: Camera, prior: Prior
+    ) -> SoftMatches: ...
+
+
 @dataclass(frozen=True)
 class PaperPipeline:
-    """The paper's method with a trained matcher, one of ``MODELS``."""
+    """The paper's method with a matcher, such as one of ``MODELS``."""
 
-    matcher: Matcher
+    matcher: SoftMatcher
     seed: int
 
     def localize(

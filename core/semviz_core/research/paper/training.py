@@ -18,6 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.common.jit import in_order
 from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.p3p_ransac import SAMPLE, Points, most_inliers
 from semviz_core.research.paper import weighted_pnpl
@@ -25,6 +26,9 @@ from semviz_core.research.paper.matcher import MODELS, options_of, split_lines
 from semviz_core.research.paper.matcher_torch import GraphMatcher
 from semviz_core.research.training.batch import Batch, BatchTruth, Progress, SampleSource, cosine
 from semviz_core.research.training.simulated_samples import PAPER_DISTRIBUTION
+
+_FRAMES_PER_THREAD, _MOST_THREADS = 50, 3
+"""RANSAC takes most of a step of a large batch on a GPU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +53,20 @@ def start_poses(probability: Tensor, batch: Batch, seed: int) -> StartPoses:
     points = np.stack([_as_array(batch.point_m), _as_array(batch.bottom_m)])
     seen_known, mapped_known = batch.seen_known.cpu().numpy(), batch.mapped_known.cpu().numpy()
     counts = batch.seen.sum(dim=1).tolist()
-    for k in range(b):
+
+    def fill(k: int) -> None:
         i, j = weighted_pnpl.most_probable_pairs(P[k], counts[k]).T
         known = seen_known[k, i] & mapped_known[k, j]
         if known.sum() < SAMPLE:
-            continue
+            return
         likeliest = Points.of(i, known, rays[:, k, i], points[:, k, j])
         rotation, translation, inliers, _ = most_inliers(likeliest, seed + k)
         if inliers >= SAMPLE:
             starts.rotation[k], starts.translation[k], starts.ok[k] = rotation, translation, True
+
+    threads = min(b // _FRAMES_PER_THREAD + 1, _MOST_THREADS)
+    for _ in in_order(fill, range(b), threads):
+        pass
     return starts
 
 
@@ -85,7 +94,7 @@ def differentiable_pnpl(
     known on both sides, f_l over pairs of lines. A pose that is not ok had no start, did not
     converge nearby, or is not fixed by P. It equals its start and has no gradient.
     """
-    is_point, is_line = (pair.to(torch.float64) for pair in _pairs(batch))
+    is_point, is_line = (pair.to(probability.device, torch.float64) for pair in _pairs(batch))
     weights = probability.double() * is_point, probability.double() * is_line
     sums = _sums(batch), start
     optimum = _PnplFunction.apply(*weights, *sums)  # type: ignore[no-untyped-call]
@@ -168,8 +177,7 @@ def _pairs(batch: Batch) -> tuple[Tensor, Tensor]:
     """Return (b, m, n) whether pairs count as points, and whether as lines."""
     known = batch.seen_known.cpu().numpy(), batch.mapped_known.cpu().numpy()
     points, lines = weighted_pnpl.points_and_lines(*_ends(batch), *known)
-    device = batch.ray.device
-    return torch.from_numpy(points).to(device), torch.from_numpy(lines).to(device)
+    return torch.from_numpy(points), torch.from_numpy(lines)
 
 
 def _sums(batch: Batch) -> weighted_pnpl.Weighted:
@@ -281,8 +289,9 @@ class PaperTask:
         correspondence = correspondence_loss(P, truth.pairs, possible)
         if progress.share < POSE_FROM:
             return {"loss": correspondence.mean()}
-        start = start_poses(P, batch, progress.samples)
-        rotation, translation, ok = differentiable_pnpl(P, batch, start)
+        on_cpu = batch.to(torch.device("cpu"))  # once, since each number waits for the GPU
+        start = start_poses(P, on_cpu, progress.samples)
+        rotation, translation, ok = differentiable_pnpl(P, on_cpu, start)
         pose = pose_loss(rotation, translation, truth.rotation, truth.translation)
         return {
             "loss": whole_loss(correspondence, pose, ok, gamma=1.0),

@@ -32,6 +32,8 @@ TRAINING_SEQUENCES = ("00", "01", "02", "03", "04", "05", "06")
 HELD_OUT_SEQUENCES = ("08",)
 """Of KITTI; 09 and 10 are for reporting only."""
 PAPER_SHIFT_M = 5.0
+PAPER_20M_FRAMES = 30_000
+"""Ten times as many as the paper has, kept in memory: to make one takes as long as ten to turn."""
 _MOST_TRIES = 1000
 WeightedDifficulty = tuple[float, problems.Difficulty]
 """Relative frequency, and the difficulty."""
@@ -59,6 +61,8 @@ class SimulatedSamples:
     includes the sigma of the fix."""
     kitti: KittiFiles | None = None
     """KITTI's roads (default: simulated ones)."""
+    frames: int | None = None
+    """Number of distinct frames; further samples turn and shift these anew (None: no limit)."""
 
     def problem(self, number: int) -> problems.LocalizationProblem:
         """Return a frame with at least four detections, at least one of them in the map.
@@ -72,6 +76,8 @@ class SimulatedSamples:
         road = _road(self.kitti, name)
         for _ in range(_MOST_TRIES):
             index = int(rng.integers(len(road)))
+            if not problems.may_be_valid(road, seed, index, level):
+                continue
             problem = problems.make_problem(seed, level, road, index, variant=number)
             if problem.is_valid and len(problem.pairs):
                 return problem
@@ -81,7 +87,10 @@ class SimulatedSamples:
 
     def sample(self, number: int) -> Sample:
         """Return ``problem(number)`` as a sample, turned and shifted at random."""
-        return make_sample(self.problem(number), self.shift_m, np.random.default_rng([number, 1]))
+        rng = np.random.default_rng([number, 1])
+        if self.frames is None or number >= HELD_OUT:
+            return make_sample(self.problem(number), self.shift_m, rng)
+        return augmented(_kept_sample(self, number % self.frames), self.shift_m, rng)
 
     def held_out(self, number: int) -> Sample:
         """Return validation sample ``number``, on other roads and seeds."""
@@ -100,17 +109,30 @@ class SimulatedSamples:
         """Return the settings of the samples as JSON."""
         roads = "simulated" if self.kitti is None else "KITTI " + ",".join(TRAINING_SEQUENCES)
         levels = [{"weight": weight, **_off_default(level)} for weight, level in self.levels]
-        return {"roads": roads, "shift_m": self.shift_m, "levels": levels}
+        limit = {} if self.frames is None else {"frames": self.frames}
+        return {"roads": roads, "shift_m": self.shift_m, "levels": levels, **limit}
+
+
+@lru_cache(maxsize=PAPER_20M_FRAMES)
+def _kept_sample(samples: SimulatedSamples, number: int) -> Sample:
+    return _sample_of(samples.problem(number))
 
 
 def make_sample(
     problem: problems.LocalizationProblem, shift_m: float, rng: np.random.Generator
 ) -> Sample:
-    """Return ``problem`` as a sample with ground truth, augmented as in the paper ("Evaluation of
-    Localization Accuracy"): turned about the vertical by any angle, and shifted on the ground by
-    up to ``shift_m``."""
+    """Return ``problem`` as an ``augmented`` sample with ground truth."""
+    return augmented(_sample_of(problem), shift_m, rng)
+
+
+def _sample_of(problem: problems.LocalizationProblem) -> Sample:
     sample = Sample.of(problem.observed, problem.submap, problem.camera, problem.prior)
-    sample = sample.with_truth(problem.T_camera_map, problem.pairs)
+    return sample.with_truth(problem.T_camera_map, problem.pairs)
+
+
+def augmented(sample: Sample, shift_m: float, rng: np.random.Generator) -> Sample:
+    """Return a sample augmented as in the paper ("Evaluation of Localization Accuracy"): turned
+    about the vertical by any angle, and shifted on the ground by up to ``shift_m``."""
     turn = rng.uniform(-np.pi, np.pi)
     length, bearing = shift_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
     return transform_sample(sample, turn, [length * np.cos(bearing), length * np.sin(bearing)])
@@ -172,6 +194,10 @@ PAPER_DISTRIBUTION = SimulatedSamples(
     _add_low_noise(((1.0, problems.Difficulty()),)), PAPER_SHIFT_M
 )
 """The benchmark's normal frames, half of them with each noise."""
+PAPER_20M_DISTRIBUTION = SimulatedSamples(
+    _add_low_noise(((1.0, problems.PAPER_20M),)), frames=PAPER_20M_FRAMES
+)
+"""Frames of the paper's own protocol, whose fix is as far off as the paper shifts its maps."""
 LEARNED_DISTRIBUTION = SimulatedSamples(
     _add_heading(
         _add_low_noise(
