@@ -24,11 +24,14 @@ from semviz_core.detection.detector import Detector
 from semviz_core.detection.heatmaps import Channels
 from semviz_core.detection.network import (
     EQUALIZED,
+    STANDARD,
     TASK,
     DetectorNet,
     HeatmapModel,
+    NetworkSize,
     equalized,
     masks_of,
+    size_of,
 )
 from semviz_core.metrics.detection import FALSE_POSITIVE, ImageGroundTruth, match_detections
 from semviz_core.research.training.batch import Progress, cosine
@@ -151,8 +154,10 @@ class CropBatch:
     targets: dict[str, Tensor]  # by the names of ``Targets``
 
     def to(self, device: torch.device) -> "CropBatch":
-        targets = {name: target.to(device) for name, target in self.targets.items()}
-        return CropBatch(self.image.to(device), targets)
+        targets = {
+            name: target.to(device, non_blocking=True) for name, target in self.targets.items()
+        }
+        return CropBatch(self.image.to(device, non_blocking=True), targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +174,15 @@ class DetectorTask:
     name = TASK
     samples = DETECTOR_SAMPLES
 
-    def __init__(self, source: LabelledImages, classes: ClassSet = DEFAULT_CLASSES):
+    def __init__(
+        self,
+        source: LabelledImages,
+        classes: ClassSet = DEFAULT_CLASSES,
+        size: NetworkSize = STANDARD,
+    ):
         self.source = source
         self.classes = classes
-        self.detector = DetectorNet(len(classes))
+        self.detector = DetectorNet(len(classes), size)
         self.network: nn.Module = self.detector
         self.options: dict[str, Any] = {
             "classes": [class_.name for class_ in classes],
@@ -234,7 +244,7 @@ class DetectorTask:
     @property
     def model(self) -> HeatmapModel:
         """The network as a model, with weights of its own."""
-        network = DetectorNet(len(self.classes))
+        network = DetectorNet(len(self.classes), self.detector.size)
         network.load_state_dict(self.network.state_dict())
         return HeatmapModel.of(network, self.classes)
 
@@ -255,12 +265,13 @@ def make_detector(source: LabelledImages, seed: int = 0, start: Path | None = No
     Raise SemvizError if the file is missing or holds another network.
     """
     torch.manual_seed(seed)
-    task = DetectorTask(source)
-    if start is not None:
-        weights = read_weights(start)
-        weights.check(TASK, task.classes, start)
-        weights.load_into(task.network, start)
-        task.options["from"] = sha256(start.read_bytes()).hexdigest()
+    if start is None:
+        return DetectorTask(source)
+    weights = read_weights(start)
+    weights.check(TASK, DEFAULT_CLASSES, start)
+    task = DetectorTask(source, size=size_of(weights, start))
+    weights.load_into(task.network, start)
+    task.options["from"] = sha256(start.read_bytes()).hexdigest()
     return task
 
 
