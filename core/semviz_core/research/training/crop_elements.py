@@ -103,7 +103,8 @@ def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
     for _ in range(rng.integers(1, 5)):
         long = float(np.exp(rng.uniform(np.log(14.0), np.log(320.0))))
         bottom = np.array([rng.uniform(0, width), rng.uniform(0.35, 1.1) * height])
-        posts.append(_post(bottom, long, rng.uniform(0.012, 0.1), rng.normal(0.0, 0.04)))
+        thick = rng.uniform(0.012, 0.1) if long > _LEAST_LAMP_PX else rng.uniform(0.02, 0.2)
+        posts.append(_post(bottom, long, thick, rng.normal(0.0, 0.05)))
     return posts
 
 
@@ -112,13 +113,14 @@ def _fence(crop: Crop, rng: np.random.Generator) -> list[_Post]:
     height, width = crop.rows.shape
     horizon = np.array([rng.uniform(-0.5, 1.5) * width, rng.uniform(0.3, 0.6) * height])
     first = np.array([rng.uniform(0, width), horizon[1] + rng.uniform(30.0, 0.6 * height)])
-    tall, thick = rng.uniform(0.4, 1.6) * (first[1] - horizon[1]), rng.uniform(0.02, 0.14)
-    apart = rng.uniform(0.1, 0.5)
+    tall = rng.uniform(0.4, 1.6) * (first[1] - horizon[1])
+    thick = float(np.exp(rng.uniform(np.log(0.025), np.log(0.22))))
+    apart = rng.uniform(0.1, 0.6)
     posts = []
     for step in range(int(rng.integers(3, 10))):
         share = 1.0 / (1.0 + step * apart)
         bottom = horizon + share * (first - horizon)
-        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.05)))
+        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.06)))
     return posts[::-1]
 
 
