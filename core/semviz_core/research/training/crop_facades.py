@@ -97,9 +97,10 @@ def _panels(picture: ByteImage, rng: np.random.Generator) -> None:
     """Paint plain panels, as those of a lorry or a container: stripes, edges and shades."""
     high, wide = picture.shape[:2]
     for _ in range(rng.integers(1, 8)):
-        first, last = rng.uniform(0.0, 1.0, (2, 2)) * (wide, high)
+        size = wide_and_high(6.0, max(8.0, 0.8 * max(wide, high)), rng)
+        first = rng.uniform(-0.2, 1.0, 2) * (wide, high)
         thick = int(rng.integers(1, 5)) if rng.random() < 0.5 else cv2.FILLED
-        cv2.rectangle(picture, _point(first), _point(last), _color(any_color(rng)), thick)
+        cv2.rectangle(picture, _point(first), _point(first + size), _color(any_color(rng)), thick)
 
 
 def letter(picture: ByteImage, rng: np.random.Generator) -> None:
