@@ -35,7 +35,7 @@ _LEAST_LAMP_PX = 90.0
 
 def with_more_elements(crop: Crop, rng: np.random.Generator) -> Crop:
     """Return the crop, which must have masks, with posts and signs behind its own elements."""
-    if rng.random() < 0.6:
+    if rng.random() < 0.7:
         crop = _with_posts(crop, rng)
     return _with_signs(crop, rng) if rng.random() < 0.6 else crop
 
@@ -52,7 +52,7 @@ class _Post:
 def _with_posts(crop: Crop, rng: np.random.Generator) -> Crop:
     """Return the crop with stakes, masts, or the posts of a fence, behind its own elements."""
     image, rows = crop.image.astype(np.float32), crop.rows.copy()
-    posts = _fence(crop, rng) if rng.random() < 0.4 else _stakes(crop, rng)
+    posts = _fence(crop, rng) if rng.random() < 0.5 else _stakes(crop, rng)
     if rng.random() < 0.5 and len(posts) > 1:
         _rails(image, rows == 0, posts, rng)
     color = pole_color(_level_at(image, posts[-1]), rng)

@@ -30,8 +30,8 @@ def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
     elements."""
     image = crop.image.astype(np.float32)
     behind = crop.rows == 0
-    for paint in (_woods, _walls, paint_fronts, _boards, _trunks):
-        if rng.random() < 0.4:
+    for paint, share in _SHARES.items():
+        if rng.random() < share:
             paint(image, behind, rng)
     _relight(image, crop, rng)
     return replace(crop, image=as_bytes(image))
@@ -103,7 +103,7 @@ def _boards(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
             for each in (fractal(rng, shown.shape, rng.uniform(4.0, 60.0)) for _ in range(2))
         ]
         which = fractal(rng, shown.shape, rng.uniform(8.0, 80.0))[..., None] > rng.normal(0.0, 0.5)
-        frame = int(rng.integers(1, 4))
+        frame = int(rng.integers(1, max(2, min(9, min(shown.shape) // 4))))
         lay_over(image[part], shown, any_color(rng))
         inner = np.zeros_like(shown)
         inner[frame:-frame, frame:-frame] = shown[frame:-frame, frame:-frame]
@@ -179,3 +179,7 @@ def _relight(image: Floats, crop: Crop, rng: np.random.Generator) -> None:
         beside = image[v, aside].mean(axis=0)
         own = image[v, u] if rng.random() < 0.4 else pole_color(beside, rng)
         image[v, u] = own * light[:, None]
+
+
+_SHARES = {_woods: 0.4, _walls: 0.3, paint_fronts: 0.4, _boards: 0.45, _trunks: 0.5}
+"""Shares of crops in which each is painted, in this order."""
