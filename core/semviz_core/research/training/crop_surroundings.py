@@ -57,7 +57,7 @@ def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         if rng.random() < 0.5:  # a bush is not as wide as the crop
             left = rng.uniform(-0.3, 0.9) * width
             columns = np.arange(width)
-            inside &= (columns > left) & (columns < left + rng.uniform(0.1, 0.8) * width)
+            inside &= (columns > left) & (columns < left + rng.uniform(0.2, 0.8) * width)
         leaves = fractal(rng, behind.shape, rng.uniform(6.0, 60.0), rng.uniform(0.5, 3.0))
         middle, change = _leaf_color(rng), rng.uniform(0.15, 0.7)
         shade = np.clip(1.0 + change * leaves, 0.05, 2.5)
