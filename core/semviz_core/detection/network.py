@@ -125,13 +125,13 @@ def equalized(image: ByteImage) -> ByteImage:
 class NetworkSize:
     """Channels and depth of a ``DetectorNet``."""
 
-    widths: tuple[int, ...] = (16, 24, 48, 96, 128)
+    widths: tuple[int, ...] = (24, 36, 72, 128, 160)
     """Channels at strides 2, 4, 8, 16 and 32."""
-    blocks: tuple[int, ...] = (0, 1, 2, 2, 2)
+    blocks: tuple[int, ...] = (0, 1, 2, 3, 2)
     """Residual blocks at each stride. At stride 32 the receptive field reaches 300 px up and down:
     both ends of a pole as tall as an image."""
-    pyramid: int = 32
-    head: int = 48
+    pyramid: int = 48
+    head: int = 64
 
     @classmethod
     def of(cls, tensors: Mapping[str, NDArray[np.float32]]) -> "NetworkSize":

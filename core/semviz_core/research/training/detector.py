@@ -43,10 +43,10 @@ from semviz_core.research.training.detector_crops import (
 )
 from semviz_core.research.training.detector_images import Crop, LabelledImage, LabelledImages
 
-FALSE_AN_IMAGE = 1.0
+FALSE_AN_IMAGE = 2.0
 """False positives of all classes per tuning image, in surroundings as hard as real ones. The rate
-favours recall: rejecting a proposal takes one key, drawing a missed element several, and
-localization expects false positives."""
+favours recall: rejecting a proposal takes one key, drawing a missed element several, and mapping
+and localization expect false positives."""
 LOWEST = 0.05
 """Detections with less heat are ignored."""
 PRICES: FloatArray = np.geomspace(0.02, 50.0, 60)
