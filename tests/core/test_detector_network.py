@@ -34,6 +34,8 @@ from semviz_core.research.training.detector_images import IGNORED, ConcatImages,
 from semviz_core.research.training.trainer import Trainer, TrainingOptions
 
 CHANNELS = Channels(len(DEFAULT_CLASSES))
+SMALL = NetworkSize((16, 24, 48, 96, 128), (0, 1, 2, 2, 2), 32, 48)
+"""Learns faster than the standard one."""
 
 
 @pytest.fixture(autouse=True)
@@ -205,12 +207,12 @@ def test_it_learns_an_image_by_heart(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """Finds both elements after training, nothing before; and tells from which heat on."""
     monkeypatch.setattr(detector, "view_elsewhere", lambda labelled, _: labelled)
     torch.manual_seed(0)
-    task = DetectorTask(Images(an_image()))
-    before = HeatmapModel.of(DetectorNet(4), DEFAULT_CLASSES)
+    task = DetectorTask(Images(an_image()), size=SMALL)
+    before = HeatmapModel.of(DetectorNet(4, SMALL), DEFAULT_CLASSES)
     assert not before.find(an_image().image)
     task.make = lambda number: task.held_out(0)  # type: ignore[method-assign]
     Trainer(task, tmp_path, TrainingOptions(samples=240, batch=2, workers=0, held_out=1)).run()
-    network = DetectorNet(4)
+    network = DetectorNet(4, SMALL)
     network.load_state_dict(task.network.state_dict())
     found = HeatmapModel.of(network, DEFAULT_CLASSES).find(an_image().image)
     assert sorted(element.class_id or 0 for element in found) == [POLE, RECTANGULAR]
