@@ -139,7 +139,7 @@ class NetworkSize:
 
         Raise KeyError if they are of another kind of network.
         """
-        widths = []
+        widths: list[int] = []
         while (name := f"stages.{len(widths)}.0.0.weight") in tensors:
             widths.append(len(tensors[name]))
         blocks = [

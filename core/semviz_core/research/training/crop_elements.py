@@ -93,7 +93,8 @@ def _arm(
     cv2.polylines(cover, [arm], False, 255, thick, cv2.LINE_AA, 4)
     head = np.round((post.peak_px + bend[-1] + [(0.0, 0.0), (0.35 * reach, 0.0)]) * 16)
     cv2.polylines(cover, [head.astype(np.int32)], False, 255, 2 * thick, cv2.LINE_AA, 4)
-    lay_over(image, cover * behind / np.float32(255.0), color * rng.uniform(0.7, 1.3))
+    alpha = (cover * behind / np.float32(255.0)).astype(np.float32)
+    lay_over(image, alpha, color * rng.uniform(0.7, 1.3))
 
 
 def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:

@@ -39,7 +39,7 @@ def paint_fronts(image: Floats, behind: BoolArray, rng: np.random.Generator) -> 
         size = shown.shape[::-1]
         cover = cv2.warpPerspective(np.ones((high, wide), np.float32), to_crop, size)
         colors = cv2.warpPerspective(front, to_crop, size, borderMode=cv2.BORDER_REPLICATE)
-        lay_over(image[part], cover * shown, colors.astype(np.float32))
+        lay_over(image[part], (cover * shown).astype(np.float32), colors.astype(np.float32))
 
 
 def _front(wide: int, high: int, rng: np.random.Generator) -> ByteImage:
