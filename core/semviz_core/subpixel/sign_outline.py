@@ -328,30 +328,11 @@ def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[Outl
         away = _border_px(image.image, *unit, outline.center_px, outline.half_px)
         if away > 0.0:
             J = _jacobian(*_sized(*unit, outline.half_px), outline.half_px)
-            grown, is_regular = _moved_by(J, away)
-            if not is_regular:  # a very thin outline
-                grown = np.linalg.lstsq(J, np.full(len(J), away), rcond=None)[0]
+            normal = J.T @ J + 1e-9 * np.eye(4)  # the fit of a very thin outline is singular
+            grown = np.linalg.solve(normal, away * J.sum(axis=0))
             half = np.maximum(outline.half_px + grown[2:], 2.0)
             starts.append(OutlineStart(outline.shape, outline.center_px + grown[:2], half, 1.25))
     return starts
-
-
-@compiled
-def _moved_by(J: FloatArray, away_px: float) -> tuple[FloatArray, bool]:
-    """Return the shift and growth (4,) that move an outline's points by ``away_px`` outwards.
-
-    Second is False if they are not determined.
-    """
-    normal, solution = np.zeros((4, 4)), np.zeros(4)
-    for k in range(len(J)):
-        for i in range(4):
-            solution[i] += J[k, i] * away_px
-            for j in range(i + 1):
-                normal[i, j] += J[k, i] * J[k, j]
-    is_regular = cholesky(normal, 4) and normal[3, 3] > 1e-6 * normal[0, 0]
-    if is_regular:
-        solve_cholesky(normal, solution)
-    return solution, is_regular
 
 
 @compiled
