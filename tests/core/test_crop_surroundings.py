@@ -8,7 +8,9 @@ import pytest
 from semviz_core.base.classes import POLE, RECTANGULAR
 from semviz_core.base.elements import Elements2D
 from semviz_core.research.training.crop_elements import with_more_elements
+from semviz_core.research.training.crop_facades import paint_fronts
 from semviz_core.research.training.crop_light import as_taken, fractal, with_shade
+from semviz_core.research.training.crop_paint import pole_color, wide_and_high
 from semviz_core.research.training.crop_surroundings import in_other_surroundings
 from semviz_core.research.training.detector_images import IGNORED, Crop
 
@@ -99,6 +101,33 @@ def test_posts_differ_from_what_is_beside_them(changed: list[Crop]) -> None:
             other = crop.image[near & (crop.rows == 0)]
             contrast.append(np.abs(crop.image[mine].mean(0) - other.mean(0)).mean())
     assert np.mean(np.array(contrast) > 10.0) > 0.8
+
+
+def test_fronts_are_wider_than_poles_and_paint_only_what_is_behind() -> None:
+    behind = np.zeros((HEIGHT, WIDTH), bool)
+    behind[:, : WIDTH // 2] = True
+    changed = 0.0
+    for seed in range(12):
+        image = np.full((HEIGHT, WIDTH, 3), 99.0, np.float32)
+        paint_fronts(image, behind, np.random.default_rng(seed))
+        np.testing.assert_array_equal(image[~behind], 99.0)
+        changed += (image[behind] != 99.0).mean() / 12
+    assert changed > 0.1
+    sides = [wide_and_high(10.0, 300.0, np.random.default_rng(seed)) for seed in range(99)]
+    assert min(wide / high for wide, high in sides) > 0.4
+
+
+@pytest.mark.parametrize(("level", "least"), [(12.0, 6.0), (40.0, 14.0), (200.0, 22.0)])
+def test_a_pole_differs_from_what_is_beside_it_by_less_in_the_shade(
+    level: float, least: float
+) -> None:
+    beside = np.full(3, level)
+    off = [
+        np.abs(pole_color(beside, np.random.default_rng(seed)) - beside).mean()
+        for seed in range(300)
+    ]
+    assert np.mean(np.array(off) >= least) > 0.95
+    assert np.quantile(off, 0.1) < 2.5 * least
 
 
 def test_the_same_numbers_give_the_same_crop() -> None:

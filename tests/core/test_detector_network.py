@@ -12,8 +12,14 @@ from semviz_core.base.elements import Elements2D
 from semviz_core.base.weights import NetworkWeights
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.heatmaps import MASKS, STRIDE, Channels, regions_in
-from semviz_core.detection.network import DetectorNet, HeatmapModel, load_shipped_model
+from semviz_core.detection.network import (
+    DetectorNet,
+    HeatmapModel,
+    NetworkSize,
+    load_shipped_model,
+)
 from semviz_core.detection.regions import Region
+from semviz_core.research.training import detector
 from semviz_core.research.training.detector import DetectorTask, chosen_thresholds, focal
 from semviz_core.research.training.detector_crops import (
     HEIGHT,
@@ -22,11 +28,14 @@ from semviz_core.research.training.detector_crops import (
     Targets,
     middle_crop,
     random_crop,
+    view_elsewhere,
 )
 from semviz_core.research.training.detector_images import IGNORED, ConcatImages, LabelledImage
 from semviz_core.research.training.trainer import Trainer, TrainingOptions
 
 CHANNELS = Channels(len(DEFAULT_CLASSES))
+SMALL = NetworkSize((16, 24, 48, 96, 128), (0, 1, 2, 2, 2), 32, 48)
+"""Learns faster than the standard one."""
 
 
 @pytest.fixture(autouse=True)
@@ -152,15 +161,58 @@ def test_pixels_of_an_element_are_those_of_its_row() -> None:
     assert not (crop.rows == IGNORED).any()
 
 
-def test_it_learns_an_image_by_heart(tmp_path: Path) -> None:
+def test_a_view_elsewhere_keeps_the_elements_and_adds_others() -> None:
+    before = an_image()
+    views = [view_elsewhere(before, np.random.default_rng(seed)) for seed in range(6)]
+    for view in views:
+        assert view.image.shape == before.image.shape
+        np.testing.assert_allclose(view.elements.anchor_px[:2], before.elements.anchor_px)
+        assert (view.image != before.image).mean() > 0.3
+    assert max(len(view.elements) for view in views) > 3
+
+
+def test_thresholds_are_chosen_elsewhere_unless_there_are_no_masks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[LabelledImage] = []
+
+    def chosen(model, images, classes):
+        seen.extend(images)
+        return np.full(len(classes), 0.25)
+
+    monkeypatch.setattr(detector, "chosen_thresholds", chosen)
+    for labelled in (an_image(), replace(an_image(), regions=None)):
+        task = DetectorTask(Images(labelled))
+        task.finish()
+        assert task.detector.threshold[0] == 0.25
+    np.testing.assert_array_equal(seen[1].image, an_image().image)
+    assert (seen[0].image != an_image().image).mean() > 0.3
+
+
+@pytest.mark.parametrize(
+    "size", [NetworkSize(), NetworkSize((8, 12, 16, 24, 32), (1, 0, 2, 3, 1), 12, 20)]
+)
+def test_the_size_of_a_network_is_read_from_its_weights(size: NetworkSize, tmp_path: Path) -> None:
+    network = DetectorNet(4, size)
+    tensors = {name: value.float().numpy() for name, value in network.state_dict().items()}
+    assert NetworkSize.of(tensors) == size
+    options = {"classes": [class_.name for class_ in DEFAULT_CLASSES]}
+    kept = {name: value for name, value in tensors.items() if "batches" not in name}
+    NetworkWeights("detector", options, kept).save(tmp_path / "detector.safetensors")
+    loaded = load_shipped_model(tmp_path / "detector.safetensors", DEFAULT_CLASSES)
+    assert loaded.network.size == size
+
+
+def test_it_learns_an_image_by_heart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Finds both elements after training, nothing before; and tells from which heat on."""
+    monkeypatch.setattr(detector, "view_elsewhere", lambda labelled, _: labelled)
     torch.manual_seed(0)
-    task = DetectorTask(Images(an_image()))
-    before = HeatmapModel.of(DetectorNet(4), DEFAULT_CLASSES)
+    task = DetectorTask(Images(an_image()), size=SMALL)
+    before = HeatmapModel.of(DetectorNet(4, SMALL), DEFAULT_CLASSES)
     assert not before.find(an_image().image)
     task.make = lambda number: task.held_out(0)  # type: ignore[method-assign]
     Trainer(task, tmp_path, TrainingOptions(samples=240, batch=2, workers=0, held_out=1)).run()
-    network = DetectorNet(4)
+    network = DetectorNet(4, SMALL)
     network.load_state_dict(task.network.state_dict())
     found = HeatmapModel.of(network, DEFAULT_CLASSES).find(an_image().image)
     assert sorted(element.class_id or 0 for element in found) == [POLE, RECTANGULAR]

@@ -6,6 +6,7 @@ it has few channels at high resolution. It takes 8-bit sRGB images, whose contra
 locally first: real streets have deep shade and glare, rendered ones do not.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from torch.nn.functional import interpolate, pixel_shuffle
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.base.weights import NetworkWeights, load_trained
+from semviz_core.base.weights import NetworkWeights, load_trained, version_error
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch
@@ -90,9 +91,17 @@ def load_shipped_model(
 
 
 def _build(weights: NetworkWeights, classes: ClassSet, path: Path) -> HeatmapModel:
-    network = DetectorNet(len(classes))
+    network = DetectorNet(len(classes), size_of(weights, path))
     weights.load_into(network, path)
     return HeatmapModel.of(network, classes, equalizes=EQUALIZED in weights.options)
+
+
+def size_of(weights: NetworkWeights, path: Path) -> "NetworkSize":
+    """Return the size of the network that weights are of. Raise SemvizError for other networks."""
+    try:
+        return NetworkSize.of(weights.tensors)
+    except KeyError:
+        raise version_error(TASK, path) from None
 
 
 EQUALIZED = "equalized"
@@ -112,12 +121,41 @@ def equalized(image: ByteImage) -> ByteImage:
     return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), np.uint8)
 
 
-WIDTHS = (16, 24, 48, 96, 128)
-"""Channels at strides 2, 4, 8, 16 and 32."""
-BLOCKS = (0, 1, 2, 2, 2)
-"""Residual blocks at each stride. At stride 32 the receptive field reaches 300 px up and down: both
-ends of a pole as tall as an image."""
-PYRAMID, HEAD = 32, 48
+@dataclass(frozen=True)
+class NetworkSize:
+    """Channels and depth of a ``DetectorNet``."""
+
+    widths: tuple[int, ...] = (24, 36, 72, 128, 160)
+    """Channels at strides 2, 4, 8, 16 and 32."""
+    blocks: tuple[int, ...] = (0, 1, 2, 3, 2)
+    """Residual blocks at each stride. At stride 32 the receptive field reaches 300 px up and down:
+    both ends of a pole as tall as an image."""
+    pyramid: int = 48
+    head: int = 64
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, NDArray[np.float32]]) -> "NetworkSize":
+        """Return the size of the network that weights, by state-dict name, are of.
+
+        Raise KeyError if they are of another kind of network.
+        """
+        widths: list[int] = []
+        while (name := f"stages.{len(widths)}.0.0.weight") in tensors:
+            widths.append(len(tensors[name]))
+        blocks = [
+            sum(
+                f"stages.{stage}.{block}.one.0.weight" in tensors
+                for block in range(1, _MOST_BLOCKS)
+            )
+            for stage in range(len(widths))
+        ]
+        pyramid, head = (len(tensors[name]) for name in ("lateral.0.weight", "head.0.weight"))
+        return cls(tuple(widths), tuple(blocks), pyramid, head)
+
+
+STANDARD = NetworkSize()
+"""The size of new networks."""
+_MOST_BLOCKS = 100
 RARE = -4.6
 """Initial logit of heat, since few cells hold a centre."""
 MEAN, SPREAD = 114.0, 64.0
@@ -131,17 +169,19 @@ class DetectorNet(nn.Module):
     ``Channels`` gives their order.
     """
 
-    def __init__(self, classes: int) -> None:
+    def __init__(self, classes: int, size: NetworkSize = NetworkSize()) -> None:
         super().__init__()
+        self.size = size
+        widths, pyramid, head = size.widths, size.pyramid, size.head
         self.stages = nn.ModuleList(
             nn.Sequential(_conv(before, width, 2), *(_Residual(width) for _ in range(blocks)))
-            for before, width, blocks in zip((3, *WIDTHS), WIDTHS, BLOCKS, strict=False)
+            for before, width, blocks in zip((3, *widths), widths, size.blocks, strict=False)
         )
-        self.lateral = nn.ModuleList(nn.Conv2d(width, PYRAMID, 1) for width in WIDTHS[1:])
-        self.merge = nn.ModuleList(_conv(PYRAMID, PYRAMID) for _ in WIDTHS[2:])
-        self.head = _conv(PYRAMID, HEAD)
+        self.lateral = nn.ModuleList(nn.Conv2d(width, pyramid, 1) for width in widths[1:])
+        self.merge = nn.ModuleList(_conv(pyramid, pyramid) for _ in widths[2:])
+        self.head = _conv(pyramid, head)
         channels = Channels(classes)
-        self.answer = nn.Conv2d(HEAD, channels.count, 1)
+        self.answer = nn.Conv2d(head, channels.count, 1)
         bias = torch.zeros(channels.count)
         bias[channels.heat] = RARE
         self.answer.bias = nn.Parameter(bias)

@@ -50,6 +50,8 @@ class End:
     """Position along the axis, from the line's midpoint, downwards."""
     evidence: FloatArray
     """(k,) of its kind."""
+    after: pole_ends.GrownEnd | None = None
+    """How the pole goes on beyond this end, if that was examined."""
 
     @cached_property
     def sigma_px(self) -> float:
@@ -133,7 +135,7 @@ def followed_end(image: SampledImage, region: Region, line: Line, first: End) ->
     least_gain = max(_LEAST_GAIN, _MEAN_GAIN * grown.off_px)
     if told or grown.off_px < _LEAST_GROWN_PX or grown.gain < least_gain:
         held = [np.log(first.sigma_px), *clear, float(first.which)]
-        return End("end held", first.which, first.place_px, np.array(held))
+        return End("end held", first.which, first.place_px, np.array(held), grown)
     evidence = [
         *(np.log(grown.off_px), grown.gain / grown.off_px, *clear),
         *(np.log(line.width_px), np.log(line.sigma_px), float(first.which)),
@@ -275,7 +277,7 @@ def end_evidence(
     It is against an occluder's edge, a pole that goes on, and clutter in which no end is clear.
     """
     first = first_end(region, line, end.which)
-    after = _beyond_end(image, line, end)
+    after = end.after or _beyond_end(image, line, end)
     return np.array(
         [
             float(region.ends_known is not None),

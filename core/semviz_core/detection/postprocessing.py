@@ -166,7 +166,7 @@ class _Piece:
     """Column and row of the first pixel."""
     mask: BoolArray
 
-    @property
+    @cached_property
     def rows(self) -> tuple[int, int]:
         """The first row, and the row after the last."""
         return self.corner[1], self.corner[1] + len(self.mask)
@@ -343,7 +343,7 @@ def _with_joined_edges(poles: list[_Piece], odds: NDArray[np.float32]) -> list[_
 
 def _is_other_edge(pole: _Piece, piece: _Piece, odds: NDArray[np.float32]) -> bool:
     """Whether two pieces are the edges of one pole: side by side, and perhaps a pole between."""
-    low, high = (pick(pole.rows[k], piece.rows[k]) for k, pick in ((0, max), (1, min)))
+    low, high = max(pole.rows[0], piece.rows[0]), min(pole.rows[1], piece.rows[1])
     if high - low < max(_NEAR_ROWS, _SIDE_BY_SIDE * max(len(pole.mask), len(piece.mask))):
         return False
     left, right = sorted((pole, piece), key=lambda each: each.middle)

@@ -61,7 +61,7 @@ def best_center(image: SampledImage, region: Region) -> tuple[int, SignCenter, f
     outlines = centers_from_outline(image, model_center, classes, body, turn_of_mask(region))
     class_id, probability = classes[0], 1.0
     if region.class_id is None:
-        class_id, probability = likeliest_shape(region, model_center, outlines)
+        class_id, probability = likeliest_shape([region, *body], model_center, outlines)
     candidates = [model_center, *outlines[class_id]]
     best = min(candidates, key=lambda center: center.sigma_px)
     if class_id == TRIANGULAR and best is model_center:
@@ -91,10 +91,12 @@ def _turn_of_clearest(outlines: Sequence[SignCenter]) -> int:
 
 
 def likeliest_shape(
-    region: Region, model_center: SignCenter, outlines: dict[int, list[SignCenter]]
+    regions: Sequence[Region], model_center: SignCenter, outlines: dict[int, list[SignCenter]]
 ) -> tuple[int, float]:
-    """Return the class of the likeliest shape and its probability; the rest is for no sign."""
-    regions = [region, *without_arms(region)]
+    """Return the class of the likeliest shape and its probability; the rest is for no sign.
+
+    ``regions`` are the sign's region and those of ``without_arms``.
+    """
     evidence = [
         shape_evidence(regions, class_, model_center, outlines[class_]) for class_ in SHAPES
     ]

@@ -215,8 +215,9 @@ _STRAIGHT_PX = 0.75
 """A line that is off by less than this at its far end is taken as it is."""
 _BEYOND = 10
 """Number of rows after the end that tell how clear it is."""
-_AT_ONCE = 40
-"""Number of rows that are examined first; then twice as many, until the pole ends."""
+_AT_ONCE, _AT_FIRST = 10, 40
+"""Number of rows that are examined at once, up to the second number; then twice as many, until the
+pole ends."""
 
 
 class GrownEnd(NamedTuple):
@@ -252,13 +253,17 @@ def grown_end(
     to_border = int(_to_border_px(image, line))
     if to_border < _FEWEST:
         return NOT_GROWN
-    seen = min(_AT_ONCE, to_border)
-    slopes = _slopes(most_aside, seen)
+    rows = _RowsBeyond(image, line, width_px)
+    at_first = min(_AT_FIRST, to_border)
+    seen, slopes = min(_AT_ONCE, at_first), _slopes(most_aside, at_first)
     while True:
-        odds, clutter = _rows_beyond(image, line, width_px, slopes, seen)
+        odds, clutter = rows.until(seen, slopes)
         slope, last, stopped = _furthest(odds, gap)
-        if seen == to_border or (stopped and (seen == _AT_ONCE or last + _BEYOND <= seen)):
+        if seen == to_border or (stopped and (seen == _AT_FIRST or last + _BEYOND <= seen)):
             break
+        if seen < at_first:
+            seen = min(seen + _AT_ONCE, at_first)
+            continue
         if not stopped:
             slopes = _slopes(most_aside, to_border)
         seen = min(2 * seen, to_border)
@@ -305,14 +310,28 @@ def _furthest(odds: FloatArray, gap: float) -> tuple[int, int, bool]:
     return slope, last, stopped == len(odds)
 
 
-def _rows_beyond(
-    image: SampledImage, line_px: FloatArray, width_px: float, slopes: FloatArray, count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return log-odds (slopes, count) of rows beyond an end being the pole's, and clutter."""
-    step = line_px[1] - line_px[0]
-    steps = step / np.hypot(*step) + slopes[:, None, None] * across(line_px)
-    points = line_px[1] + (np.arange(count) + 0.5)[:, None] * steps
-    votes = _row_votes(image.image, line_px, width_px, points.reshape(-1, 2))
-    odds = WEIGHTS[0] - _CAUTION + votes[:, :3] @ WEIGHTS[1:]
-    shape = (len(slopes), count)
-    return np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW).reshape(shape), votes[:, 3].reshape(shape)
+class _RowsBeyond:
+    """Rows beyond the end of a line; each is examined once."""
+
+    def __init__(self, image: SampledImage, line_px: FloatArray, width_px: float) -> None:
+        self._image, self._line_px, self._width_px = image, line_px, width_px
+        self._slopes: FloatArray = np.empty(0)
+        self._votes: FloatArray = np.empty((0, 0, 4))
+
+    def until(self, count: int, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log-odds (slopes, count) of the first rows being the pole's, and clutter."""
+        if len(slopes) != len(self._slopes):
+            self._slopes, self._votes = slopes, np.empty((len(slopes), 0, 4))
+        new = self._examined(self._votes.shape[1], count)
+        self._votes = np.concatenate([self._votes, new], axis=1)
+        odds = WEIGHTS[0] - _CAUTION + self._votes[..., :3] @ WEIGHTS[1:]
+        return np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW), self._votes[..., 3]
+
+    def _examined(self, first: int, end: int) -> FloatArray:
+        """Return the votes (slopes, end - first, 4) of rows from ``first`` on."""
+        step = self._line_px[1] - self._line_px[0]
+        steps = step / np.hypot(*step) + self._slopes[:, None, None] * across(self._line_px)
+        points = self._line_px[1] + (np.arange(first, end) + 0.5)[:, None] * steps
+        shape = (len(self._slopes), end - first, 4)
+        votes = _row_votes(self._image.image, self._line_px, self._width_px, points.reshape(-1, 2))
+        return votes.reshape(shape)

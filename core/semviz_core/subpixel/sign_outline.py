@@ -328,8 +328,8 @@ def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[Outl
         away = _border_px(image.image, *unit, outline.center_px, outline.half_px)
         if away > 0.0:
             J = _jacobian(*_sized(*unit, outline.half_px), outline.half_px)
-            # lstsq, since the fit of a very thin outline is singular
-            grown = np.linalg.lstsq(J, np.full(len(J), away), rcond=None)[0]
+            normal = J.T @ J + 1e-9 * np.eye(4)  # the fit of a very thin outline is singular
+            grown = np.linalg.solve(normal, away * J.sum(axis=0))
             half = np.maximum(outline.half_px + grown[2:], 2.0)
             starts.append(OutlineStart(outline.shape, outline.center_px + grown[:2], half, 1.25))
     return starts

@@ -14,9 +14,10 @@ from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements2D, joined
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.research.training.crop_light import Floats, as_bytes, fractal
-from semviz_core.research.training.crop_surroundings import (
+from semviz_core.research.training.crop_paint import (
     any_color,
     lay_over,
+    pole_color,
     pole_light,
     unlike,
     window,
@@ -28,11 +29,13 @@ from semviz_core.simulation.sign_faces import face, worn_face
 
 _LEAST_POST_PX, _MOST_NUMBER = 12.0, 200
 """Shortest post that is added; most elements of a crop, whose rows are bytes."""
+_LEAST_LAMP_PX = 90.0
+"""Least height of a post that may carry a lamp."""
 
 
 def with_more_elements(crop: Crop, rng: np.random.Generator) -> Crop:
     """Return the crop, which must have masks, with posts and signs behind its own elements."""
-    if rng.random() < 0.6:
+    if rng.random() < 0.7:
         crop = _with_posts(crop, rng)
     return _with_signs(crop, rng) if rng.random() < 0.6 else crop
 
@@ -49,18 +52,49 @@ class _Post:
 def _with_posts(crop: Crop, rng: np.random.Generator) -> Crop:
     """Return the crop with stakes, masts, or the posts of a fence, behind its own elements."""
     image, rows = crop.image.astype(np.float32), crop.rows.copy()
-    posts = _fence(crop, rng) if rng.random() < 0.4 else _stakes(crop, rng)
+    posts = _fence(crop, rng) if rng.random() < 0.5 else _stakes(crop, rng)
     if rng.random() < 0.5 and len(posts) > 1:
         _rails(image, rows == 0, posts, rng)
-    color = any_color(rng)
+    color = pole_color(_level_at(image, posts[-1]), rng)
     elements = crop.elements
     for post in posts:
         if len(elements) >= _MOST_NUMBER:
             break
+        if np.ptp([post.peak_px[1], post.bottom_px[1]]) > _LEAST_LAMP_PX and rng.random() < 0.25:
+            _arm(image, rows == 0, post, color, rng)
         shown = _paint_post(image, rows, post, len(elements) + 1, color, rng)
         if shown is not None:
             elements = joined(elements, shown)
     return replace(crop, image=as_bytes(image), elements=elements, rows=rows)
+
+
+def _level_at(image: Floats, post: _Post) -> FloatArray:
+    """Return the mean colour (3,) around the middle of a post."""
+    height, width = image.shape[:2]
+    u, v = np.clip((post.peak_px + post.bottom_px) / 2.0, 0.0, (width - 1.0, height - 1.0))
+    around = image[max(0, int(v) - 8) : int(v) + 9, max(0, int(u) - 8) : int(u) + 9]
+    return np.asarray(around.mean(axis=(0, 1)))
+
+
+def _arm(
+    image: Floats, behind: BoolArray, post: _Post, color: FloatArray, rng: np.random.Generator
+) -> None:
+    """Paint the bent arm of a street lamp, with its head, from the peak of a post on.
+
+    It is no part of the pole.
+    """
+    length = float(np.linalg.norm(post.bottom_px - post.peak_px))
+    reach, rise = rng.choice([-1, 1]) * rng.uniform(0.08, 0.3) * length, rng.uniform(0.0, 0.15)
+    turn = np.linspace(0.0, np.pi / 2.0, 12)
+    bend = np.stack([reach * (1.0 - np.cos(turn)), -rise * length * np.sin(turn)], axis=1)
+    arm = np.round((post.peak_px + bend) * 16).astype(np.int32)
+    cover: NDArray[np.uint8] = np.zeros(behind.shape, np.uint8)
+    thick = max(1, round(0.6 * post.width_px))
+    cv2.polylines(cover, [arm], False, 255, thick, cv2.LINE_AA, 4)
+    head = np.round((post.peak_px + bend[-1] + [(0.0, 0.0), (0.35 * reach, 0.0)]) * 16)
+    cv2.polylines(cover, [head.astype(np.int32)], False, 255, 2 * thick, cv2.LINE_AA, 4)
+    alpha = (cover * behind / np.float32(255.0)).astype(np.float32)
+    lay_over(image, alpha, color * rng.uniform(0.7, 1.3))
 
 
 def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
@@ -70,7 +104,8 @@ def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
     for _ in range(rng.integers(1, 5)):
         long = float(np.exp(rng.uniform(np.log(14.0), np.log(320.0))))
         bottom = np.array([rng.uniform(0, width), rng.uniform(0.35, 1.1) * height])
-        posts.append(_post(bottom, long, rng.uniform(0.012, 0.1), rng.normal(0.0, 0.04)))
+        thick = rng.uniform(0.012, 0.1) if long > _LEAST_LAMP_PX else rng.uniform(0.02, 0.2)
+        posts.append(_post(bottom, long, thick, rng.normal(0.0, 0.05)))
     return posts
 
 
@@ -79,13 +114,14 @@ def _fence(crop: Crop, rng: np.random.Generator) -> list[_Post]:
     height, width = crop.rows.shape
     horizon = np.array([rng.uniform(-0.5, 1.5) * width, rng.uniform(0.3, 0.6) * height])
     first = np.array([rng.uniform(0, width), horizon[1] + rng.uniform(30.0, 0.6 * height)])
-    tall, thick = rng.uniform(0.4, 1.6) * (first[1] - horizon[1]), rng.uniform(0.02, 0.14)
-    apart = rng.uniform(0.1, 0.5)
+    tall = rng.uniform(0.4, 1.6) * (first[1] - horizon[1])
+    thick = float(np.exp(rng.uniform(np.log(0.025), np.log(0.22))))
+    apart = rng.uniform(0.1, 0.6)
     posts = []
     for step in range(int(rng.integers(3, 10))):
         share = 1.0 / (1.0 + step * apart)
         bottom = horizon + share * (first - horizon)
-        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.05)))
+        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.06)))
     return posts[::-1]
 
 
@@ -224,6 +260,8 @@ def _plate(shape: tuple[int, ...], rng: np.random.Generator) -> _Plate:
     aspect, number = float(rng.choice(aspects)), int(rng.integers(_FACES))
     new = look == "new"
     texture = face(class_id, number, aspect) if new else worn_face(look, class_id, number, aspect)
+    if look == "plank" and rng.random() < 0.6:
+        texture = _pointed(texture, bool(rng.random() < 0.5))
     height = np.exp(rng.uniform(np.log(8.0), np.log(70.0))) / max(1.0, aspect) ** 0.7
     half = np.array([aspect * height * rng.uniform(0.55, 1.0), height]) / 2.0
     nearer = 1.0 + rng.normal(0.0, 0.04)  # one side looks higher than the other
@@ -233,6 +271,19 @@ def _plate(shape: tuple[int, ...], rng: np.random.Generator) -> _Plate:
     corners[:, 0] -= corners[:, 1] * roll
     middle = rng.uniform((0.0, 0.0), (shape[1], 0.75 * shape[0]))
     return _Plate(class_id, texture, middle, corners + middle)
+
+
+def _pointed(texture: Texture, to_the_left: bool) -> Texture:
+    """Return a plank as an arrow; its box stays."""
+    colors, opacity = texture.levels[0]
+    height, width = opacity.shape
+    tip = 0.5 * height
+    outline = np.array([(0, 0), (width - tip, 0), (width, tip), (width - tip, height), (0, height)])
+    if to_the_left:
+        outline[:, 0] = width - outline[:, 0]
+    arrow: NDArray[np.uint8] = np.zeros(opacity.shape, np.uint8)
+    cv2.fillPoly(arrow, [np.round(outline - 0.5).astype(np.int32)], 1)
+    return Texture.of(colors.astype(np.float32), opacity * arrow)
 
 
 def _post_of(plate: _Plate, rng: np.random.Generator) -> _Post:

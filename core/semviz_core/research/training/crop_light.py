@@ -53,7 +53,7 @@ def with_shade(image: ByteImage, rng: np.random.Generator) -> ByteImage:
         place = (across / 20.0 + 0.5 * place).astype(np.float32)
     soft = rng.uniform(2.0, 12.0)
     lit = 1.0 / (1.0 + np.exp(np.clip(-soft * (place - rng.uniform(-0.8, 0.8)), -30.0, 30.0)))
-    dark = np.exp(rng.uniform(np.log(0.3), np.log(0.8)))
+    dark = np.exp(rng.uniform(np.log(0.15), np.log(0.8)))
     gain = (dark + (1.0 - dark) * lit).astype(np.float32)
     return as_bytes(image * gain[..., None])
 
@@ -113,10 +113,13 @@ def _noisy(image: ByteImage, rng: np.random.Generator) -> ByteImage:
 
 
 def _tones(rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw each channel's curve (1, 256, 3): gamma, contrast, brightness, white balance."""
+    """Draw each channel's curve (1, 256, 3): gamma, exposure, white balance, haze or flare.
+
+    Dark levels stay apart, as in a camera: what is labelled can be seen.
+    """
     level = np.linspace(0.0, 1.0, 256)[:, None] ** np.exp(rng.uniform(-0.5, 0.5))
-    gain = np.exp(rng.uniform(-0.35, 0.45)) * np.exp(rng.uniform(-0.12, 0.12, 3))
-    curve = (level - 0.5) * gain + 0.5 + rng.uniform(-0.15, 0.15)
+    gain = np.exp(rng.uniform(-0.6, 0.45)) * np.exp(rng.uniform(-0.12, 0.12, 3))
+    curve = level * gain + max(0.0, rng.uniform(-0.1, 0.15))
     return np.asarray(np.clip(curve * 255.0, 0.0, 255.0).astype(np.uint8)[None])
 
 

@@ -5,19 +5,24 @@ dark side and other colours. Real images have all of this, rendered streets have
 """
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.research.training.crop_facades import letter, paint_fronts
 from semviz_core.research.training.crop_light import Floats, as_bytes, fractal
+from semviz_core.research.training.crop_paint import (
+    NEAR_BLACK,
+    any_color,
+    lay_over,
+    pole_color,
+    pole_light,
+    wide_and_high,
+    window,
+)
 from semviz_core.research.training.detector_images import Crop
-
-_NEAR_BLACK, _NEAR_WHITE = 12.0, 245.0
-_LEAST_CONTRAST = 22.0
-"""Least difference, in grey levels, of a pole from what is beside it."""
 
 
 def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
@@ -25,33 +30,18 @@ def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
     elements."""
     image = crop.image.astype(np.float32)
     behind = crop.rows == 0
-    for paint in (_woods, _walls, _boards, _trunks):
-        if rng.random() < 0.45:
+    for paint, share in _SHARES.items():
+        if rng.random() < share:
             paint(image, behind, rng)
     _relight(image, crop, rng)
     return replace(crop, image=as_bytes(image))
-
-
-def lay_over(image: Floats, alpha: Floats, color: Any) -> None:
-    """Blend a colour, of one pixel or of all, over the image with the opacity ``alpha``."""
-    image += alpha[..., None] * (np.asarray(color, np.float32) - image)
-
-
-def any_color(rng: np.random.Generator) -> FloatArray:
-    """Return a colour (3,): grey, green or brown, or any."""
-    level = rng.uniform(_NEAR_BLACK, _NEAR_WHITE)
-    tint = (
-        (1.0, 1.0, 1.0), (0.75, 1.0, 0.45), (1.0, 0.85, 0.6), (1.0, 0.45, 0.35),
-        tuple(rng.uniform(0.4, 1.0, 3)),
-    )[rng.integers(5)]  # fmt: skip
-    return np.asarray(level * np.array(tint))
 
 
 def _leaf_color(rng: np.random.Generator) -> FloatArray:
     """Return a colour (3,) of leaves or dry grass, mostly dark; sometimes any."""
     if rng.random() < 0.25:
         return any_color(rng) * 0.7
-    level = np.exp(rng.uniform(np.log(_NEAR_BLACK), np.log(150.0)))
+    level = np.exp(rng.uniform(np.log(NEAR_BLACK), np.log(150.0)))
     return np.asarray(level * np.array([rng.uniform(0.55, 1.1), 1.0, rng.uniform(0.3, 0.8)]))
 
 
@@ -67,11 +57,14 @@ def _woods(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         if rng.random() < 0.5:  # a bush is not as wide as the crop
             left = rng.uniform(-0.3, 0.9) * width
             columns = np.arange(width)
-            inside &= (columns > left) & (columns < left + rng.uniform(0.1, 0.8) * width)
+            inside &= (columns > left) & (columns < left + rng.uniform(0.2, 0.8) * width)
         leaves = fractal(rng, behind.shape, rng.uniform(6.0, 60.0), rng.uniform(0.5, 3.0))
         middle, change = _leaf_color(rng), rng.uniform(0.15, 0.7)
         shade = np.clip(1.0 + change * leaves, 0.05, 2.5)
         image[inside] = shade[inside][:, None] * middle
+        if rng.random() < 0.4:  # the sky, or lit leaves, shows between
+            holes = inside & (leaves > rng.uniform(1.3, 3.0))
+            image[holes] = rng.uniform(60.0, 255.0) * np.array((1.0, 1.0, rng.uniform(0.6, 1.1)))
 
 
 def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
@@ -79,7 +72,7 @@ def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
     height, width = behind.shape
     for _ in range(rng.integers(1, 6)):
         left, top = rng.uniform(-0.2, 1.0) * width, rng.uniform(-0.2, 0.8) * height
-        wide, high = np.exp(rng.uniform(np.log(10.0), np.log(250.0), 2))
+        wide, high = wide_and_high(10.0, 250.0, rng)
         slant = rng.normal(0.0, 0.1 * high, 2)
         corners = np.array([(0, slant[0]), (wide, slant[1]), (wide, high), (0, high)])
         corners += np.array([left, top])
@@ -95,42 +88,37 @@ def _walls(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         lay_over(image[part], alpha, grain[..., None] * any_color(rng))
 
 
-def window(low_px: FloatArray, high_px: FloatArray) -> tuple[tuple[slice, slice], FloatArray]:
-    """Return the pixels from a corner (2,) to another, with a margin, and the first of them."""
-    first = np.floor(low_px - 2.0).astype(int).clip(0)
-    last = np.ceil(high_px + 3.0).astype(int).clip(0)
-    return np.s_[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
-
-
 def _boards(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
     """Paint advert and notice boards: pictures in a frame. They are no traffic signs."""
     height, width = behind.shape
     for _ in range(rng.integers(1, 3)):
-        wide, high = np.exp(rng.uniform(np.log(14.0), np.log(110.0), 2)).astype(int)
+        wide, high = wide_and_high(14.0, 110.0, rng)
         left, top = int(rng.integers(-20, width)), int(rng.integers(-20, height - 40))
         part = np.s_[max(0, top) : top + high, max(0, left) : left + wide]
         shown = behind[part].astype(np.float32)
         if min(shown.shape) < 6:
             continue
         picture = [
-            any_color(rng) * np.clip(1.0 + rng.uniform(0.0, 0.6) * each[..., None], 0.0, 2.0)
+            as_bytes(any_color(rng) * (1.0 + rng.uniform(0.0, 0.6) * each[..., None]))
             for each in (fractal(rng, shown.shape, rng.uniform(4.0, 60.0)) for _ in range(2))
         ]
         which = fractal(rng, shown.shape, rng.uniform(8.0, 80.0))[..., None] > rng.normal(0.0, 0.5)
-        frame = int(rng.integers(1, 4))
+        frame = int(rng.integers(1, max(2, min(9, min(shown.shape) // 4))))
         lay_over(image[part], shown, any_color(rng))
         inner = np.zeros_like(shown)
         inner[frame:-frame, frame:-frame] = shown[frame:-frame, frame:-frame]
+        if rng.random() < 0.5:
+            letter(picture[0], rng)
         lay_over(image[part], inner, np.where(which, *picture))
 
 
 def _trunks(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
-    """Paint trunks of trees: wide, rough, and of uneven width. They are no poles."""
+    """Paint trunks of trees: wide, rough, of uneven width, some with crowns. They are no poles."""
     height, width = behind.shape
     for _ in range(rng.integers(1, 4)):
-        thick = np.exp(rng.uniform(np.log(8.0), np.log(45.0)))
+        thick = np.exp(rng.uniform(np.log(5.0), np.log(45.0)))
         bottom = np.array([rng.uniform(0, width), rng.uniform(0.4, 1.1) * height])
-        length, lean = rng.uniform(4.0, 14.0) * thick, rng.normal(0.0, 0.06)
+        length, lean = rng.uniform(4.0, 16.0) * thick, rng.normal(0.0, 0.07)
         reach = 1.5 * thick + abs(lean) * length
         low, high = bottom - np.array([reach, length]), bottom + np.array([reach, 0.0])
         part, corner = window(low, np.minimum(high, behind.shape[::-1]))
@@ -145,32 +133,27 @@ def _trunks(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
         alpha = np.clip(half - off + 0.5, 0.0, 1.0) * ((above > 0.0) & (above < length)) * shown
         bark = np.clip(1.0 + 0.4 * fractal(rng, shown.shape, thick / 2.0, 4.0), 0.1, 2.0)
         round_ = 1.0 - 0.4 * np.clip(off / half, 0.0, 1.0) ** 2
-        brown = rng.uniform(15.0, 130.0) * np.array((1.0, 0.88, 0.75))
+        brown = rng.uniform(8.0, 130.0) * np.array((1.0, 0.88, 0.75))
         lay_over(image[part], alpha.astype(np.float32), (bark * round_)[..., None] * brown)
+        if rng.random() < 0.6:
+            top = bottom + length * np.array([lean, -1.0])
+            _crown(image, behind, top, thick * rng.uniform(2.0, 6.0), rng)
 
 
-def pole_light(rng: np.random.Generator, across: Floats, along: Floats) -> Floats:
-    """Return the brightness of a pole at places across it (-1 to 1) and along it (0 to 1).
-
-    The sun lights one side of it; stripes, or shade of leaves, change it along.
-    """
-    edge, contrast, soft = rng.uniform(-0.7, 0.7), rng.normal(0.0, 0.5), rng.uniform(2.0, 12.0)
-    sides = 1.0 + np.clip(contrast, -0.8, 0.8) * np.tanh(soft * (across - edge))
-    if rng.random() < 0.35:
-        patches = fractal(rng, (1, 64), rng.uniform(4.0, 40.0))[0]
-        sides *= np.clip(1.0 + 0.5 * patches[(np.clip(along, 0.0, 1.0) * 63.0).astype(int)], 0.2, 2)
-    elif rng.random() < 0.1:
-        sides *= np.where(np.sin(along * rng.uniform(10.0, 60.0)) > 0.0, 1.0, rng.uniform(0.2, 2.0))
-    return np.asarray(sides, np.float32)
-
-
-def unlike(color: FloatArray, beside: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return the colour (3,), or a brighter or darker one if it is too much like ``beside``."""
-    if np.abs(color - beside).mean() >= _LEAST_CONTRAST:
-        return color
-    brighter = beside.mean() < rng.uniform(60.0, 190.0)
-    step = rng.uniform(1.2, 4.0) * _LEAST_CONTRAST * (1.0 if brighter else -1.0)
-    return np.asarray(np.clip(color + step, 0.0, 255.0))
+def _crown(
+    image: Floats, behind: BoolArray, middle_px: FloatArray, radius: float, rng: np.random.Generator
+) -> None:
+    """Paint the leaves around the top of a trunk."""
+    part, corner = window(middle_px - 1.5 * radius, middle_px + 1.5 * radius)
+    shown = behind[part]
+    if min(shown.shape) < 2:
+        return
+    v, u = np.indices(shown.shape, np.float32)
+    off = np.hypot(u + (corner[0] - middle_px[0]), v + (corner[1] - middle_px[1])) / radius
+    leaves = fractal(rng, shown.shape, max(3.0, 0.5 * radius))
+    inside = shown & (off + 0.25 * leaves < 1.0)
+    shade = np.clip(1.0 + rng.uniform(0.15, 0.6) * leaves, 0.05, 2.5)[inside][:, None]
+    image[part][inside] = shade * _leaf_color(rng)
 
 
 def _relight(image: Floats, crop: Crop, rng: np.random.Generator) -> None:
@@ -194,5 +177,9 @@ def _relight(image: Floats, crop: Crop, rng: np.random.Generator) -> None:
         )
         aside = np.clip(u + round(2.0 * half + 3.0) * rng.choice([-1, 1]), 0, image.shape[1] - 1)
         beside = image[v, aside].mean(axis=0)
-        own = image[v, u] if rng.random() < 0.4 else unlike(any_color(rng), beside, rng)
+        own = image[v, u] if rng.random() < 0.4 else pole_color(beside, rng)
         image[v, u] = own * light[:, None]
+
+
+_SHARES = {_woods: 0.4, _walls: 0.3, paint_fronts: 0.4, _boards: 0.45, _trunks: 0.5}
+"""Shares of crops in which each is painted, in this order."""

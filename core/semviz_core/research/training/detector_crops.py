@@ -42,6 +42,18 @@ def random_crop(
     scale = float(np.exp(rng.uniform(low, high)))
     corner = [_offset(rng, width * scale, WIDTH), _offset(rng, height * scale, HEIGHT)]
     crop = _cut(labelled, scale, corner, mirrored=bool(rng.random() < 0.5))
+    return _elsewhere(crop, rng, surroundings)
+
+
+def view_elsewhere(labelled: LabelledImage, rng: np.random.Generator) -> LabelledImage:
+    """Return the whole image, which must have masks, with other surroundings, light and camera."""
+    height, width = labelled.image.shape[:2]
+    whole = _cut(labelled, 1.0, [0.0, 0.0], mirrored=False, size=(width, height))
+    view = _elsewhere(whole, rng, 1.0)
+    return LabelledImage(view.image, view.elements, ignored=view.rows == IGNORED)
+
+
+def _elsewhere(crop: Crop, rng: np.random.Generator, surroundings: float) -> Crop:
     if crop.has_masks and rng.random() < surroundings:
         crop = with_more_elements(in_other_surroundings(crop, rng), rng)
     image = with_shade(crop.image, rng) if rng.random() < SHADED else crop.image
@@ -59,9 +71,15 @@ def _offset(rng: np.random.Generator, available: float, size: int) -> float:
     return float(rng.uniform(min(0.0, available - size), max(0.0, available - size)))
 
 
-def _cut(labelled: LabelledImage, scale: float, corner: list[float], mirrored: bool) -> Crop:
-    to_crop = _similarity(scale, corner, mirrored)
-    size = WIDTH, HEIGHT
+def _cut(
+    labelled: LabelledImage,
+    scale: float,
+    corner: list[float],
+    mirrored: bool,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+) -> Crop:
+    """Return a part of an image, with the width and height ``size``."""
+    to_crop = _similarity(scale, corner, mirrored, size[0])
     image = as_bytes(
         cv2.warpAffine(
             labelled.image, to_crop, size, flags=cv2.INTER_LINEAR, borderValue=(BORDER,) * 3
@@ -73,31 +91,31 @@ def _cut(labelled: LabelledImage, scale: float, corner: list[float], mirrored: b
     paint(rows, labelled.regions or ())
     rows = as_bytes(cv2.warpAffine(rows, to_crop, size, flags=cv2.INTER_NEAREST))
     has_masks = labelled.regions is not None
-    elements, learned = _inside(labelled.elements, to_crop, rows if has_masks else None)
+    elements, learned = _inside(labelled.elements, to_crop, size, rows if has_masks else None)
     return Crop(
         image, elements[learned], _renumbered(rows, elements, learned, has_masks), has_masks
     )
 
 
-def _similarity(scale: float, corner: list[float], mirrored: bool) -> FloatArray:
+def _similarity(scale: float, corner: list[float], mirrored: bool, width: int) -> FloatArray:
     """Return the map (2, 3) from image to crop pixels; (0, 0) is the centre of a pixel."""
     shift = np.array([-corner[0], -corner[1]]) + (scale - 1.0) / 2.0
     if mirrored:
-        return np.array([[-scale, 0.0, WIDTH - 1.0 - shift[0]], [0.0, scale, shift[1]]])
+        return np.array([[-scale, 0.0, width - 1.0 - shift[0]], [0.0, scale, shift[1]]])
     return np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
 
 
 def _inside(
-    elements: Elements2D, to_crop: FloatArray, rows: ByteImage | None
+    elements: Elements2D, to_crop: FloatArray, size: tuple[int, int], rows: ByteImage | None
 ) -> tuple[Elements2D, BoolArray]:
     """Return the elements, poles cut off at the edges, and which of them are trained on."""
     anchor = elements.anchor_px @ to_crop[:, :2].T + to_crop[:, 2]
     end = elements.end_px @ to_crop[:, :2].T + to_crop[:, 2]
-    from_anchor, to_end = clipped(anchor, end, (WIDTH, HEIGHT))
+    from_anchor, to_end = clipped(anchor, end, size)
     line, span = elements.is_line, end - anchor
     first = anchor + np.where(line, from_anchor, 0.0)[:, None] * np.where(line[:, None], span, 0.0)
     last = anchor + to_end[:, None] * span
-    inside = (first >= 0.0).all(axis=1) & (first < (WIDTH, HEIGHT)).all(axis=1)
+    inside = (first >= 0.0).all(axis=1) & (first < size).all(axis=1)
     large = np.linalg.norm(last - first, axis=1) >= SHORTEST_PX
     if rows is not None:
         shown = np.bincount(rows.ravel(), minlength=256)[1 : 1 + len(elements)]
