@@ -132,7 +132,10 @@ def _run_values(path: Path) -> None:
 
 
 def _settings(path: Path) -> None:
-    settings.read_settings(path.parent)
+    """Up to the places of its images."""
+    read = settings.read_settings(path.parent)
+    for name, relative in settings.places_of(read.source).items():
+        settings.find_place(path.parent, name, relative)
 
 
 def _model(path: Path) -> None:
