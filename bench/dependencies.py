@@ -39,6 +39,10 @@ TESTS = (
 )  # fmt: skip
 
 
+COMPILING_S = "1200"
+"""For one test: each environment compiles anew, on a busy machine perhaps."""
+
+
 @dataclass(frozen=True)
 class Options:
     which: tyro.conf.Positional[tuple[Literal["oldest", "newest"], ...]] = ("oldest", "newest")
@@ -62,7 +66,19 @@ def check(which: str, options: Options) -> int:
         uv("pip", "install", "--python", python, "-r", wanted, *TEST_TOOLS)
         uv("pip", "install", "--python", python, "--no-deps", ".")
         done = subprocess.run(
-            [python, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *options.tests],
+            [
+                python,
+                "-m",
+                "pytest",
+                "-n",
+                "0",
+                "-q",
+                "-p",
+                "no:cacheprovider",
+                "--timeout",
+                COMPILING_S,
+                *options.tests,
+            ],
             cwd=REPOSITORY,
             env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
             capture_output=True,

@@ -7,11 +7,14 @@
 Inputs grow from ``bench/corpus``, guided by coverage (atheris, libFuzzer): half of them by changes
 that leave them JSON or XML, half by changes of bytes. Without atheris, the corpus is changed
 without that guidance, and a line says so. A reader's first input that raises anything else, takes
-more than 30 s or more than 2 GB is kept in the current folder, and the exit status is 1.
+more than 30 s or more than 2 GB is kept in the current folder, and the exit status is 1. Minutes
+are those of the process on a core, so that they mean the same on a busy machine.
 """
 
+import os
 import random
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,7 +34,7 @@ NAMES = (
     "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
     "mask", "pole-map", "camera-toml", "camera-yaml", "drive-poses", "drive-times", "colmap",
     "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
-    "measured", "pose-choices",
+    "measured", "pose-choices", "matches",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -53,7 +56,7 @@ INSTRUMENTED = [
     "semviz_core.datasets", "semviz.runs.codec",
     "semviz_core.detection.model_config", "semviz.runs.reader",
     "semviz.workspace.settings", "semviz.workspace.pose_choices", "semviz.workspace.drive_file",
-    "semviz_core.research.evaluation",
+    "semviz.workspace.foreign_results", "semviz_core.research.evaluation",
     "semviz_core.research.training.annotated_images",
     "semviz_core.pose_checks.image_motions", "yaml", "rosbags",
 ]  # fmt: skip
@@ -65,7 +68,7 @@ class Options:
     readers: tyro.conf.Positional[tuple[str, ...]] = ()
     """Readers; default: all."""
     minutes: float = 10.0
-    """For each reader."""
+    """For each reader, of its process on a core."""
     seed: int = 1
     grown: Path | None = None
     """A folder that keeps the inputs that reached new code; a later call goes on from them."""
@@ -126,10 +129,9 @@ def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int
         folder = Path(folder_name)
         kept = folder / "corpus" if grown is None else grown / name
         if find_spec("atheris") is None:
-            stop = time.monotonic() + seconds
-            return _without_guidance(
-                _corpus(name, kept), _attack(name, folder), seed, lambda _: time.monotonic() < stop
-            )
+            corpus, attack = _corpus(name, kept), _attack(name, folder)
+            stop = time.process_time() + seconds
+            return _without_guidance(corpus, attack, seed, lambda _: time.process_time() < stop)
         import atheris
 
         with atheris.instrument_imports(include=INSTRUMENTED, exclude=_compiled_modules()):
@@ -139,9 +141,9 @@ def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int
         words.write_text("".join(f'"{word}"\n' for word in quoted))
         most = max(MOST_BYTES, *(2 * path.stat().st_size for path in corpus.iterdir()))
         limits = [f"-max_len={most}", f"-timeout={LIMIT_S}", f"-rss_limit_mb={LIMIT_MB}"]
-        amount = [f"-max_total_time={round(seconds)}", f"-seed={seed}", f"-dict={words}"]
+        choice = [f"-seed={seed}", f"-dict={words}"]
         failed = f"-artifact_prefix={Path.cwd() / name}-"
-        arguments = [sys.argv[0], *amount, *limits, failed, "-print_final_stats=1", str(corpus)]
+        arguments = [sys.argv[0], *choice, *limits, failed, "-print_final_stats=1", str(corpus)]
 
         def mutate(data: bytes, most_bytes: int, number: int) -> bytes:
             rng = random.Random(number)
@@ -149,7 +151,14 @@ def fuzz(name: str, seconds: float, seed: int, grown: Path | None = None) -> int
                 return bytes(atheris.Mutate(data, most_bytes))
             return mutated(data, rng)[:most_bytes]
 
-        atheris.Setup(arguments, attack, custom_mutator=mutate)
+        stop = time.process_time() + seconds
+
+        def attack_in_time(data: bytes) -> None:
+            if time.process_time() > stop:
+                os.kill(os.getpid(), signal.SIGUSR1)  # libFuzzer ends after this input
+            attack(data)
+
+        atheris.Setup(arguments, attack_in_time, custom_mutator=mutate)
         atheris.Fuzz()
     return 0
 

@@ -3,6 +3,7 @@
 python bench/fuzz_corpus.py      # replaces bench/corpus
 """
 
+import csv
 import hashlib
 import json
 import runpy
@@ -125,6 +126,11 @@ POSED = """frame,x_m,y_m,z_m,qx,qy,qz,qw
 0,0,0,0,0,0,0,1
 1,1,0,0,0,0,0,1
 2,2,0,0,0,0,0,1
+"""
+MATCHES = """frame,u_px,v_px,end_u_px,end_v_px,sigma_px,score,class,element
+0,10,20,11,90,1.5,0.5,,4
+0,30,20,,,,,,9
+1,30,20,,,,,rounded sign,
 """
 ACROSS = (1.0, 0.0, 0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 STEREO = """T_right_left = [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0]]
@@ -282,6 +288,9 @@ def _write_drives() -> None:
     names = [f"{time},{time}.png" for time in stamps()]
     _write("drive-times", "names.csv", "#time,name\n" + "\n".join(names))
     _write("measured", "fixes.csv", FIXES)
+    _write("matches", "table.csv", MATCHES)
+    rows = list(csv.DictReader(MATCHES.splitlines()))
+    _write("matches", "list.json", json.dumps(rows))
     _write("measured", "poses.csv", POSED)
     _write("measured", "speeds.csv", "time_s,speed_mps,yaw_rate_degps\n0,10,1\n0.2,10,1\n")
     refined = RefinedPose(frame=1, T_map_camera=ACROSS)

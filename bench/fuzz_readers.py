@@ -16,10 +16,11 @@ from typing import Any
 import fuzz_drive_readers as drive
 import numpy as np
 from fuzz_corpus import CALIBRATION, CORPUS, RIG, TIMES, run_rows
+from map_files import small_map
 
 from semviz.runs import reader as run_reader
 from semviz.runs import run
-from semviz.workspace import pose_choices, settings
+from semviz.workspace import foreign_results, pose_choices, settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
 from semviz_annotation.label_formats.exchange import ImportLabels, plan_import
@@ -131,7 +132,10 @@ def _run_values(path: Path) -> None:
 
 
 def _settings(path: Path) -> None:
-    settings.read_settings(path.parent)
+    """Up to the places of its images."""
+    read = settings.read_settings(path.parent)
+    for name, relative in settings.places_of(read.source).items():
+        settings.find_place(path.parent, name, relative)
 
 
 def _model(path: Path) -> None:
@@ -233,6 +237,20 @@ def _pole_map(path: Path) -> None:
     kitti_road(poses, path, "road")
 
 
+def _matches(path: Path) -> None:
+    """``path`` is a table of another localizer's matches, and a JSON list of them."""
+    semantic_map = small_map()
+
+    def read(file: Path) -> None:
+        file.write_bytes(path.read_bytes())
+        for found in foreign_results.read_matches(file, semantic_map).values():
+            found.matched_pose(None)
+
+    drive.all_of(
+        lambda: read(path.with_name("again.csv")), lambda: read(path.with_name("again.json"))
+    )
+
+
 def _pose_choices(path: Path) -> None:
     """The checksum is right."""
     content = path.read_bytes()
@@ -280,5 +298,6 @@ READERS: Mapping[str, Reader] = {
     "recording": Reader("input", drive.recording),
     "bag": Reader("input", drive.bag),
     "measured": Reader("input.csv", drive.measured),
+    "matches": Reader("input", _matches),
     "pose-choices": Reader("pose_choices.json", _pose_choices),
 }

@@ -97,6 +97,8 @@ Command = (
 _SUBCOMMANDS = ("run", "train", "evaluate", "choose", "rates")
 _AFTER_DETECT: tuple[list[str], ...] = (*([name] for name in _SUBCOMMANDS), ["-h"], ["--help"], [])
 """What can follow ``semviz detect`` besides a workspace."""
+RUST_LOG = "warn,re_log_encoding=off,re_sdk=off"
+"""What rerun writes to the terminal: a run that cannot be written is our own line."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -104,6 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     0: done; 1: a check failed; 2: bad input; 130: interrupted; 141: the output pipe was closed.
     """
+    os.environ.setdefault("RUST_LOG", RUST_LOG)
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
         print(f"semviz {version('semviz')}")

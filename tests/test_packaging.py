@@ -143,6 +143,21 @@ def test_the_wheel_carries_a_bill_of_materials(wheel: Path) -> None:
     assert {each["name"]: each["hashes"][0]["content"] for each in weights} == hashes
 
 
+def test_bills_of_materials_follow_the_schema(wheel: Path, tmp_path: Path) -> None:
+    """That of the wheel, and that of an installation."""
+    schema = pytest.importorskip("cyclonedx.schema")
+    validation = pytest.importorskip("cyclonedx.validation.json")
+    validator = validation.JsonStrictValidator(schema.SchemaVersion.V1_6)
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".cdx.json"))
+        built = archive.read(name).decode()
+    run(sys.executable, REPOSITORY / "bench" / "sbom.py", tmp_path / "sbom.json", cwd=REPOSITORY)
+    for text in (built, (tmp_path / "sbom.json").read_text("utf-8")):
+        assert validator.validate_str(text) is None
+        wrong = text.replace('"required"', '"needed"').replace('"library"', '"book"')
+        assert validator.validate_str(wrong) is not None
+
+
 def test_what_only_some_need_is_in_the_extras(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))

@@ -124,7 +124,8 @@ class RunWriter:
 
     Each frame is flushed to the operating system before ``write`` returns, so a killed run keeps
     all of them. Leaving the context without an exception marks the run as complete, if
-    ``completes``. Raise SemvizError if ``path`` cannot be written, or the disk is full.
+    ``completes``. Raise SemvizError if ``path`` cannot be written, or the disk is full; it names
+    ``shown``, which is the path unless that is a temporary one.
     """
 
     def __init__(
@@ -135,9 +136,10 @@ class RunWriter:
         *,
         completes: bool = True,
         lost: int = 0,
+        shown: Path | None = None,
     ) -> None:
         _check_writable(path)
-        self._path = path
+        self._shown = shown or path
         self._completes = completes
         self._lost_frames = lost
         self._lost = False
@@ -211,7 +213,7 @@ class RunWriter:
             _FAILED.append(self._stream.inner)
             atexit.unregister(rr.rerun_shutdown)
             raise SemvizError(
-                f"{self._path}: cannot be written ({error}); is the disk full?"
+                f"{self._shown}: cannot be written ({error}); is the disk full?"
             ) from None
 
 
@@ -304,6 +306,7 @@ def repair(path: Path, out: Path) -> Run:
             recorded.semantic_map,
             completes=recorded.complete,
             lost=recorded.lost,
+            shown=out,
         ) as writer,
     ):
         for frame in recorded.frames:

@@ -1,6 +1,5 @@
 """Record what another localizer returned, from a file of poses and one of matches."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import parsed_json, shown
+from semviz_core.common.limits import parsed_json, shown, table_rows
 from semviz_core.datasets.measured_poses import MeasuredPoses
 from semviz_core.datasets.own_drive.recording import poses_at_times
 from semviz_core.datasets.trajectory import read_text
@@ -78,19 +77,24 @@ def read_matches(path: Path, semantic_map: SemanticMap) -> dict[int, FrameMatche
     row_of = {int(id_): row for row, id_ in enumerate(semantic_map.elements.id)}
     for number, row in enumerate(_rows(path), 1):
         where = f"{path}, row {number}"
-        frame = int(_number(row, "frame", where))
-        element = _optional(row, "element", where)
-        if element is not None and int(element) not in row_of:
-            raise SemvizError(f"{where}: the map has no element {int(element)}")
+        frame = _whole(row, "frame", where)
+        element = None if row.get("element") in (None, "") else _whole(row, "element", where)
+        if element is not None and element not in row_of:
+            raise SemvizError(f"{where}: the map has no element {element}")
         into = frames.setdefault(frame, FrameMatches())
-        mapped = None if element is None else row_of[int(element)]
+        mapped = None if element is None else row_of[element]
         into.class_id.append(_class(row, semantic_map, mapped, where))
         into.anchor_px.append([_number(row, name, where) for name in ("u_px", "v_px")])
         ends = [_optional(row, name, where) for name in ("end_u_px", "end_v_px")]
         into.end_px.append([np.nan if end is None else end for end in ends])
-        into.sigma_px.append(_optional(row, "sigma_px", where) or 1.0)
+        if ends.count(None) == 1:
+            raise SemvizError(f"{where}: an end needs both end_u_px and end_v_px")
+        sigma_px = _optional(row, "sigma_px", where)
+        if sigma_px is not None and sigma_px <= 0.0:
+            raise SemvizError(f"{where}: sigma_px is {sigma_px:g}; give a number above 0")
+        into.sigma_px.append(1.0 if sigma_px is None else sigma_px)
         if element is not None:
-            into.matches.append((len(into.class_id) - 1, int(element)))
+            into.matches.append((len(into.class_id) - 1, element))
             score = _optional(row, "score", where)
             into.score.append(1.0 if score is None else score)
     return frames
@@ -107,13 +111,12 @@ def _rows(path: Path) -> Sequence[Mapping[str, Any]]:
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise SemvizError(f"{path}: expected a list of objects with {', '.join(_COLUMNS)}")
         return rows
-    table = csv.DictReader(text.splitlines())
-    missing = {"frame", "u_px", "v_px"} - set(table.fieldnames or ())
-    if missing:
+    names, *rows = table_rows(text.splitlines(), path) or [[]]
+    if missing := {"frame", "u_px", "v_px"} - set(names):
         raise SemvizError(
             f"{path}: no column {', '.join(sorted(missing))}; columns are {', '.join(_COLUMNS)}"
         )
-    return list(table)
+    return [dict(zip(names, row, strict=False)) for row in rows if row]
 
 
 def _optional(row: Mapping[str, Any], name: str, where: str) -> float | None:
@@ -123,7 +126,7 @@ def _optional(row: Mapping[str, Any], name: str, where: str) -> float | None:
         return None
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = np.nan
     if not abs(number) < 1e9:
         raise SemvizError(f"{where}: {name} {shown(value, 40)!r} is not a finite number")
@@ -135,6 +138,13 @@ def _number(row: Mapping[str, Any], name: str, where: str) -> float:
     if value is None:
         raise SemvizError(f"{where}: {name} is empty; give a number")
     return value
+
+
+def _whole(row: Mapping[str, Any], name: str, where: str) -> int:
+    value = _number(row, name, where)
+    if value != int(value):
+        raise SemvizError(f"{where}: {name} is {value:g}; give a whole number")
+    return int(value)
 
 
 def _class(

@@ -36,6 +36,10 @@ STREET_FRAMES = 60
 _CHECKSUM = re.compile(r"^# Checksum ([0-9a-f]{8}) of ", re.MULTILINE)
 
 
+Place: TypeAlias = Annotated[str, Field(pattern=r"^[^\x00]+$")]
+"""A folder or file, absolute or relative to the workspace."""
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -61,23 +65,23 @@ class KittiSettings(_Model):
     """A KITTI odometry sequence."""
 
     kind: Literal["kitti"] = "kitti"
-    root: str
-    """Folder that holds ``sequences``, absolute or relative to the workspace."""
+    root: Place
+    """Folder that holds ``sequences``."""
     sequence: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     cameras: Annotated[tuple[int, ...], Field(min_length=1, max_length=2)] = (2, 3)
     frames: FrameRange | None = None
-    poses: str | None = None
-    """A pose file to use instead of KITTI's, absolute or relative to the workspace."""
+    poses: Place | None = None
+    """A pose file to use instead of KITTI's."""
 
 
 class ImagesSettings(_Model):
     """Folders of images of any camera; the file ``drive.json`` holds calibration and poses."""
 
     kind: Literal["images"] = "images"
-    images: str
-    """Folder of the left, or the only, camera, absolute or relative to the workspace."""
-    right: str | None = None
-    cameras: dict[str, str] | None = None
+    images: Place
+    """Folder of the left, or the only, camera."""
+    right: Place | None = None
+    cameras: dict[str, Place] | None = None
     """Of a rig: the folders of all its cameras by name, of the first one's again."""
 
 
@@ -246,18 +250,26 @@ def find_place(workspace: Path, name: str, relative: str, *, is_camera: bool = F
     ``is_camera``: the folder of a camera of a rig.
     """
     near = (workspace.resolve() / relative).resolve()
-    if near.exists():
+    if _is_there(near):
         return near
     known = limits.read_toml(workspace / PLACES) if (workspace / PLACES).is_file() else {}
     far = known.get(name)
-    if isinstance(far, str) and Path(far).exists():
+    if isinstance(far, str) and _is_there(Path(far)):
         return Path(far)
-    also = f", nor at {far}" if isinstance(far, str) and Path(far) != near else ""
+    also = f", nor at {limits.shown(far)}" if isinstance(far, str) and Path(far) != near else ""
     option = "--images PLACE, the folder of all cameras" if is_camera else f"--{name} PLACE"
     raise SemvizError(
-        f"{near}: '{name}' of the workspace not found there{also}; say where it is: "
+        f"{limits.shown(near)}: '{name}' of the workspace not found there{also}; say where it is: "
         f"semviz relink {workspace} {option}"
     )
+
+
+def _is_there(place: Path) -> bool:
+    """Return whether a folder or file exists; a name that is too long is none."""
+    try:
+        return place.exists()
+    except OSError:
+        return False
 
 
 def keep_places(workspace: Path, settings: Settings) -> None:

@@ -82,8 +82,11 @@ def chosen(drive: Workspace, *options: object) -> int:
     return run("detect", "choose", drive.path, "--model", model(drive), "--map", TRUTH, *options)
 
 
-def test_a_map_calibrates_a_detector(drive: Workspace, capsys: pytest.CaptureFixture[str]) -> None:
-    """False ones are told from right ones; the table says why; localize takes what was written."""
+def test_a_map_calibrates_a_detector(
+    drive: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """False ones are told from right ones; the table says why; localize takes what was written,
+    also what a run tells of its detector."""
     assert chosen(drive) == 0
     said = capsys.readouterr().out
     path = model(drive) / "detector.calibration.toml"
@@ -117,6 +120,16 @@ def test_a_map_calibrates_a_detector(drive: Workspace, capsys: pytest.CaptureFix
     without = load_run(plain)
     assert len(without.localizations[0].observed) == len(observed) + FALSE
     assert detector_of(without) != detector_of(recorded)
+
+    by_run, measured = tmp_path / "rates.toml", tmp_path / "measured.rrd"
+    assert run("detect", "rates", plain, "--out", by_run) == 0
+    rates_of_run = DetectorCalibration.load(by_run)
+    assert rates_of_run.rates[0].false_detections == pytest.approx(FALSE, abs=0.5)
+    assert rates_of_run.least_score == SCORE
+    assert run(*localize, "--out", measured, "--images", "none", "--calibration", by_run) == 0
+    again = load_run(measured)
+    assert detector_of(again) == rates_of_run.detector_model(SCORE)
+    assert (again.localizations[0].observed.score == SCORE).all()  # no curve: as they were
 
 
 def test_a_calibration_of_another_model_is_refused(

@@ -181,13 +181,18 @@ def test_the_command_records_files(
         ("frame,u_px,v_px,element\n0,x,2,1\n", "row 1: u_px 'x' is not a finite number"),
         ("frame,u_px,v_px,class\n0,1,2,lamp\n", "row 1: unknown class lamp; known are 0 or pole"),
         ("frame,u_px,v_px,class\n99,1,2,pole\n", "frame 99, which the workspace does not have"),
+        ("frame,u_px,v_px,class\n1.5,1,2,pole\n", "row 1: frame is 1.5; give a whole number"),
+        ("frame,u_px,v_px,class,sigma_px\n1,1,2,pole,0\n", "sigma_px is 0; give a number above"),
+        ("frame,u_px,v_px,class,end_u_px\n1,1,2,pole,3\n", "an end needs both end_u_px and end_v"),
+        (f"frame,u_px,v_px\n1,{'1' * 200_000},2\n", "not a CSV table (field larger than"),
+        (f'[{{"frame": 1{"0" * 400}}}]', "frame '1000"),
     ],
 )
 def test_broken_matches_are_one_line(
     workspace: Workspace, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
     poses, _ = written(workspace, "csv")
-    matches = workspace.path / "broken.csv"
+    matches = workspace.path / ("broken.json" if text.startswith("[") else "broken.csv")
     matches.write_text(text)
     status, _, errors = call(
         capsys, "record", workspace.path, "--map", TRUTH, "--poses", poses, "--matches", matches,

@@ -4,8 +4,16 @@ import random
 from pathlib import Path
 
 import pytest
+import tomli_w
 
-from semviz.workspace.settings import SETTINGS, Settings, read_settings, settings_content
+from semviz.workspace.settings import (
+    PLACES,
+    SETTINGS,
+    Settings,
+    find_place,
+    read_settings,
+    settings_content,
+)
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.validation import Calibration
 
@@ -64,3 +72,18 @@ def test_people_may_edit_all_but_what_the_labels_belong_to(tmp_path: Path) -> No
         read_settings(tmp_path)
     file.write_text(edited.partition("\n")[2])  # as workspaces of earlier versions are, too
     assert read_settings(tmp_path).source.root == "/data/kitti"
+
+
+@pytest.mark.parametrize("root", ["x" * 3000, "a\0b", "a\nb"])
+def test_impossible_places_are_one_line(tmp_path: Path, root: str) -> None:
+    made(tmp_path, "kitti")
+    (tmp_path / PLACES).write_text(tomli_w.dumps({"root": root}))
+    text = (tmp_path / SETTINGS).read_text().partition("\n")[2]
+    written = tomli_w.dumps({"root": "../kitti"}).strip()
+    for edited in (written, tomli_w.dumps({"root": root}).strip()):
+        assert written in text
+        (tmp_path / SETTINGS).write_text(text.replace(written, edited))
+        with pytest.raises(SemvizError) as caught:
+            find_place(tmp_path, "root", read_settings(tmp_path).source.root)
+        assert len(str(caught.value).splitlines()) == 1
+        assert len(str(caught.value)) < 800

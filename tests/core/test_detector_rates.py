@@ -1,10 +1,12 @@
 """The rates of a detector measured on frames, with true poses and with estimates."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.errors import SemvizError
@@ -24,7 +26,7 @@ def whole_map(level: Difficulty) -> SemanticMap:
 
 
 @cache
-def measured(level: Difficulty, is_known: bool = True) -> MeasuredDetector:
+def localized(level: Difficulty, is_known: bool) -> list[tuple[Localization, GroundTruth | None]]:
     frames: list[tuple[Localization, GroundTruth | None]] = []
     for index in np.linspace(0, len(ROAD) - 1, 4 * FRAMES).astype(int).tolist():
         problem = make_problem(SEED, level, ROAD, index)
@@ -34,13 +36,25 @@ def measured(level: Difficulty, is_known: bool = True) -> MeasuredDetector:
         found = Localizer().localize(*request)
         truth = GroundTruth(problem.T_camera_map) if is_known else None
         frames.append((found, truth))
-    return measure_detector(frames, whole_map(level))
+    return frames
+
+
+@cache
+def measured(level: Difficulty, is_known: bool = True) -> MeasuredDetector:
+    return measure_detector(localized(level, is_known), whole_map(level))
 
 
 def test_hidden_bottoms_are_measured_and_not_imagined() -> None:
     half, none = (measured(Difficulty(hidden_bottoms=share)).model for share in (0.5, 0.0))
     assert half.hidden_bottoms == pytest.approx(0.5, abs=0.12)
     assert none.hidden_bottoms < 0.05
+
+
+def test_a_map_without_bottoms_leaves_the_assumed_share() -> None:
+    level = Difficulty(hidden_bottoms=0.5)
+    elements = replace(whole_map(level).elements, end_known=np.zeros(len(whole_map(level)), bool))
+    found = measure_detector(localized(level, True), SemanticMap(elements, MapFrame("road")))
+    assert found.model.hidden_bottoms == pytest.approx(DetectorModel().hidden_bottoms)
 
 
 def test_false_detections_and_recall() -> None:

@@ -157,6 +157,7 @@ def test_speeds_and_yaw_rates_of_wheels(tmp_path: Path) -> None:
         ("time_s,x_m,y_m,z_m,up_x,up_y,up_z\n0,1,2,3,0,-3,0\n", "have length 3.00"),
         ("time_s,x_m,y_m,z_m,horizontal_sigma_m\n0,1,2,3,0\n", "horizontal_sigma_m is 0"),
         ("hello\n", "not a finite number|holds no poses"),
+        (f"time_s,x_m,y_m,z_m\n{'1' * 200_000},1,2,3\n", "not a CSV table"),
         ("", "is empty"),
     ],
 )

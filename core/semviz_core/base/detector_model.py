@@ -201,7 +201,7 @@ class DetectorCalibration(_Values):
     """The images and ground truth of the calibration, for people."""
     least_score: Share
     """The recommended minimum of the calibrated score."""
-    scores: Mapping[Kind, ScoreCurve]
+    scores: Mapping[Kind, ScoreCurve] = Field(default_factory=dict)
     """A kind without a curve keeps its scores."""
     sigma_scale: SigmaScale
     rates: tuple[CalibratedRates, ...] = Field(min_length=1)

@@ -8,6 +8,7 @@ no limit for that, and ends the process where it asks for a damaged chunk's numb
 fields needed are read here, from Thrift's compact protocol (apache/parquet-format, parquet.thrift).
 """
 
+import csv
 import json
 import os
 import re
@@ -15,7 +16,7 @@ import stat
 import struct
 import tomllib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -268,6 +269,17 @@ def parsed_json(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("JSON nested too deeply") from None
+
+
+def table_rows(lines: Iterable[str], where: object, delimiter: str = ",") -> list[list[str]]:
+    """Return the cells of the lines of a CSV table.
+
+    Raise SemvizError, starting with ``where``, if a cell is too long: a quote is open, say.
+    """
+    try:
+        return list(csv.reader(lines, delimiter=delimiter))
+    except csv.Error as error:
+        raise SemvizError(f"{where}: not a CSV table ({first_line(error)}); repair it") from None
 
 
 @contextmanager

@@ -5,7 +5,6 @@ columns with units in the names (``heading_deg``, ``time_ns``), and its cells ma
 become radians, times seconds.
 """
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.limits import shown
+from semviz_core.common.limits import shown, table_rows
 from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.adapters.data_sets import is_comma, read_comma_poses
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
@@ -105,12 +104,12 @@ def read_table(path: Path) -> SensorTable | None:
     lines = [line for line in read_text(path).splitlines() if line.strip()]
     if not lines:
         raise SemvizError(f"{path}: is empty; name another file")
-    head = next(csv.reader([lines[0].lstrip("# ")], delimiter=_delimiter(lines[0])))
+    delimiter = _delimiter(lines[0])
+    (head,) = table_rows([lines[0].lstrip("# ")], path, delimiter) or [[]]
     places = _places([name.strip().lower() for name in head])
     if not places.keys() - _LABELS:
         return None
-    delimiter = _delimiter(lines[0])
-    rows = list(csv.reader((line for line in lines[1:] if line[0] != "#"), delimiter=delimiter))
+    rows = table_rows((line for line in lines[1:] if line[0] != "#"), path, delimiter)
     if not rows:
         raise SemvizError(f"{path}: has names of columns, and no line below; name another file")
     for number, row in enumerate(rows, 2):

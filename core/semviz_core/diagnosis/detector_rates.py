@@ -256,7 +256,8 @@ def _share_far(distance_m: FloatArray) -> FloatArray:
 
 def _rates(cases: Sequence[_Pairs], found: Sequence[_Posterior], least: float) -> DetectorModel:
     """Return the rates that the posterior expects, for detections of a minimum score."""
-    false = hidden = known = 0.0
+    false, known = 0.0, PRIOR_ELEMENTS
+    hidden = known * START.hidden_bottoms  # few bottoms do not prove that none is hidden
     distances, founds = [np.zeros(0)], [np.zeros(0)]
     for case, posterior in zip(cases, found, strict=True):
         kept = case.observed.score >= least
@@ -274,7 +275,7 @@ def _rates(cases: Sequence[_Pairs], found: Sequence[_Posterior], least: float) -
         false_detections=max(false, 0.5) / len(cases),
         recall_near=near,
         recall_far=min(near, far),
-        hidden_bottoms=hidden / (known + PRIOR_ELEMENTS),
+        hidden_bottoms=hidden / known,
     )
 
 

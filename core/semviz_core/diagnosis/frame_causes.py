@@ -203,7 +203,8 @@ def misalignment(case: FrameReference) -> Misalignment | None:
 
 def _fits_at(truth: Pose, case: FrameReference, pairs: IntArray) -> bool:
     """Whether pairs fit at the true pose, so that they are not off together."""
-    return bool(problem_residuals(case.problem, truth, pairs).inlier.mean() > MOST_FIT)
+    inlier = problem_residuals(case.problem, truth, pairs).inlier
+    return len(inlier) > 0 and bool(inlier.mean() > MOST_FIT)
 
 
 def misalignment_fault(case: FrameReference, image: Misalignment) -> Fault:

@@ -45,7 +45,7 @@ REACH_M = 120.0
 """Elements up to here count for scores and rates: localization uses them."""
 ASSUMED = DetectorModel()
 PRIOR_ELEMENTS = 4.0
-"""Weight of the assumed recall, in elements: a few elements do not prove 0 or 1."""
+"""Weight of what is assumed, in elements: a few elements do not prove a rate of 0 or 1."""
 RECALL_RANGE = 0.02, 0.98
 HIDDEN_SIGMAS, HIDDEN_PX = 3.0, 3.0
 """A bottom is hidden if it is above the true one by more than both."""
@@ -284,10 +284,10 @@ def _recall(images: Sequence[CalibrationImage]) -> tuple[float, float]:
 
 
 def _hidden_bottoms(images: Sequence[CalibrationImage]) -> float:
-    """Return the share of bottoms given as known that are hidden."""
+    """Return the share of bottoms given as known that are hidden, with the assumed one as a few."""
     hidden = sum(int(_hidden(image).sum()) for image in images)
     known = sum(int(_known_bottoms(image).sum()) for image in images)
-    return hidden / (known + PRIOR_ELEMENTS)
+    return (hidden + PRIOR_ELEMENTS * ASSUMED.hidden_bottoms) / (known + PRIOR_ELEMENTS)
 
 
 def _known_bottoms(image: CalibrationImage) -> BoolArray:
