@@ -34,7 +34,14 @@ from semviz_core.localization.correspondences.matcher import (
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.request import check_request, example_request
-from semviz_core.localization.search import Modes, Propose, mode_near, most_voted, search
+from semviz_core.localization.search import (
+    Modes,
+    Propose,
+    mode_near,
+    most_voted,
+    search,
+    with_sigma_scale,
+)
 from semviz_core.localization.status import (
     StatusDecision,
     decide_status,
@@ -243,6 +250,7 @@ class Localizer:
         modes, probability = self._modes(work, problem, prior, start, propose, watch)
         found = _search_result(modes)
         work = replace(work, search=found)
+        problem = with_sigma_scale(problem, modes.sigma_scale)
         if not found.T_camera_map:
             return replace(work, reason=_nothing_fits(prior))
 

@@ -69,6 +69,22 @@ def decide_status(
     ``probability`` (b,) of the modes comes from a verifier, if any, ``by_chance`` from
     ``pairs_by_chance``. The first doubt that applies makes the pose ambiguous.
     """
+    decision = _decided(modes, estimate, observed, submap, prior, probability, by_chance)
+    if modes.sigma_scale == 1.0:
+        return decision
+    times = f" The stated sigma is about {modes.sigma_scale:.2g}x too small."
+    return StatusDecision(decision.status, decision.reason + times)
+
+
+def _decided(
+    modes: Modes,
+    estimate: PoseEstimate,
+    observed: Elements2D,
+    submap: Elements3D,
+    prior: Prior,
+    probability: FloatArray | None,
+    by_chance: float,
+) -> StatusDecision:
     fit = estimate.refinement
     fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
     half = int(np.ceil(LEAST_SHARE * explicable))

@@ -171,6 +171,10 @@ UPRIGHT_ELEMENT = np.dtype(
     align=True,
 )
 """A mapped element; small records lie close together in memory."""
+FALSE_TURN, FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
+"""A false positive is anywhere in a quarter turn and half a unit of slope."""
+WITHIN_REACH = 1.1
+"""Elements further away than this times the detector's reach propose and rate no poses."""
 HIDDEN_CHI2 = 9.0
 """A bottom observed above the mapped one by more than this (squared sigmas) is hidden."""
 
