@@ -34,9 +34,9 @@ class LocalizeCommand:
     map: str = "main"
     """Name of the map."""
     method: str = "search"
-    """search (prior-guided upright search); wide (more effort, for a fix 30 m off or clutter);
-    learned (wide, with poses rated by a network); direct (matches by class alone); paper,
-    paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
+    """search (prior-guided upright search); learned (a wider search, with poses rated by a
+    network); direct (matches by class alone); paper, paper-no-semantics, bpnpnet or
+    bpnpnet-semantic (learned matches)."""
     weights: parsing.OptionalPath = None
     """Weights of a learned method, written by 'semviz weights'; default: the shipped weights."""
     track: bool = False
@@ -246,7 +246,7 @@ class ReportCommand:
     """Write a report of runs: settings, metrics, diagnoses and worst frames, as one page without
     network requests, or as tables.
 
-    Example: 'semviz report town/runs/search.rrd town/runs/wide.rrd --out report.html'."""
+    Example: 'semviz report town/runs/search.rrd town/runs/learned.rrd --out report.html'."""
 
     runs: Positional[tuple[Path, ...]]
     """Runs (.rrd), side by side; the first is the reference."""

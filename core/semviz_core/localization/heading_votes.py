@@ -29,8 +29,9 @@ from semviz_core.localization.upright import (
     FALSE_SLOPE,
     FALSE_TURN,
     HIDDEN_CHI2,
-    WITHIN_REACH,
     UprightView,
+    elements_in_reach,
+    proposing_reach,
     upright_elements,
 )
 
@@ -40,8 +41,9 @@ class Effort(NamedTuple):
 
     step_m: float = 3.6
     """Grid step of positions; fits converge from several times as far."""
-    polished: int = 150
-    """Most candidates refined and rated, per view; fewer if ``started`` is shared."""
+    polished: int = 100
+    """Most candidates refined and rated, per view, behind an ordinary fix; fewer if ``started`` is
+    shared."""
     started: int = 16
     """Most candidates paired and fitted once: per view, or over all views if that is more."""
     finished: int = 6
@@ -78,6 +80,8 @@ MOST_SIGMAS = 3.0
 CROWDED, LEAST_STEP_M = 150.0, 1.8
 """With more elements than this within reach, positions are as dense as the elements, down to this
 step: else chance matches agree with every heading."""
+ORDINARY_BLOCKS, MOST_TIMES = 150.0, 6.0
+"""In a search of more blocks than the first, up to so many times the candidates are kept."""
 _FULL_TURN = 2.0 * np.pi
 _BIN = _FULL_TURN / BINS
 
@@ -116,7 +120,7 @@ class _Pool(NamedTuple):
 class _VoteTable(NamedTuple):
     """Working memory of the vote at a position."""
 
-    best: FloatArray  # (BINS, m) for each heading the best gain of each observed element
+    best: FloatArray  # (m, BINS) the best gain of each observed element for each heading
     total: FloatArray  # (BINS,) their sum
 
 
@@ -124,14 +128,15 @@ class _VoteTable(NamedTuple):
 def vote_headings(
     problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
 ) -> PoseCandidates:
-    """Return the best candidates within the prior's gates, at most ``effort.polished``."""
+    """Return the best candidates within the prior's gates."""
     elements, candidate = upright_elements(problem)
     gate = GATE_SIGMAS * prior.value.position_sigma_m[0] + GATE_WIDER_M
     block_m = BLOCK * effort.step_m
     blocks = _blocks(prior, gate, block_m)
-    reach_m = voting_reach(problem)
-    table = _VoteTable(np.empty((BINS, len(problem.seen))), np.empty(BINS))
-    room = 4 * effort.polished + BINS
+    reach_m = min(proposing_reach(problem), FARTHEST_M)
+    table = _VoteTable(np.empty((len(problem.seen), BINS)), np.empty(BINS))
+    wanted = _wanted(effort, int(blocks.sum()))
+    room = 4 * wanted + BINS
     pool = _Pool(np.zeros((room, 6)), np.full(room, -np.inf))
     count, evaluated, least, middle = 0, 0, 0.0, len(blocks) // 2
     for block in np.argwhere(blocks):
@@ -157,28 +162,23 @@ def vote_headings(
                 )
                 count, evaluated = count + added, evaluated + added
                 if count + BINS > room:
-                    count = _keep_best(pool, count, effort.polished)
+                    count = _keep_best(pool, count, wanted)
                     least = pool.nats[count - 1]
-    count = _keep_best(pool, count, effort.polished)
+    count = _keep_best(pool, count, wanted)
     return PoseCandidates(pool.pose[:count].copy(), evaluated)
 
 
 @compiled
-def voting_reach(problem: PoseProblem) -> float:
-    """Return the distance up to which elements vote."""
-    return min(FARTHEST_M, WITHIN_REACH * problem.setting.reach_m)
+def _wanted(effort: Effort, blocks: int) -> int:
+    """Return how many candidates to keep: more among many positions, where more are false."""
+    more = np.sqrt(blocks / ORDINARY_BLOCKS)
+    return int(effort.polished * min(max(more, 1.0), MOST_TIMES))
 
 
 @compiled
 def grid_step(problem: PoseProblem, step_m: float) -> float:
     """Return the grid step for the map's density: ``step_m``, or less in a crowded map."""
-    reach_m, n = voting_reach(problem), len(problem.mapped)
-    samples = min(n, 32)
-    near = 0
-    for k in range(samples):
-        x, y = problem.anchor_m[:, k * n // samples]
-        near += len(rows_within(problem, x, y, reach_m))
-    crowded = near / (CROWDED * max(samples, 1))
+    crowded = elements_in_reach(problem) / CROWDED
     return step_m if crowded <= 1.0 else max(step_m / np.sqrt(crowded), min(LEAST_STEP_M, step_m))
 
 
@@ -307,7 +307,8 @@ def _vote(
 ) -> None:
     """Fill the table at a position; the true one is up to half a ``step_m`` away on either axis."""
     table.best[:], table.total[:] = 0.0, 0.0
-    last, near, low, high, bearing, variance = -1, 0.0, 0.0, 0.0, 0.0, 0.0
+    last, near, low, high = -1, 0.0, 0.0, 0.0
+    bearing = variance = of_turn = 0.0
     for k in range(len(voters)):
         voter = voters[k]
         if voter.mapped != last:
@@ -322,12 +323,14 @@ def _vote(
             low, high = near * (1.0 - slack), near * (1.0 + slack)
             bearing = _quick_arctan2(north, east)
             variance = (STEP_SIGMAS * step_m * near) ** 2 + HEADING_SIGMA_RAD**2
+            of_turn = 0.5 * np.log(variance)
+            variance /= _BIN**2
         if voter.near[1] < low or voter.near[0] > high:
             continue
-        gain = _gain_at(voter, near) - 0.5 * np.log(variance)
+        gain = _gain_at(voter, near) - of_turn
         if gain > 0.0:
             heading = (bearing - view.seen[voter.seen].azimuth_rad) / _BIN
-            _add_vote(table, voter.seen, heading, gain, variance / _BIN**2)
+            _add_vote(table.best[voter.seen], table.total, heading, gain, variance)
 
 
 @compiled
@@ -345,19 +348,23 @@ def _gain_at(voter: Record, near: float) -> float:
 
 @compiled
 def _add_vote(
-    table: _VoteTable, seen: int, heading: float, gain: float, variance: float
+    best: FloatArray, total: FloatArray, heading: float, gain: float, variance: float
 ) -> None:
-    """Add a vote for ``heading`` (in bins), which falls off with ``variance`` (bins squared)."""
-    spread = np.sqrt(variance * min(2.0 * gain, MOST_SIGMAS**2))
-    first = int(np.ceil(heading - spread - 0.5))
-    last = int(np.floor(heading + spread - 0.5))
-    bin = first % BINS
-    for k in range(first, last + 1):
-        off = k + 0.5 - heading
-        more = gain - 0.5 * off * off / variance - table.best[bin, seen]
+    """Add a vote for ``heading`` (in bins), which falls off with ``variance`` (bins squared).
+
+    ``best`` (BINS,) is that of the observed element, ``total`` (BINS,) of all.
+    """
+    spread, weight = np.sqrt(variance * min(2.0 * gain, MOST_SIGMAS**2)), 0.5 / variance
+    bin = int(np.ceil(heading - spread - 0.5))
+    off, last = bin + 0.5 - heading, spread
+    bin += BINS if bin < 0 else 0
+    bin -= BINS if bin >= BINS else 0
+    while off <= last:
+        more = gain - off * off * weight - best[bin]
         if more > 0.0:
-            table.best[bin, seen] += more
-            table.total[bin] += more
+            best[bin] += more
+            total[bin] += more
+        off += 1.0
         bin = bin + 1 if bin + 1 < BINS else 0
 
 

@@ -148,8 +148,8 @@ def rows_within(problem: PoseProblem, x: float, y: float, reach_m: float) -> Int
     east_m, north_m = problem.anchor_m
     first, last = 0, len(east_m)
     if last > FEW:
-        first = np.searchsorted(east_m, x - reach_m)
-        last = np.searchsorted(east_m, x + reach_m)
+        first = int(np.searchsorted(east_m, x - reach_m))
+        last = int(np.searchsorted(east_m, x + reach_m))
     rows, count = np.empty(last - first, dtype=np.int64), 0
     for k in range(first, last):
         dx, dy = east_m[k] - x, north_m[k] - y
@@ -169,7 +169,7 @@ class PriorRecord(NamedTuple):
     """Prior and belief about the pose."""
 
     value: Record  # PRIOR
-    road_m: FloatArray  # (k, 3), k = 0 without
+    road_m: FloatArray  # (k, 3) by the first coordinate, k = 0 without
 
     @classmethod
     def of(cls, prior: Prior | None, belief: Belief | None = None) -> "PriorRecord":
@@ -198,14 +198,16 @@ class PriorRecord(NamedTuple):
 
 
 def _near_fix(road_m: FloatArray, prior: Prior) -> FloatArray:
-    """Return the part of the road near the prior's fix, or all of it where no part is near.
+    """Return the part of the road near the prior's fix, or all of it where no part is near, ordered
+    by the first coordinate.
 
     Always a copy: for a read-only array the whole search would be compiled once more.
     """
     off = road_m[:, :2] - prior.position_m[:2]
     reach = ROAD_SIGMAS * prior.horizontal_sigma_m + ROAD_WIDER_M
     near = (off * off).sum(axis=1) < reach * reach
-    return np.array(road_m[near] if near.any() else road_m, order="C")
+    kept = road_m[near] if near.any() else road_m
+    return np.array(kept[np.argsort(kept[:, 0], kind="stable")], order="C")
 
 
 def perpendicular(unit: FloatArray) -> FloatArray:

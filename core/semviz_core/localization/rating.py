@@ -14,7 +14,6 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, solve_cholesky
 from semviz_core.localization.problem import (
-    SIGHT_M,
     PoseProblem,
     PriorRecord,
     Record,
@@ -25,9 +24,10 @@ from semviz_core.localization.upright import (
     FALSE_SLOPE,
     FALSE_TURN,
     HIDDEN_CHI2,
-    WITHIN_REACH,
     UprightView,
     compare_slopes,
+    proposing_reach,
+    rated_reach,
     tilted_slope,
     upright_elements,
 )
@@ -111,12 +111,6 @@ def rate_poses(
         chi2 += (pose[5] / view.up_sigma_rad) ** 2
         rating[h] = min(best_of_seen.sum(), total_of_mapped) + missed - 0.5 * chi2
     return rating
-
-
-@compiled
-def rated_reach(problem: PoseProblem) -> float:
-    """Return the distance beyond which no element is rated: out of sight, or of reach."""
-    return min(SIGHT_M, WITHIN_REACH * problem.setting.reach_m)
 
 
 @compiled
@@ -236,7 +230,7 @@ def refine_candidates(
     m = len(view.seen)
     pairs = _Pairs(np.empty(m, dtype=np.int64), np.empty(m))
     information, gradient, moved = np.empty((AXES, AXES)), np.empty(AXES), np.empty(AXES)
-    refined, reach_m = poses.copy(), rated_reach(problem) + step_m
+    refined, reach_m = poses.copy(), proposing_reach(problem) + step_m
     for h in range(len(poses)):
         moved[:] = 0.0
         rows = rows_within(problem, poses[h, 0], poses[h, 1], reach_m)

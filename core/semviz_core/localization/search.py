@@ -271,33 +271,32 @@ def likely_sigma_scale(problem: PoseProblem, prior: PriorRecord, modes: Modes) -
         return 1.0
     best, scale = float(modes.score[0]), 1.0
     start = modes.rotation[:SCALED_MODES], modes.translation[:SCALED_MODES]
-    if _score(with_sigma_scale(problem, LIKELY_SCALE), prior, *start) < best - HOPELESS_NATS:
+    as_it_is = _best_score(with_sigma_scale(problem, LIKELY_SCALE), prior, *start, fitted=False)
+    if as_it_is < best - HOPELESS_NATS:
         return 1.0
     for trial in SIGMA_SCALES:
-        score = _best_fitted_score(with_sigma_scale(problem, trial), prior, *start)
+        score = _best_score(with_sigma_scale(problem, trial), prior, *start, fitted=True)
         if score - SCALE_NATS * np.log(trial) > best:
             best, scale = score - SCALE_NATS * np.log(trial), trial
     return scale
 
 
 @compiled
-def _score(
-    problem: PoseProblem, prior: PriorRecord, rotation: FloatArray, translation: FloatArray
+def _best_score(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    rotation: FloatArray,
+    translation: FloatArray,
+    fitted: bool,
 ) -> float:
-    """Return the score of the first of poses (b, 3, 3) and (b, 3) as it is."""
-    R, t = rotation[0].copy(), translation[0].copy()
-    match, gain = associate(problem, R, t, EXACT_POSE)
-    return log_likelihood(problem, prior, R, t, match, gain)
-
-
-@compiled
-def _best_fitted_score(
-    problem: PoseProblem, prior: PriorRecord, rotation: FloatArray, translation: FloatArray
-) -> float:
-    """Return the score of the best of poses (b, 3, 3) and (b, 3), fitted."""
+    """Return the score of the best of poses (b, 3, 3) and (b, 3), fitted; or that of the first, as
+    it is."""
     best = -np.inf
     for row in range(len(rotation)):
         R, t = rotation[row].copy(), translation[row].copy()
+        if not fitted:
+            match, gain = associate(problem, R, t, EXACT_POSE)
+            return log_likelihood(problem, prior, R, t, match, gain)
         match, _ = associate(problem, R, t, FITTED_COVARIANCE)
         best = max(best, _fit_until_stable(problem, prior, R, t, match)[3])
     return best

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SUITE = "paper"
 METHODS = (
     "bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper", "paper with true P",
-    "correspondences", "learned", "wide", "search", "true matches", "bound",
+    "correspondences", "learned", "search", "true matches", "bound",
 )  # fmt: skip
 """Default methods of the suite."""
 _PRINTED_STRATA = {ALL: "all", ">= 6 true": ">= 6"}
