@@ -68,6 +68,8 @@ class LocalizeCommand:
     (range 40 m), 120 for labels and detections (unlimited range)."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
+    jobs: int = 1
+    """Processes that localize frames on their own; the run is the same but for times."""
     force: parsing.Force = False
     images: Literal["embedded", "both", "reference", "none"] = "embedded"
     """embedded: the left images in the run (about 130 kB per frame); both: the right ones too;
@@ -121,7 +123,7 @@ class LocalizeCommand:
         )
         measured = given.files(self.heading_sigma_deg).read(workspace, workspace.read_map(self.map))
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration, measured, self.camera
+            workspace, self.map, options, frames, calibration, measured, self.camera, self.jobs
         )
         for note in measured.notes(localization.frames):
             print(note, file=sys.stderr)

@@ -149,7 +149,7 @@ def test_it_learns_from_frames_that_are_made_once() -> None:
     batch = task.collate([task.make(number) for number in range(6)])
     optimizer = torch.optim.Adam(task.network.parameters(), 3e-3)
     losses = []
-    for _ in range(20):
+    for _ in range(30):
         loss = task.losses(batch, Progress(0, 1))["loss"]
         optimizer.zero_grad()
         loss.backward()

