@@ -57,7 +57,7 @@ def associate(
     its log-likelihood over that of a false detection (nats), 0 without a pair. The gates widen with
     ``pose_covariance`` (6, 6).
     """
-    seen, mapped, gain = _gated_pairs(problem, R, t, pose_covariance)
+    seen, mapped, gain = gated_pairs(problem, R, t, pose_covariance)
     return one_to_one(seen, mapped, gain, problem.compatible.shape)
 
 
@@ -65,14 +65,14 @@ def associate(
 def all_gains(problem: PoseProblem, R: FloatArray, t: FloatArray) -> FloatArray:
     """Return the gains (m, n) of every pair under an exact pose, -inf beyond the gate."""
     dense = np.full(problem.compatible.shape, _NONE)
-    seen, mapped, gain = _gated_pairs(problem, R, t, EXACT_POSE)
+    seen, mapped, gain = gated_pairs(problem, R, t, EXACT_POSE)
     for k in range(len(gain)):
         dense[seen[k], mapped[k]] = gain[k]
     return dense
 
 
 @compiled
-def _gated_pairs(
+def gated_pairs(
     problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return the pairs within the gate: observed rows (k,), mapped rows (k,) and gains (k,)."""
