@@ -17,7 +17,7 @@ from torch import Tensor
 
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.localization.association import associate
+from semviz_core.localization.association import gated_pairs
 from semviz_core.localization.correspondences.candidate_pairs import (
     Compass,
     Sample,
@@ -81,8 +81,8 @@ class PoseItem:
         scene = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
         prior = PriorRecord.of(assumed_upright(problem.prior))
         true = problem.T_camera_map
-        _, gain = associate(scene, true.rotation, true.translation, NEAR_TRUTH)
-        pairs = PosePairs.of(scene, prior, np.argwhere(gain > -np.inf), true)
+        seen, mapped, _ = gated_pairs(scene, true.rotation, true.translation, NEAR_TRUTH)
+        pairs = PosePairs.of(scene, prior, np.column_stack([seen, mapped]), true)
         sample = Sample.of(problem.observed, problem.submap, problem.camera, problem.prior)
         sample = sample.with_truth(true, problem.pairs)
         camera_m = true.inverse().translation

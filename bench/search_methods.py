@@ -30,7 +30,7 @@ from semviz_core.research.evaluation.problems import (
 )
 from semviz_core.research.training.simulated_samples import KittiFiles
 
-METHODS = ("search", "wide", "learned")
+METHODS = ("search", "learned")
 SUITES = {"normal": Difficulty(), **HARD_SETS}
 
 

@@ -34,9 +34,9 @@ class LocalizeCommand:
     map: str = "main"
     """Name of the map."""
     method: str = "search"
-    """search (prior-guided upright search); wide (more effort, for a fix 30 m off or clutter);
-    learned (wide, with poses rated by a network); direct (matches by class alone); paper,
-    paper-no-semantics, bpnpnet or bpnpnet-semantic (learned matches)."""
+    """search (prior-guided upright search); learned (a wider search, with poses rated by a
+    network); direct (matches by class alone); paper, paper-no-semantics, bpnpnet or
+    bpnpnet-semantic (learned matches)."""
     weights: parsing.OptionalPath = None
     """Weights of a learned method, written by 'semviz weights'; default: the shipped weights."""
     track: bool = False
@@ -68,6 +68,8 @@ class LocalizeCommand:
     (range 40 m), 120 for labels and detections (unlimited range)."""
     seed: int = 0
     """Seed of the simulated priors and detections."""
+    jobs: int = 1
+    """Processes that localize frames on their own; the run is the same but for times."""
     force: parsing.Force = False
     images: Literal["embedded", "both", "reference", "none"] = "embedded"
     """embedded: the left images in the run (about 130 kB per frame); both: the right ones too;
@@ -121,7 +123,7 @@ class LocalizeCommand:
         )
         measured = given.files(self.heading_sigma_deg).read(workspace, workspace.read_map(self.map))
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration, measured, self.camera
+            workspace, self.map, options, frames, calibration, measured, self.camera, self.jobs
         )
         for note in measured.notes(localization.frames):
             print(note, file=sys.stderr)
@@ -246,7 +248,7 @@ class ReportCommand:
     """Write a report of runs: settings, metrics, diagnoses and worst frames, as one page without
     network requests, or as tables.
 
-    Example: 'semviz report town/runs/search.rrd town/runs/wide.rrd --out report.html'."""
+    Example: 'semviz report town/runs/search.rrd town/runs/learned.rrd --out report.html'."""
 
     runs: Positional[tuple[Path, ...]]
     """Runs (.rrd), side by side; the first is the reference."""

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -23,6 +24,7 @@ from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, Run
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
 from semviz.workspace.detect import MODEL_FILE
+from semviz.workspace.frame_processes import localized_in_processes
 from semviz.workspace.measurements import Measurements
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.proposal import ProcessedImages
@@ -192,8 +194,16 @@ class SequenceLocalization:
     """The detector whose detections are observed, if any."""
     calibration: DetectorCalibration | None = None
     """Its calibration, if it has one."""
+    jobs: int = 1
+    """Processes that localize."""
+    again: "Callable[[], SequenceLocalization] | None" = None
+    """Makes the same in another process; needed for several."""
 
     def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise SemvizError(f"--jobs {self.jobs}: give 1 or more")
+        if self.jobs > 1 and self.options.track:
+            raise SemvizError("--jobs is for frames on their own; leave out --jobs or --track")
         check_map_frame(self.semantic_map, self.source)
         if not len(self.semantic_map):
             raise SemvizError(
@@ -202,9 +212,21 @@ class SequenceLocalization:
 
     def __iter__(self) -> Iterator[FrameRecord]:
         count_functions(self.localizer.warmup)
-        for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
-            pass  # the method is compiled: now what observes and tracks
+        if self.jobs > 1 and self.again is not None:
+            yield from localized_in_processes(self.again, len(self.frames), self.jobs)
+            return
+        self.warmup()
         yield from self._localized(self.frames)
+
+    def warmup(self) -> None:
+        """Compile, or load from disk, what localizes, observes and tracks."""
+        self.localizer.warmup()
+        for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
+            pass
+
+    def localized(self, rows: range) -> Iterator[FrameRecord]:
+        """Yield the records of some of the frames, each on its own."""
+        return self._localized(self.frames[rows.start : rows.stop])
 
     def _localized(self, frames: tuple[Frame, ...]) -> Iterator[FrameRecord]:
         options = self.options
@@ -302,13 +324,17 @@ def localize_workspace(
     calibration: DetectorCalibration | None = None,
     measured: Measurements | None = None,
     camera: str | None = None,
+    jobs: int = 1,
 ) -> SequenceLocalization:
     """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
 
     Of a rig, those of one camera: see ``select_frames``. Frames without a pose are left out, unless
     their priors are ``measured``. ``calibration`` is that of the observed detections; without one,
-    rates are assumed.
+    rates are assumed. ``jobs`` processes localize frames on their own.
     """
+    again = partial(
+        _localize_again, workspace.path, map_name, options, frames, calibration, measured, camera
+    )
     source = workspace.source
     semantic_map = workspace.read_map(map_name)
     detector = (
@@ -348,7 +374,14 @@ def localize_workspace(
         options,
         processed,
         calibration,
+        jobs,
+        again,
     )
+
+
+def _localize_again(path: Path, *arguments: Any) -> SequenceLocalization:
+    """Return ``localize_workspace`` of the workspace in a folder."""
+    return localize_workspace(Workspace.open(path), *arguments)
 
 
 def prior_options(options: LocalizeOptions) -> PriorOptions:

@@ -241,9 +241,9 @@ def test_another_method_is_chosen_from_all_at_hand(url: str, page: "Page") -> No
     box = page.locator("#what-if-body select[aria-label=Method]")
     wait_for(page, lambda: box.count() == 1, "the methods")
     assert box.input_value() == "search"
-    box.select_option("wide")
+    box.select_option("learned")
     bar = said(page, "#what-if-text")
-    wait_for(page, lambda: bar().startswith("What if: solved with method wide: "), "the method")
+    wait_for(page, lambda: bar().startswith("What if: solved with method learned: "), "the method")
 
 
 @pytest.mark.browser

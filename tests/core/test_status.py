@@ -109,6 +109,29 @@ def test_the_street_itself_is_solved(seed: int) -> None:
     assert is_right(found, pose)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("twice", [False, True])
+def test_without_a_fix_the_whole_map_is_searched(seed: int, twice: bool) -> None:
+    """A street of 500 m, with another one beside it; or with itself."""
+    world, pose = street(seed), looking(90.3, -1.0, 0.1)
+    observed = seen(world, pose, seed)
+    aside = world if twice else street(seed + 50)
+    moved = np.array([30.0, 400.0, 0.0])
+    other = replace(
+        aside, id=aside.id + 5000, anchor_m=aside.anchor_m + moved, end_m=aside.end_m + moved
+    )
+    driven = np.column_stack([np.arange(-250.0, 250.0), np.zeros(500), np.full(500, 1.65)])
+    road_m = np.concatenate([driven, driven + moved])
+    prior = replace(prior_at(0.0, 200.0, 150.0), road_m=road_m)
+    found = localized(observed, both(world, other), prior)
+    if twice:
+        assert found.status == "ambiguous", found.reason
+        assert "401.1 m and 0 deg apart" in found.reason
+    else:
+        assert found.status == "ok", found.reason
+        assert is_right(found, pose)
+
+
 @pytest.mark.parametrize("count", range(4))
 def test_fewer_elements_than_needed(count: int) -> None:
     world, pose = street(0), looking(0.3, -1.0)

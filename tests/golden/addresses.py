@@ -35,7 +35,7 @@ COUNT, LOADED, PAGES = 500, 20, 4
 STILL_S, LIMIT_S = 1.0, 60.0
 """Address and state are final if they did not change for STILL_S."""
 CHOICES: dict[str, tuple[str, ...]] = {
-    "run": ("search", "wide", "gone"),
+    "run": ("search", "learned", "gone"),
     "frame": ("0", "4", "8", "20", "3", "x"),
     "image": ("estimate", "truth", "pairs", "error", "upside down"),
     "side": ("left", "right", "up"),
@@ -50,7 +50,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "colors": ("class", "residual", "times", "taste"),
     "sigma": ("yes", "no"),
     "others": ("yes", "no"),
-    "base": ("search", "wide", "gone"),
+    "base": ("search", "learned", "gone"),
     "beside": ("yes", "no"),
     "forecast": ("no", "maybe"),
     "status": ("ok", "ambiguous", "cannot", "fine"),
@@ -96,7 +96,7 @@ def _recorded(folder: Path) -> list[Path]:
     """Two short runs through the workspace town."""
     workspaces.make(folder, "town")
     shutil.copy(unpacked(FIXTURES / "main.parquet.gz", folder), folder / "town" / "maps")
-    paths = [folder / f"{method}.rrd" for method in ("search", "wide")]
+    paths = [folder / f"{method}.rrd" for method in ("search", "learned")]
     for path in paths:
         options = ("--frames", "0:24:4", "--images", "none", "--method", path.stem)
         run(folder, "localize", "town", "--out", path, *options)

@@ -39,7 +39,7 @@ map localizability town --frames 4:5 --plot route.png
 map export town map.geojson --anchor=49.01,8.42,115 --json
 map import town map.geojson --name back --json
 localize town --frames 0:24:2 --images none
-localize town --frames 0:24:2 --images none --method wide --heading-sigma-deg 5 --out wide.rrd
+localize town --frames 0:24:2 --images none --method learned --heading-sigma-deg 5 --out learned.rrd
 localize town --frames 0:24:2 --images none --method paper --out paper.rrd
 localize town --frames 0:24 --images none --track
 labels import mono mono.jsonl
@@ -47,10 +47,10 @@ map build mono --json
 localize mono --images reference --out mono.rrd
 localize lot --map truth --images none --noise paper --seed 3 --out lot.rrd
 localize lot --map truth --images both --observations simulated --frames 0:2 --out both.rrd
-evaluate town/runs/search.rrd wide.rrd --json --csv rows.csv
+evaluate town/runs/search.rrd learned.rrd --json --csv rows.csv
 evaluate lot.rrd --json
 evaluate lot.rrd
-compare town/runs/search.rrd wide.rrd --json
+compare town/runs/search.rrd learned.rrd --json
 compare town/runs/search.rrd paper.rrd --fail-if 'median_rte_m > 1.05*base' --json
 compare town/runs/search.rrd paper.rrd
 report town/runs/search.rrd paper.rrd --out report.md
@@ -107,7 +107,7 @@ evaluate
 evaluate nowhere.rrd
 evaluate broken.json
 compare lot.rrd town/runs/search.rrd
-compare town/runs/search.rrd wide.rrd --fail-if 'speed > 1'
+compare town/runs/search.rrd learned.rrd --fail-if 'speed > 1'
 report lot.rrd --out report.doc
 report lot.rrd --pictures -1
 open nowhere.rrd

@@ -25,7 +25,12 @@ from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import FaultKind, GroundTruth
 from semviz_core.diagnosis.reference import is_healthy, pose_distance
-from semviz_core.localization.association import associate, log_likelihood, posterior_match
+from semviz_core.localization.association import (
+    all_gains,
+    associate,
+    log_likelihood,
+    posterior_match,
+)
 from semviz_core.localization.least_squares import fit
 from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
 from semviz_core.localization.problem import PoseProblem, PriorRecord
@@ -333,7 +338,13 @@ def _wrong_place(scene: PoseProblem, given: Given, rng: np.random.Generator) -> 
         score = float(log_likelihood(scene, known, R, t, match, gain))
         if best is None or score > best.score[0]:
             best = Modes(
-                _STARTS, _STARTS, R[None], t[None], np.array([score]), match[None], gain[None]
+                _STARTS,
+                _STARTS,
+                R[None],
+                t[None],
+                np.array([score]),
+                match[None],
+                all_gains(scene, R, t)[None],
             )
     return best
 

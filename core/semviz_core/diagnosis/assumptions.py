@@ -21,6 +21,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind
 from semviz_core.diagnosis.frame_causes import LEAST_SCALE, sigma_fault, with_sigma_scaled
 from semviz_core.diagnosis.reference import FrameReference, is_healthy
+from semviz_core.localization.heading_votes import DEFAULT_EFFORT, WIDE, Effort
 from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PriorRecord
@@ -47,7 +48,7 @@ def solve_with_sigma(case: FrameReference, factor: float) -> Localization:
 
 def solve_with_more_effort(case: FrameReference) -> Localization:
     """Return the frame solved by the widest search."""
-    return _solved(case, case.localization.submap, case.prior, "wide")
+    return _solved(case, case.localization.submap, case.prior, WIDE)
 
 
 def solve_in_wide_submap(case: FrameReference) -> Localization:
@@ -56,12 +57,12 @@ def solve_in_wide_submap(case: FrameReference) -> Localization:
 
 
 def _solved(
-    case: FrameReference, submap: Elements3D, prior: Prior, method: str = "search"
+    case: FrameReference, submap: Elements3D, prior: Prior, effort: Effort = DEFAULT_EFFORT
 ) -> Localization:
     """Return the frame solved again; as it is if its input is none that ``Localizer`` takes, for
     example of another localizer."""
     result = case.localization
-    localizer = Localizer(method, classes=case.semantic_map.classes, detector=case.detector)
+    localizer = Localizer(classes=case.semantic_map.classes, detector=case.detector, effort=effort)
     try:
         return localizer.localize(result.observed, submap, result.camera, prior)
     except SemvizError:

@@ -21,8 +21,9 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, int_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import compiled
 from semviz_core.localization.prior_residuals import prior_chi2
-from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.problem import PoseProblem, PriorRecord, rows_in_sight
 from semviz_core.localization.residuals import (
+    EXACT_POSE,
     INLIER_CHI2,
     Rows,
     bottom_is_given,
@@ -38,6 +39,8 @@ NEAREST_M = 3.0
 """Elements closer to the camera count as out of view."""
 BEYOND_REACH = 0.02
 """Chance of detection beyond the detector's reach."""
+NEAR_COSINE = 0.5
+"""Elements further apart in angle (cosine) are never a pair."""
 LEAST_CHANCE = 1e-200
 """Products below this go into the logarithm, before they underflow."""
 _NONE = -np.inf
@@ -50,33 +53,63 @@ def associate(
 ) -> tuple[IntArray, FloatArray]:
     """Pair observed and mapped elements one-to-one under a pose.
 
-    Return the mapped row (m,) of each observed element, -1 for none; and the gains (m, n) of every
-    pair: its log-likelihood over that of a false detection (nats), -inf beyond the gate. The gates
-    widen with ``pose_covariance`` (6, 6).
+    Return the mapped row (m,) of each observed element, -1 for none, and the gain (m,) of its pair:
+    its log-likelihood over that of a false detection (nats), 0 without a pair. The gates widen with
+    ``pose_covariance`` (6, 6).
     """
-    gain = np.full(problem.compatible.shape, _NONE)
-    variance, direction = _directions(problem, R, t, pose_covariance)
-    rows = new_rows()
-    for i in range(len(gain)):
-        for entry in range(problem.seen[i].first, problem.seen[i].last):
-            j = problem.candidate[entry]
-            if _is_near(problem, i, direction[j], variance[j]):
-                gain[i, j] = pair_gain(problem, R, t, i, j, pose_covariance, rows)
-    return one_to_one(gain), gain
+    seen, mapped, gain = gated_pairs(problem, R, t, pose_covariance)
+    return one_to_one(seen, mapped, gain, problem.compatible.shape)
 
 
 @compiled
-def one_to_one(gain: FloatArray) -> IntArray:
-    """Pair greedily by positive gain (m, n); return the mapped row (m,), -1 for none."""
-    m, n = gain.shape
-    match, taken = np.full(m, -1), np.zeros(n, dtype=np.bool_)
-    flat = gain.ravel()
-    positive = np.flatnonzero(flat > 0.0)
-    for at in positive[np.argsort(-flat[positive], kind="mergesort")]:
-        i, j = at // n, at % n
-        if match[i] < 0 and not taken[j]:
-            match[i], taken[j] = j, True
-    return match
+def all_gains(problem: PoseProblem, R: FloatArray, t: FloatArray) -> FloatArray:
+    """Return the gains (m, n) of every pair under an exact pose, -inf beyond the gate."""
+    dense = np.full(problem.compatible.shape, _NONE)
+    seen, mapped, gain = gated_pairs(problem, R, t, EXACT_POSE)
+    for k in range(len(gain)):
+        dense[seen[k], mapped[k]] = gain[k]
+    return dense
+
+
+@compiled
+def gated_pairs(
+    problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the pairs within the gate: observed rows (k,), mapped rows (k,) and gains (k,)."""
+    row, variance, direction = _directions(problem, R, t, pose_covariance)
+    seen, mapped = np.empty(16, dtype=np.int64), np.empty(16, dtype=np.int64)
+    gain, count, rows = np.empty(16), 0, new_rows()
+    for i in range(len(problem.seen)):
+        for k in range(len(row)):
+            j = row[k]
+            if not problem.compatible[i, j] or not _is_near(problem, i, direction[k], variance[k]):
+                continue
+            value = pair_gain(problem, R, t, i, j, pose_covariance, rows)
+            if value == _NONE:
+                continue
+            if count == len(gain):
+                seen, mapped = np.concatenate((seen, seen)), np.concatenate((mapped, mapped))
+                gain = np.concatenate((gain, gain))
+            seen[count], mapped[count], gain[count] = i, j, value
+            count += 1
+    return seen[:count], mapped[:count], gain[:count]
+
+
+@compiled
+def one_to_one(
+    seen: IntArray, mapped: IntArray, gain: FloatArray, shape: tuple[int, int]
+) -> tuple[IntArray, FloatArray]:
+    """Pair greedily by positive gain; return the mapped row (m,), -1 for none, and the gains (m,).
+
+    ``seen``, ``mapped`` and ``gain`` (k,) are possible pairs of (m, n) = ``shape`` elements.
+    """
+    match, own = np.full(shape[0], -1), np.zeros(shape[0])
+    taken = np.zeros(shape[1], dtype=np.bool_)
+    for k in np.argsort(-gain, kind="mergesort"):
+        i, j = seen[k], mapped[k]
+        if gain[k] > 0.0 and match[i] < 0 and not taken[j]:
+            match[i], own[i], taken[j] = j, gain[k], True
+    return match, own
 
 
 @compiled
@@ -88,15 +121,14 @@ def log_likelihood(
     match: IntArray,
     gain: FloatArray,
 ) -> float:
-    """Return the score of a pose in nats: gains of its pairs, missed detections, prior."""
-    total = -0.5 * prior_chi2(prior, R, t)
+    """Return the score of a pose in nats: gains (m,) of its pairs, missed detections, prior."""
+    total = gain.sum() - 0.5 * prior_chi2(prior, R, t)
     paired = np.zeros(len(problem.mapped), dtype=np.bool_)
-    for i in range(len(match)):
-        if match[i] >= 0:
-            total += gain[i, match[i]]
-            paired[match[i]] = True
+    for j in match:
+        if j >= 0:
+            paired[j] = True
     chance = 1.0  # product over all mapped elements; one logarithm in the end
-    for j in range(len(paired)):
+    for j in rows_in_sight(problem, *_center(R, t)):
         recall = _recall(problem, R, t, j)
         # a pair beyond the stated reach of detection is unlikely, not impossible
         chance *= max(recall, BEYOND_REACH) if paired[j] else 1.0 - recall
@@ -107,24 +139,47 @@ def log_likelihood(
 
 
 @compiled
+def _center(R: FloatArray, t: FloatArray) -> tuple[float, float]:
+    """Return x and y of the camera, in map coordinates."""
+    x = -(R[0, 0] * t[0] + R[1, 0] * t[1] + R[2, 0] * t[2])
+    return x, -(R[0, 1] * t[0] + R[1, 1] * t[1] + R[2, 1] * t[2])
+
+
+@compiled
 def _directions(
     problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the variance (n,) in rad^2 and the unit direction (n, 3) of each mapped anchor."""
-    n = len(problem.mapped)
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the rows (k,) of the mapped elements that may be near an observed one in angle, the
+    variance (k,) in rad^2 and the unit direction (k, 3) of each one's anchor."""
+    in_sight, least = rows_in_sight(problem, *_center(R, t)), _least_cosine(problem)
+    row, count = np.empty(len(in_sight), dtype=np.int64), 0
+    variance, direction = np.empty(len(in_sight)), np.empty((len(in_sight), 3))
     position_variance, rotation_variance = (
         _largest(pose_covariance, 0),
         _largest(pose_covariance, 3),
     )
-    variance, direction = np.empty(n), np.empty((n, 3))
-    for j in range(n):
+    for j in in_sight:
         x, y, z = transform_point(R, t, problem.mapped[j].anchor_m)
         square = x * x + y * y + z * z
         reach = max(np.sqrt(square), 1e-6)
-        direction[j, 0], direction[j, 1], direction[j, 2] = x / reach, y / reach, z / reach
+        if z < least * reach:
+            continue
+        row[count] = j
+        direction[count, 0], direction[count, 1] = x / reach, y / reach
+        direction[count, 2] = z / reach
         spread = position_variance + _largest(problem.mapped[j].covariance_m2, 0)
-        variance[j] = spread / max(square, 1.0) + rotation_variance
-    return variance, direction
+        variance[count] = spread / max(square, 1.0) + rotation_variance
+        count += 1
+    return row[:count], variance[:count], direction[:count]
+
+
+@compiled
+def _least_cosine(problem: PoseProblem) -> float:
+    """Return the least cosine to the optical axis of a direction near an observed element."""
+    widest = 1.0
+    for i in range(len(problem.seen)):
+        widest = min(widest, problem.seen[i].anchor_ray[2])
+    return np.cos(min(np.arccos(widest) + np.arccos(NEAR_COSINE), np.pi))
 
 
 @compiled
@@ -144,7 +199,7 @@ def _is_near(problem: PoseProblem, i: int, direction: FloatArray, variance: floa
     """Return whether a pair is so close in angle that its residual is worth computing."""
     ray = problem.seen[i].anchor_ray
     cosine = ray[0] * direction[0] + ray[1] * direction[1] + ray[2] * direction[2]
-    if cosine < 0.5:
+    if cosine < NEAR_COSINE:
         return False
     focal = problem.setting.K[0, 0]
     seen = max(problem.seen[i].variance_px2[0], problem.seen[i].variance_px2[1]) / (focal * focal)
@@ -201,7 +256,9 @@ def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Rows
 @compiled
 def _recall(problem: PoseProblem, R: FloatArray, t: FloatArray, j: int) -> float:
     """Return the chance that a mapped element is detected, 0 out of view."""
-    x, y, z = transform_point(R, t, 0.5 * (problem.mapped[j].anchor_m + problem.mapped[j].end_m))
+    a, e = problem.mapped[j].anchor_m, problem.mapped[j].end_m
+    middle = 0.5 * (a[0] + e[0]), 0.5 * (a[1] + e[1]), 0.5 * (a[2] + e[2])
+    x, y, z = transform_point(R, t, middle)
     if z <= NEAREST_M:
         return 0.0
     u = (problem.setting.K[0, 0] * x + problem.setting.K[0, 1] * y) / z + problem.setting.K[0, 2]

@@ -31,10 +31,17 @@ from semviz_core.localization.correspondences.matcher import (
     PairMatcher,
     load_pair_matcher,
 )
-from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE
+from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE, Effort
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.request import check_request, example_request
-from semviz_core.localization.search import Modes, Propose, mode_near, most_voted, search
+from semviz_core.localization.search import (
+    Modes,
+    Propose,
+    mode_near,
+    most_voted,
+    search,
+    with_sigma_scale,
+)
 from semviz_core.localization.status import (
     StatusDecision,
     decide_status,
@@ -70,7 +77,6 @@ def match_by_class(observed: Elements2D, problem: PoseProblem) -> IntArray | ref
 EFFORTS = {
     "search": DEFAULT_EFFORT,
     "direct": DEFAULT_EFFORT,
-    "wide": WIDE,
     "learned": WIDE,
     "correspondences": OF_COUPLES,
 }
@@ -148,7 +154,8 @@ def available_methods() -> tuple[str, ...]:
 class Localizer:
     """Localize single frames with ``method``, one of ``known_methods``; repeatable with ``seed``.
 
-    ``weights`` is the weight file of a learned method (default: the shipped weights).
+    ``weights`` is the weight file of a learned method (default: the shipped weights). ``effort``
+    replaces the search effort of the method.
     """
 
     method: str = "search"
@@ -156,6 +163,7 @@ class Localizer:
     classes: ClassSet = DEFAULT_CLASSES
     detector: DetectorModel = field(default_factory=DetectorModel)
     weights: Path | None = None
+    effort: Effort | None = None
 
     def __post_init__(self) -> None:
         if self.method not in EFFORTS and self.method not in _entry_points():
@@ -243,6 +251,7 @@ class Localizer:
         modes, probability = self._modes(work, problem, prior, start, propose, watch)
         found = _search_result(modes)
         work = replace(work, search=found)
+        problem = with_sigma_scale(problem, modes.sigma_scale)
         if not found.T_camera_map:
             return replace(work, reason=_nothing_fits(prior))
 
@@ -279,9 +288,10 @@ class Localizer:
         watch: Stopwatch,
     ) -> tuple[Modes, FloatArray | None]:
         """Return the modes, best first, and the verifier's probability (b,) of each, if any."""
+        effort = self.effort or EFFORTS[self.method]
         if start is not None:
             return watch.time("search", lambda: mode_near(problem, prior, start)), None
-        modes = watch.time("search", lambda: search(problem, prior, EFFORTS[self.method], propose))
+        modes = watch.time("search", lambda: search(problem, prior, effort, propose))
         if not self._verifies:
             return modes, None
         frame = work.observed, work.submap, work.camera, prior

@@ -26,6 +26,8 @@ OTHER_HEIGHT_M = 0.5
 """Passes whose heights differ by less are searched as one."""
 MOST_ROADS, ROAD_WIDTH_M = 3, 15.0
 """Most roads above one another that a position can be on, and the largest distance from them."""
+NEAR_ROAD_M = 30.0
+"""The road is first looked for within this of a position, then everywhere."""
 _FAR_M2 = 1e18
 
 
@@ -78,13 +80,17 @@ def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float
     Of several passes, the one nearest to (x, y, z) counts.
     """
     nearest, first, least = _FAR_M2, 0, 0.0
-    for k in range(len(road_m)):
-        flat = (road_m[k, 0] - x) ** 2 + (road_m[k, 1] - y) ** 2
-        distance = flat + (HEIGHT_WEIGHT * (road_m[k, 2] - z)) ** 2
-        if distance < nearest:
-            nearest, first, least = distance, k, flat
+    for reach_m in (NEAR_ROAD_M, np.inf):
+        for k in range(*_rows_between(road_m, x, reach_m)):
+            flat = (road_m[k, 0] - x) ** 2 + (road_m[k, 1] - y) ** 2
+            distance = flat + (HEIGHT_WEIGHT * (road_m[k, 2] - z)) ** 2
+            if distance < nearest:
+                nearest, first, least = distance, k, flat
+        if nearest < reach_m * reach_m:
+            break
     total = height = height_x = height_y = total_x = total_y = 0.0
-    for k in range(len(road_m)):
+    blur_m = np.sqrt(least + LEAST_WEIGHT_CHI2 * ROAD_BLUR_M**2)
+    for k in range(*_rows_between(road_m, x, blur_m)):
         dx, dy = road_m[k, 0] - x, road_m[k, 1] - y
         further = (dx * dx + dy * dy - least) / ROAD_BLUR_M**2
         if further > LEAST_WEIGHT_CHI2 or not _same_pass(road_m, first, k):
@@ -108,18 +114,39 @@ def road_heights(prior: PriorRecord, x: float, y: float) -> FloatArray:
     road = prior.road_m
     chosen, heights = np.empty(MOST_ROADS, dtype=np.int64), np.empty(MOST_ROADS)
     heights[0] = prior.value.position_m[2]
-    count = 0
+    count, reach_m = 0, NEAR_ROAD_M
     while count < MOST_ROADS:
         least, best = _FAR_M2, -1
-        for k in range(len(road)):
+        for k in range(*_rows_between(road, x, reach_m)):
             square = (road[k, 0] - x) ** 2 + (road[k, 1] - y) ** 2
             if square < least and _is_new(road, chosen[:count], k):
                 least, best = square, k
+        if count == 0 and least > reach_m * reach_m:
+            least, best = _nearest(road, x, y)
         if best < 0 or (count and least > ROAD_WIDTH_M**2):
             break
         chosen[count], heights[count] = best, road[best, 2]
         count += 1
     return heights[: max(count, 1)]
+
+
+@compiled
+def _rows_between(road_m: FloatArray, x: float, reach_m: float) -> tuple[int, int]:
+    """Return the first and the last row + 1 of the road points within ``reach_m`` along x."""
+    east_m = road_m[:, 0]
+    first = np.searchsorted(east_m, x - reach_m)
+    return int(first), int(np.searchsorted(east_m, x + reach_m, side="right"))
+
+
+@compiled
+def _nearest(road_m: FloatArray, x: float, y: float) -> tuple[float, int]:
+    """Return the squared distance of the nearest road point, and its row, -1 without a road."""
+    least, best = _FAR_M2, -1
+    for k in range(len(road_m)):
+        square = (road_m[k, 0] - x) ** 2 + (road_m[k, 1] - y) ** 2
+        if square < least:
+            least, best = square, k
+    return least, best
 
 
 @compiled

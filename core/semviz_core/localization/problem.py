@@ -20,6 +20,10 @@ CLUTTER_LEAN = 0.1
 """False poles lean evenly up to this slope to either side."""
 ROAD_SIGMAS, ROAD_WIDER_M = 3.0, 10.0
 """The road is kept as far from the fix as this many of its sigmas, plus this margin."""
+SIGHT_M = 150.0
+"""Mapped elements further from the camera are neither paired nor missed."""
+FEW = 256
+"""Larger maps are ordered, so that what is near a position is found without looking at all."""
 _TINY = 1e-9
 
 Record: TypeAlias = Any
@@ -101,6 +105,8 @@ class PoseProblem(NamedTuple):
     mapped: RecordArray  # (n,) MAPPED
     candidate: IntArray
     compatible: BoolArray  # (m, n) pairs allowed by class and kind, or by pair constraints
+    order: IntArray  # (n,) mapped rows, in large maps by the first coordinate of their anchors
+    anchor_m: FloatArray  # (2, n) coordinates on the ground of the anchors in this order
 
     @classmethod
     def of(
@@ -115,7 +121,13 @@ class PoseProblem(NamedTuple):
         )
         setting = _setting(camera, detector or LABELS)
         none = np.empty(0, dtype=np.int64)
-        problem = cls(setting, _seen(camera, observed), _mapped(elements), none, compatible)
+        order = np.arange(len(elements))
+        if len(elements) > FEW:
+            order = np.argsort(elements.anchor_m[:, 0], kind="stable")
+        anchor_m = np.ascontiguousarray(elements.anchor_m[order, :2].T)
+        problem = cls(
+            setting, _seen(camera, observed), _mapped(elements), none, compatible, order, anchor_m
+        )
         return problem.only(compatible)
 
     def only(self, possible: BoolArray) -> "PoseProblem":
@@ -127,11 +139,37 @@ class PoseProblem(NamedTuple):
         return self._replace(seen=seen, candidate=candidate.copy(), compatible=possible)
 
 
+@compiled
+def rows_within(problem: PoseProblem, x: float, y: float, reach_m: float) -> IntArray:
+    """Return the rows of the mapped elements whose anchors are within ``reach_m`` of (x, y).
+
+    They ascend in maps of FEW elements, so that the order of elements decides between equals.
+    """
+    east_m, north_m = problem.anchor_m
+    first, last = 0, len(east_m)
+    if last > FEW:
+        first = int(np.searchsorted(east_m, x - reach_m))
+        last = int(np.searchsorted(east_m, x + reach_m))
+    rows, count = np.empty(last - first, dtype=np.int64), 0
+    for k in range(first, last):
+        dx, dy = east_m[k] - x, north_m[k] - y
+        if dx * dx + dy * dy <= reach_m * reach_m:
+            rows[count] = problem.order[k]
+            count += 1
+    return rows[:count]
+
+
+@compiled
+def rows_in_sight(problem: PoseProblem, x: float, y: float) -> IntArray:
+    """Return the rows of the mapped elements within SIGHT_M of a camera at (x, y)."""
+    return rows_within(problem, x, y, SIGHT_M)
+
+
 class PriorRecord(NamedTuple):
     """Prior and belief about the pose."""
 
     value: Record  # PRIOR
-    road_m: FloatArray  # (k, 3), k = 0 without
+    road_m: FloatArray  # (k, 3) by the first coordinate, k = 0 without
 
     @classmethod
     def of(cls, prior: Prior | None, belief: Belief | None = None) -> "PriorRecord":
@@ -160,14 +198,16 @@ class PriorRecord(NamedTuple):
 
 
 def _near_fix(road_m: FloatArray, prior: Prior) -> FloatArray:
-    """Return the part of the road near the prior's fix, or all of it where no part is near.
+    """Return the part of the road near the prior's fix, or all of it where no part is near, ordered
+    by the first coordinate.
 
     Always a copy: for a read-only array the whole search would be compiled once more.
     """
     off = road_m[:, :2] - prior.position_m[:2]
     reach = ROAD_SIGMAS * prior.horizontal_sigma_m + ROAD_WIDER_M
     near = (off * off).sum(axis=1) < reach * reach
-    return np.array(road_m[near] if near.any() else road_m, order="C")
+    kept = road_m[near] if near.any() else road_m
+    return np.array(kept[np.argsort(kept[:, 0], kind="stable")], order="C")
 
 
 def perpendicular(unit: FloatArray) -> FloatArray:

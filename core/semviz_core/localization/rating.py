@@ -13,11 +13,21 @@ import numpy as np
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, solve_cholesky
-from semviz_core.localization.problem import PoseProblem, PriorRecord, Record, RecordArray
+from semviz_core.localization.problem import (
+    PoseProblem,
+    PriorRecord,
+    Record,
+    RecordArray,
+    rows_within,
+)
 from semviz_core.localization.upright import (
+    FALSE_SLOPE,
+    FALSE_TURN,
     HIDDEN_CHI2,
     UprightView,
     compare_slopes,
+    proposing_reach,
+    rated_reach,
     tilted_slope,
     upright_elements,
 )
@@ -54,8 +64,6 @@ MOST_CHI2 = 20.0
 """Largest chi2 of azimuth and slopes of a pair."""
 NEAREST_MISSED_M = 6.0
 """Elements closer ahead may be cut off, and never count as missed."""
-_FALSE_TURN, _FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
-"""A false positive is anywhere in a quarter turn and half a unit of slope."""
 
 
 @compiled
@@ -81,7 +89,7 @@ def rate_poses(
         pose = poses[h]
         best_of_seen[:] = 0.0
         total_of_mapped = missed = 0.0
-        for j in range(len(elements)):
+        for j in rows_within(problem, pose[0], pose[1], rated_reach(problem)):
             ahead, left = ahead_and_left(pose, elements[j])
             if abs(left) <= widest * ahead:
                 direction = direction_to(ahead, left, sigmas)
@@ -174,7 +182,7 @@ def approximate_gain(
     chi2 += off * off / direction.variance
     if chi2 > MOST_CHI2:
         return 0.0
-    gain = nats + _FALSE_TURN + count * _FALSE_SLOPE
+    gain = nats + FALSE_TURN + count * FALSE_SLOPE
     return max(gain - 0.5 * (chi2 + np.log(product * direction.variance)), 0.0)
 
 
@@ -222,13 +230,14 @@ def refine_candidates(
     m = len(view.seen)
     pairs = _Pairs(np.empty(m, dtype=np.int64), np.empty(m))
     information, gradient, moved = np.empty((AXES, AXES)), np.empty(AXES), np.empty(AXES)
-    refined = poses.copy()
+    refined, reach_m = poses.copy(), proposing_reach(problem) + step_m
     for h in range(len(poses)):
         moved[:] = 0.0
+        rows = rows_within(problem, poses[h, 0], poses[h, 1], reach_m)
         for k in range(ROUNDS):
             sigmas = first if k == 0 else later
             _fill_pairs(
-                problem.setting, view, elements, candidate, refined[h], sigmas, widest, pairs
+                problem.setting, view, elements, rows, candidate, refined[h], sigmas, widest, pairs
             )
             _add_start(sigma, moved, information, gradient)
             for i in range(m):
@@ -250,15 +259,17 @@ def _fill_pairs(
     setting: Record,
     view: UprightView,
     elements: RecordArray,
+    rows: IntArray,
     candidate: IntArray,
     pose: FloatArray,
     sigmas: PoseSigmas,
     widest: float,
     pairs: _Pairs,
 ) -> None:
-    """Fill ``pairs``: each mapped element takes its best observed one, which keeps its best."""
+    """Fill ``pairs``: each of the mapped ``rows`` takes its best observed element, which keeps its
+    best."""
     pairs.mapped[:], pairs.gain[:] = -1, 0.0
-    for j in range(len(elements)):
+    for j in rows:
         ahead, left = ahead_and_left(pose, elements[j])
         if abs(left) > widest * ahead + 1.0:
             continue

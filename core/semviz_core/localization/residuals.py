@@ -253,7 +253,7 @@ def rows_that_count(problem: PoseProblem, i: int, j: int, count: int, rows: Rows
 
 
 @compiled
-def transform_point(R: FloatArray, t: FloatArray, point: FloatArray) -> Vector:
+def transform_point(R: FloatArray, t: FloatArray, point: FloatArray | Vector) -> Vector:
     """Return ``point`` (3,), given in map coordinates, in camera coordinates."""
     x, y, z = point[0], point[1], point[2]
     return (

@@ -16,13 +16,17 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import inverse
-from semviz_core.localization.association import associate, log_likelihood, one_to_one
-from semviz_core.localization.heading_votes import DEFAULT_EFFORT, Effort, vote_headings
+from semviz_core.localization.association import all_gains, associate, log_likelihood
+from semviz_core.localization.heading_votes import (
+    DEFAULT_EFFORT,
+    Effort,
+    grid_step,
+    vote_headings,
+)
 from semviz_core.localization.least_squares import fit
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.rating import (
     REFINED_SIGMAS,
-    VOTED_SIGMAS,
     rate_poses,
     refine_candidates,
 )
@@ -56,6 +60,8 @@ class Modes:
     score: FloatArray  # (b,) nats
     match: IntArray  # (b, m)
     gain: FloatArray  # (b, m, n)
+    sigma_scale: float = 1.0
+    """Likely sigma of the detections over the stated one; scores, pairs and gains are with it."""
 
     def pairs(self, row: int) -> IntArray:
         """Return the pairs (k, 2) of a mode, as rows of observed and mapped elements."""
@@ -106,11 +112,9 @@ class Propose(Protocol):
 def most_voted(
     problem: PoseProblem, view: UprightView, prior: PriorRecord, effort: Effort
 ) -> ProposedCandidates:
-    """Propose the poses of the grid round the fix with the most voters, best rated first."""
+    """Propose the poses of the grid round the fix with the highest votes."""
     voted = vote_headings(problem, view, prior, effort)
-    rating = rate_poses(problem, view, prior, voted.pose, VOTED_SIGMAS)
-    likely = np.argsort(-rating, kind="mergesort")[: effort.polished]
-    return ProposedCandidates(voted.pose[likely], voted.evaluated, len(voted.pose))
+    return ProposedCandidates(voted.pose, voted.evaluated, len(voted.pose))
 
 
 def search(
@@ -123,6 +127,7 @@ def search(
     record = PriorRecord.of(prior)
     evaluated = passed = 0
     parts: list[Candidates] = []
+    effort = effort._replace(step_m=grid_step(problem, effort.step_m))
     ups, up_sigma_rad = likely_ups(problem, record)
     view_effort = _effort_per_view(effort, len(ups))
     for up in ups:
@@ -131,7 +136,13 @@ def search(
         evaluated, passed = evaluated + proposal.evaluated, passed + proposal.rated
         parts.append(_fitted_candidates(problem, view, record, proposal.pose, view_effort))
     candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-    return Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
+    modes = Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
+    scale = likely_sigma_scale(problem, record, modes)
+    if scale == 1.0:
+        return modes
+    candidates = Candidates(modes.rotation, modes.translation, modes.score)
+    fitted = _final_modes(with_sigma_scale(problem, scale), record, candidates, effort)
+    return Modes(evaluated, passed, *fitted, scale)
 
 
 def _effort_per_view(effort: Effort, views: int) -> Effort:
@@ -145,7 +156,8 @@ def mode_near(problem: PoseProblem, prior: Prior, T_camera_map: Pose) -> Modes:
     """Return the single mode near a pose, fitted and scored as in ``search``."""
     R, t = T_camera_map.rotation.copy(), T_camera_map.translation.copy()
     match, _ = associate(problem, R, t, FITTED_COVARIANCE)
-    R, t, match, gain, score = _fit_until_stable(problem, PriorRecord.of(prior), R, t, match)
+    R, t, match, score = _fit_until_stable(problem, PriorRecord.of(prior), R, t, match)
+    gain = all_gains(problem, R, t)
     return Modes(1, 1, R[None], t[None], np.array([score]), match[None], gain[None])
 
 
@@ -219,48 +231,102 @@ def _final_modes(
     kept = _near_best(candidates, _distinct(candidates)[: effort.finished], effort)
     b = len(kept)
     fitted = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
-    matches, gains = np.empty((b, m), dtype=np.int64), np.empty((b, m, n))
+    matches = np.empty((b, m), dtype=np.int64)
     for row in range(b):
         R, t = candidates.rotation[kept[row]].copy(), candidates.translation[kept[row]].copy()
         match, _ = associate(problem, R, t, FITTED_COVARIANCE)
-        _store(fitted, matches, gains, row, _fit_until_stable(problem, prior, R, t, match))
+        _store(fitted, matches, row, _fit_until_stable(problem, prior, R, t, match))
     best = _distinct(fitted)
     for row in _near_best(fitted, best[: effort.improved], effort):
-        start = fitted.rotation[row], fitted.translation[row], matches[row], gains[row]
-        _store(
-            fitted,
-            matches,
-            gains,
-            row,
-            _without_false_pair(problem, prior, *start, fitted.score[row]),
-        )
+        start = fitted.rotation[row], fitted.translation[row], matches[row], fitted.score[row]
+        _store(fitted, matches, row, _without_false_pair(problem, prior, *start))
     best = _distinct(fitted)
+    gains = np.empty((len(best), m, n))
+    for k in range(len(best)):
+        gains[k] = all_gains(problem, fitted.rotation[best[k]], fitted.translation[best[k]])
     return (
         fitted.rotation[best],
         fitted.translation[best],
         fitted.score[best],
         matches[best],
-        gains[best],
+        gains,
     )
+
+
+SIGMA_SCALES = (1.5, 2.2, 3.3, 5.0)
+"""Sigmas of the detections that are tried, over the stated one."""
+SCALE_NATS = 3.0
+"""Nats that a scale has to gain for each factor of e: detectors know their sigma roughly."""
+SCALED_MODES = 3
+LIKELY_SCALE, HOPELESS_NATS = 2.2, 4.0
+"""Scales are tried only if the best mode, without being fitted again, loses less at the first."""
+
+
+def likely_sigma_scale(problem: PoseProblem, prior: PriorRecord, modes: Modes) -> float:
+    """Return the likely sigma of the detections over the stated one: 1, or one of SIGMA_SCALES.
+
+    Scores are likelihoods, so they compare sigmas: a larger one fits more pairs, each worth less.
+    """
+    if not len(modes.score):
+        return 1.0
+    best, scale = float(modes.score[0]), 1.0
+    start = modes.rotation[:SCALED_MODES], modes.translation[:SCALED_MODES]
+    as_it_is = _best_score(with_sigma_scale(problem, LIKELY_SCALE), prior, *start, fitted=False)
+    if as_it_is < best - HOPELESS_NATS:
+        return 1.0
+    for trial in SIGMA_SCALES:
+        score = _best_score(with_sigma_scale(problem, trial), prior, *start, fitted=True)
+        if score - SCALE_NATS * np.log(trial) > best:
+            best, scale = score - SCALE_NATS * np.log(trial), trial
+    return scale
+
+
+@compiled
+def _best_score(
+    problem: PoseProblem,
+    prior: PriorRecord,
+    rotation: FloatArray,
+    translation: FloatArray,
+    fitted: bool,
+) -> float:
+    """Return the score of the best of poses (b, 3, 3) and (b, 3), fitted; or that of the first, as
+    it is."""
+    best = -np.inf
+    for row in range(len(rotation)):
+        R, t = rotation[row].copy(), translation[row].copy()
+        if not fitted:
+            match, gain = associate(problem, R, t, EXACT_POSE)
+            return log_likelihood(problem, prior, R, t, match, gain)
+        match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+        best = max(best, _fit_until_stable(problem, prior, R, t, match)[3])
+    return best
+
+
+def with_sigma_scale(problem: PoseProblem, scale: float) -> PoseProblem:
+    """Return ``problem`` with all sigmas of the detections multiplied."""
+    if scale == 1.0:
+        return problem
+    seen = problem.seen.copy()
+    seen["variance_px2"] *= scale**2
+    return problem._replace(seen=seen)
 
 
 @compiled
 def _store(
     settled: Candidates,
     matches: IntArray,
-    gains: FloatArray,
     row: int,
-    fitted: tuple[FloatArray, FloatArray, IntArray, FloatArray, float],
+    fitted: tuple[FloatArray, FloatArray, IntArray, float],
 ) -> None:
     settled.rotation[row], settled.translation[row] = fitted[0], fitted[1]
-    matches[row], gains[row], settled.score[row] = fitted[2], fitted[3], fitted[4]
+    matches[row], settled.score[row] = fitted[2], fitted[3]
 
 
 @compiled
 def _fit_until_stable(
     problem: PoseProblem, prior: PriorRecord, R: FloatArray, t: FloatArray, match: IntArray
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
-    """Fit the pose to its pairs until they stay the same; return it, pairs, gains and score."""
+) -> tuple[FloatArray, FloatArray, IntArray, float]:
+    """Fit the pose to its pairs until they stay the same; return it, its pairs and its score."""
     for _ in range(3):
         R, t, information, _ = fit(problem, prior, R, t, match, STEPS)
         before = match
@@ -269,7 +335,7 @@ def _fit_until_stable(
             break
     R, t, _, _ = fit(problem, prior, R, t, match, STEPS)
     match, gain = associate(problem, R, t, EXACT_POSE)
-    return R, t, match, gain, log_likelihood(problem, prior, R, t, match, gain)
+    return R, t, match, log_likelihood(problem, prior, R, t, match, gain)
 
 
 @compiled
@@ -279,26 +345,25 @@ def _without_false_pair(
     R: FloatArray,
     t: FloatArray,
     match: IntArray,
-    gain: FloatArray,
     score: float,
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, IntArray, float]:
     """Return the best pose fitted without one of its pairs, or the given one if none is better.
 
     A false pair, for example with a neighbour or a duplicate of the true element, pulls the pose
     until other pairs fail the inlier test.
     """
-    best = R, t, match, gain, score
+    best = R, t, match, score
     for i in range(len(match)):
         if match[i] < 0:
             continue
         without = match.copy()
         without[i] = -1
         free_R, free_t, information, _ = fit(problem, prior, R, t, without, STEPS_WITHOUT)
-        again, others = associate(problem, free_R, free_t, inverse(information))
+        again, _ = associate(problem, free_R, free_t, inverse(information))
         if (again == match).all():
             continue  # the other pairs confirm this one
-        fitted = _fit_until_stable(problem, prior, free_R, free_t, one_to_one(others))
-        if fitted[4] > best[4]:
+        fitted = _fit_until_stable(problem, prior, free_R, free_t, again)
+        if fitted[3] > best[3]:
             best = fitted
     return best
 

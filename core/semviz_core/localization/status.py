@@ -22,22 +22,23 @@ from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
 from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import Modes, pose_distances
 
-AMBIGUOUS_NATS = 14.0
-"""Another mode within this of the best makes the pose ambiguous."""
+AMBIGUOUS_NATS, SCALE_NATS = 14.0, 6.0
+"""Another mode within the first of the best makes the pose ambiguous; within as much more as the
+second for each factor of e by which the stated sigma of the detections is too small."""
 SURE_PROBABILITY = 0.95
 """A pose with a lower verifier probability is ambiguous; replaces AMBIGUOUS_NATS."""
 LIKELY_PROBABILITY = 0.5
 """A pose with at least this verifier probability is ambiguous, not rejected, if few pairs fit."""
-LEAST_SUPPORT_NATS = 7.0
+LEAST_SUPPORT_NATS = 5.0
 """A pair with less leave-one-out support may be wrong."""
 OPEN_M = 0.3
 """Such a pair makes the pose ambiguous if the position is open to more than this without it."""
 SURE_PAIRS = 4
 """A pose with fewer inliers is ambiguous: three pairs cannot reveal a wrong one among them."""
-LEAST_SHARE = 0.5
-"""Share that must fit of the observed elements that the submap can explain: a wrong position
-explains a few by chance, seldom half."""
-SURE_SIGMA_M = 1.0
+LEAST_SHARE, PLENTY = 0.5, 6
+"""Share that must fit of the observed elements that the submap can explain, up to so many: a wrong
+position explains a few by chance, seldom half. Of the rest, most are false in clutter."""
+SURE_SIGMA_M = 0.5
 """A pose whose position is less certain than this is ambiguous."""
 CROWDED_MAP = 1000
 """In maps with fewer elements, chance fits too few to matter."""
@@ -69,9 +70,25 @@ def decide_status(
     ``probability`` (b,) of the modes comes from a verifier, if any, ``by_chance`` from
     ``pairs_by_chance``. The first doubt that applies makes the pose ambiguous.
     """
+    decision = _decided(modes, estimate, observed, submap, prior, probability, by_chance)
+    if modes.sigma_scale == 1.0:
+        return decision
+    times = f" The stated sigma is about {modes.sigma_scale:.2g}x too small."
+    return StatusDecision(decision.status, decision.reason + times)
+
+
+def _decided(
+    modes: Modes,
+    estimate: PoseEstimate,
+    observed: Elements2D,
+    submap: Elements3D,
+    prior: Prior,
+    probability: FloatArray | None,
+    by_chance: float,
+) -> StatusDecision:
     fit = estimate.refinement
     fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
-    half = int(np.ceil(LEAST_SHARE * explicable))
+    half = min(int(np.ceil(LEAST_SHARE * explicable)), PLENTY)
     needed = max(NEEDED_PAIRS, min(half, SURE_PAIRS))
     of_all = f"{fitting} of {len(observed)} elements"
     if explicable < len(observed):
@@ -129,7 +146,8 @@ def _explicable(observed: Elements2D, submap: Elements3D) -> int:
 
 
 def _ambiguity(modes: Modes, T_camera_map: Pose) -> str:
-    rivals = int((modes.score[0] - modes.score < AMBIGUOUS_NATS).sum())
+    needed_nats = AMBIGUOUS_NATS + SCALE_NATS * float(np.log(modes.sigma_scale))
+    rivals = int((modes.score[0] - modes.score < needed_nats).sum())
     if rivals < 2:
         return ""
     distance, angle = pose_distances(
@@ -209,4 +227,4 @@ def _dependence(fit: Refinement, submap: Elements3D) -> str:
 def _uncertain(sigma_m: float) -> str:
     if sigma_m <= SURE_SIGMA_M:
         return ""
-    return f"The pairs fix the position only to {sigma_m:.1f} m; {SURE_SIGMA_M:.0f} m is sure."
+    return f"The pairs fix the position only to {sigma_m:.2g} m; {SURE_SIGMA_M:.1f} m is sure."

@@ -14,7 +14,14 @@ import numpy as np
 from semviz_core.base.frame import Prior
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.localization.problem import PoseProblem, PriorRecord, Record, RecordArray
+from semviz_core.localization.problem import (
+    SIGHT_M,
+    PoseProblem,
+    PriorRecord,
+    Record,
+    RecordArray,
+    rows_within,
+)
 
 ASSUMED_UP = np.array([0.0, -1.0, 0.0])
 """Up in camera coordinates without an IMU: cameras on vehicles look about level."""
@@ -171,6 +178,13 @@ UPRIGHT_ELEMENT = np.dtype(
     align=True,
 )
 """A mapped element; small records lie close together in memory."""
+FALSE_TURN, FALSE_SLOPE = float(np.log(0.25 * np.pi)), float(np.log(0.2))
+"""A false positive is anywhere in a quarter turn and half a unit of slope."""
+WITHIN_REACH = 1.1
+"""Elements further away than this times the detector's reach propose and rate no poses."""
+MOST_IN_REACH = 700.0
+"""In maps of more elements within reach, only so many of them, the nearest, propose poses."""
+_SAMPLES = 8
 HIDDEN_CHI2 = 9.0
 """A bottom observed above the mapped one by more than this (squared sigmas) is hidden."""
 
@@ -196,6 +210,31 @@ def upright_elements(problem: PoseProblem) -> tuple[RecordArray, IntArray]:
                 count += 1
         elements[j].last = count
     return elements, candidate
+
+
+@compiled
+def rated_reach(problem: PoseProblem) -> float:
+    """Return the distance beyond which no element is rated: out of sight, or of reach."""
+    return min(SIGHT_M, WITHIN_REACH * problem.setting.reach_m)
+
+
+@compiled
+def proposing_reach(problem: PoseProblem) -> float:
+    """Return the distance beyond which no element proposes poses; less in a very crowded map, so
+    that the time does not grow with it."""
+    crowded = elements_in_reach(problem) / MOST_IN_REACH
+    return rated_reach(problem) / np.sqrt(max(crowded, 1.0))
+
+
+@compiled
+def elements_in_reach(problem: PoseProblem) -> float:
+    """Return how many mapped elements are within reach of a mapped element, on average."""
+    n, near = len(problem.mapped), 0
+    samples = min(n, _SAMPLES)
+    for k in range(samples):
+        x, y = problem.anchor_m[:, k * n // samples]
+        near += len(rows_within(problem, x, y, rated_reach(problem)))
+    return near / max(samples, 1)
 
 
 @compiled

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 METHODS = (
     "bpnpnet", "paper-no-semantics", "bpnpnet-semantic", "paper", "paper with true costs",
-    "paper with true P", "correspondences", "learned", "wide", "search", "true matches", "bound",
+    "paper with true P", "correspondences", "learned", "search", "true matches", "bound",
 )  # fmt: skip
 """Default methods of the suites that show the paper's table."""
 _PRINTED_STRATA = {ALL: "all", ">= 6 true": ">= 6"}

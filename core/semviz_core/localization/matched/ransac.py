@@ -77,8 +77,8 @@ def rate_samples(far: PoseProblem, rotation: FloatArray, translation: FloatArray
     """Return the gains (b,) in nats of poses (b, 3, 3) and (b, 3) from minimal samples."""
     gains = np.zeros(len(rotation))
     for pose in range(len(rotation)):
-        mapped, gain = associate(far, rotation[pose], translation[pose], EXACT_POSE)
-        gains[pose] = _total_gain(mapped, gain)
+        _, gain = associate(far, rotation[pose], translation[pose], EXACT_POSE)
+        gains[pose] = gain.sum()
     return gains
 
 
@@ -114,7 +114,7 @@ def _find_consensus(
             mapped, gain = associate(problem, R, t, EXACT_POSE)
             if (mapped == before).all():
                 break
-        total = _total_gain(mapped, gain)
+        total = gain.sum()
     return R, t, mapped, total - 0.5 * prior_chi2(prior, R, t)
 
 
@@ -200,15 +200,6 @@ def confident_estimate(
         f"The {int(inlier.sum())} matches that agree do not fix the pose "
         f"to {MOST_SIGMA_M:.0f} m and {np.rad2deg(MOST_SIGMA_RAD):.0f} deg."
     )
-
-
-@compiled
-def _total_gain(mapped: IntArray, gain: FloatArray) -> float:
-    total = 0.0
-    for i in range(len(mapped)):
-        if mapped[i] >= 0:
-            total += gain[i, mapped[i]]
-    return total
 
 
 BATCH = 100
