@@ -1,10 +1,11 @@
 """The messages between the labelling page and its server."""
 
+from datetime import UTC, datetime
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import pose_views, views
+from semviz.annotator import pose_views, track_messages, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -23,8 +24,9 @@ from semviz.annotator.track_edits import (
     RejectTracksEdit,
 )
 from semviz.web import protocol
-from semviz_annotation.labels.edits import Edit
+from semviz_annotation.labels.edits import Edit, WriteNote
 from semviz_annotation.labels.labels import Id, Index, Pixel
+from semviz_annotation.labels.rows import MAX_NOTE_LENGTH, Note
 from semviz_annotation.storage.label_file import HealthState
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
@@ -86,6 +88,32 @@ class AcceptEdit(protocol.Part):
     marks: list[DrawnMark] = Field(min_length=1)
 
 
+class NoteEdit(protocol.Part):
+    """Write a note on an element, in the name of who is connected."""
+
+    kind: Literal["note"]
+    note_id: Id
+    element_id: Id
+    frame_index: Index | None = None
+    unsure: bool = False
+    text: str = Field(default="", max_length=MAX_NOTE_LENGTH)
+
+    def note(self, author: str) -> WriteNote:
+        """Return the edit of the labels, written now."""
+        time = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return WriteNote(
+            Note(
+                self.note_id,
+                self.element_id,
+                self.frame_index,
+                self.unsure,
+                self.text,
+                author,
+                time,
+            )
+        )
+
+
 class UndoEdit(protocol.Part):
     """Undo the author's last edit."""
 
@@ -119,6 +147,7 @@ PageEdit: TypeAlias = Annotated[
     | RejectTracksEdit
     | AcceptSureTracksEdit
     | AlignLabelsEdit
+    | NoteEdit
     | UndoEdit
     | RedoEdit
     | NameEdit
@@ -230,6 +259,10 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | track_messages.ShowTracksRequest
+    | track_messages.ShowTrackRequest
+    | track_messages.SearchTrackRequest
+    | track_messages.PreviewReSnapRequest
     | ShowDriveRequest
     | ShowDriveFrameRequest
     | pose_views.ShowPosesRequest
@@ -398,6 +431,10 @@ AnnotatorEvent: TypeAlias = (
     | OperationsEvent
     | NamedStatesEvent
     | ReviewEvent
+    | track_messages.TracksEvent
+    | track_messages.TrackEvent
+    | track_messages.TrackProposalsEvent
+    | track_messages.ReSnapEvent
     | DriveEvent
     | DriveFrameEvent
     | pose_views.PosesEvent

@@ -1,7 +1,7 @@
 """Handle the requests of one opened page, and send it updates and its 3D scene."""
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from typing import Protocol
 
@@ -15,6 +15,8 @@ from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
 from semviz.annotator.session import LabelSession, SavedEdit
+from semviz.annotator.track_requests import TrackRequests
+from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
 from semviz.web import protocol
 from semviz.web.shapes import Theme
@@ -79,6 +81,7 @@ class AnnotatorPage:
         self._shared = shared
         self._poses = PoseRequests(send, shared)
         self._drive = DriveRequests(send, shared)
+        self._tracks = TrackRequests(send, shared)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
@@ -92,7 +95,7 @@ class AnnotatorPage:
         self._shows_backdrop = False
         self._redraw_queued = threading.Event()
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self, self._poses, self._drive)
+        self._handle = HANDLERS.bound_to(self, self._poses, self._drive, self._tracks)
 
     @property
     def _session(self) -> LabelSession:
@@ -133,6 +136,10 @@ class AnnotatorPage:
     def send_frame_list(self, frames: list[FrameSummary]) -> None:
         """Send the changed entries of the list of frames."""
         self._send(messages.FrameListEvent(frames=frames))
+
+    def send_tracks(self, rows: Sequence[TrackRow], frames: Sequence[TrackFrame] = ()) -> None:
+        """Send rows and frames of the view "Tracks", if the page has asked for them."""
+        self._tracks.send_rows(rows, frames)
 
     def receive(self, request: protocol.Request) -> None:
         self._handle(request)
@@ -199,7 +206,9 @@ class AnnotatorPage:
             self._frame = saved.frame
         labels = self._session.updates()
         self._send_saved(request.id, saved, labels)
+        rows = self._session.tracks.changed()
         for page in self._shared.pages:
+            page.send_tracks(rows)
             if page is not self:
                 page.send_update(labels)
 
@@ -411,4 +420,6 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
     )
 
 
-HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests, DriveRequests)
+HANDLERS = protocol.Handlers(
+    messages.AnnotatorRequest, AnnotatorPage, PoseRequests, DriveRequests, TrackRequests
+)

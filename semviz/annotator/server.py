@@ -15,6 +15,7 @@ from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
+from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
@@ -28,6 +29,8 @@ from semviz_core.common.errors import SemvizError
 PAGE = Path(__file__).parent / "page"
 POLL_EVERY_S = 1.0
 """How often to check for changes of other processes: one query."""
+SEND_EVERY_S = 0.5
+"""How often to send what was analyzed."""
 ANALYZE_S = 0.005
 """Longest time that background analysis may delay an edit."""
 PAUSE_S = 0.01
@@ -142,21 +145,29 @@ class Annotator:
     def _analyze(self) -> None:
         """Analyze all frames, a few at a time, because edits come first."""
         frames: list[FrameSummary] = []
+        rows: list[TrackRow] = []
         done, sent = True, time.monotonic()
         while not self._closing.wait(POLL_EVERY_S if done else PAUSE_S):
             with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
-                analyzed, done = self.session.analyze(ANALYZE_S)
-                frames += analyzed
-            if frames and (done or time.monotonic() > sent + POLL_EVERY_S):
+                analyzed = self.session.analyze(ANALYZE_S)
+                done = analyzed.is_done
+                frames += analyzed.frames
+                rows += analyzed.rows
+            if (frames or rows) and (done or time.monotonic() > sent + SEND_EVERY_S):
+                with self.lock:
+                    expected = self.session.tracks.frames([frame.index for frame in frames])
                 for page in self.pages:
+                    page.send_tracks(rows, expected)
                     page.send_frame_list(frames)
-                frames, sent = [], time.monotonic()
+                frames, rows, sent = [], [], time.monotonic()
 
     def _send_updates(self) -> None:
         with self.lock:
             if self._pages and self.session.has_updates():
                 labels = self.session.updates()
+                rows = self.session.tracks.changed()
                 for page in self.pages:
+                    page.send_tracks(rows)
                     page.send_update(labels)
 
     async def _index(self, request: web.Request) -> web.FileResponse:

@@ -6,10 +6,10 @@ and the map review may be used by any thread.
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 
-from semviz.annotator import draft, messages, track_edits, views
+from semviz.annotator import draft, messages, operation_texts, track_edits, views
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -30,6 +30,9 @@ from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
+from semviz.annotator.session_results import Analyzed, SavedEdit
+from semviz.annotator.session_tracks import SessionTracks
+from semviz.annotator.track_rows import TrackRows
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
@@ -44,21 +47,6 @@ from semviz_annotation.storage.store import EditBase, Operation
 from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import cameras_by_frame
-
-
-@dataclass(frozen=True)
-class SavedEdit:
-    """An edit that is on disk."""
-
-    operation: Operation
-    element_id: str | None
-    """The element to which a drawing, link or unlinked view now belongs; None for other edits."""
-    frame: int | None
-    """The frame it changed, if in this sequence; the page goes there after an undo."""
-    added: int = 0
-    """Number of observations added; negative for removed ones."""
-    note: str = ""
-    """Message for the user."""
 
 
 class LabelSession:
@@ -109,6 +97,17 @@ class LabelSession:
         )
         self._quality = FrameQuality(tuple(self.frames), self._positions, self._selection)
         self.history = HistoryView(self._store, self._panes, self.frames, self.classes)
+        self.tracks = SessionTracks(
+            self._store,
+            TrackRows(tuple(self.frames), self._positions, self._quality, self.classes),
+            self._reviews.tracks,
+            self._positions,
+            self._selection,
+            self._panes,
+            cameras,
+            self.image_worker,
+            self.classes,
+        )
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
         self._feed = UpdateFeed(self._store, self.classes, self._quality)
         self._sent_map_version = self.map_work.version
@@ -153,18 +152,16 @@ class LabelSession:
         self._sent_positions_version = self._positions.version
         return view
 
-    def analyze(self, seconds: float) -> tuple[list[FrameSummary], bool]:
-        """Analyze elements, then frames, for that long. Return the analyzed frames, and whether all
-        is up to date.
-
-        Call it repeatedly in the background.
-        """
+    def analyze(self, seconds: float) -> Analyzed:
+        """Analyze elements, then tracks and frames, for that long; call it repeatedly."""
         labels = self.labels
         if not self._positions.update(labels, seconds):
-            return [], False
+            return Analyzed((), (), False)
         self._complete_version = self._positions.version
+        if rows := self.tracks.changed(seconds):
+            return Analyzed((), tuple(rows), False)
         frames, done = self._quality.update(labels, seconds)
-        return self._summaries(labels, frames), done
+        return Analyzed(tuple(self._summaries(labels, frames)), (), done)
 
     def frame(self, index: int, second: SecondImage | None = None) -> draft.LabelledFrameView:
         """Return the labels and proposals of a frame, and the elements that may continue in it."""
@@ -227,6 +224,9 @@ class LabelSession:
                 return self._saved(self._store.name_state(edit.name, self.author, request_id))
             case messages.RestoreEdit():
                 return self._saved(self._store.restore(edit.number, self.author, request_id, base))
+            case messages.NoteEdit():
+                note = edit.note(self.author)
+                return self._saved(self._store.apply(note, self.author, request_id, base=base))
             case messages.AcceptEdit():
                 return self._accept(request_id, edit.marks, base)
             case (
@@ -338,13 +338,13 @@ class LabelSession:
         rows = [change.after for change in operation.changes]
         element_ids = [row.element_id for row in rows if isinstance(row, Observation)]
         has_element = element_ids and operation.kind in ("add", "link", "unlink")
-        frame = views.frame_of(operation, self.labels)
+        frame = operation_texts.frame_of(operation, self.labels)
         return SavedEdit(
             operation=operation,
             element_id=element_ids[0] if has_element else None,
             frame=frame if frame in self.frames else None,
-            added=views.observations_added(operation),
-            note=views.note_on(operation, self.labels, self.classes),
+            added=operation_texts.observations_added(operation),
+            note=operation_texts.note_on(operation, self.labels, self.classes),
         )
 
     # -- drafts

@@ -2,7 +2,7 @@
 
 An edit computes its row changes from the state alone, without file or clock. An invalid edit
 raises SemvizError and changes nothing. Reviews of frames, dismissals of proposals, and review
-decisions for map building are defined here.
+decisions for map building, and notes are defined here.
 """
 
 import json
@@ -23,7 +23,9 @@ from semviz_annotation.labels.element_edits import (
     Link,
     MoveObservation,
     NewElement,
+    ReSnap,
     SetClass,
+    SetClassOfViews,
     SetKnown,
     SwapEnds,
     Unlink,
@@ -39,18 +41,22 @@ __all__ = [
     "DecideElements",
     "DeleteElement",
     "DeleteMany",
+    "DeleteNote",
     "DeleteObservation",
     "Dismiss",
     "Edit",
     "Link",
     "MoveObservation",
     "NewElement",
+    "ReSnap",
     "ReviewFrame",
     "RevokeDecision",
     "SetClass",
+    "SetClassOfViews",
     "SetKnown",
     "SwapEnds",
     "Unlink",
+    "WriteNote",
     "edit_from_json",
     "edit_to_json",
     "first_fault",
@@ -145,6 +151,39 @@ class RevokeDecision:
         yield rows.RowChange(row, None)
 
 
+@dataclass(frozen=True)
+class WriteNote:
+    """Write a note on an element, or write it anew.
+
+    Author and time are whoever's the caller knows: no page sends this edit.
+    """
+
+    note: rows.Note
+    kind: Literal["note"] = "note"
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        labels.element(self.note.element_id)
+        before = labels.notes.get(self.note.id)
+        if before != self.note:
+            yield rows.RowChange(before, self.note)
+
+
+@dataclass(frozen=True)
+class DeleteNote:
+    """Delete a note: the question is answered."""
+
+    note_id: rows.Id
+    kind: Literal["delete note"] = "delete note"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        row = labels.notes.get(self.note_id)
+        if row is None:
+            raise SemvizError("there is no such note; it may be deleted already")
+        yield rows.RowChange(row, None)
+
+
 class AnyEdit(Protocol):
     """An edit that a store can apply: an ``Edit``, or one that no page sends, such as an import."""
 
@@ -163,6 +202,7 @@ Edit: TypeAlias = (
     | AddMany
     | Dismiss
     | MoveObservation
+    | ReSnap
     | SetKnown
     | SwapEnds
     | DeleteObservation
@@ -171,9 +211,11 @@ Edit: TypeAlias = (
     | Link
     | Unlink
     | SetClass
+    | SetClassOfViews
     | ReviewFrame
     | DecideElements
     | RevokeDecision
+    | DeleteNote
 )
 
 _EDIT: TypeAdapter[Edit] = TypeAdapter(Annotated[Edit, Field(discriminator="kind")])

@@ -16,7 +16,7 @@ from types import TracebackType
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
-from semviz_annotation.storage import tables
+from semviz_annotation.storage import placement, tables
 from semviz_annotation.storage.conflicts import ConflictChecker
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
 from semviz_annotation.storage.operations import (
@@ -183,6 +183,11 @@ class LabelStore:
                 for id_ in observation_ids
             }
         return {id_: writer for id_, writer in writers.items() if writer is not None}
+
+    def placing_operations(self, observation_ids: Iterable[str]) -> dict[str, Writer]:
+        """Return the operation that placed the ends of each observation, without unknown ids."""
+        with self._file.reading():
+            return placement.placing_operations(self._file.connection, observation_ids)
 
     def undoable(self, author: str) -> int | None:
         """Return the number of the author's last edit that is not undone; None if there is none."""

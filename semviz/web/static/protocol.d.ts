@@ -69,14 +69,14 @@ export interface AlignLabelsEdit {
 export interface AnswerView {
   name: string;
   title: string;
-  edit: AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | DecideElements | RevokeDecision | DeleteNote;
 }
 
 /** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
 }
 
@@ -150,7 +150,7 @@ export interface DecideElements {
   kind: "judge";
 }
 
-/** Delete an element with its observations, dismissals and decisions. */
+/** Delete an element with its observations, dismissals, decisions and notes. */
 export interface DeleteElement {
   element_id: string;
   kind: "delete element";
@@ -160,6 +160,12 @@ export interface DeleteElement {
 export interface DeleteMany {
   observation_ids: Array<string>;
   kind: "delete many";
+}
+
+/** Delete a note: the question is answered. */
+export interface DeleteNote {
+  note_id: string;
+  kind: "delete note";
 }
 
 /** Delete one observation; deleting the last one deletes its element. */
@@ -503,7 +509,7 @@ export interface LabelsView {
   frames: Array<FrameSummary>;
 }
 
-/** State that label elements are one landmark: the smallest number keeps all observations. Decisions about the others pass to the element that is kept, unless it has its own. A decision that two of them are apart is revoked. */
+/** State that label elements are one landmark: the smallest number keeps all observations. Notes on the others pass to the element that is kept. So do decisions, unless it has its own. A decision that two of them are apart is revoked. */
 export interface Link {
   element_ids: Array<string>;
   kind: "link";
@@ -532,6 +538,14 @@ export interface MapSummary {
   findings: number;
   building: string | null;
   failure: string;
+}
+
+/** The nearest element of the same class that no image shows together with this one. */
+export interface MergeOffer {
+  id: string;
+  name: string;
+  class_id: number;
+  away_m: number;
 }
 
 /** Move the anchor, the end or both; None leaves a point unchanged. */
@@ -571,6 +585,26 @@ export interface NearbyView {
   name: string;
   class_id: number;
   labelled_in: number;
+}
+
+/** Write a note on an element, in the name of who is connected. */
+export interface NoteEdit {
+  kind: "note";
+  note_id: string;
+  element_id: string;
+  frame_index?: number | null;
+  unsure?: boolean;
+  text?: string;
+}
+
+/** A note on an element. */
+export interface NoteView {
+  id: string;
+  frame: number | null;
+  unsure: boolean;
+  text: string;
+  author: string;
+  time: string;
 }
 
 /** A label in one image. */
@@ -704,6 +738,13 @@ export interface PreviewDraftRequest {
   draft: DraftState;
 }
 
+/** Find where the accepted labels of an element snap to; ``resnap`` follows. */
+export interface PreviewReSnapRequest {
+  type: "preview_resnap";
+  id: string;
+  element_id: string;
+}
+
 /** The proposed mark of an element in one image. */
 export interface ProposalMark {
   anchor: [number, number];
@@ -729,6 +770,28 @@ export interface ProposalView {
   score: number | null;
   track: TrackView | null;
   marks: Partial<Record<"left" | "right", ProposalMark>>;
+}
+
+/** Move observations to the edges that the images show, all or none. */
+export interface ReSnap {
+  moves: Array<MoveObservation>;
+  kind: "re-snap";
+}
+
+/** What a re-snap of an element would do. */
+export interface ReSnapEvent {
+  type: "resnap";
+  reply_to: string | null;
+  element: string;
+  preview: ReSnapPreview;
+}
+
+/** What a re-snap would do. */
+export interface ReSnapPreview {
+  moves: Array<SnapMove>;
+  by_px: number;
+  unclear: number;
+  drawn: number;
 }
 
 /** Redo what the author undid last. */
@@ -826,6 +889,15 @@ export interface SceneEvent {
   reply_to: string | null;
 }
 
+/** Search the images of a range of frames for an element; ``track_proposals`` follows. A later one replaces it. */
+export interface SearchTrackRequest {
+  type: "search_track";
+  id: string;
+  element_id: string;
+  first: number;
+  last: number;
+}
+
 /** The wish for another second image than the usual one. */
 export interface SecondImage {
   camera?: string | null;
@@ -844,6 +916,14 @@ export interface SetClass {
   element_id: string;
   class_id: number;
   kind: "set class";
+}
+
+/** Change the class of some observations of an element, within its kind. If they are not all of its observations, they become a new element, kept apart from it. */
+export interface SetClassOfViews {
+  observation_ids: Array<string>;
+  class_id: number;
+  new_element_id: string;
+  kind: "set class of views";
 }
 
 /** Set whether the ends of a pole are visible, not cut off or hidden; None: unchanged. */
@@ -907,6 +987,26 @@ export interface ShowReviewRequest {
   by?: -1 | 0 | 1;
 }
 
+/** Request one element: its labels, what is wrong, what could be done. */
+export interface ShowTrackRequest {
+  type: "show_track";
+  id: string;
+  element_id: string;
+}
+
+/** Request the rows of all elements; those that are not known yet follow. */
+export interface ShowTracksRequest {
+  type: "show_tracks";
+  id: string;
+}
+
+/** Where a label snaps to. */
+export interface SnapMove {
+  observation_id: string;
+  anchor_px: [number, number];
+  end_px: [number, number] | null;
+}
+
 /** A drawing snapped to edges; its ends move by ``by_px`` at most. */
 export interface SnappedMark {
   anchor: [number, number];
@@ -954,6 +1054,91 @@ export interface SwapEnds {
   kind: "swap ends";
 }
 
+/** One element, as of an operation. */
+export interface TrackDetails {
+  id: string;
+  operation: number;
+  hash: string;
+  labels: Array<TrackLabel>;
+  split: TrackSplit | null;
+  merge: MergeOffer | null;
+  place: string;
+  drawn_by: string;
+}
+
+/** One element. */
+export interface TrackEvent {
+  type: "track";
+  reply_to: string | null;
+  track: TrackDetails;
+}
+
+/** Elements that are expected in the images of a frame and not labelled there, by number. */
+export interface TrackFrame {
+  index: number;
+  left: Array<number>;
+  right: Array<number>;
+}
+
+/** A label of the element, with what the card and the strip of views show of it. */
+export interface TrackLabel {
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  px: number | null;
+  size_px: number;
+  accepted: boolean;
+}
+
+/** A proposed label of the element, confirmed by its image or not. */
+export interface TrackProposal {
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  score: number;
+  is_confident: boolean;
+}
+
+/** What the images of a range of frames show of an element that is not labelled there. */
+export interface TrackProposalsEvent {
+  type: "track_proposals";
+  reply_to: string | null;
+  element: string;
+  first: number;
+  last: number;
+  proposals: Array<TrackProposal>;
+}
+
+/** An element in all frames from the first that shows something of it to the last. */
+export interface TrackRow {
+  id: string;
+  name: string;
+  class_id: number;
+  number: number;
+  first: number;
+  left: Array<number>;
+  right: Array<number>;
+  views: number;
+  worst_px: number | null;
+  score: number | null;
+  sure: boolean;
+  left_out: boolean;
+  notes: Array<NoteView>;
+}
+
+/** The labels fit two elements better than one. */
+export interface TrackSplit {
+  frame: number;
+  title: string;
+  text: string;
+}
+
 /** A track of detections, which is accepted or rejected as a whole. */
 export interface TrackView {
   frames: number;
@@ -963,12 +1148,21 @@ export interface TrackView {
   existence: string;
 }
 
+/** Rows of elements and open tracks, and what is expected in frames; added to those before. */
+export interface TracksEvent {
+  type: "tracks";
+  reply_to: string | null;
+  rows: Array<TrackRow>;
+  frames: Array<TrackFrame>;
+  total: number | null;
+}
+
 /** Undo the author's last edit. */
 export interface UndoEdit {
   kind: "undo";
 }
 
-/** State that observations of an element show another landmark: a new element, kept apart. */
+/** State that observations of an element show another landmark: a new element, kept apart. Notes on frames that only the new element is labelled in go along. */
 export interface Unlink {
   observation_ids: Array<string>;
   new_element_id: string;
@@ -1019,6 +1213,8 @@ export interface Requests {
   list_named_states: ListNamedStatesRequest;
   list_operations: ListOperationsRequest;
   preview_draft: PreviewDraftRequest;
+  preview_resnap: PreviewReSnapRequest;
+  search_track: SearchTrackRequest;
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
   show_drive: ShowDriveRequest;
@@ -1027,6 +1223,8 @@ export interface Requests {
   show_pose_frame: ShowPoseFrameRequest;
   show_poses: ShowPosesRequest;
   show_review: ShowReviewRequest;
+  show_track: ShowTrackRequest;
+  show_tracks: ShowTracksRequest;
   stop_map_build: StopMapBuildRequest;
 }
 
@@ -1048,9 +1246,13 @@ export interface Events {
   pose_frame: PoseFrameEvent;
   poses: PosesEvent;
   poses_chosen: PosesChosenEvent;
+  resnap: ReSnapEvent;
   review: ReviewEvent;
   saved_operation: SavedOperationEvent;
   scene: SceneEvent;
+  track: TrackEvent;
+  track_proposals: TrackProposalsEvent;
+  tracks: TracksEvent;
   update: UpdateEvent;
   workspace: WorkspaceEvent;
 }
