@@ -14,7 +14,8 @@ from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseUnd
 from semviz.annotator.panes import SecondImage
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.scene_view import AnnotatorScene, Shown
-from semviz.annotator.session import LabelSession, SavedEdit
+from semviz.annotator.session import LabelSession
+from semviz.annotator.session_results import SavedEdit
 from semviz.annotator.track_requests import TrackRequests
 from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name

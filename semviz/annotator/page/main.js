@@ -31,7 +31,9 @@ import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
 import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
+import { Tracks } from "./tracks.js";
 import { SIDES, spaced } from "./values.js";
+import { Views } from "./views.js";
 
 export class Page {
   constructor() {
@@ -67,7 +69,10 @@ export class Page {
     this.second = new SecondChoice(this.state, this.keys, this);
     this.poses = new Poses(this.state, this.keys, this);
     this.drive = new Drive(this.state, this.keys, this);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses, this.drive]);
+    this.tracks = new Tracks(this.state, this.keys, this);
+    /** @type {Views} */
+    this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, drive: this.drive });
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.views, this.tracks, this.poses, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -154,7 +159,7 @@ export class Page {
     this.tools.cancel();
     state.set({ frame: index, preview: null });
     const { wish, view } = state;
-    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}`);
+    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}${this.tracks.inAddress()}`);
     this.socket.send("go_to_frame", { frame: index, second: wish });
     this.sceneGate?.hold(true);
     this.#showPictures(index);
@@ -264,7 +269,8 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this), this.drive.keyed()), ...this.drive.commands()]);
+    const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
+    this.keys.use([...ofImages, ...this.views.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
@@ -272,8 +278,7 @@ export class Page {
     this.images.fit();
     const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
-    if (isFirst && view === "poses") this.poses.open("poses");
-    if (isFirst && view === "drive") this.drive.open();
+    if (isFirst) this.views.openNamed(view);
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();
