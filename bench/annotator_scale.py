@@ -60,7 +60,7 @@ class Options:
 
 def make_workspace(folder: Path, options: Options) -> Workspace:
     root = folder / "kitti"
-    _write_images(root / "sequences" / SEQUENCE, options.frames)
+    write_images(root / "sequences" / SEQUENCE, options.frames)
     (root / "poses").mkdir()
     radius_m = options.frames * STEP_M / 2.0 / (2.0 * np.pi)
     lines = []
@@ -76,7 +76,8 @@ def make_workspace(folder: Path, options: Options) -> Workspace:
     return made
 
 
-def _write_images(folder: Path, frames: int) -> None:
+def write_images(folder: Path, frames: int) -> None:
+    """Write a KITTI sequence of ``frames`` in which a few pairs of images serve all."""
     street = Street(0, StreetOptions(PAIRS))
     for camera, side in ((2, "left"), (3, "right")):
         images = folder / f"image_{camera}"

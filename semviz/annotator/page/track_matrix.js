@@ -148,6 +148,7 @@ export class TrackMatrix {
   #columns(context, width, height, look) {
     const { tracks } = this, cell = this.#cell;
     context.fillStyle = look.dim;
+    context.textAlign = "left";
     context.fillText("element", 12, 12);
     context.textAlign = "right";
     context.fillText("views", 128, 12);

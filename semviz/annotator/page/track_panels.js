@@ -9,7 +9,7 @@ import { byId, el } from "/static/dom.js";
 import { classGlyph, residualColor } from "/static/glyphs.js";
 import { noHit } from "./track_filter.js";
 import { counted, spaced } from "./values.js";
-import { RenderCache, badge, header } from "./widgets.js";
+import { RenderCache, badge } from "./widgets.js";
 
 const CHIPS = [["residual>2", "Over 2 px"], ["gaps", "Gaps"], ["proposed", "Proposed"], ["score<0.8", "Score under 0.8"], ["unsure", "Unsure"], ["noted", "Notes"]];
 const PLOT_PX = [0, 3, 5]; // lines of the plot
@@ -135,11 +135,13 @@ export class TrackPanels {
 
   #head() {
     const { row, state } = this.tracks;
-    if (!row) return [header("No element", "choose one: arrows, or a click")];
+    if (!row) return [el("h2", { text: "No element" }), el("span", { class: "about", text: "choose one: arrows, or a click" })];
     const kind = state.classOf(row.class_id);
     const [first, last] = this.tracks.table.span(row).map((place) => this.tracks.frameAt(place));
-    return [header(row.name, `${kind.name} · frames ${first}–${last}`, classGlyph(kind, state.colorOf(kind)),
-      el("span", { class: "chip push", text: counted(row.views, row.number < 0 ? "detection" : "view") }))];
+    return [
+      classGlyph(kind, state.colorOf(kind)), el("h2", { text: row.name }), el("span", { class: "about", text: `${kind.name} · frames ${first}–${last}` }),
+      el("span", { class: "chip push", text: counted(row.views, row.number < 0 ? "detection" : "view") }),
+    ];
   }
 
   /** @returns {Child[]} */
@@ -188,8 +190,8 @@ export class TrackPanels {
     const accepted = labels.filter((label) => label.accepted).length;
     const flagged = row.notes.some(({ unsure }) => unsure);
     return [
-      action("Re-snap", `${counted(accepted, "view")}, hand-drawn stay`, [badge(keys, "Shift R")], () => actions.resnap()),
-      action("Verify, nearest first", `${views.seenCount} of ${labels.length} seen`, [badge(keys, "Shift B")], () => views.verify()),
+      action("Re-snap", `${accepted}, hand-drawn stay`, [badge(keys, "Shift R")], () => actions.resnap()),
+      action("Verify, nearest first", `${views.seenCount} of ${labels.length}`, [badge(keys, "Shift B")], () => views.verify()),
       action("Split here", `before frame ${frames[0]}`, [badge(keys, "Shift U")], () => actions.split()),
       action("Merge with…", merge ? `nearest ${merge.name}, ${merge.away_m.toFixed(2)} m` : "none near", [badge(keys, "Shift P")], () => actions.merge()),
       action(flagged ? "Unsure ✓" : "Unsure", "asks a second person", [badge(keys, "Shift X")], () => actions.toggleUnsure()),
@@ -291,5 +293,5 @@ export class TrackPanels {
  * @param {() => void} run
  */
 function action(title, about, badges, run) {
-  return el("button", { class: "row track-action", onclick: run }, el("span", { class: "fill", text: title }), el("span", { class: "dim", text: about }), ...badges);
+  return el("button", { class: "row track-action", onclick: run }, el("span", { text: title }), el("span", { class: "push dim", text: about, title: about }), ...badges);
 }

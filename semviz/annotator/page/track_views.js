@@ -92,7 +92,7 @@ export class TrackViews {
   #tile(label, isSeen, isHere) {
     const { tracks } = this;
     const ratio = window.devicePixelRatio || 1;
-    const canvas = el("canvas", { width: WIDTH * ratio, height: HEIGHT * ratio, style: `width:${WIDTH}px;height:${HEIGHT}px` });
+    const canvas = el("canvas", { width: WIDTH * ratio, height: HEIGHT * ratio });
     const px = label.px === null ? "no position" : `${label.px.toFixed(1)} px`;
     const node = el("button", { class: "view", "aria-current": String(isHere), title: `${label.side} image of frame ${label.frame}`, onclick: () => {
       const place = tracks.placeOf(label.frame);
