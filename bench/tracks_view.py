@@ -138,7 +138,9 @@ def measure(page: Page, url: str, options: Options) -> None:
     page.wait_for_function("() => semviz.tracks.table.rows.size > 0", timeout=120_000)
     print(f"{'F3 to the first rows':<44} {time.perf_counter() - start:6.2f} s")
     page.wait_for_function(
-        f"() => semviz.tracks.table.rows.size >= {options.elements}", timeout=120_000
+        f"() => semviz.tracks.table.rows.size >= {options.elements}"
+        " && !semviz.tracks.table.waiting",
+        timeout=120_000,
     )
     print(f"{'F3 to all rows':<44} {time.perf_counter() - start:6.2f} s", flush=True)
     page.wait_for_function(

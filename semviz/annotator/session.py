@@ -153,13 +153,13 @@ class LabelSession:
         return view
 
     def analyze(self, seconds: float) -> Analyzed:
-        """Analyze elements, then tracks and frames, for that long; call it repeatedly."""
+        """Analyze tracks, elements, then frames, for that long; call it repeatedly."""
         labels = self.labels
+        if rows := self.tracks.changed(seconds):  # somebody looks at them
+            return Analyzed((), tuple(rows), False)
         if not self._positions.update(labels, seconds):
             return Analyzed((), (), False)
         self._complete_version = self._positions.version
-        if rows := self.tracks.changed(seconds):
-            return Analyzed((), tuple(rows), False)
         frames, done = self._quality.update(labels, seconds)
         return Analyzed(tuple(self._summaries(labels, frames)), (), done)
 

@@ -45,6 +45,8 @@ class TracksEvent(protocol.Event):
     frames: list[track_rows.TrackFrame]
     total: int | None = None
     """Number of all rows, in the answer to ``show_tracks``."""
+    waiting: int = 0
+    """Number of rows whose residuals are still being computed."""
 
 
 class TrackEvent(protocol.Event):

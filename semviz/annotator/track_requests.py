@@ -44,7 +44,15 @@ class TrackRequests:
     def send_rows(self, rows: Sequence[TrackRow], frames: Sequence[TrackFrame]) -> None:
         """Send rows and frames that were computed, if the page has asked for them."""
         if self._is_shown and (rows or frames):
-            self._send(track_messages.TracksEvent(rows=list(rows), frames=list(frames)))
+            self._send(
+                track_messages.TracksEvent(
+                    rows=list(rows), frames=list(frames), waiting=self._waiting
+                )
+            )
+
+    @property
+    def _waiting(self) -> int:
+        return self._shared.session.tracks.rows.waiting
 
     @protocol.handles(track_messages.ShowTracksRequest)
     def _show_tracks(self, request: track_messages.ShowTracksRequest) -> None:
@@ -54,7 +62,11 @@ class TrackRequests:
             self._is_shown = True
             self._send(
                 track_messages.TracksEvent(
-                    reply_to=request.id, rows=rows, frames=frames, total=total
+                    reply_to=request.id,
+                    rows=rows,
+                    frames=frames,
+                    total=total,
+                    waiting=self._waiting,
                 )
             )
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from semviz.annotator.detection_tracks import DetectionTrack, OpenTracks
-from semviz.annotator.element_positions import ElementPositions
+from semviz.annotator.element_positions import ElementPositions, Position
 from semviz.annotator.frame_quality import FrameQuality, residual_px
 from semviz.annotator.views import ElementRef, element_ref
 from semviz.web.protocol import Part
@@ -26,6 +26,8 @@ NOTHING, PROPOSED, REJECTED, HIDDEN, ABSENT, UNPLACED = -1, -2, -3, -4, -5, -6
 """Codes of cells that have no residual; the others are residuals in tenths of a pixel."""
 _CODES = {"rejected": REJECTED, "occluded": HIDDEN, "absent": ABSENT}
 _MOST = 9999
+SKETCH_S = 0.3
+"""How long the first answer may take to show rows whose residuals are not known yet."""
 
 
 class NoteView(Part):
@@ -104,11 +106,19 @@ class TrackRows:
         self._track_row = lru_cache(maxsize=None)(self._row_of_track)
 
     def known(self, labels: Labels, tracks: OpenTracks) -> tuple[list[TrackRow], int]:
-        """Return the rows that are up to date, and the number of all."""
+        """Return the rows known so far, and the number of all.
+
+        Rows that are not up to date come without residuals, as many as take ``SKETCH_S``.
+        """
         self.wanted = True
         self._follow(labels)
         now = tracks.places(labels)
         rows = [row for id_, row in self._rows.items() if id_ not in self._stale]
+        end = time.monotonic() + SKETCH_S
+        for id_ in self._stale:
+            if time.monotonic() > end:
+                break
+            rows.append(self._row(labels.elements[id_], labels, None))
         rows += [self._track_row(place, tracks.tracks.tracks[place]) for place in now]
         self._tracks, self._places = tracks, frozenset(now)
         return rows, len(labels.elements) + len(now)
@@ -123,14 +133,15 @@ class TrackRows:
         while self._stale and (time.monotonic() < end or not rows):
             id_ = next(iter(self._stale))
             del self._stale[id_]
-            self._rows[id_] = self._row(labels.elements[id_], labels)
+            position = self.positions.of_element(labels, id_)
+            self._rows[id_] = self._row(labels.elements[id_], labels, position)
             rows.append(self._rows[id_])
         return rows
 
     @property
-    def is_done(self) -> bool:
-        """Whether all rows are up to date, or none is wanted."""
-        return not self.wanted or not self._stale
+    def waiting(self) -> int:
+        """The number of rows that are not up to date."""
+        return len(self._stale)
 
     def frames(self, labels: Labels, indices: Iterable[int]) -> list[TrackFrame]:
         """Return what is expected in those of the frames that have been assessed."""
@@ -180,9 +191,8 @@ class TrackRows:
         rows = [_gone(id_) for id_ in closed if id_ not in labels.elements]
         return rows + [self._track_row(n, tracks.tracks.tracks[n]) for n in opened]
 
-    def _row(self, element: LabelElement, labels: Labels) -> TrackRow:
+    def _row(self, element: LabelElement, labels: Labels, position: Position | None) -> TrackRow:
         rows = labels.of_element(element.id)
-        position = self.positions.of_element(labels, element.id)
         cells = dict(self._dismissed(labels.dismissed_of(element.id)))
         worst: float | None = None
         for row in rows:

@@ -43,6 +43,7 @@ def page(served: Served, page: "Page") -> "Page":
     page.wait_for_function(
         "() => semviz.tracks.table.total !== null"
         " && semviz.tracks.table.rows.size === semviz.tracks.table.total"
+        " && !semviz.tracks.table.waiting"
         f" && semviz.tracks.table.numbersAt.size === {FRAMES}",
         timeout=WAIT_MS,
     )

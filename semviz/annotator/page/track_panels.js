@@ -61,7 +61,7 @@ export class TrackPanels {
     const { tracks, cache } = this;
     if (document.activeElement !== this.search && this.search.value !== tracks.filterText) this.search.value = tracks.filterText;
     cache.show("track-chips", [tracks.table.version, tracks.filterText], () => this.#chips());
-    cache.show("track-count", [tracks.shown.length, tracks.table.rows.size, tracks.table.total], () => [this.#count()]);
+    cache.show("track-count", [tracks.shown.length, tracks.table.rows.size, tracks.table.total, tracks.table.waiting], () => [this.#count()]);
     byId("track-sort").textContent = `Sort: ${tracks.order}`;
     byId("track-clear").hidden = !tracks.filterText;
     const message = this.#message();
@@ -87,8 +87,8 @@ export class TrackPanels {
 
   #count() {
     const { table, shown, since } = this.tracks;
-    const { total, rows: { size } } = table;
-    if (total !== null && size < total) return `${spaced(size)} of ${spaced(total)} tracks, ${Math.round((performance.now() - since) / 1000)} s so far`;
+    const { total, waiting, rows: { size } } = table;
+    if (total !== null && waiting) return `residuals of ${spaced(Math.max(0, total - waiting))} of ${spaced(total)}, ${Math.round((performance.now() - since) / 1000)} s so far`;
     return `${spaced(shown.length)} of ${counted(size, "row")}`;
   }
 

@@ -24,16 +24,18 @@ export class TrackTable {
     this.numbersAt = new Map();
     /** @type {number | null} */
     this.total = null; // rows, once the server has told
+    this.waiting = 0; // rows whose residuals are still being computed
     this.version = 0; // counts changes
   }
 
   /** Adds rows and frames to those known, or replaces them.
    *
-   * @param {Pick<annotator.TracksEvent, "rows" | "frames" | "total">} event
+   * @param {Pick<annotator.TracksEvent, "rows" | "frames" | "total" | "waiting">} event
    * @param {Map<number, number>} places of frames in the order of time, by index
    */
-  merge({ rows, frames, total }, places) {
+  merge({ rows, frames, total, waiting }, places) {
     this.version += 1;
+    this.waiting = waiting;
     this.total = total ?? this.total;
     for (const row of rows) {
       if (row.views) this.rows.set(row.id, row);

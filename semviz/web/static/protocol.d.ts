@@ -1155,6 +1155,7 @@ export interface TracksEvent {
   rows: Array<TrackRow>;
   frames: Array<TrackFrame>;
   total: number | null;
+  waiting: number;
 }
 
 /** Undo the author's last edit. */
