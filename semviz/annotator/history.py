@@ -77,6 +77,14 @@ class HistoryView:
         )
         return PastFrame(operation=operation, done=next(iter(self._views(done)), None), frame=frame)
 
+    def can_undo(self, author: str, choices: PoseChoices) -> bool:
+        """Return whether there is a step of the author's to undo, of labels or of poses."""
+        return self._store.undoable(author) is not None or self.undoes_poses(choices, author)
+
+    def can_redo(self, author: str) -> bool:
+        """Return whether there is an undone edit of the author's."""
+        return self._store.redoable(author) is not None
+
     def undoes_poses(self, choices: PoseChoices, author: str) -> bool:
         """Return whether the author's last step that can be undone is a choice of poses."""
         last = choices.present[-1:]

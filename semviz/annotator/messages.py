@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import pose_views, track_messages, views
+from semviz.annotator import people_view, pose_views, track_messages, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -435,6 +435,7 @@ AnnotatorEvent: TypeAlias = (
     | track_messages.TrackEvent
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
+    | people_view.PeopleEvent
     | DriveEvent
     | DriveFrameEvent
     | pose_views.PosesEvent

@@ -157,6 +157,8 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         return f"Frame {frame} {_review_state(operation) or state}"
     if operation.kind == "name":
         return f"Name this state “{operation.text}”"
+    if operation.kind in ("invite", "revoke"):
+        return f"{operation.kind.capitalize()} {operation.text}"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
     if operation.kind == "judge":

@@ -13,12 +13,14 @@ from aiohttp import web
 
 from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
+from semviz.annotator.people_view import PersonView, people_views
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
+from semviz.workspace.people import People, Role
 from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.snap import warm_up
@@ -27,6 +29,8 @@ from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
+FLUSH_EVERY_S = 0.05
+"""Shortest time between two updates of a page by the edits of others."""
 POLL_EVERY_S = 1.0
 """How often to check for changes of other processes: one query."""
 SEND_EVERY_S = 0.5
@@ -51,6 +55,10 @@ class Annotator:
         self.search_thread = ThreadPoolExecutor(1, "semviz-search")
         self._pages: list[AnnotatorPage] = []
         self._closing = threading.Event()
+        self.people = People(workspace.path)
+        self.updates_queued = threading.Event()
+        self._people_changed = threading.Event()
+        self._sent_people: list[PersonView] = []
         self._sent_health: Health | None = None
         self.session.map_work.refresh()
         self.pose_work = PoseWork(workspace, lambda: self.session.labels)
@@ -63,6 +71,8 @@ class Annotator:
         self._analyzer.start()
         # on a new machine the code of a snap is compiled, which the first click must not wait for
         threading.Thread(target=warm_up, name="semviz-warm-up", daemon=True).start()
+        self._flusher = threading.Thread(target=self._flush, name="semviz-flush", daemon=True)
+        self._flusher.start()
         self._sessions = Sessions(self._open, HANDLERS.decode)
 
     @property
@@ -76,10 +86,21 @@ class Annotator:
     def forget(self, page: AnnotatorPage) -> None:
         self._pages.remove(page)
 
+    def role_of(self, person: str) -> Role | None:
+        if not person:
+            return "review"
+        known = self.people.by_name().get(person)
+        return None if known is None else known.role
+
+    def people_changed(self) -> None:
+        self._people_changed.set()
+
     def close(self) -> None:
         """Stop the threads and close the label file."""
         self._closing.set()
+        self.updates_queued.set()
         self._poller.join()
+        self._flusher.join()
         self._analyzer.join()
         self.pose_work.close()
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
@@ -110,8 +131,8 @@ class Annotator:
             *self._sessions.routes(),
         ]
 
-    def _open(self, session_id: str, send: Send) -> AnnotatorPage:
-        page = AnnotatorPage(session_id, send, self)
+    def _open(self, session_id: str, send: Send, person: str) -> AnnotatorPage:
+        page = AnnotatorPage(session_id, send, self, person)
         self._pages.append(page)
         return page
 
@@ -121,9 +142,34 @@ class Annotator:
             with self.lock:
                 self.session.map_work.refresh()
             self._send_health()
+            self._follow_people()
             self._follow_poses()
             with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
                 self._send_updates()
+
+    def _flush(self) -> None:
+        """Send updates page by page, so that edits come between; many edits are one update."""
+        while not self._closing.is_set():
+            self.updates_queued.wait()
+            self.updates_queued.clear()
+            for page in self.pages:
+                with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
+                    page.send_update()
+            self._closing.wait(FLUSH_EVERY_S)
+
+    def _follow_people(self) -> None:
+        """Tell all pages who is where, and end the sessions of those who may no longer enter."""
+        people = self.people.by_name()
+        for person in {page.person for page in self.pages} - {"", *people}:
+            self._sessions.end_of(person)
+        pages = [(page.author, page.frame) for page in self.pages]
+        views = people_views(people, self.session.author, pages)
+        if views == self._sent_people and not self._people_changed.is_set():
+            return
+        self._people_changed.clear()
+        self._sent_people = views
+        for page in self.pages:
+            page.send_people(views)
 
     def _send_health(self) -> None:
         health = self.session.health()
@@ -168,7 +214,7 @@ class Annotator:
                 rows = self.session.tracks.changed()
                 for page in self.pages:
                     page.send_tracks(rows)
-                    page.send_update(labels)
+                    page.queue_update(labels)
 
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")

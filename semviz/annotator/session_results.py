@@ -1,11 +1,16 @@
 """What a labelling session returns: an edit on disk, a slice of its background analysis."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
+from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.storage.store import Operation
+
+Write: TypeAlias = Callable[[AnyEdit], Operation]
+"""Writes an edit in the name of whose page sent it, against what that page had shown."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from semviz.annotator.frame_quality import FrameFacts
 from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
+from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (
     LabelElement,
@@ -135,6 +136,8 @@ class WorkspaceView(Part):
     """Prefix of this workspace's entries in the browser's storage."""
     source: str
     author: str
+    """Whose page it is."""
+    role: Role
     classes: list[ElementClass]
     triangle_center: TriangleCenter
     """What the point of a triangular sign is."""
@@ -253,7 +256,9 @@ def observation_view(row: Observation) -> ObservationView:
     )
 
 
-def workspace_view(workspace: Workspace, author: str, center: TriangleCenter) -> WorkspaceView:
+def workspace_view(
+    workspace: Workspace, author: str, role: Role, center: TriangleCenter
+) -> WorkspaceView:
     """Return what does not change while the page of a workspace is open."""
     rig = workspace.source.rig
     right = rig.right or rig.left
@@ -262,6 +267,7 @@ def workspace_view(workspace: Workspace, author: str, center: TriangleCenter) ->
         key=hashlib.sha256(str(workspace.path.resolve()).encode()).hexdigest()[:16],
         source=workspace.source.map_frame.name,
         author=author,
+        role=role,
         classes=list(workspace.classes),
         triangle_center=center,
         images={

@@ -23,9 +23,9 @@ from semviz_annotation.labels.rows import (
     Row,
     RowChange,
     SharedDict,
+    check_decision,
     new_id,
     proposal_id,
-    review_decision_id,
     row_elements,
     row_key,
 )
@@ -391,7 +391,7 @@ class Draft:
             if row.element_id is not None:
                 _include(self._dismissed_of, row.element_id, row.id)
         elif isinstance(row, ReviewDecision):
-            _check_decision(row)
+            check_decision(row)
             self._review_decisions[row.id] = row
             for element_id in row_elements(row):
                 _include(self._decisions_of, element_id, row.id)
@@ -437,16 +437,6 @@ class Draft:
         if isinstance(row, Note):
             return f"a note on {' and '.join(names) or 'a deleted element'}"
         return names[0] if names else "a deleted element"
-
-
-def _check_decision(row: ReviewDecision) -> None:
-    first, *others = row_elements(row)
-    if bool(others) != (row.verdict == "apart") or any(first >= other_id for other_id in others):
-        raise SemvizError(
-            "only a decision 'apart' is about two elements, the one with the smaller id first"
-        )
-    if row.id != review_decision_id(row.element_id, row.other_id):
-        raise SemvizError("this is not the id of a decision about these elements")
 
 
 def _include(index: MutableMapping[Any, tuple[str, ...]], key: object, row_id: str) -> None:

@@ -253,6 +253,17 @@ def row_elements(row: Row | None) -> tuple[str, ...]:
     return ()
 
 
+def check_decision(row: ReviewDecision) -> None:
+    """Raise SemvizError if a decision is not of the form that the fields of its row describe."""
+    first, *others = row_elements(row)
+    if bool(others) != (row.verdict == "apart") or any(first >= other_id for other_id in others):
+        raise SemvizError(
+            "only a decision 'apart' is about two elements, the one with the smaller id first"
+        )
+    if row.id != review_decision_id(row.element_id, row.other_id):
+        raise SemvizError("this is not the id of a decision about these elements")
+
+
 MIN_LENGTH_PX = 0.5
 """A pole whose ends are closer than this has no direction."""
 

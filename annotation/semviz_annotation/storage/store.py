@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
@@ -328,6 +329,14 @@ class LabelStore:
             return Operation(new, request_id, author, "human", _now(), "name", (), text=name)
 
         return self._commit(operation, "name", author, request_id)
+
+    def state(self, kind: Literal["invite", "revoke"], text: str, author: str) -> Operation:
+        """Write down what was done about people; it changes no row, and is not undone."""
+
+        def operation(new: int, request_id: str) -> Operation:
+            return Operation(new, request_id, author, "human", _now(), kind, (), text=text)
+
+        return self._commit(operation, kind, author, None)
 
     def extend(
         self, operations: Iterable[Operation], triangle_center: TriangleCenter = NEW_CENTER

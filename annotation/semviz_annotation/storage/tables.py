@@ -26,12 +26,14 @@ from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Wr
 from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
+STATEMENTS = frozenset({"name", "invite", "revoke"})
+"""Kinds of operations that are no edits: they change no row, and are not undone."""
+
 
 class UndoHistory:
     """Numbers of each author's done and undone edits; latest last.
 
-    Authors undo only their own edits. A new edit clears the author's undone edits. Naming a state
-    is no edit.
+    Authors undo only their own edits. A new edit clears the author's undone edits.
     """
 
     def __init__(self) -> None:
@@ -54,7 +56,7 @@ class UndoHistory:
             _move(undoes, done, undone)
         elif redoes is not None:
             _move(redoes, undone, done)
-        elif kind != "name":
+        elif kind not in STATEMENTS:
             done[number] = None
             undone.clear()
 

@@ -656,6 +656,20 @@ export interface PastFrameEvent {
   past: PastFrame;
 }
 
+/** Who may label this workspace, and where they are; sent when it changes. */
+export interface PeopleEvent {
+  type: "people";
+  reply_to: string | null;
+  people: Array<PersonView>;
+}
+
+/** Somebody who was invited, or who started the server and has a page open. */
+export interface PersonView {
+  name: string;
+  role: "annotate" | "review" | "look";
+  frames: Array<number>;
+}
+
 /** What a person may choose, and what it costs. */
 export interface PoseAnswer {
   choice: "refine" | "leave out" | "keep" | "ask";
@@ -1192,6 +1206,7 @@ export interface WorkspaceView {
   key: string;
   source: string;
   author: string;
+  role: "annotate" | "review" | "look";
   classes: Array<ElementClass>;
   triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
@@ -1244,6 +1259,7 @@ export interface Events {
   named_states: NamedStatesEvent;
   operations: OperationsEvent;
   past_frame: PastFrameEvent;
+  people: PeopleEvent;
   pose_frame: PoseFrameEvent;
   poses: PosesEvent;
   poses_chosen: PosesChosenEvent;
