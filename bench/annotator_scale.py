@@ -107,9 +107,15 @@ class Client:
     async def ask(self, message: dict[str, Any], done: Callable[[dict[str, Any]], bool]) -> float:
         """Milliseconds until the answer for which ``done`` holds."""
         start = time.perf_counter()
-        await self._socket.send_json(message)
-        await self.hear(done)
+        await self.ask_for(message, done)
         return 1000.0 * (time.perf_counter() - start)
+
+    async def ask_for(
+        self, message: dict[str, Any], done: Callable[[dict[str, Any]], bool]
+    ) -> dict[str, Any]:
+        """The answer for which ``done`` holds."""
+        await self._socket.send_json(message)
+        return await self.hear(done)
 
     async def listen(self, seconds: float) -> None:
         """Reads on: a page that doesn't is taken for gone."""

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import people_view, pose_views, track_messages, views
+from semviz.annotator import people_view, pose_views, team_view, track_messages, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -259,6 +259,8 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | team_view.ShowTeamRequest
+    | team_view.AssignFramesRequest
     | track_messages.ShowTracksRequest
     | track_messages.ShowTrackRequest
     | track_messages.SearchTrackRequest
@@ -436,6 +438,7 @@ AnnotatorEvent: TypeAlias = (
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
     | people_view.PeopleEvent
+    | team_view.TeamEvent
     | DriveEvent
     | DriveFrameEvent
     | pose_views.PosesEvent

@@ -157,8 +157,11 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
         return f"Frame {frame} {_review_state(operation) or state}"
     if operation.kind == "name":
         return f"Name this state “{operation.text}”"
-    if operation.kind in ("invite", "revoke"):
+    if operation.kind in ("invite", "revoke", "assign"):
         return f"{operation.kind.capitalize()} {operation.text}"
+    if operation.kind in ("accept frame", "send back"):
+        verb = "Accept" if operation.kind == "accept frame" else "Send back"
+        return f"{verb} frame {frame_of(operation, labels)}"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
     if operation.kind == "judge":

@@ -15,6 +15,8 @@ from semviz.annotator.people_view import PeopleEvent, PersonView
 from semviz.annotator.pose_views import ChoosePosesRequest, PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.session_results import SavedEdit
+from semviz.annotator.team_requests import TeamRequests, needs_review
+from semviz.annotator.team_view import AssignFramesRequest
 from semviz.annotator.track_requests import TrackRequests
 from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView
@@ -22,7 +24,7 @@ from semviz.web import protocol
 from semviz.web.protocol import RefusedError
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import find_backdrop
-from semviz.workspace.people import Role
+from semviz.workspace.people import People, Role
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
@@ -69,6 +71,9 @@ class AnnotatorServices(Protocol):
         """Set when a page has updates to send."""
         ...
 
+    @property
+    def people(self) -> People: ...
+
     def role_of(self, person: str) -> Role | None:
         """Return what a guest may do, "" being who started the server; None: no longer anything."""
         ...
@@ -85,6 +90,7 @@ CHANGING = (
     messages.BuildMapRequest,
     messages.StopMapBuildRequest,
     ChoosePosesRequest,
+    AssignFramesRequest,
 )
 """Requests that need more than the right to look."""
 
@@ -109,12 +115,13 @@ class AnnotatorPage:
         self._poses = PoseRequests(send, shared, self.author)
         self._drive = DriveRequests(send, shared)
         self._tracks = TrackRequests(send, shared)
+        self._team = TeamRequests(send, shared, self.author)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
         self._scene = PageScene(session_id, send, shared)
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self, self._poses, self._drive, self._tracks)
+        self._handle = HANDLERS.bound_to(self, self._poses, self._drive, self._tracks, self._team)
 
     @property
     def _session(self) -> LabelSession:
@@ -205,6 +212,8 @@ class AnnotatorPage:
             raise RefusedError("not_saved", f"{self.person}'s access was ended; ask to be invited")
         if role == "look" and isinstance(request, CHANGING):
             raise RefusedError("invalid", "you may look at these labels, and not change them")
+        if role != "review" and needs_review(request):
+            raise RefusedError("invalid", "only who reviews accepts, sends back and assigns frames")
         self._handle(request)
 
     def close(self) -> None:
@@ -428,5 +437,10 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
 
 
 HANDLERS = protocol.Handlers(
-    messages.AnnotatorRequest, AnnotatorPage, PoseRequests, DriveRequests, TrackRequests
+    messages.AnnotatorRequest,
+    AnnotatorPage,
+    PoseRequests,
+    DriveRequests,
+    TrackRequests,
+    TeamRequests,
 )

@@ -32,6 +32,7 @@ from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
 from semviz.annotator.session_results import Analyzed, SavedEdit, Write
 from semviz.annotator.session_tracks import SessionTracks
+from semviz.annotator.team_view import TeamWork
 from semviz.annotator.track_rows import TrackRows
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import RefusedError
@@ -109,6 +110,7 @@ class LabelSession:
             self.image_worker,
             self.classes,
         )
+        self.team = TeamWork(self._store, self._quality, self.classes, tuple(self.frames))
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
         self._feed = UpdateFeed(self._store, self.classes, self._quality)
         self._sent_map_version = self.map_work.version

@@ -34,6 +34,7 @@ from semviz_annotation.labels.labels import Labels, ReviewState
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
+    "AcceptFrame",
     "AddElements",
     "AddMany",
     "AddObservation",
@@ -51,6 +52,7 @@ __all__ = [
     "ReSnap",
     "ReviewFrame",
     "RevokeDecision",
+    "SendBackFrame",
     "SetClass",
     "SetClassOfViews",
     "SetKnown",
@@ -84,6 +86,44 @@ class ReviewFrame:
         before = labels.reviews.get(self.frame_index)
         if before is not None or after is not None:
             yield rows.RowChange(before, after)
+
+
+@dataclass(frozen=True)
+class AcceptFrame:
+    """Accept the review of a frame as it is.
+
+    The row stays as it is, and the operation becomes its last writer: whoever reviews the frame
+    anew takes the acceptance away.
+    """
+
+    frame_index: rows.Index
+    kind: Literal["accept frame"] = "accept frame"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        yield rows.RowChange(*(_reviewed(self.frame_index, labels),) * 2)
+
+
+@dataclass(frozen=True)
+class SendBackFrame:
+    """Send a reviewed frame back to who labelled it: it is in work again."""
+
+    frame_index: rows.Index
+    kind: Literal["send back"] = "send back"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        before = _reviewed(self.frame_index, labels)
+        yield rows.RowChange(before, rows.Review(self.frame_index, "in work"))
+
+
+def _reviewed(frame_index: int, labels: Labels) -> rows.Review:
+    review = labels.reviews.get(frame_index)
+    if review is None or labels.review(frame_index) not in ("reviewed", "reviewed, empty"):
+        raise SemvizError(f"frame {frame_index} is not marked as reviewed")
+    return review
 
 
 @dataclass(frozen=True)
@@ -213,6 +253,8 @@ Edit: TypeAlias = (
     | SetClass
     | SetClassOfViews
     | ReviewFrame
+    | AcceptFrame
+    | SendBackFrame
     | DecideElements
     | RevokeDecision
     | DeleteNote

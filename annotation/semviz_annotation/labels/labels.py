@@ -199,7 +199,7 @@ class Labels:
     def without_left_out(self) -> "Labels":
         """Return the state without the elements that belong in no map; the same if there are none.
 
-        For what shows or uses labels as true elements: exports, observations, training.
+        For what uses labels as true elements: exports, observations, training.
         """
         decisions = self.review_decisions.values()
         left_out = {row.element_id for row in decisions if row.verdict == "leave out"}

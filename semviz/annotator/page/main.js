@@ -23,12 +23,14 @@ import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { draftOf, isIdle, seen, startOf } from "./pending.js";
+import { People } from "./people.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
 import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
+import { Team } from "./team.js";
 import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
 import { Tracks } from "./tracks.js";
@@ -70,9 +72,11 @@ export class Page {
     this.poses = new Poses(this.state, this.keys, this);
     this.drive = new Drive(this.state, this.keys, this);
     this.tracks = new Tracks(this.state, this.keys, this);
+    this.people = new People(this.state, this);
+    this.team = new Team(this.state, this.keys, this);
     /** @type {Views} */
-    this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, drive: this.drive });
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.views, this.tracks, this.poses, this.drive]);
+    this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -105,7 +109,11 @@ export class Page {
 
   /** Whether labels can be changed now; if not, a message says why. */
   mayEdit() {
-    const { past } = this.state;
+    const { past, workspace } = this.state;
+    if (workspace.role === "look") {
+      this.notify("You may look at these labels, and not change them: who invited you can change that.", "wrong");
+      return false;
+    }
     if (past) this.notify(`This is the state after operation ${spaced(past.operation)}: press Esc to return.`, "wrong");
     return !past;
   }
@@ -270,7 +278,7 @@ export class Page {
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
     const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
-    this.keys.use([...ofImages, ...this.views.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.drive.commands()]);
+    this.keys.use([...ofImages, ...this.views.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();

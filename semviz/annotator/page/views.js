@@ -1,5 +1,5 @@
 // @ts-check
-// The views of the page, as tabs in the top bar: images, tracks, poses, your drive.
+// The views of the page, as tabs in the top bar: images, tracks, poses, team, your drive.
 /** @import {Command, Keys} from "/static/keys.js" */
 /** @import {State} from "./state.js" */
 import { byId } from "/static/dom.js";
@@ -8,7 +8,7 @@ import { byId } from "/static/dom.js";
 /** A part of the page that is a view of its own.
  * @typedef {{entered?: () => void, left?: () => void}} Part */
 /** @type {View[]} */
-export const VIEWS = ["images", "tracks", "poses", "drive"];
+export const VIEWS = ["images", "tracks", "poses", "team", "drive"];
 
 /** Commands of the images that work in every view, by their group and default key. */
 const EVERYWHERE = new Set(["History", "General"]);
@@ -70,6 +70,7 @@ export class Views {
       ["F2", "images", "Show the images", ""],
       ["F3", "tracks", "Show the tracks: every element in every frame", "matrix table bulk"],
       ["F4", "poses", "Show the poses against the images", "check trajectory"],
+      ["F8", "team", "Show the team: who has what, the review queue", "people assign comments"],
       ["F9", "drive", "Show your drive: checks of the import", "calibration import trajectory"],
     ]);
     return titles.map(([key, view, title, words]) => ({ key, group: "Views", title, words, run: () => this.open(view) }));

@@ -25,6 +25,12 @@ export interface AcceptEdit {
   marks: Array<DrawnMark>;
 }
 
+/** Accept the review of a frame as it is. The row stays as it is, and the operation becomes its last writer: whoever reviews the frame anew takes the acceptance away. */
+export interface AcceptFrame {
+  frame_index: number;
+  kind: "accept frame";
+}
+
 /** Accept all sure tracks; ``count`` is their number as the page showed it. */
 export interface AcceptSureTracksEdit {
   kind: "accept sure tracks";
@@ -69,15 +75,23 @@ export interface AlignLabelsEdit {
 export interface AnswerView {
   name: string;
   title: string;
-  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
 }
 
 /** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
+}
+
+/** Assign a range of frames to a person; without one, take all of them away. */
+export interface AssignFramesRequest {
+  type: "assign_frames";
+  id: string;
+  person: string;
+  frames: [number, number] | null;
 }
 
 /** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
@@ -388,6 +402,18 @@ export interface ElementDraft {
   snap?: boolean;
   asks_bottom?: boolean;
   whole?: boolean;
+}
+
+/** A note with its element. */
+export interface ElementNote {
+  id: string;
+  frame: number | null;
+  unsure: boolean;
+  text: string;
+  author: string;
+  time: string;
+  element: string;
+  name: string;
 }
 
 /** An element labelled in the images on the page, with its observations there. */
@@ -786,6 +812,17 @@ export interface ProposalView {
   marks: Partial<Record<"left" | "right", ProposalMark>>;
 }
 
+/** A reviewed frame, or one that was sent back. */
+export interface QueueEntry {
+  frame: number;
+  state: "waiting" | "sent back" | "accepted";
+  person: string;
+  elements: number;
+  stands_out: string;
+  notes: Array<ElementNote>;
+  time: string;
+}
+
 /** Move observations to the edges that the images show, all or none. */
 export interface ReSnap {
   moves: Array<MoveObservation>;
@@ -918,6 +955,12 @@ export interface SecondImage {
   step?: number | null;
 }
 
+/** Send a reviewed frame back to who labelled it: it is in work again. */
+export interface SendBackFrame {
+  frame_index: number;
+  kind: "send back";
+}
+
 /** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
 export interface SetBackdropRequest {
   type: "set_backdrop";
@@ -1001,6 +1044,12 @@ export interface ShowReviewRequest {
   by?: -1 | 0 | 1;
 }
 
+/** Request who has what, and the queue. */
+export interface ShowTeamRequest {
+  type: "show_team";
+  id: string;
+}
+
 /** Request one element: its labels, what is wrong, what could be done. */
 export interface ShowTrackRequest {
   type: "show_track";
@@ -1066,6 +1115,30 @@ export interface StretchView {
 export interface SwapEnds {
   observation_id: string;
   kind: "swap ends";
+}
+
+/** The work of all. */
+export interface TeamEvent {
+  type: "team";
+  reply_to: string | null;
+  team: TeamView;
+}
+
+/** One person's share of the work. */
+export interface TeamPerson {
+  name: string;
+  ranges: Array<[number, number]>;
+  assigned: number;
+  reviewed: number;
+  pace: number;
+  edits: number;
+  last: string;
+}
+
+/** The work of all. */
+export interface TeamView {
+  people: Array<TeamPerson>;
+  queue: Array<QueueEntry>;
 }
 
 /** One element, as of an operation. */
@@ -1222,6 +1295,7 @@ export interface WorstLabel {
 
 export interface Requests {
   apply_edit: ApplyEditRequest;
+  assign_frames: AssignFramesRequest;
   build_map: BuildMapRequest;
   choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
@@ -1239,6 +1313,7 @@ export interface Requests {
   show_pose_frame: ShowPoseFrameRequest;
   show_poses: ShowPosesRequest;
   show_review: ShowReviewRequest;
+  show_team: ShowTeamRequest;
   show_track: ShowTrackRequest;
   show_tracks: ShowTracksRequest;
   stop_map_build: StopMapBuildRequest;
@@ -1267,6 +1342,7 @@ export interface Events {
   review: ReviewEvent;
   saved_operation: SavedOperationEvent;
   scene: SceneEvent;
+  team: TeamEvent;
   track: TrackEvent;
   track_proposals: TrackProposalsEvent;
   tracks: TracksEvent;
